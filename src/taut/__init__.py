@@ -1,0 +1,1 @@
+"""taut: control laws for robot arms, written once and run everywhere."""

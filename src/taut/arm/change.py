@@ -1,0 +1,193 @@
+"""Changed copies of an Arm: joints locked, bodies or joint values replaced, a modelling error drawn."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from taut.arm.description import BASE, Arm, Body, Joint
+from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeLink, TreeVisual, assemble, check_inertia
+from taut.base.checks import finite_array, finite_scalar, require_at_least, vector
+from taut.base.errors import ModelError, Problem, ShapeError, UsageError, unknown_name
+from taut.base.types import ArrayLike, Float64Array
+
+__all__ = ["body_replaced", "joints_replaced", "locked_copy", "perturbed_copy"]
+
+ROOT = "<base>"
+JOINT_FIELDS = ("lower", "upper", "velocity", "effort", "viscous", "coulomb", "rotor_inertia")
+
+
+def locked_copy(arm: Arm, joints: Iterable[str], q: ArrayLike | None) -> Arm:
+    """The arm with only `joints` moving, the others held at q."""
+    keep = [joints] if isinstance(joints, str) else list(joints)
+    for name in keep:
+        arm.joint_index(name)
+    if not keep:
+        raise UsageError("a subset needs one joint at least; got none", name="joints")
+    if len(set(keep)) != len(keep):
+        raise UsageError(f"a subset names each joint once; got {keep}", name="joints")
+    at = arm.home if q is None else vector("q", q, arm.n, joints=arm.joint_names)
+    locked = {name: float(at[i]) for i, name in enumerate(arm.joint_names) if name not in keep}
+    home = {name: float(at[i]) for i, name in enumerate(arm.joint_names)}
+    made = assemble(
+        _tree_of(arm),
+        locked=locked,
+        tool=arm.tool,
+        T_WB=arm.T_WB,
+        gravity=arm.gravity,
+        home=home,
+        commands=arm.commands,
+    )
+    artificial = {ROOT, *(_link_name(name) for name in arm.joint_names)}
+    return dataclasses.replace(
+        made,
+        frames=tuple(frame for frame in made.frames if frame.name not in artificial),
+        payload=arm.payload,
+        notes=arm.notes,
+    )
+
+
+def _link_name(joint: str) -> str:
+    return f"<{joint}>"
+
+
+def _tree_of(arm: Arm) -> Tree:
+    """An Arm back as links and joints: one link per body."""
+    links = [TreeLink(name=ROOT)]
+    joints = []
+    for joint, body in zip(arm.joints, arm.bodies, strict=True):
+        inertia = LinkInertia(mass=body.mass, com=body.com, inertia=body.inertia)
+        links.append(TreeLink(name=_link_name(joint.name), inertia=inertia))
+        parent = ROOT if joint.parent == BASE else _link_name(arm.joints[joint.parent].name)
+        values = {name: getattr(joint, name) for name in JOINT_FIELDS}
+        joints.append(
+            TreeJoint(
+                name=joint.name,
+                kind=joint.kind,
+                parent=parent,
+                child=_link_name(joint.name),
+                origin=joint.placement,
+                axis=joint.axis,
+                **values,
+            )
+        )
+    for visual in arm.visuals:
+        links[visual.body + 1].visuals.append(
+            TreeVisual(
+                placement=visual.placement,
+                shape=visual.shape,
+                size=visual.size,
+                file=visual.file,
+                rgba=visual.rgba,
+            )
+        )
+    frames = [(frame.name, links[frame.body + 1].name, frame.placement) for frame in arm.frames]
+    return Tree(name=arm.name, source=arm.source, links=links, joints=joints, frames=frames)
+
+
+def body_replaced(
+    arm: Arm,
+    joint: str,
+    *,
+    mass: float | None,
+    com: ArrayLike | None,
+    inertia: ArrayLike | None,
+) -> Arm:
+    """The arm with other mass properties of one body."""
+    i = arm.joint_index(joint)
+    old = arm.bodies[i]
+    new = Body(
+        mass=old.mass if mass is None else finite_scalar("mass", mass, unit="kg"),
+        com=old.com if com is None else vector("com", com, 3, unit="m"),
+        inertia=old.inertia
+        if inertia is None
+        else finite_array("inertia", inertia, shape=(3, 3), unit="kg m^2"),
+        links=old.links,
+    )
+    wrong = check_inertia(new.mass, new.inertia)
+    if wrong is not None:
+        problem = Problem(
+            object=joint, attribute=wrong[0], message=f"the body of joint '{joint}': {wrong[1]}"
+        )
+        raise ModelError(arm.name, [problem])
+    bodies = (*arm.bodies[:i], new, *arm.bodies[i + 1 :])
+    return dataclasses.replace(arm, bodies=bodies)
+
+
+def joints_replaced(arm: Arm, values: Mapping[str, ArrayLike | Mapping[str, float]]) -> Arm:
+    """The arm with other limits, friction or rotor inertia."""
+    columns: dict[str, Float64Array] = {}
+    for name, given in values.items():
+        if name not in JOINT_FIELDS:
+            raise unknown_name("a joint", "field", name, JOINT_FIELDS)
+        column = np.array([getattr(joint, name) for joint in arm.joints])
+        if isinstance(given, Mapping):
+            for joint, value in given.items():
+                column[arm.joint_index(joint)] = value
+        else:
+            try:
+                column = np.broadcast_to(np.asarray(given, dtype=np.float64), (arm.n,))
+            except ValueError as cause:
+                raise ShapeError(
+                    f"{name} must be one number or {arm.n}, one per joint; got shape {np.shape(given)}",
+                    name=name,
+                ) from cause
+        column = vector(name, column, arm.n, joints=arm.joint_names, allow_infinite=True)
+        if name in ("viscous", "coulomb", "rotor_inertia"):
+            column = vector(name, column, arm.n, joints=arm.joint_names)
+            require_at_least(name, column, 0.0, joints=arm.joint_names)
+        columns[name] = column
+    joints = list(arm.joints)
+    for i in range(arm.n):
+        changed: dict[str, Any] = {name: float(column[i]) for name, column in columns.items()}
+        joints[i] = dataclasses.replace(joints[i], **changed)
+        text = _wrong_limits(joints[i])
+        if text is not None:
+            name = joints[i].name
+            problem = Problem(object=name, attribute="limit", message=f"joint '{name}': {text}")
+            raise ModelError(arm.name, [problem])
+    return dataclasses.replace(arm, joints=tuple(joints))
+
+
+def _wrong_limits(joint: Joint) -> str | None:
+    if joint.lower >= joint.upper:
+        return f"lower limit {joint.lower:g} must be below upper limit {joint.upper:g}"
+    if joint.velocity <= 0.0 or joint.effort <= 0.0:
+        return "speed and effort limits must be > 0"
+    return None
+
+
+def perturbed_copy(arm: Arm, *, seed: int, mass: float, com: float, inertia: float, friction: float) -> Arm:
+    """The arm with random errors in masses, centres of mass, sizes and friction.
+
+    Spreads are log-normal where a value must stay positive, so that every draw is a possible arm. The size
+    acts on the second moment of mass, S = tr(I)/2 1 - I, axis by axis: any positive S is a rigid body, so the
+    triangle inequality holds by construction.
+    """
+    for name, value in (("mass", mass), ("com", com), ("inertia", inertia), ("friction", friction)):
+        require_at_least(name, np.array(finite_scalar(name, value)), 0.0)
+    rng = np.random.default_rng(seed)
+    bodies = []
+    for body in arm.bodies:
+        k = math.exp(mass * rng.standard_normal())
+        shift = com * rng.standard_normal(3)
+        stretch = np.diag(np.exp(0.5 * inertia * rng.standard_normal(3)))
+        second = 0.5 * np.trace(body.inertia) * np.eye(3) - body.inertia
+        second = k * stretch @ second @ stretch
+        new = np.trace(second) * np.eye(3) - second
+        bodies.append(Body(mass=k * body.mass, com=body.com + shift, inertia=new, links=body.links))
+    joints = []
+    for joint in arm.joints:
+        scale = np.exp(friction * rng.standard_normal(2))
+        joints.append(
+            dataclasses.replace(
+                joint,
+                viscous=float(joint.viscous * scale[0]),
+                coulomb=float(joint.coulomb * scale[1]),
+            )
+        )
+    return dataclasses.replace(arm, bodies=tuple(bodies), joints=tuple(joints))

@@ -1,0 +1,428 @@
+"""Arm: what the robot is. Joints, bodies, frames, gravity, limits; data, no maths.
+
+Joint i moves body i, and its body frame is the joint's own frame. Parents come before children. The base,
+written -1, stands at T_WB in the world. Links that hang on each other by fixed or locked joints are one body.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Final, Literal
+
+import numpy as np
+
+from taut.base import math as tm
+from taut.base.checks import finite_array, finite_scalar, one_of, require_at_least, vector
+from taut.base.errors import UsageError, unknown_name
+from taut.base.pose import Pose
+from taut.base.types import Array, ArrayLike, Float64Array, Vector
+
+if TYPE_CHECKING:
+    from taut.arm.pinocchio import PinocchioModel
+
+__all__ = ["BASE", "Arm", "Body", "CommandKind", "Frame", "Joint", "JointKind", "Payload", "Visual"]
+
+JointKind = Literal["revolute", "continuous", "prismatic"]
+CommandKind = Literal["torque", "velocity", "position"]
+COMMANDS: Final[tuple[CommandKind, ...]] = ("torque", "velocity", "position")
+BASE: Final = -1
+STANDARD_GRAVITY: Final = (0.0, 0.0, -9.81)  # [m/s^2] in the world
+
+
+@dataclass(frozen=True, kw_only=True)
+class Body:
+    """What one joint carries, as one rigid body.
+
+    Frames: `com` and `inertia` are given in the body frame; `inertia` is about the centre of mass.
+    """
+
+    mass: float  # [kg]
+    com: Float64Array  # (3,) [m]
+    inertia: Float64Array  # (3, 3) [kg m^2]
+    links: tuple[str, ...] = ()  # the links that were lumped into it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Joint:
+    """One moving joint. Units are rad and N m for rotating joints, m and N for prismatic ones."""
+
+    name: str
+    kind: JointKind
+    parent: int  # the joint that moves the parent body; BASE at the root
+    placement: Pose  # the joint's frame in the parent's body frame, at q = 0
+    axis: Float64Array  # (3,) unit vector in the joint's frame
+    lower: float = -np.inf  # [rad | m]
+    upper: float = np.inf  # [rad | m]
+    velocity: float = np.inf  # largest speed [rad/s | m/s]
+    effort: float = np.inf  # largest torque or force [N m | N]
+    viscous: float = 0.0  # friction per speed [N m s/rad | N s/m]
+    coulomb: float = 0.0  # dry friction [N m | N]
+    rotor_inertia: float = 0.0  # seen at the joint, G^2 I_motor [kg m^2 | kg]
+
+    @property
+    def unit(self) -> str:
+        """Unit of the joint's position."""
+        return "m" if self.kind == "prismatic" else "rad"
+
+    @property
+    def effort_unit(self) -> str:
+        """Unit of the joint's torque or force."""
+        return "N" if self.kind == "prismatic" else "N m"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """A named frame that is fixed to a body."""
+
+    name: str
+    body: int  # index of the joint that moves it; BASE where nothing does
+    placement: Pose  # in the body's frame
+
+
+@dataclass(frozen=True, kw_only=True)
+class Visual:
+    """Something to draw: a mesh file or a primitive, fixed to a body. Never needed to control an arm."""
+
+    body: int
+    placement: Pose
+    shape: Literal["mesh", "box", "cylinder", "sphere"]
+    size: tuple[float, ...]  # mesh: scale xyz; box: edges xyz [m]; cylinder: radius, length; sphere: radius
+    file: str = ""
+    rgba: tuple[float, float, float, float] = (0.8, 0.8, 0.8, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Payload:
+    """What the tool carries. A run-time parameter: it changes between ticks without compiling.
+
+    Frames: `com` and `inertia` are in the tool frame; `inertia` is about the payload's centre of mass,
+    in the order xx, yy, zz, xy, xz, yz.
+
+    Args:
+        mass: [kg], >= 0.
+        com: (3,) [m].
+        inertia: (6,) [kg m^2], or (3, 3).
+
+    Example:
+        >>> Payload(mass=1.0, com=[0.0, 0.0, 0.05]).mass
+        1.0
+    """
+
+    mass: float = 0.0
+    com: Float64Array = field(default_factory=lambda: np.zeros(3))
+    inertia: Float64Array = field(default_factory=lambda: np.zeros(6))
+
+    def __post_init__(self) -> None:
+        mass = finite_scalar("payload.mass", self.mass, unit="kg")
+        require_at_least("payload.mass", np.array(mass), 0.0, unit="kg")
+        com = vector("payload.com", self.com, 3, unit="m")
+        given = np.asarray(self.inertia)
+        if given.shape == (3, 3):
+            I = finite_array("payload.inertia", given, shape=(3, 3), unit="kg m^2")
+            six = np.array([I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]])
+        else:
+            six = given
+        inertia = vector("payload.inertia", six, 6, unit="kg m^2")
+        object.__setattr__(self, "mass", mass)
+        object.__setattr__(self, "com", com)
+        object.__setattr__(self, "inertia", inertia)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Arm:
+    """A robot arm: a tree of joints with one tool, mounted in the world.
+
+    Made by `taut.load_arm`, `Arm.from_screws` or `Arm.from_pinocchio`; the methods below give changed copies.
+
+    Example:
+        >>> from taut import load_arm
+        >>> arm = load_arm("planar2")
+        >>> arm.n, arm.joint_names
+        (2, ('joint1', 'joint2'))
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    bodies: tuple[Body, ...]
+    frames: tuple[Frame, ...]
+    tool: str  # name of the frame that carries the payload and that tasks mean
+    home: Float64Array  # (n,) a pose to start from
+    gravity: Float64Array = field(default_factory=lambda: np.array(STANDARD_GRAVITY))  # (3,) in W
+    T_WB: Pose = field(default_factory=Pose.identity)
+    payload: Payload = field(default_factory=Payload)
+    commands: tuple[CommandKind, ...] = ("torque",)  # what the real arm takes
+    visuals: tuple[Visual, ...] = ()
+    source: str = ""
+    notes: tuple[str, ...] = ()  # what the loader supplied or left out, in words
+
+    # ---------------------------------------------------------------- what it has
+
+    @property
+    def n(self) -> int:
+        """Number of moving joints."""
+        return len(self.joints)
+
+    @cached_property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints, in the order of q."""
+        return tuple(joint.name for joint in self.joints)
+
+    @cached_property
+    def frame_names(self) -> tuple[str, ...]:
+        """Names of all frames."""
+        return tuple(frame.name for frame in self.frames)
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each entry of q: rad or m."""
+        return tuple(joint.unit for joint in self.joints)
+
+    def _per_joint(self, attribute: str) -> Float64Array:
+        values = np.array([getattr(joint, attribute) for joint in self.joints], dtype=np.float64)
+        values.flags.writeable = False
+        return values
+
+    @cached_property
+    def lower(self) -> Float64Array:
+        """(n,) lower position limits [rad | m]; -inf where there is none."""
+        return self._per_joint("lower")
+
+    @cached_property
+    def upper(self) -> Float64Array:
+        """(n,) upper position limits [rad | m]; inf where there is none."""
+        return self._per_joint("upper")
+
+    @cached_property
+    def velocity(self) -> Float64Array:
+        """(n,) speed limits [rad/s | m/s]; inf where there is none."""
+        return self._per_joint("velocity")
+
+    @cached_property
+    def effort(self) -> Float64Array:
+        """(n,) torque limits [N m | N]; inf where there is none."""
+        return self._per_joint("effort")
+
+    @cached_property
+    def viscous(self) -> Float64Array:
+        """(n,) viscous friction [N m s/rad | N s/m]."""
+        return self._per_joint("viscous")
+
+    @cached_property
+    def coulomb(self) -> Float64Array:
+        """(n,) dry friction [N m | N]."""
+        return self._per_joint("coulomb")
+
+    @cached_property
+    def rotor_inertia(self) -> Float64Array:
+        """(n,) rotor inertia seen at the joint [kg m^2 | kg]."""
+        return self._per_joint("rotor_inertia")
+
+    @cached_property
+    def continuous(self) -> tuple[int, ...]:
+        """Indices of the joints that wrap at +-pi."""
+        return tuple(i for i, joint in enumerate(self.joints) if joint.kind == "continuous")
+
+    @cached_property
+    def total_mass(self) -> float:
+        """Mass of everything that moves, without payload [kg]."""
+        return float(sum(body.mass for body in self.bodies))
+
+    def frame(self, name: str | None = None) -> Frame:
+        """The frame of that name; the tool if no name is given.
+
+        Raises:
+            UnknownNameError: The arm has no such frame.
+        """
+        name = self.tool if name is None else name
+        for frame in self.frames:
+            if frame.name == name:
+                return frame
+        raise unknown_name(
+            "the arm",
+            "frame",
+            name,
+            self.frame_names,
+            hint=f"{len(self.frames)} frames: taut check MODEL lists them",
+        )
+
+    def joint_index(self, name: str) -> int:
+        """Index in q of the joint of that name.
+
+        Raises:
+            UnknownNameError: The arm has no such joint.
+        """
+        if name in self.joint_names:
+            return self.joint_names.index(name)
+        raise unknown_name(f"arm '{self.name}'", "joint", name, self.joint_names)
+
+    def ancestors(self, body: int) -> tuple[int, ...]:
+        """The joints between the base and a body, root first, its own joint included."""
+        path: list[int] = []
+        while body != BASE:
+            path.append(body)
+            body = self.joints[body].parent
+        return tuple(reversed(path))
+
+    def difference(self, q_to: Array, q_from: Array) -> Vector:
+        """(n,) the shortest way q_to - q_from; continuous joints wrap to [-pi, pi). Floats or symbols."""
+        delta = q_to - q_from
+        if not self.continuous:
+            return delta
+        turn = 2.0 * np.pi
+        wrapped = delta - turn * tm.floor((delta + np.pi) / turn)
+        return tm.array([wrapped[i] if i in self.continuous else delta[i] for i in range(self.n)])
+
+    # ---------------------------------------------------------------- changed copies
+
+    def with_tool(self, frame: str, T_FE: Pose | None = None, name: str = "tool") -> Arm:
+        """A copy whose tool is another frame, or a new frame at T_FE in that one.
+
+        Raises:
+            UnknownNameError: The arm has no such frame.
+            UsageError: The new name is taken.
+        """
+        base = self.frame(frame)
+        if T_FE is None:
+            return dataclasses.replace(self, tool=frame)
+        if name in self.frame_names:
+            raise UsageError(f"the arm has a frame '{name}' already; give another name=", name=name)
+        new = Frame(name=name, body=base.body, placement=base.placement @ T_FE)
+        return dataclasses.replace(self, frames=(*self.frames, new), tool=name)
+
+    def mounted(self, T_WB: Pose) -> Arm:
+        """A copy whose base stands at T_WB in the world."""
+        if not isinstance(T_WB, Pose):
+            raise UsageError(f"T_WB must be a taut.Pose; got {type(T_WB).__name__}", name="T_WB")
+        return dataclasses.replace(self, T_WB=T_WB)
+
+    def with_gravity(self, gravity: ArrayLike) -> Arm:
+        """A copy under another gravity (3,) [m/s^2], given in the world."""
+        return dataclasses.replace(self, gravity=vector("gravity", gravity, 3, unit="m/s^2"))
+
+    def with_payload(
+        self,
+        mass: float,
+        com: ArrayLike = (0.0, 0.0, 0.0),
+        inertia: ArrayLike = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    ) -> Arm:
+        """A copy that carries a payload: mass [kg], centre of mass [m] and inertia in the tool frame."""
+        payload = Payload(mass=mass, com=np.asarray(com), inertia=np.asarray(inertia))
+        return dataclasses.replace(self, payload=payload)
+
+    def with_home(self, q: ArrayLike) -> Arm:
+        """A copy with another home pose (n,) [rad | m]."""
+        return dataclasses.replace(self, home=vector("home", q, self.n, joints=self.joint_names))
+
+    def with_commands(self, *commands: CommandKind) -> Arm:
+        """A copy that takes other commands in real life: torque, velocity, position."""
+        return dataclasses.replace(self, commands=tuple(one_of("command", c, COMMANDS) for c in commands))
+
+    def subset(self, joints: Iterable[str], q: ArrayLike | None = None) -> Arm:
+        """A copy in which only these joints move; the others are locked at q (the home pose by default).
+
+        Raises:
+            UnknownNameError: The arm has no such joint.
+            UsageError: No joint is left, or one is named twice.
+        """
+        from taut.arm.change import locked_copy
+
+        return locked_copy(self, joints, q)
+
+    def perturbed(
+        self,
+        *,
+        seed: int,
+        mass: float = 0.0,
+        com: float = 0.0,
+        inertia: float = 0.0,
+        friction: float = 0.0,
+    ) -> Arm:
+        """A copy with a modelling error, drawn once from `seed`; what it gives is a possible rigid body.
+
+        Args:
+            seed: Seed of the draw.
+            mass: Relative spread (standard deviation) of each mass; its inertia scales along.
+            com: Spread of each centre of mass [m].
+            inertia: Relative spread of the body's size about its centre of mass, each axis on its own.
+            friction: Relative spread of viscous and dry friction.
+        """
+        from taut.arm.change import perturbed_copy
+
+        return perturbed_copy(self, seed=seed, mass=mass, com=com, inertia=inertia, friction=friction)
+
+    def with_body(
+        self,
+        joint: str,
+        *,
+        mass: float | None = None,
+        com: ArrayLike | None = None,
+        inertia: ArrayLike | None = None,
+    ) -> Arm:
+        """A copy in which the body that `joint` moves has another mass, centre of mass or inertia."""
+        from taut.arm.change import body_replaced
+
+        return body_replaced(self, joint, mass=mass, com=com, inertia=inertia)
+
+    def with_joints(self, **values: ArrayLike | Mapping[str, float]) -> Arm:
+        """A copy with other joint values by field name, one per joint or by joint name.
+
+        Fields: lower, upper, velocity, effort, viscous, coulomb, rotor_inertia.
+
+        Example:
+            >>> from taut import load_arm
+            >>> load_arm("planar2").with_joints(viscous=[0.1, 0.2]).viscous.tolist()
+            [0.1, 0.2]
+        """
+        from taut.arm.change import joints_replaced
+
+        return joints_replaced(self, values)
+
+    # ---------------------------------------------------------------- other ways in
+
+    @classmethod
+    def from_screws(
+        cls,
+        Mlist: ArrayLike,
+        Glist: ArrayLike,
+        Slist: ArrayLike,
+        gravity: ArrayLike = STANDARD_GRAVITY,
+        name: str = "arm",
+    ) -> Arm:
+        """An arm in the textbook's own notation; the only place where angular parts come first.
+
+        Args:
+            Mlist: (n + 1, 4, 4) link frame i in frame i - 1 at the zero pose; the last one is the tool.
+            Glist: (n, 6, 6) spatial inertia of each link in its own frame, diag(I, m 1).
+            Slist: (6, n) screw axes in the space frame, (omega, v) in each column.
+            gravity: (3,) [m/s^2] in the space frame.
+            name: Name of the arm.
+
+        Raises:
+            ShapeError: The lists do not fit together.
+            ModelError: An inertia or a screw axis that no rigid body or joint has.
+
+        References:
+            Lynch and Park, Modern Robotics (2017), sections 3.3.2, 8.2 and 8.3.
+        """
+        from taut.arm.screws import arm_from_screws
+
+        return arm_from_screws(Mlist, Glist, Slist, gravity, name)
+
+    @classmethod
+    def from_pinocchio(
+        cls, model: PinocchioModel, tool: str | None = None, gravity: ArrayLike | None = None
+    ) -> Arm:
+        """An arm from a Pinocchio model.
+
+        Raises:
+            ModelError: A joint that an Arm cannot have (floating, planar, ball, helical), bad inertias.
+        """
+        from taut.arm.pinocchio import arm_from_pinocchio
+
+        return arm_from_pinocchio(model, tool, gravity)
+
+    def __repr__(self) -> str:
+        return f"Arm('{self.name}', {self.n} joints, tool '{self.tool}')"

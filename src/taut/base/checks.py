@@ -1,0 +1,246 @@
+"""What a caller hands in is checked here, once, and kept as a read-only copy."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from taut.base.errors import FileError, RangeError, ShapeError, TautError, UsageError
+from taut.base.types import ArrayLike, Float64Array
+
+__all__ = [
+    "entry_names",
+    "finite_array",
+    "finite_scalar",
+    "one_of",
+    "positive_scalar",
+    "read_only",
+    "readable_file",
+    "require_at_least",
+    "require_positive",
+    "symmetric_psd",
+    "vector",
+]
+
+T = TypeVar("T", bound=str)
+
+SYMMETRY_TOLERANCE = 1e-9  # relative to the largest entry
+
+
+def _unit(unit: str) -> str:
+    return f" [{unit}]" if unit else ""
+
+
+def _number(value: float) -> str:
+    return repr(float(value))
+
+
+def entry_names(name: str, index: Sequence[int], joints: Sequence[str] | None = None) -> str:
+    """How an entry of an array is called in a message: kp[2], or kp[2] (joint 'elbow')."""
+    if not len(index):
+        return name
+    joint = f" (joint '{joints[index[0]]}')" if joints is not None and len(index) == 1 else ""
+    return f"{name}[{', '.join(str(int(i)) for i in index)}]{joint}"
+
+
+def read_only(array: Float64Array) -> Float64Array:
+    """A copy that nobody can write to."""
+    array = np.array(array, dtype=np.float64, order="C")
+    array.flags.writeable = False
+    return array
+
+
+def _as_floats(name: str, value: ArrayLike, unit: str) -> Float64Array:
+    if isinstance(value, (str, bytes)) or value is None:
+        raise ShapeError(f"{name} must be numbers{_unit(unit)}; got {value!r}", name=name, value=value)
+    try:
+        raw = np.asarray(value)
+        if raw.dtype.kind in "cbSU" and raw.size:
+            raise ShapeError(
+                f"{name} must be real numbers{_unit(unit)}; got an array of {raw.dtype}",
+                name=name,
+                value=value,
+            )
+        return np.asarray(raw, dtype=np.float64)
+    except TautError:
+        raise
+    except (TypeError, ValueError) as cause:
+        raise ShapeError(
+            f"{name} must be numbers{_unit(unit)} in a rectangular array; got {value!r}",
+            name=name,
+            value=value,
+        ) from cause
+
+
+def finite_array(
+    name: str,
+    value: ArrayLike,
+    *,
+    shape: tuple[int, ...] | None = None,
+    unit: str = "",
+    joints: Sequence[str] | None = None,
+    allow_infinite: bool = False,
+) -> Float64Array:
+    """A read-only copy of `value` as floats, all finite and of the given shape.
+
+    Raises:
+        ShapeError: Not numbers, or another shape.
+        RangeError: An entry is NaN or infinite; the message names it.
+    """
+    array = _as_floats(name, value, unit)
+    if shape is not None and array.shape != shape:
+        count = f" ({len(joints)} joints)" if joints is not None and shape[:1] == (len(joints),) else ""
+        raise ShapeError(
+            f"{name} must have shape {shape}{count}{_unit(unit)}; got shape {array.shape}",
+            name=name,
+            value=value,
+        )
+    bad = np.isnan(array) if allow_infinite else ~np.isfinite(array)
+    if bad.any():
+        index = np.argwhere(bad)[0]
+        raise RangeError(
+            f"{entry_names(name, index, joints)} must be finite{_unit(unit)}; "
+            f"got {_number(array[tuple(index)])}",
+            name=name,
+            joint=joints[index[0]] if joints is not None and len(index) == 1 else None,
+            value=float(array[tuple(index)]),
+            rule="finite",
+        )
+    return read_only(array)
+
+
+def vector(
+    name: str,
+    value: ArrayLike,
+    size: int,
+    *,
+    unit: str = "",
+    joints: Sequence[str] | None = None,
+    allow_infinite: bool = False,
+) -> Float64Array:
+    """A finite vector of `size` entries."""
+    return finite_array(name, value, shape=(size,), unit=unit, joints=joints, allow_infinite=allow_infinite)
+
+
+def finite_scalar(name: str, value: object, *, unit: str = "") -> float:
+    """A finite float."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        array = _as_floats(name, value, unit)  # type: ignore[arg-type]  # checked inside
+        if array.shape != () or isinstance(value, bool):
+            raise ShapeError(f"{name} must be one number{_unit(unit)}; got {value!r}", name=name)
+        value = float(array)
+    number = float(value)
+    if not math.isfinite(number):
+        raise RangeError(
+            f"{name} must be finite{_unit(unit)}; got {number!r}",
+            name=name,
+            value=number,
+            rule="finite",
+        )
+    return number
+
+
+def positive_scalar(name: str, value: object, *, unit: str = "") -> float:
+    """A finite float above zero."""
+    number = finite_scalar(name, value, unit=unit)
+    if number <= 0.0:
+        raise RangeError(
+            f"{name} must be > 0{_unit(unit)}; got {number!r}", name=name, value=number, rule="> 0"
+        )
+    return number
+
+
+def _require(
+    name: str,
+    array: Float64Array,
+    good: Callable[[Float64Array], np.ndarray[tuple[int, ...], np.dtype[np.bool_]]],
+    rule: str,
+    unit: str,
+    joints: Sequence[str] | None,
+) -> None:
+    bad = ~np.atleast_1d(good(array))
+    if bad.any():
+        index = [int(i) for i in np.argwhere(bad)[0]] if array.ndim else []
+        value = float(array[tuple(index)])
+        raise RangeError(
+            f"{entry_names(name, index, joints)} must be {rule}{_unit(unit)}; got {_number(value)}",
+            name=name,
+            joint=joints[index[0]] if joints is not None and len(index) == 1 else None,
+            value=value,
+            rule=rule,
+        )
+
+
+def require_at_least(
+    name: str,
+    array: Float64Array,
+    minimum: float,
+    *,
+    unit: str = "",
+    joints: Sequence[str] | None = None,
+) -> None:
+    """Every entry is at least `minimum`."""
+    _require(name, array, lambda a: a >= minimum, f">= {minimum:g}", unit, joints)
+
+
+def require_positive(
+    name: str, array: Float64Array, *, unit: str = "", joints: Sequence[str] | None = None
+) -> None:
+    """Every entry is above zero."""
+    _require(name, array, lambda a: a > 0.0, "> 0", unit, joints)
+
+
+def symmetric_psd(name: str, matrix: Float64Array, *, unit: str = "") -> None:
+    """A symmetric positive semidefinite matrix, within rounding."""
+    scale = max(float(np.abs(matrix).max(initial=0.0)), np.finfo(float).tiny)
+    skew = float(np.abs(matrix - matrix.T).max(initial=0.0))
+    if skew > SYMMETRY_TOLERANCE * scale:
+        raise RangeError(
+            f"{name} must be a symmetric matrix{_unit(unit)}; it differs from its transpose by {skew:g}",
+            name=name,
+            value=skew,
+            rule="symmetric",
+        )
+    smallest = float(np.linalg.eigvalsh(matrix)[0])
+    if smallest < -SYMMETRY_TOLERANCE * scale:
+        raise RangeError(
+            f"{name} must be positive semidefinite{_unit(unit)}; its smallest eigenvalue is {smallest:g}",
+            name=name,
+            value=smallest,
+            rule="positive semidefinite",
+        )
+
+
+def one_of(name: str, value: object, options: Sequence[T]) -> T:
+    """One of a few words."""
+    for option in options:
+        if value == option:
+            return option
+    raise UsageError(
+        f"{name} must be one of {', '.join(repr(o) for o in options)}; got {value!r}",
+        name=name,
+        value=value,
+    )
+
+
+def readable_file(kind: str, path: str | os.PathLike[str]) -> Path:
+    """A path to a file that exists, is no folder, is not empty and can be read."""
+    file = Path(path)
+    if file.is_dir():
+        raise FileError(f"{kind} '{file}' is a folder; name a file in it", name=str(file))
+    if not file.exists():
+        near = sorted(p.name for p in file.parent.glob(f"*{file.suffix}"))[:5] if file.suffix else []
+        way_out = f"; '{file.parent}' has {', '.join(repr(n) for n in near)}" if near else ""
+        raise FileError(f"{kind} '{file}' does not exist{way_out}", name=str(file))
+    if not file.is_file():
+        raise FileError(f"{kind} '{file}' is not a regular file", name=str(file))
+    if not os.access(file, os.R_OK):
+        raise FileError(f"{kind} '{file}' cannot be read; check its permissions", name=str(file))
+    if file.stat().st_size == 0:
+        raise FileError(f"{kind} '{file}' is empty", name=str(file))
+    return file

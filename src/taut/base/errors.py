@@ -1,0 +1,189 @@
+"""The one tree of errors, and the words they share.
+
+Every message has the same four parts: what, the rule, what was got, the way out. The error keeps the
+data as attributes, so that a program can act on it without reading the text.
+"""
+
+from __future__ import annotations
+
+import difflib
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+__all__ = [
+    "FileError",
+    "MatchError",
+    "MissingExtraError",
+    "ModelError",
+    "NumericalError",
+    "Problem",
+    "RangeError",
+    "ScenarioError",
+    "ShapeError",
+    "TautError",
+    "TraceError",
+    "UnknownNameError",
+    "UsageError",
+    "missing_extra",
+    "quoted_list",
+    "unknown_name",
+    "user_location",
+]
+
+
+class TautError(Exception):
+    """Base of every error that taut raises.
+
+    Args:
+        message: One sentence: what, rule, what was got, way out.
+        name: The argument, gain, frame or file that the sentence is about.
+        joint: The joint that it is about, where there is one.
+        value: What was got.
+        rule: The rule that was broken, in words.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        name: str | None = None,
+        joint: str | None = None,
+        value: object = None,
+        rule: str | None = None,
+    ) -> None:
+        super().__init__(message)
+        self.name = name
+        self.joint = joint
+        self.value = value
+        self.rule = rule
+
+
+class ShapeError(TautError, ValueError):
+    """An array has the wrong number of entries or dimensions, or is no array of numbers."""
+
+
+class RangeError(TautError, ValueError):
+    """A number is not finite, has the wrong sign, or breaks another rule about its value."""
+
+
+class UsageError(TautError, TypeError):
+    """Arguments that do not go together, or one that is missing."""
+
+
+class UnknownNameError(TautError, LookupError):
+    """A name of a frame, joint, law, parameter or arm that does not exist."""
+
+
+class MatchError(TautError, ValueError):
+    """Two things that do not fit: a law and a plant, a controller and a reference."""
+
+
+class TraceError(TautError, TypeError):
+    """Law code does something that cannot be traced; the message names file and line."""
+
+
+class MissingExtraError(TautError, ImportError):
+    """A feature needs a package that is not installed."""
+
+
+class FileError(TautError, OSError):
+    """A file cannot be read or written, or is not what its name says."""
+
+
+class ScenarioError(TautError, ValueError):
+    """A scenario file breaks its schema; the message names file and key."""
+
+
+class NumericalError(TautError, ArithmeticError):
+    """A tick did not give finite numbers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """One thing that is wrong with a robot model, and where."""
+
+    object: str
+    attribute: str | None
+    message: str
+    line: int | None = None
+
+    def __str__(self) -> str:
+        where = "" if self.line is None else f" (line {self.line})"
+        return f"{self.message}{where}"
+
+
+class ModelError(TautError, ValueError):
+    """A robot model breaks a rule; `problems` lists every one of them."""
+
+    def __init__(self, source: str, problems: Sequence[Problem]) -> None:
+        first = problems[0]
+        more = len(problems) - 1
+        tail = "" if more == 0 else f" (and {more} more: taut check {source} lists them)"
+        super().__init__(f"{source}: {first}{tail}", name=first.object, rule=first.message, value=None)
+        self.source = source
+        self.problems = tuple(problems)
+
+
+def quoted_list(names: Iterable[str], most: int = 12) -> str:
+    """Names in quotes, joined by commas; a long list is cut and counted."""
+    names = list(names)
+    shown = ", ".join(f"'{name}'" for name in names[:most])
+    return shown if len(names) <= most else f"{shown}, ... ({len(names)} in all)"
+
+
+def unknown_name(owner: str, kind: str, name: str, known: Iterable[str], hint: str = "") -> UnknownNameError:
+    """The error for a name that does not exist, with the nearest that do.
+
+    Example:
+        >>> str(unknown_name("the arm", "frame", "tolo0", ["tool0", "base"]))
+        "the arm has no frame 'tolo0'; did you mean 'tool0'?"
+    """
+    known = list(known)
+    close = difflib.get_close_matches(name, known, n=2, cutoff=0.6)
+    if not close:  # the same name in other letters: 'Panda' for 'panda'
+        close = [other for other in known if other.lower() == name.lower()]
+    if close:
+        way_out = f"did you mean {' or '.join(repr(other) for other in close)}?"
+    elif known:
+        way_out = f"it has {quoted_list(known)}"
+    else:
+        way_out = "it has none"
+    tail = f" ({hint})" if hint else ""
+    return UnknownNameError(
+        f"{owner} has no {kind} {name!r}; {way_out}{tail}", name=name, value=name, rule=f"a {kind}"
+    )
+
+
+def missing_extra(what: str, package: str, extra: str) -> MissingExtraError:
+    """The error for an optional package that is not installed, with the command that installs it."""
+    return MissingExtraError(
+        f"{what} needs the package '{package}', which is not installed; "
+        f'pip install -e ".[{extra}]" installs it',
+        name=package,
+    )
+
+
+_PACKAGE_ROOT = Path(__file__).resolve().parents[1]
+_CONTROL = _PACKAGE_ROOT / "control"
+
+
+def user_location() -> str:
+    """File and line of the innermost frame that is no library's: the caller's own code, or a law of ours."""
+    frame: FrameType | None = sys._getframe(1)
+    ours = ""
+    while frame is not None:
+        file = Path(frame.f_code.co_filename)
+        if not _is_library(file):
+            return f"{file}:{frame.f_lineno}"
+        if not ours and _CONTROL in file.parents:
+            ours = f"{file.name}:{frame.f_lineno}"
+        frame = frame.f_back
+    return ours or "an unknown line"
+
+
+def _is_library(file: Path) -> bool:
+    generated = file.name.startswith("<") and not file.name.startswith("<ipython")
+    return generated or _PACKAGE_ROOT in file.parents or "numpy" in file.parts

@@ -1,0 +1,31 @@
+"""Shapes and array types, named once."""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Float64Array: TypeAlias = NDArray[np.float64]
+Array: TypeAlias = NDArray[Any]
+"""Floats, or our traced scalars: what law code, dynamics and plants compute with."""
+
+Vector: TypeAlias = Array  # (n,)
+Vector3: TypeAlias = Array  # (3,)
+Matrix: TypeAlias = Array  # (m, n)
+Rotation: TypeAlias = Array  # (3, 3)
+Twist: TypeAlias = Array  # (6,) linear first [m/s, rad/s]
+Wrench: TypeAlias = Array  # (6,) force first [N, N m]
+
+__all__ = [
+    "Array",
+    "ArrayLike",
+    "Float64Array",
+    "Matrix",
+    "Rotation",
+    "Twist",
+    "Vector",
+    "Vector3",
+    "Wrench",
+]

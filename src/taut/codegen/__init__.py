@@ -1,0 +1,1 @@
+"""Every target of a traced graph: native code, the call path, CasADi."""

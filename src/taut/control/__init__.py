@@ -1,0 +1,1 @@
+"""The laws, and what surrounds them on the controller side: sensing, limits, references."""

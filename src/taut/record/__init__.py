@@ -1,0 +1,1 @@
+"""What happened: runs, metrics, plots, videos, log files."""

@@ -1,0 +1,1 @@
+"""Things with a clock: simulation, and drivers of engines and robots."""

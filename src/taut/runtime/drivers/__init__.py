@@ -1,0 +1,1 @@
+"""Drivers of engines and robots that are not ours."""
