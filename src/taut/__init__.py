@@ -1,1 +1,127 @@
-"""taut: control laws for robot arms, written once and run everywhere."""
+"""taut: control laws for robot arms, written once and run everywhere.
+
+Everything public hangs here: `taut.load_arm`, `taut.laws`, `taut.compile`, `taut.run`, ... Names are loaded when
+first used, so that `import taut` is quick.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any, Final
+
+__version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from taut.arm.description import Arm as Arm
+    from taut.arm.description import Payload as Payload
+    from taut.arm.load import load_arm as load_arm
+    from taut.base import math as math
+    from taut.base.errors import FileError as FileError
+    from taut.base.errors import MatchError as MatchError
+    from taut.base.errors import MissingExtraError as MissingExtraError
+    from taut.base.errors import ModelError as ModelError
+    from taut.base.errors import NumericalError as NumericalError
+    from taut.base.errors import RangeError as RangeError
+    from taut.base.errors import ScenarioError as ScenarioError
+    from taut.base.errors import ShapeError as ShapeError
+    from taut.base.errors import TautError as TautError
+    from taut.base.errors import TraceError as TraceError
+    from taut.base.errors import UnknownNameError as UnknownNameError
+    from taut.base.errors import UsageError as UsageError
+    from taut.base.pose import Pose as Pose
+    from taut.codegen.function import native as native
+    from taut.control import laws as laws
+    from taut.control.command import Position as Position
+    from taut.control.command import Terms as Terms
+    from taut.control.command import Torque as Torque
+    from taut.control.command import Velocity as Velocity
+    from taut.control.gains import Gain as Gain
+    from taut.control.gains import Memory as Memory
+    from taut.control.law import Law as Law
+    from taut.control.limits import Limits as Limits
+    from taut.control.reference import JointMotion as JointMotion
+    from taut.control.reference import chunk as chunk
+    from taut.control.reference import hold as hold
+    from taut.control.reference import stream as stream
+    from taut.control.sensing import Sensing as Sensing
+    from taut.control.trajectory import Cubic as Cubic
+    from taut.control.trajectory import JerkLimited as JerkLimited
+    from taut.control.trajectory import Quintic as Quintic
+    from taut.control.trajectory import Samples as Samples
+    from taut.control.trajectory import Sine as Sine
+    from taut.control.trajectory import Spline as Spline
+    from taut.control.trajectory import Trapezoidal as Trapezoidal
+    from taut.controller import Controller as Controller
+    from taut.controller import compile as compile
+    from taut.loop import Loop as Loop
+    from taut.maths import dynamics as dynamics
+    from taut.maths.snapshot import Snapshot as Snapshot
+    from taut.maths.snapshot import snapshot as snapshot
+    from taut.plant.rigid import RigidPlant as RigidPlant
+    from taut.plant.stages import Actuation as Actuation
+    from taut.plant.stages import Environment as Environment
+    from taut.plant.stages import Sensors as Sensors
+    from taut.record.outcome import Outcome as Outcome
+    from taut.record.run import Run as Run
+    from taut.runtime.drivers.mujoco import MujocoPlant as MujocoPlant
+    from taut.runtime.events import Event as Event
+    from taut.runtime.simulate import run as run
+
+_HOME: Final = {
+    "arm.description": ("Arm", "Payload"),
+    "arm.load": ("load_arm",),
+    "base.errors": (
+        "FileError",
+        "MatchError",
+        "MissingExtraError",
+        "ModelError",
+        "NumericalError",
+        "RangeError",
+        "ScenarioError",
+        "ShapeError",
+        "TautError",
+        "TraceError",
+        "UnknownNameError",
+        "UsageError",
+    ),
+    "base.pose": ("Pose",),
+    "codegen.function": ("native",),
+    "control.command": ("Position", "Terms", "Torque", "Velocity"),
+    "control.gains": ("Gain", "Memory"),
+    "control.law": ("Law",),
+    "control.limits": ("Limits",),
+    "control.reference": ("JointMotion", "chunk", "hold", "stream"),
+    "control.sensing": ("Sensing",),
+    "control.trajectory": ("Cubic", "JerkLimited", "Quintic", "Samples", "Sine", "Spline", "Trapezoidal"),
+    "controller": ("Controller", "compile"),
+    "loop": ("Loop",),
+    "maths.snapshot": ("Snapshot", "snapshot"),
+    "plant.rigid": ("RigidPlant",),
+    "plant.stages": ("Actuation", "Environment", "Sensors"),
+    "record.outcome": ("Outcome",),
+    "record.run": ("Run",),
+    "runtime.drivers.mujoco": ("MujocoPlant",),
+    "runtime.events": ("Event",),
+    "runtime.simulate": ("run",),
+}
+_MODULES: Final = {"dynamics": "maths.dynamics", "laws": "control.laws", "math": "base.math"}
+_WHERE: Final = {name: module for module, names in _HOME.items() for name in names}
+
+__all__ = sorted([*_WHERE, *_MODULES])
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        value: Any = importlib.import_module(f"taut.{_MODULES[name]}")
+    elif name in _WHERE:
+        value = getattr(importlib.import_module(f"taut.{_WHERE[name]}"), name)
+    else:
+        from taut.base.errors import unknown_name
+
+        raise AttributeError(str(unknown_name("taut", "public name", name, __all__)), name=name, obj=None)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from taut.arm.description import BASE, Arm, Body, Joint
-from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeLink, TreeVisual, assemble, check_inertia
-from taut.base.checks import finite_array, finite_scalar, require_at_least, vector
-from taut.base.errors import ModelError, Problem, ShapeError, UsageError, unknown_name
+from taut.arm.description import BASE, Arm, Body
+from taut.arm.rules import check_inertia, value_problems
+from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeLink, TreeVisual, assemble, require_within_limits
+from taut.base.checks import entry_names, finite_array, finite_scalar, vector
+from taut.base.errors import ModelError, Problem, RangeError, ShapeError, UsageError, unknown_name
 from taut.base.types import ArrayLike, Float64Array
 
-__all__ = ["body_replaced", "joints_replaced", "locked_copy", "perturbed_copy"]
+__all__ = ["body_replaced", "home_replaced", "joints_replaced", "locked_copy", "perturbed_copy"]
 
 ROOT = "<base>"
 JOINT_FIELDS = ("lower", "upper", "velocity", "effort", "viscous", "coulomb", "rotor_inertia")
@@ -31,6 +32,8 @@ def locked_copy(arm: Arm, joints: Iterable[str], q: ArrayLike | None) -> Arm:
     if len(set(keep)) != len(keep):
         raise UsageError(f"a subset names each joint once; got {keep}", name="joints")
     at = arm.home if q is None else vector("q", q, arm.n, joints=arm.joint_names)
+    for i, joint in enumerate(arm.joints):
+        require_within_limits(entry_names("home" if q is None else "q", [i], arm.joint_names), float(at[i]), joint)
     locked = {name: float(at[i]) for i, name in enumerate(arm.joint_names) if name not in keep}
     home = {name: float(at[i]) for i, name in enumerate(arm.joint_names)}
     made = assemble(
@@ -42,13 +45,20 @@ def locked_copy(arm: Arm, joints: Iterable[str], q: ArrayLike | None) -> Arm:
         home=home,
         commands=arm.commands,
     )
-    artificial = {ROOT, *(_link_name(name) for name in arm.joint_names)}
-    return dataclasses.replace(
-        made,
-        frames=tuple(frame for frame in made.frames if frame.name not in artificial),
-        payload=arm.payload,
-        notes=arm.notes,
+    links = {_link_name(joint): body.links for joint, body in zip(arm.joint_names, arm.bodies, strict=True)}
+    bodies = tuple(
+        dataclasses.replace(body, links=tuple(name for made_of in body.links for name in links[made_of]))
+        for body in made.bodies
     )
+    return dataclasses.replace(made, bodies=bodies, payload=arm.payload, notes=arm.notes)
+
+
+def home_replaced(arm: Arm, q: ArrayLike) -> Arm:
+    """The arm with another pose to start from."""
+    home = vector("home", q, arm.n, joints=arm.joint_names)
+    for i, joint in enumerate(arm.joints):
+        require_within_limits(entry_names("home", [i], arm.joint_names), float(home[i]), joint)
+    return dataclasses.replace(arm, home=home)
 
 
 def _link_name(joint: str) -> str:
@@ -57,11 +67,11 @@ def _link_name(joint: str) -> str:
 
 def _tree_of(arm: Arm) -> Tree:
     """An Arm back as links and joints: one link per body."""
-    links = [TreeLink(name=ROOT)]
+    links = [TreeLink(name=ROOT, is_frame=False)]
     joints = []
     for joint, body in zip(arm.joints, arm.bodies, strict=True):
         inertia = LinkInertia(mass=body.mass, com=body.com, inertia=body.inertia)
-        links.append(TreeLink(name=_link_name(joint.name), inertia=inertia))
+        links.append(TreeLink(name=_link_name(joint.name), inertia=inertia, is_frame=False))
         parent = ROOT if joint.parent == BASE else _link_name(arm.joints[joint.parent].name)
         values = {name: getattr(joint, name) for name in JOINT_FIELDS}
         joints.append(
@@ -103,16 +113,12 @@ def body_replaced(
     new = Body(
         mass=old.mass if mass is None else finite_scalar("mass", mass, unit="kg"),
         com=old.com if com is None else vector("com", com, 3, unit="m"),
-        inertia=old.inertia
-        if inertia is None
-        else finite_array("inertia", inertia, shape=(3, 3), unit="kg m^2"),
+        inertia=old.inertia if inertia is None else finite_array("inertia", inertia, shape=(3, 3), unit="kg m^2"),
         links=old.links,
     )
     wrong = check_inertia(new.mass, new.inertia)
     if wrong is not None:
-        problem = Problem(
-            object=joint, attribute=wrong[0], message=f"the body of joint '{joint}': {wrong[1]}"
-        )
+        problem = Problem(object=joint, attribute=wrong[0], message=f"the body of joint '{joint}': {wrong[1]}")
         raise ModelError(arm.name, [problem])
     bodies = (*arm.bodies[:i], new, *arm.bodies[i + 1 :])
     return dataclasses.replace(arm, bodies=bodies)
@@ -124,41 +130,31 @@ def joints_replaced(arm: Arm, values: Mapping[str, ArrayLike | Mapping[str, floa
     for name, given in values.items():
         if name not in JOINT_FIELDS:
             raise unknown_name("a joint", "field", name, JOINT_FIELDS)
-        column = np.array([getattr(joint, name) for joint in arm.joints])
-        if isinstance(given, Mapping):
-            for joint, value in given.items():
-                column[arm.joint_index(joint)] = value
-        else:
-            try:
-                column = np.broadcast_to(np.asarray(given, dtype=np.float64), (arm.n,))
-            except ValueError as cause:
-                raise ShapeError(
-                    f"{name} must be one number or {arm.n}, one per joint; got shape {np.shape(given)}",
-                    name=name,
-                ) from cause
-        column = vector(name, column, arm.n, joints=arm.joint_names, allow_infinite=True)
-        if name in ("viscous", "coulomb", "rotor_inertia"):
-            column = vector(name, column, arm.n, joints=arm.joint_names)
-            require_at_least(name, column, 0.0, joints=arm.joint_names)
-        columns[name] = column
-    joints = list(arm.joints)
-    for i in range(arm.n):
+        columns[name] = _column(arm, name, given)
+    joints, problems = [], []
+    for i, joint in enumerate(arm.joints):
         changed: dict[str, Any] = {name: float(column[i]) for name, column in columns.items()}
-        joints[i] = dataclasses.replace(joints[i], **changed)
-        text = _wrong_limits(joints[i])
-        if text is not None:
-            name = joints[i].name
-            problem = Problem(object=name, attribute="limit", message=f"joint '{name}': {text}")
-            raise ModelError(arm.name, [problem])
+        joints.append(dataclasses.replace(joint, **changed))
+        problems += [
+            Problem(object=joint.name, attribute=attribute, message=f"joint '{joint.name}': {text}")
+            for attribute, text in value_problems(joints[-1])
+        ]
+    if problems:
+        raise ModelError(arm.name, problems)
     return dataclasses.replace(arm, joints=tuple(joints))
 
 
-def _wrong_limits(joint: Joint) -> str | None:
-    if joint.lower >= joint.upper:
-        return f"lower limit {joint.lower:g} must be below upper limit {joint.upper:g}"
-    if joint.velocity <= 0.0 or joint.effort <= 0.0:
-        return "speed and effort limits must be > 0"
-    return None
+def _column(arm: Arm, name: str, given: ArrayLike | Mapping[str, float]) -> Float64Array:
+    """One value per joint, from one number, one per joint, or some by joint name."""
+    if isinstance(given, Mapping):
+        column = [getattr(joint, name) for joint in arm.joints]
+        for joint, value in given.items():
+            column[arm.joint_index(joint)] = value
+        return vector(name, column, arm.n, joints=arm.joint_names, allow_infinite=True)
+    numbers = finite_array(name, given, allow_infinite=True, joints=arm.joint_names)
+    if numbers.shape not in ((), (arm.n,)):
+        raise ShapeError(f"{name} must be one number or {arm.n}, one per joint; got shape {numbers.shape}", name=name)
+    return np.broadcast_to(numbers, (arm.n,))
 
 
 def perturbed_copy(arm: Arm, *, seed: int, mass: float, com: float, inertia: float, friction: float) -> Arm:
@@ -168,16 +164,19 @@ def perturbed_copy(arm: Arm, *, seed: int, mass: float, com: float, inertia: flo
     acts on the second moment of mass, S = tr(I)/2 1 - I, axis by axis: any positive S is a rigid body, so the
     triangle inequality holds by construction.
     """
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise UsageError(f"seed must be an integer >= 0; got {seed!r}", name="seed", value=seed)
     for name, value in (("mass", mass), ("com", com), ("inertia", inertia), ("friction", friction)):
-        require_at_least(name, np.array(finite_scalar(name, value)), 0.0)
+        if not 0.0 <= finite_scalar(name, value) <= 1.0:
+            spread = "a spread of 1 is 100 %, or 1 m"
+            raise RangeError(f"{name} must be between 0 and 1 ({spread}); got {value!r}", name=name, value=value)
     rng = np.random.default_rng(seed)
     bodies = []
     for body in arm.bodies:
         k = math.exp(mass * rng.standard_normal())
         shift = com * rng.standard_normal(3)
         stretch = np.diag(np.exp(0.5 * inertia * rng.standard_normal(3)))
-        second = 0.5 * np.trace(body.inertia) * np.eye(3) - body.inertia
-        second = k * stretch @ second @ stretch
+        second = k * stretch @ _second_moment(body.inertia) @ stretch
         new = np.trace(second) * np.eye(3) - second
         bodies.append(Body(mass=k * body.mass, com=body.com + shift, inertia=new, links=body.links))
     joints = []
@@ -191,3 +190,10 @@ def perturbed_copy(arm: Arm, *, seed: int, mass: float, com: float, inertia: flo
             )
         )
     return dataclasses.replace(arm, bodies=tuple(bodies), joints=tuple(joints))
+
+
+def _second_moment(inertia: Float64Array) -> Float64Array:
+    """The second moment of mass; what a rounded file puts below zero is lifted to zero."""
+    values, axes = np.linalg.eigh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
+    second: Float64Array = (axes * np.maximum(values, 0.0)) @ axes.T
+    return second

@@ -23,10 +23,11 @@ from taut.base.types import Array, ArrayLike, Float64Array, Vector
 if TYPE_CHECKING:
     from taut.arm.pinocchio import PinocchioModel
 
-__all__ = ["BASE", "Arm", "Body", "CommandKind", "Frame", "Joint", "JointKind", "Payload", "Visual"]
+__all__ = ["BASE", "Arm", "Body", "CommandKind", "Frame", "Joint", "JointKind", "Payload", "Shape", "Visual"]
 
 JointKind = Literal["revolute", "continuous", "prismatic"]
 CommandKind = Literal["torque", "velocity", "position"]
+Shape = Literal["mesh", "box", "cylinder", "sphere"]
 COMMANDS: Final[tuple[CommandKind, ...]] = ("torque", "velocity", "position")
 BASE: Final = -1
 STANDARD_GRAVITY: Final = (0.0, 0.0, -9.81)  # [m/s^2] in the world
@@ -88,7 +89,7 @@ class Visual:
 
     body: int
     placement: Pose
-    shape: Literal["mesh", "box", "cylinder", "sphere"]
+    shape: Shape
     size: tuple[float, ...]  # mesh: scale xyz; box: edges xyz [m]; cylinder: radius, length; sphere: radius
     file: str = ""
     rgba: tuple[float, float, float, float] = (0.8, 0.8, 0.8, 1.0)
@@ -313,8 +314,10 @@ class Arm:
         return dataclasses.replace(self, payload=payload)
 
     def with_home(self, q: ArrayLike) -> Arm:
-        """A copy with another home pose (n,) [rad | m]."""
-        return dataclasses.replace(self, home=vector("home", q, self.n, joints=self.joint_names))
+        """A copy with another home pose (n,) [rad | m], within the limits."""
+        from taut.arm.change import home_replaced
+
+        return home_replaced(self, q)
 
     def with_commands(self, *commands: CommandKind) -> Arm:
         """A copy that takes other commands in real life: torque, velocity, position."""
@@ -412,9 +415,7 @@ class Arm:
         return arm_from_screws(Mlist, Glist, Slist, gravity, name)
 
     @classmethod
-    def from_pinocchio(
-        cls, model: PinocchioModel, tool: str | None = None, gravity: ArrayLike | None = None
-    ) -> Arm:
+    def from_pinocchio(cls, model: PinocchioModel, tool: str | None = None, gravity: ArrayLike | None = None) -> Arm:
         """An arm from a Pinocchio model.
 
         Raises:

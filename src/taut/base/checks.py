@@ -104,8 +104,7 @@ def finite_array(
     if bad.any():
         index = np.argwhere(bad)[0]
         raise RangeError(
-            f"{entry_names(name, index, joints)} must be finite{_unit(unit)}; "
-            f"got {_number(array[tuple(index)])}",
+            f"{entry_names(name, index, joints)} must be finite{_unit(unit)}; got {_number(array[tuple(index)])}",
             name=name,
             joint=joints[index[0]] if joints is not None and len(index) == 1 else None,
             value=float(array[tuple(index)]),
@@ -149,9 +148,7 @@ def positive_scalar(name: str, value: object, *, unit: str = "") -> float:
     """A finite float above zero."""
     number = finite_scalar(name, value, unit=unit)
     if number <= 0.0:
-        raise RangeError(
-            f"{name} must be > 0{_unit(unit)}; got {number!r}", name=name, value=number, rule="> 0"
-        )
+        raise RangeError(f"{name} must be > 0{_unit(unit)}; got {number!r}", name=name, value=number, rule="> 0")
     return number
 
 
@@ -188,9 +185,7 @@ def require_at_least(
     _require(name, array, lambda a: a >= minimum, f">= {minimum:g}", unit, joints)
 
 
-def require_positive(
-    name: str, array: Float64Array, *, unit: str = "", joints: Sequence[str] | None = None
-) -> None:
+def require_positive(name: str, array: Float64Array, *, unit: str = "", joints: Sequence[str] | None = None) -> None:
     """Every entry is above zero."""
     _require(name, array, lambda a: a > 0.0, "> 0", unit, joints)
 

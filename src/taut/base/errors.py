@@ -160,8 +160,7 @@ def unknown_name(owner: str, kind: str, name: str, known: Iterable[str], hint: s
 def missing_extra(what: str, package: str, extra: str) -> MissingExtraError:
     """The error for an optional package that is not installed, with the command that installs it."""
     return MissingExtraError(
-        f"{what} needs the package '{package}', which is not installed; "
-        f'pip install -e ".[{extra}]" installs it',
+        f"{what} needs the package '{package}', which is not installed; pip install -e \".[{extra}]\" installs it",
         name=package,
     )
 

@@ -245,8 +245,7 @@ class Graph:
                 return self.const(_UNARY[op](value))
             except (ValueError, OverflowError) as cause:
                 raise TraceError(
-                    f"the law takes {Op(op).name.lower()}({value!r}) at {user_location()}, "
-                    "which is no number",
+                    f"the law takes {Op(op).name.lower()}({value!r}) at {user_location()}, which is no number",
                     value=value,
                 ) from cause
         if op == ABS and self.ops[a] in (ABS, NEG):

@@ -85,9 +85,7 @@ def solve_general(A: Matrix, b: Array) -> Array:
     n = len(rows)
     rhs = np.asarray(b)
     if np.shape(A) != (n, n) or rhs.shape[:1] != (n,):
-        raise ShapeError(
-            f"solve(A, b) needs A (n, n) and b (n,) or (n, k); got {np.shape(A)} and {rhs.shape}"
-        )
+        raise ShapeError(f"solve(A, b) needs A (n, n) and b (n,) or (n, k); got {np.shape(A)} and {rhs.shape}")
     width = 1 if rhs.ndim == 1 else rhs.shape[1]
     columns = rhs.reshape(n, width).tolist()
     work = [row + column for row, column in zip(rows, columns, strict=True)]
@@ -100,9 +98,7 @@ def solve_general(A: Matrix, b: Array) -> Array:
         inverse = 1.0 / _nonzero(work[k][k])
         for i in range(k + 1, n):
             f = work[i][k] * inverse
-            work[i] = [0.0] * (k + 1) + [
-                x - f * y for x, y in zip(work[i][k + 1 :], work[k][k + 1 :], strict=True)
-            ]
+            work[i] = [0.0] * (k + 1) + [x - f * y for x, y in zip(work[i][k + 1 :], work[k][k + 1 :], strict=True)]
     solution: list[list[Any]] = [[0.0] * width for _ in range(n)]
     for k in range(n - 1, -1, -1):
         inverse = 1.0 / work[k][k]

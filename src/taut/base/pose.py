@@ -57,9 +57,7 @@ class Pose:
         rpy: ArrayLike | None = None,
     ) -> None:
         given = [
-            word
-            for word, value in (("xyzw", xyzw), ("wxyz", wxyz), ("R", R), ("rpy", rpy))
-            if value is not None
+            word for word, value in (("xyzw", xyzw), ("wxyz", wxyz), ("R", R), ("rpy", rpy)) if value is not None
         ]
         if len(given) > 1:
             raise UsageError(f"a pose takes one rotation; got {' and '.join(given)}; keep one", name=given[1])
@@ -168,7 +166,8 @@ def axis_angle(axis: Array, angle: float) -> Float64Array:
     """Rotation by `angle` [rad] about the unit vector `axis` (Rodrigues)."""
     x, y, z = (float(a) for a in axis)
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + math.sin(angle) * K + (1.0 - math.cos(angle)) * (K @ K)
+    R: Float64Array = np.eye(3) + math.sin(angle) * K + (1.0 - math.cos(angle)) * (K @ K)
+    return R
 
 
 def snapped(R: Float64Array) -> Float64Array:

@@ -1,0 +1,156 @@
+"""Four arms of our own, small enough to check by hand; they need no file and no extra package.
+
+The planar ones move in the vertical x-z plane: at zero a link lies along x, and a positive angle raises it. Under
+`gravity=(0, 0, 0)` they are the same arms on a table.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from taut.arm.description import Arm, CommandKind
+from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeLink, TreeVisual, assemble
+from taut.base.checks import finite_scalar, positive_scalar, require_at_least
+from taut.base.errors import RangeError
+from taut.base.pose import Pose
+from taut.base.types import Float64Array
+
+__all__ = ["BUILT_IN", "COMMANDS", "one_joint"]
+
+COMMANDS: Final[tuple[CommandKind, ...]] = ("torque", "velocity", "position")
+RAISING: Final = (0.0, -1.0, 0.0)  # turning about -y takes x to z
+ALONG_X: Final = (0.0, 0.5 * math.pi, 0.0)  # rpy of a cylinder, whose own axis is z
+BASE: Final = "base"
+TOOL: Final = "tool"
+
+
+def one_joint(*, M: float = 0.5, m: float = 1.0, r: float = 0.1, b: float = 0.1) -> Arm:
+    """The chapter's link on one hinge, figure 10.2.
+
+    M a + m g r cos(theta) + b v = tau, with g = 9.81 m/s^2.
+
+    Frames: theta = 0 is horizontal, along x; a positive theta raises the link towards z. The frame `tool` is at
+    the centre of mass.
+
+    Args:
+        M: [kg m^2] inertia of the link about the joint's axis.
+        m: [kg] mass.
+        r: [m] distance of the centre of mass from the axis.
+        b: [N m s/rad] viscous friction.
+
+    Raises:
+        RangeError: A value that no link has; M must be above m r^2.
+
+    Example:
+        >>> arm = one_joint(r=0.08)
+        >>> arm.bodies[0].com.tolist()
+        [0.08, 0.0, 0.0]
+
+    References:
+        Lynch and Park, Modern Robotics (2017), section 10.2.1, equation 10.4 and below.
+    """
+    return assemble(one_joint_tree(M=M, m=m, r=r, b=b), commands=COMMANDS)
+
+
+def one_joint_tree(*, M: float = 0.5, m: float = 1.0, r: float = 0.1, b: float = 0.1) -> Tree:
+    """The links and joints of `one_joint`."""
+    M, m = positive_scalar("M", M, unit="kg m^2"), positive_scalar("m", m, unit="kg")
+    r, b = finite_scalar("r", r, unit="m"), finite_scalar("b", b, unit="N m s/rad")
+    require_at_least("b", np.array(b), 0.0, unit="N m s/rad")
+    about_com = M - m * r * r
+    if about_com <= 0.0:
+        raise RangeError(
+            f"M must be above m r^2 [kg m^2], which a point mass at r has; got {M!r} with m r^2 = {m * r * r:g}",
+            name="M",
+            value=M,
+            rule="> m r^2",
+        )
+    # Only the moment about y turns up in the motion; a link as thick as this is a possible body.
+    inertia = np.diag([0.5 * about_com, about_com, about_com])
+    tree = _planar("one_joint", lengths=[r], viscous=b, home=[0.0])
+    tree.links[1].inertia = LinkInertia(mass=m, com=np.array([r, 0.0, 0.0]), inertia=inertia)
+    return tree
+
+
+def planar2_tree() -> Tree:
+    """Two rods of 0.5 and 0.4 m on two parallel hinges."""
+    tree = _planar("planar2", lengths=[0.5, 0.4], viscous=0.1, home=[math.pi / 6, math.pi / 2])
+    _make_rods(tree, masses=[4.0, 2.0], lengths=[0.5, 0.4])
+    return tree
+
+
+def planar3_tree() -> Tree:
+    """Three rods of 0.4, 0.3 and 0.2 m on three parallel hinges: one more than a point in the plane needs."""
+    home = [math.pi / 6, math.pi / 3, math.pi / 4]
+    tree = _planar("planar3", lengths=[0.4, 0.3, 0.2], viscous=0.1, home=home)
+    _make_rods(tree, masses=[3.0, 2.0, 1.0], lengths=[0.4, 0.3, 0.2])
+    return tree
+
+
+def gantry3_tree() -> Tree:
+    """Three slides, along x, y and z, whose tool hangs 0.2 m below the last: gravity acts on the third only."""
+    tree = Tree(name="gantry3", source="built in", links=[TreeLink(name=BASE)])
+    slides = [("x", 12.0, 0.5, 400.0), ("y", 6.0, 0.4, 200.0), ("z", 3.0, 0.3, 150.0)]
+    parent, edge = BASE, 0.1
+    for (axis, mass, travel, force), direction in zip(slides, np.eye(3), strict=True):
+        link = f"{axis}_carriage"
+        cube = LinkInertia(mass=mass, com=np.zeros(3), inertia=np.eye(3) * mass * edge**2 / 6.0)
+        box = TreeVisual(placement=Pose.identity(), shape="box", size=(edge, edge, edge))
+        tree.links.append(TreeLink(name=link, inertia=cube, visuals=[box]))
+        joint = TreeJoint(name=axis, kind="prismatic", parent=parent, child=link, axis=direction)
+        joint.lower, joint.upper, joint.velocity, joint.effort = -travel, travel, 1.0, force
+        joint.viscous = 5.0
+        tree.joints.append(joint)
+        parent = link
+    _end(tree, parent, Pose((0.0, 0.0, -0.2)))
+    return tree
+
+
+def _planar(name: str, *, lengths: Sequence[float], viscous: float, home: Sequence[float]) -> Tree:
+    """Hinges that raise the links after them, without limits; the links have no mass yet."""
+    tree = Tree(name=name, source="built in", links=[TreeLink(name=BASE)])
+    parent, offset = BASE, 0.0
+    for i, length in enumerate(lengths, start=1):
+        link = f"link{i}"
+        rod = TreeVisual(
+            placement=Pose((0.5 * length, 0.0, 0.0), rpy=ALONG_X),
+            shape="cylinder",
+            size=(0.02, max(abs(length), 0.01)),
+        )
+        tree.links.append(TreeLink(name=link, visuals=[rod]))
+        joint = TreeJoint(name=f"joint{i}", kind="revolute", parent=parent, child=link, viscous=viscous)
+        joint.origin, joint.axis = Pose((offset, 0.0, 0.0)), np.array(RAISING)
+        tree.joints.append(joint)
+        parent, offset = link, length
+    _end(tree, parent, Pose((offset, 0.0, 0.0)))
+    tree.home = {joint.name: q for joint, q in zip(tree.joints, home, strict=False)}
+    return tree
+
+
+def _make_rods(tree: Tree, *, masses: Sequence[float], lengths: Sequence[float]) -> None:
+    """Solid cylinders of 3 cm radius along x."""
+    for link, m, length in zip(tree.links[1:], masses, lengths, strict=False):
+        com = np.array([0.5 * length, 0.0, 0.0])
+        link.inertia = LinkInertia(mass=m, com=com, inertia=_cylinder(m, 0.03, length))
+
+
+def _cylinder(m: float, radius: float, length: float) -> Float64Array:
+    across = m * (3.0 * radius**2 + length**2) / 12.0
+    return np.diag([0.5 * m * radius**2, across, across])
+
+
+def _end(tree: Tree, parent: str, T_parent_tool: Pose) -> None:
+    tree.links.append(TreeLink(name=TOOL))
+    tree.joints.append(TreeJoint(name="tool_fixed", kind="fixed", parent=parent, child=TOOL, origin=T_parent_tool))
+
+
+BUILT_IN: Final[Mapping[str, Callable[[], Tree]]] = {
+    "one_joint": one_joint_tree,
+    "planar2": planar2_tree,
+    "planar3": planar3_tree,
+    "gantry3": gantry3_tree,
+}

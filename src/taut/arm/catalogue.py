@@ -1,0 +1,250 @@
+"""The arms that taut knows by name, out of packages on PyPI: where each file is, and what it does not say.
+
+An entry states the gripper's locks, the tool, a pose to start from, and the commands that the real arm takes. What
+it puts in place of missing or senseless numbers of the file stands in the arm's notes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Final
+
+from taut.arm.description import CommandKind
+from taut.arm.tree import Tree, TreeJoint, TreeLink
+from taut.arm.urdf import read_urdf
+from taut.base.errors import missing_extra
+from taut.base.pose import Pose
+
+__all__ = ["CATALOGUE", "Entry", "entry_tree", "is_installed"]
+
+EVERY: Final[tuple[CommandKind, ...]] = ("torque", "velocity", "position")
+VELOCITY_POSITION: Final[tuple[CommandKind, ...]] = ("velocity", "position")
+ROBOTS: Final = "cmeel.prefix/share/example-robot-data"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """Limits that an entry supplies for one joint."""
+
+    lower: float  # [rad | m]
+    upper: float  # [rad | m]
+    velocity: float  # [rad/s | m/s]
+    effort: float  # [N m | N]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """One arm of the catalogue."""
+
+    name: str
+    package: str  # on PyPI
+    extra: str  # of taut, which installs the package
+    file: str  # below the folder that packages are installed in
+    joints: int  # that move
+    tool: str
+    home: Mapping[str, float]  # [rad | m]
+    commands: tuple[CommandKind, ...]  # what the real arm takes
+    locked: Mapping[str, float] = field(default_factory=dict)  # [rad | m] the gripper
+    limits: Mapping[str, Limit] = field(default_factory=dict)  # supplied
+    frames: Mapping[str, tuple[str, Pose]] = field(default_factory=dict)  # supplied: name -> link, T_link_frame
+    meshes: str = ""  # folder that stands for package://example-robot-data
+    notes: tuple[str, ...] = ()
+
+
+def is_installed(entry: Entry) -> bool:
+    """Whether the entry's package is there."""
+    try:
+        metadata.distribution(entry.package)
+    except metadata.PackageNotFoundError:
+        return False
+    return True
+
+
+def entry_tree(entry: Entry) -> Tree:
+    """The links and joints of an entry's file, with what the entry supplies.
+
+    Raises:
+        MissingExtraError: The package is not installed.
+        ModelError: The file is not what the package ships.
+    """
+    try:
+        package = metadata.distribution(entry.package)
+    except metadata.PackageNotFoundError as cause:
+        raise missing_extra(f"arm '{entry.name}'", entry.package, entry.extra) from cause
+    folders = {}
+    if entry.meshes:
+        folders["example-robot-data"] = Path(str(package.locate_file(entry.meshes)))
+    tree = read_urdf(Path(str(package.locate_file(entry.file))), folders)
+    tree.name = entry.name
+    tree.home = dict(entry.home)
+    for joint in tree.joints:
+        limit = entry.limits.get(joint.name)
+        if limit is not None:
+            joint.lower, joint.upper = limit.lower, limit.upper
+            joint.velocity, joint.effort = limit.velocity, limit.effort
+    for name, (link, T_link_frame) in entry.frames.items():
+        tree.links.append(TreeLink(name=name))
+        tree.joints.append(TreeJoint(name=f"<{name}>", kind="fixed", parent=link, child=name, origin=T_link_frame))
+    tree.notes.extend(entry.notes)
+    return tree
+
+
+def _robot(folder: str, file: str) -> str:
+    return f"{ROBOTS}/robots/{folder}_description/{file}"
+
+
+def _in_order(names: str, positions: tuple[float, ...]) -> dict[str, float]:
+    return dict(zip(names.split(), positions, strict=True))
+
+
+FRANKA_HOME: Final = (0.0, -math.pi / 4, 0.0, -3 * math.pi / 4, 0.0, math.pi / 2, math.pi / 4)  # libfranka's examples
+UR_JOINTS: Final = "shoulder_pan_joint shoulder_lift_joint elbow_joint wrist_1_joint wrist_2_joint wrist_3_joint"
+UR_HOME: Final = (0.0, -math.pi / 2, math.pi / 2, -math.pi / 2, -math.pi / 2, 0.0)  # tool down, elbow at 90 degrees
+SO_JOINTS: Final = "shoulder_pan shoulder_lift elbow_flex wrist_flex wrist_roll"
+
+
+def _ur(name: str) -> Entry:
+    return Entry(
+        name=name,
+        package="example-robot-data",
+        extra="arms",
+        file=_robot("ur", f"urdf/{name}_robot.urdf"),
+        meshes=ROBOTS,
+        joints=6,
+        tool="tool0",
+        home=_in_order(UR_JOINTS, UR_HOME),
+        commands=VELOCITY_POSITION,
+    )
+
+
+ENTRIES: Final = (
+    Entry(
+        name="panda",
+        package="example-robot-data",
+        extra="arms",
+        file=_robot("panda", "urdf/panda.urdf"),
+        meshes=ROBOTS,
+        joints=7,
+        tool="panda_hand_tcp",
+        home={f"panda_joint{i}": q for i, q in enumerate(FRANKA_HOME, start=1)},
+        commands=EVERY,
+        locked={"panda_finger_joint1": 0.0, "panda_finger_joint2": 0.0},  # closed
+    ),
+    # franky-sim ships two files. fr3.urdf is the whole robot with its hand; fr3_clean.urdf is what its simulator
+    # computes with: no hand, no meshes, and joints that lost their prefix.
+    Entry(
+        name="fr3",
+        package="franky-sim",
+        extra="franka",
+        file="franky_sim/assets/fr3.urdf",
+        joints=7,
+        tool="fr3_hand_tcp",
+        home={f"fr3_joint{i}": q for i, q in enumerate(FRANKA_HOME, start=1)},
+        commands=EVERY,
+        locked={"fr3_finger_joint1": 0.0, "fr3_finger_joint2": 0.0},  # closed
+        notes=(
+            "rotor inertia is left out: the file gives it in words that are not URDF (motor_inertia, gear_ratio); "
+            "with_joints(rotor_inertia=[0.606, 0.606, 0.462, 0.462, 0.206, 0.206, 0.206]) would add it",
+        ),
+    ),
+    _ur("ur3"),
+    _ur("ur5"),
+    _ur("ur10"),
+    Entry(
+        name="xarm7",
+        package="example-robot-data",
+        extra="arms",
+        file=_robot("xarm", "urdf/xarm7.urdf"),
+        meshes=ROBOTS,
+        joints=7,
+        tool="link_eef",
+        # The SRDF's 'home' is all zeros, which is singular; this is the bent pose of MuJoCo's xarm7.
+        home={f"joint{i}": q for i, q in enumerate((0.0, -0.247, 0.0, 0.909, 0.0, 1.15644, 0.0), start=1)},
+        commands=VELOCITY_POSITION,
+    ),
+    Entry(
+        name="so100",
+        package="example-robot-data",
+        extra="arms",
+        file=_robot("so_arm", "urdf/so100.urdf"),
+        meshes=ROBOTS,
+        joints=5,
+        tool="gripper",
+        home=_in_order(SO_JOINTS, (0.0, 1.57, -1.57, 0.0, 0.0)),
+        commands=("position",),
+        locked={"gripper": 0.0},  # closed
+    ),
+    Entry(
+        name="so101",
+        package="example-robot-data",
+        extra="arms",
+        file=_robot("so_arm", "urdf/so101.urdf"),
+        meshes=ROBOTS,
+        joints=5,
+        tool="gripper_frame_link",
+        home=_in_order(SO_JOINTS, (0.0, -0.5, 0.8, 0.6, 0.0)),
+        commands=("position",),
+        locked={"gripper": 0.0},  # closed
+    ),
+    Entry(
+        name="z1",
+        package="example-robot-data",
+        extra="arms",
+        file=_robot("z1", "urdf/z1.urdf"),
+        meshes=ROBOTS,
+        joints=6,
+        tool="gripperMover",
+        # The SRDF's 'arm_up' is within 0.04 of a singularity; this is the 'forward' pose of the vendor's SDK.
+        home={f"joint{i}": q for i, q in enumerate((0.0, 1.5, -1.0, -0.54, 0.0, 0.0), start=1)},
+        commands=EVERY,
+        locked={"jointGripper": 0.0},  # closed
+    ),
+    Entry(
+        name="kinova",
+        package="example-robot-data",
+        extra="arms",
+        file=_robot("kinova", "robots/kinova.urdf"),
+        meshes=ROBOTS,
+        joints=6,
+        tool="j2s6s200_end_effector",
+        # The SRDF's 'arm_up' puts joint 3 out of its limits; this is the vendor's own home pose.
+        home={f"j2s6s200_joint_{i}": q for i, q in enumerate((4.8, 2.92, 1.0, 4.2, 1.44, 1.31), start=1)},
+        commands=EVERY,
+    ),
+    Entry(
+        name="two_link",
+        package="example-robot-data",
+        extra="arms",
+        file=_robot("asr_twodof", "urdf/TwoDofs.urdf"),
+        meshes=ROBOTS,
+        joints=2,
+        tool="Tip",
+        home={"J1": 0.5, "J2": 1.0},
+        commands=("position",),
+    ),
+    Entry(
+        name="double_pendulum",
+        package="example-robot-data",
+        extra="arms",
+        file=_robot("double_pendulum", "urdf/double_pendulum.urdf"),
+        meshes=ROBOTS,
+        joints=2,
+        tool="tip",
+        home={"joint1": 2.6, "joint2": 0.6},  # it stands upright at zero and hangs at pi
+        commands=("torque",),
+        limits={
+            name: Limit(lower=-2 * math.pi, upper=2 * math.pi, velocity=20.0, effort=2.0)
+            for name in ("joint1", "joint2")
+        },
+        frames={"tip": ("link2", Pose((0.0, 0.0, 0.2)))},
+        notes=(
+            "the file gives every limit as 0; supplied: positions +-2 pi rad, speeds 20 rad/s, torques 2 N m",
+            "the file has no frame at the tip; supplied: 'tip', 0.2 m along link2",
+        ),
+    ),
+)
+CATALOGUE: Final[Mapping[str, Entry]] = {entry.name: entry for entry in ENTRIES}

@@ -1,0 +1,191 @@
+"""load_arm: one way in, for a name, a URDF file or an MJCF file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from taut.arm.builtin import BUILT_IN, COMMANDS
+from taut.arm.catalogue import CATALOGUE, entry_tree
+from taut.arm.description import Arm, CommandKind
+from taut.arm.descriptions import PATTERN, described
+from taut.arm.mjcf import mjcf_tree
+from taut.arm.tree import Tree, assemble, rest_position
+from taut.arm.urdf import urdf_tree
+from taut.arm.xml import read_xml
+from taut.base.checks import readable_file
+from taut.base.errors import FileError, ModelError, Problem, UsageError, unknown_name
+from taut.base.pose import Pose
+from taut.base.types import ArrayLike
+
+__all__ = ["OpenedModel", "load_arm", "open_model"]
+
+SUFFIXES: Final = (".urdf", ".xml", ".mjcf")
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpenedModel:
+    """What was read, and what the catalogue knows about it."""
+
+    tree: Tree
+    locked: Mapping[str, float] = field(default_factory=dict)  # [rad | m]
+    tool: str | None = None
+    commands: tuple[CommandKind, ...] = ("torque",)
+
+
+def load_arm(
+    model: str | os.PathLike[str],
+    *,
+    tool: str | None = None,
+    T_WB: Pose | None = None,
+    locked: Mapping[str, float | None] | None = None,
+    joints: Iterable[str] | None = None,
+    home: Mapping[str, float] | ArrayLike | None = None,
+    gravity: ArrayLike | None = None,
+) -> Arm:
+    """A robot arm, by name or from a file.
+
+    Args:
+        model: A name (`taut arms` lists them), or the path of a .urdf or an MJCF .xml file.
+        tool: The frame that carries the payload and that tasks mean; by default the catalogue's, or the only
+            frame at an end.
+        T_WB: Where the base stands in the world; at its origin by default.
+        locked: Joints that are held, with the position [rad | m] of each. These come on top of the catalogue's
+            grippers; None instead of a position sets a joint free.
+        joints: The only joints that move; all others are held at home.
+        home: A pose to start from, by joint name or one entry per joint [rad | m].
+        gravity: (3,) [m/s^2] in the world; by default the file's, or 9.81 downwards.
+
+    Raises:
+        ModelError: The model breaks rules; `problems` has each with object, attribute and line.
+        FileError: The file cannot be read.
+        UnknownNameError: There is no such arm, frame or joint.
+        MissingExtraError: The arm is in a package that is not installed.
+        RangeError: A position out of limits, or not finite.
+        UsageError: A wrong type, or a tool that has to be named.
+
+    Example:
+        >>> load_arm("planar2").joint_names
+        ('joint1', 'joint2')
+        >>> load_arm("planar3", joints=["joint1", "joint2"]).n
+        2
+    """
+    if T_WB is not None and not isinstance(T_WB, Pose):
+        raise UsageError(f"T_WB must be a taut.Pose; got {type(T_WB).__name__}", name="T_WB")
+    if tool is not None and not isinstance(tool, str):
+        raise UsageError(f"tool must be the name of a frame; got {type(tool).__name__}", name="tool")
+    opened = open_model(model)
+    tree = opened.tree
+    start: Mapping[str, float] | ArrayLike = tree.home if home is None else home
+    if isinstance(start, Mapping):
+        start = {**tree.home, **start}
+    return assemble(
+        tree,
+        locked=_locks(opened, locked, joints, start if isinstance(start, Mapping) else tree.home),
+        tool=opened.tool if tool is None else tool,
+        T_WB=T_WB,
+        gravity=gravity,
+        home=start,
+        commands=opened.commands,
+    )
+
+
+def _locks(
+    opened: OpenedModel,
+    locked: Mapping[str, float | None] | None,
+    joints: Iterable[str] | None,
+    home: Mapping[str, float],
+) -> dict[str, float]:
+    """The joints that are held: the catalogue's, the caller's, and all that `joints` leaves out."""
+    if locked is not None and not isinstance(locked, Mapping):
+        raise UsageError(
+            f"locked must be joint names with positions, {{'joint': 0.0}}; got {type(locked).__name__}", name="locked"
+        )
+    tree = opened.tree
+    movable = {joint.name: joint for joint in tree.joints if joint.kind != "fixed"}
+    held = dict(opened.locked)
+    for name, position in (locked or {}).items():
+        if position is not None:
+            held[name] = position
+        elif name in movable:
+            held.pop(name, None)
+        else:
+            raise unknown_name(f"model '{tree.name}'", "joint", name, movable)
+    if joints is None:
+        return held
+    keep = [joints] if isinstance(joints, str) else list(joints)
+    if not keep:
+        raise UsageError("joints must name one joint at least; got none", name="joints")
+    for name in keep:
+        if name not in movable:
+            raise unknown_name(f"model '{tree.name}'", "joint", name, movable)
+        if name in (locked or {}) and name in held:
+            raise UsageError(f"joint '{name}' is both in joints= and in locked=; take it out of one", name=name)
+    at_home = {name: home.get(name, rest_position(joint)) for name, joint in movable.items()}
+    return {name: held.get(name, at_home[name]) for name in movable if name not in keep}
+
+
+def open_model(model: str | os.PathLike[str]) -> OpenedModel:
+    """Find and read a model.
+
+    Raises:
+        ModelError: Its text is not what it should be; problems of the model itself are in the tree.
+        FileError: The file cannot be read.
+        UnknownNameError: There is no such arm.
+        MissingExtraError: The arm is in a package that is not installed.
+        UsageError: Neither a name nor a path.
+    """
+    if isinstance(model, Arm):
+        raise UsageError("model is an Arm already; its methods (with_tool, mounted, subset, ...) give changed copies")
+    if not isinstance(model, (str, os.PathLike)) or not str(model) or "\0" in str(model):
+        way_out = "; Arm.from_pinocchio takes a Pinocchio model" if hasattr(model, "jointPlacements") else ""
+        got = repr(model) if isinstance(model, str) else type(model).__name__
+        raise UsageError(f"model must be a name or a path; got {got}{way_out}", name="model")
+    if isinstance(model, str) and model in BUILT_IN:
+        return OpenedModel(tree=BUILT_IN[model](), commands=COMMANDS)
+    if isinstance(model, str) and model in CATALOGUE:
+        entry = CATALOGUE[model]
+        return OpenedModel(
+            tree=entry_tree(entry), locked=dict(entry.locked), tool=entry.tool, commands=entry.commands
+        )
+    path = Path(model)
+    if not isinstance(model, str) or path.suffix or len(path.parts) > 1 or _is_there(path):
+        return OpenedModel(tree=_read(path, {}))
+    if PATTERN.match(model):
+        return OpenedModel(tree=_read(*described(model)))
+    hint = "taut arms lists them; a file is named with its suffix, .urdf or .xml"
+    raise unknown_name("taut", "arm", model, [*BUILT_IN, *CATALOGUE], hint=hint)
+
+
+def _is_there(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:  # a name that is too long for a file
+        return False
+
+
+def _read(path: Path, packages: Mapping[str, Path]) -> Tree:
+    """A file, by what its root element says it is."""
+    try:
+        file = readable_file("model", path)
+    except OSError as cause:
+        if isinstance(cause, FileError):
+            raise
+        raise FileError(f"model '{path}' cannot be opened: {cause.strerror}", name=str(path)) from cause
+    if file.suffix.lower() not in SUFFIXES:
+        way_out = "; expand it first: xacro MODEL.xacro > MODEL.urdf" if file.suffix == ".xacro" else ""
+        raise FileError(
+            f"model '{file}' is no .urdf and no MJCF .xml file, and taut reads arms from no others{way_out}",
+            name=str(file),
+        )
+    root = read_xml(file)
+    if root.tag == "robot":
+        return urdf_tree(root, file, packages)
+    if root.tag == "mujoco":
+        return mjcf_tree(root, file)
+    way_out = "; convert it to URDF" if root.tag == "sdf" else ""
+    text = f"its root element is <{root.tag}>; a robot model begins with <robot> (URDF) or <mujoco> (MJCF){way_out}"
+    raise ModelError(str(file), [Problem(object=file.name, attribute=root.tag, message=text, line=root.line)])

@@ -1,0 +1,277 @@
+"""What `taut check MODEL` and `taut arms` say: what was read, and everything that is wrong with it."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+from taut.arm.builtin import BUILT_IN, COMMANDS
+from taut.arm.catalogue import CATALOGUE, is_installed
+from taut.arm.description import BASE, Arm, CommandKind, Joint
+from taut.arm.load import OpenedModel, load_arm, open_model
+from taut.arm.reach import reach
+from taut.arm.tree import TreeJoint
+from taut.base.errors import ModelError, Problem, TautError, UsageError
+from taut.base.types import Float64Array
+
+__all__ = ["ArmRow", "CheckReport", "arm_rows", "check_model"]
+
+Json: TypeAlias = "str | float | bool | None | list[Json] | dict[str, Json]"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckReport:
+    """What is known about one model; `arm` is there if nothing is wrong."""
+
+    name: str
+    problems: tuple[Problem, ...] = ()
+    opened: OpenedModel | None = None
+    arm: Arm | None = None
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def ok(self) -> bool:
+        """Whether the model can be used."""
+        return not self.problems
+
+    def json(self) -> dict[str, Json]:
+        """The report as plain values; None stands for "no limit" and for what is not known."""
+        return {
+            "ok": self.ok,
+            "name": self.name,
+            "problems": [
+                {"object": p.object, "attribute": p.attribute, "line": p.line, "message": p.message}
+                for p in self.problems
+            ],
+            "source": self._source(),
+            "joints": [_joint_json(joint) for joint in self._joints()],
+            "locked": {} if self.opened is None else dict(self.opened.locked),
+            "bodies": [] if self.arm is None else _bodies_json(self.arm),
+            "frames": [] if self.arm is None else _frames_json(self.arm),
+            "tool": None if self.arm is None else self.arm.tool,
+            "home": None if self.arm is None else _floats(self.arm.home),
+            "gravity": None if self.arm is None else _floats(self.arm.gravity),
+            "commands": [] if self.arm is None else list(self.arm.commands),
+            "total_mass": None if self.arm is None else self.arm.total_mass,
+            "reach": None if self.arm is None else _finite(reach(self.arm)),
+            "notes": list(self.notes),
+        }
+
+    def text(self) -> str:
+        """The report for people."""
+        return "\n".join(_text(self))
+
+    def _source(self) -> str | None:
+        return None if self.opened is None else self.opened.tree.source
+
+    def _joints(self) -> Sequence[Joint | TreeJoint]:
+        if self.arm is not None:
+            return self.arm.joints
+        if self.opened is None:
+            return ()
+        return [joint for joint in self.opened.tree.joints if joint.kind != "fixed"]
+
+
+def check_model(model: str | os.PathLike[str]) -> CheckReport:
+    """Read a model and report; nothing that is wrong with it raises.
+
+    Example:
+        >>> report = check_model("planar2")
+        >>> report.ok, report.json()["total_mass"]
+        (True, 6.0)
+    """
+    name = str(model)
+    try:
+        opened = open_model(model)
+    except TautError as wrong:
+        return CheckReport(name=name, problems=_problems_of(wrong, name))
+    tree = opened.tree
+    notes: tuple[str, ...] = ()
+    try:
+        try:
+            arm = load_arm(model)
+        except UsageError as ask:  # several ends, and no tool named: any of them will do to look at the arm
+            notes = (f"{ask}; here it is '{ask.value}'",)
+            arm = load_arm(model, tool=str(ask.value))
+    except TautError as wrong:
+        return CheckReport(
+            name=tree.name, problems=_problems_of(wrong, tree.name), opened=opened, notes=tuple(tree.notes)
+        )
+    return CheckReport(name=arm.name, opened=opened, arm=arm, notes=(*notes, *arm.notes))
+
+
+def _problems_of(wrong: TautError, name: str) -> tuple[Problem, ...]:
+    if isinstance(wrong, ModelError):
+        return wrong.problems
+    return (Problem(object=name, attribute=None, message=str(wrong)),)
+
+
+# -------------------------------------------------------------------- as values
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _floats(array: Float64Array) -> list[Json]:
+    return [float(value) for value in array]
+
+
+def _joint_json(joint: Joint | TreeJoint) -> dict[str, Json]:
+    return {
+        "name": joint.name,
+        "type": joint.kind,
+        "unit": "m" if joint.kind == "prismatic" else "rad",
+        "axis": _floats(joint.axis),
+        "lower": _finite(joint.lower),
+        "upper": _finite(joint.upper),
+        "velocity": _finite(joint.velocity),
+        "effort": _finite(joint.effort),
+        "damping": _finite(joint.viscous),
+        "friction": _finite(joint.coulomb),
+        "rotor_inertia": _finite(joint.rotor_inertia),
+    }
+
+
+def _bodies_json(arm: Arm) -> list[Json]:
+    return [
+        {
+            "joint": joint.name,
+            "mass": body.mass,
+            "com": _floats(body.com),
+            "inertia": [_floats(row) for row in body.inertia],
+            "links": list(body.links),
+        }
+        for joint, body in zip(arm.joints, arm.bodies, strict=True)
+    ]
+
+
+def _frames_json(arm: Arm) -> list[Json]:
+    return [
+        {"name": frame.name, "joint": None if frame.body == BASE else arm.joint_names[frame.body]}
+        for frame in arm.frames
+    ]
+
+
+# -------------------------------------------------------------------- as text
+
+
+def _text(report: CheckReport) -> Iterator[str]:
+    joints = report._joints()
+    source = report._source()
+    if joints:
+        tool = "" if report.arm is None else f", tool '{report.arm.tool}'"
+        yield f"{report.name}: {len(joints)} {'joint' if len(joints) == 1 else 'joints'}{tool}"
+    else:
+        yield report.name
+    if source is not None:
+        yield f"read from {source}"
+    if joints:
+        yield ""
+        yield from _table(_joint_cells(joints))
+    if report.arm is not None:
+        yield from _arm_text(report.arm, report.opened)
+    if report.notes:
+        yield ""
+        yield from (f"note: {note}" for note in report.notes)
+    yield ""
+    if report.ok:
+        yield "no problems"
+        return
+    yield "1 problem" if len(report.problems) == 1 else f"{len(report.problems)} problems"
+    yield from (f"  {problem}" for problem in report.problems)
+
+
+def _arm_text(arm: Arm, opened: OpenedModel | None) -> Iterator[str]:
+    yield ""
+    yield from _table(
+        [("moved by", "mass [kg]", "centre of mass [m]", "links")]
+        + [
+            (joint.name, f"{body.mass:.4g}", " ".join(f"{c:.4g}" for c in body.com), ", ".join(body.links))
+            for joint, body in zip(arm.joints, arm.bodies, strict=True)
+        ]
+    )
+    yield ""
+    if opened is not None and opened.locked:
+        held = (f"'{name}' at {position:g}" for name, position in opened.locked.items())
+        yield f"held still: {', '.join(held)}"
+    yield f"{len(arm.frames)} frames: {', '.join(arm.frame_names)}"
+    yield f"home: {' '.join(f'{q:.4g}' for q in arm.home)}"
+    yield f"gravity: {' '.join(f'{g:g}' for g in arm.gravity)} m/s^2"
+    far = reach(arm)
+    distance = f"{far:.4g} m" if math.isfinite(far) else "without bound"
+    yield f"moving mass {arm.total_mass:.4g} kg; reach {distance} (tool from the first joint)"
+    yield f"the real arm takes: {', '.join(arm.commands)}"
+
+
+def _joint_cells(joints: Iterable[Joint | TreeJoint]) -> list[tuple[str, ...]]:
+    cells: list[tuple[str, ...]] = [
+        ("joint", "type", "axis", "lower", "upper", "speed", "effort", "damping", "friction", "rotor", "unit")
+    ]
+    for joint in joints:
+        numbers = (
+            joint.lower,
+            joint.upper,
+            joint.velocity,
+            joint.effort,
+            joint.viscous,
+            joint.coulomb,
+            joint.rotor_inertia,
+        )
+        axis = " ".join(f"{a:.4g}" for a in joint.axis)
+        unit = "m, N" if joint.kind == "prismatic" else "rad, N m"
+        cells.append((joint.name, joint.kind, axis, *(_cell(x) for x in numbers), unit))
+    return cells
+
+
+def _cell(value: float) -> str:
+    if math.isnan(value):
+        return "missing"
+    return "none" if math.isinf(value) else f"{value:.4g}"
+
+
+def _table(cells: list[tuple[str, ...]]) -> Iterator[str]:
+    widths = [max(len(row[k]) for row in cells) for k in range(len(cells[0]))]
+    for row in cells:
+        yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+
+
+# -------------------------------------------------------------------- the catalogue
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmRow:
+    """One line of `taut arms`."""
+
+    name: str
+    joints: int
+    commands: tuple[CommandKind, ...]  # what the real arm takes
+    source: str  # "built in", or the package on PyPI
+    installed: bool
+
+
+def arm_rows() -> list[ArmRow]:
+    """The arms that `load_arm` knows by name."""
+    own = [
+        ArmRow(
+            name=name,
+            joints=sum(joint.kind != "fixed" for joint in made().joints),
+            commands=COMMANDS,
+            source="built in",
+            installed=True,
+        )
+        for name, made in BUILT_IN.items()
+    ]
+    return own + [
+        ArmRow(
+            name=entry.name,
+            joints=entry.joints,
+            commands=entry.commands,
+            source=entry.package,
+            installed=is_installed(entry),
+        )
+        for entry in CATALOGUE.values()
+    ]

@@ -1,0 +1,234 @@
+"""What can be wrong with a model, whoever read it: structure, joints, mass properties. One sentence each.
+
+Rules about inertia bite on the body that a moving joint carries, with everything that is fixed to it: frames
+without mass are normal. Axes and limits are checked on joints that move.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Mapping
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from taut.base.errors import Problem, quoted_list, unknown_name
+from taut.base.types import Float64Array
+
+if TYPE_CHECKING:
+    from taut.arm.description import Joint
+    from taut.arm.tree import Tree, TreeJoint, TreeLink
+
+__all__ = ["check_inertia", "joint_problems", "mass_problems", "structure_problems", "value_problems"]
+
+AXIS_TOLERANCE: Final = 1e-3  # an axis shorter than this has no direction; any other length is normalised
+INERTIA_TOLERANCE: Final = 1e-6  # relative slack of the triangle inequality, for rounded files
+SINGULAR: Final = 1e-12  # a principal moment below this share of the largest is rounding, not a size
+OTHER_KINDS: Final = {
+    "floating": "a floating joint is not one of an arm; make it fixed, cut the model there",
+    "planar": "a planar joint is not one of an arm; write it as two prismatic joints and a revolute one",
+    "ball": "a ball joint is not one of an arm; write it as three hinges",
+}
+MAX_LINKS: Final = 1000  # a humanoid with hands has 100; what is far beyond is no arm
+
+
+def structure_problems(tree: Tree) -> Iterator[Problem]:
+    """Names that are empty, doubled or unknown; more than one root or parent; cycles."""
+    if not tree.links:
+        yield Problem(object=tree.name, attribute=None, message="the model has no links")
+        return
+    if len(tree.links) > MAX_LINKS:
+        text = f"the model has {len(tree.links)} links; an arm has {MAX_LINKS} at most"
+        yield Problem(object=tree.name, attribute=None, message=text)
+        return
+    found = [*_name_problems(tree), *_reference_problems(tree)]
+    yield from found
+    parent_joint = {joint.child: joint for joint in reversed(tree.joints)}
+    links = {link.name: link for link in tree.links}
+    roots = [link.name for link in tree.links if link.name not in parent_joint]
+    if len(roots) > 1 and not found and not tree.problems:  # else most likely a consequence
+        yield Problem(
+            object=roots[1],
+            attribute="parent",
+            message=f"the model has {len(roots)} roots ({quoted_list(roots)}); an arm has one base: "
+            "join the others to it with fixed joints",
+            line=links[roots[1]].line,
+        )
+    for link in _on_cycles(parent_joint):
+        yield Problem(
+            object=link,
+            attribute="parent",
+            message=f"link '{link}' is on a closed chain; an arm is a tree: cut the loop at one joint and "
+            "state the closure as a constraint",
+            line=links[link].line if link in links else None,
+        )
+
+
+def _name_problems(tree: Tree) -> Iterator[Problem]:
+    items: tuple[tuple[str, list[TreeLink] | list[TreeJoint]], ...] = (
+        ("link", tree.links),
+        ("joint", tree.joints),
+    )
+    for kind, named in items:
+        seen: dict[str, int | None] = {}
+        for item in named:
+            if not item.name:
+                text = f"a {kind} has no name; give it one"
+                yield Problem(object=kind, attribute="name", message=text, line=item.line)
+            elif item.name in seen:
+                first = "" if seen[item.name] is None else f" (first in line {seen[item.name]})"
+                text = f"{kind} '{item.name}' is there twice{first}; rename one"
+                yield Problem(object=item.name, attribute="name", message=text, line=item.line)
+            else:
+                seen[item.name] = item.line
+
+
+def _reference_problems(tree: Tree) -> Iterator[Problem]:
+    links = {link.name for link in tree.links}
+    parent_joint: dict[str, TreeJoint] = {}
+    for joint in tree.joints:
+        for role, link in (("parent", joint.parent), ("child", joint.child)):
+            if link not in links:
+                text = str(unknown_name("the model", "link", link, sorted(links)))
+                yield _bad(joint, role, f"its {role}: {text}")
+        if joint.child == joint.parent:
+            yield _bad(joint, "child", f"it joins link '{joint.child}' to itself; name another child")
+        elif joint.child in parent_joint:
+            first = parent_joint[joint.child].name
+            yield Problem(
+                object=joint.child,
+                attribute="parent",
+                message=f"link '{joint.child}' has two parents, joints '{first}' and '{joint.name}'; "
+                "an arm is a tree: cut the loop at one of them and state the closure as a constraint",
+                line=joint.line,
+            )
+        else:
+            parent_joint[joint.child] = joint
+
+
+def _on_cycles(parent_joint: Mapping[str, TreeJoint]) -> list[str]:
+    """One link of each cycle of parents."""
+    found: list[str] = []
+    settled: set[str] = set()
+    for start in parent_joint:
+        path: list[str] = []
+        on_path: set[str] = set()
+        link = start
+        while link in parent_joint and link not in settled and link not in on_path:
+            path.append(link)
+            on_path.add(link)
+            link = parent_joint[link].parent
+        if link in on_path and parent_joint[link].parent != link:  # a self-loop is reported as such
+            found.append(link)
+        settled.update(path)
+    return found
+
+
+def _bad(joint: TreeJoint, attribute: str, text: str) -> Problem:
+    return Problem(
+        object=joint.name,
+        attribute=attribute,
+        message=f"joint '{joint.name}': {text}",
+        line=joint.lines.get(attribute, joint.line),
+    )
+
+
+def joint_problems(tree: Tree, locked: Collection[str]) -> Iterator[Problem]:
+    """Types that an arm cannot have; axes, limits and friction of the joints that move."""
+    for joint in tree.joints:
+        if joint.kind == "fixed" or joint.name in locked:
+            continue
+        hold = tree.hold.format(joint=joint.name)
+        if joint.kind in OTHER_KINDS:
+            yield _bad(joint, "type", f"{OTHER_KINDS[joint.kind]}, {hold}")
+        elif joint.mimic is not None:
+            follows = f"it mimics '{joint.mimic}'" if joint.mimic else "a coupling holds it"
+            yield _bad(joint, "mimic", f"{follows}, and taut has no coupled joints; make it fixed, {hold}")
+        else:
+            for attribute, text in value_problems(joint):
+                yield _bad(joint, attribute, text)
+
+
+def value_problems(joint: Joint | TreeJoint) -> Iterator[tuple[str, str]]:
+    """What is wrong with the numbers of a joint that moves: (attribute, text) of each."""
+    if not np.isfinite(joint.axis).all():
+        yield "axis", f"axis must be finite; got {joint.axis.tolist()}"
+    elif np.linalg.norm(joint.axis) < AXIS_TOLERANCE:
+        yield "axis", "axis must not be zero: a joint that moves needs a direction"
+    missing = [name for name in ("lower", "upper", "velocity", "effort") if math.isnan(getattr(joint, name))]
+    if missing:
+        needs = f"a {joint.kind} joint needs <limit lower= upper= velocity= effort=>"
+        yield missing[0] if len(missing) == 1 else "limit", f"it has no {_listed(missing)} limit; {needs}"
+    low, high = joint.lower, joint.upper
+    if joint.kind == "continuous" and not (math.isinf(low) and math.isinf(high)):
+        yield "limit", "a continuous joint has no position limits; make it revolute"
+    elif low >= high:
+        way_out = "make a joint that does not move a fixed one"
+        yield "limit", f"lower limit {low:g} must be below upper limit {high:g}; {way_out}"
+    for attribute, word, value in (("velocity", "speed", joint.velocity), ("effort", "effort", joint.effort)):
+        if value <= 0.0:
+            yield attribute, f"{word} limit must be > 0; got {value:g}"
+    for attribute, word, value in (
+        ("damping", "damping", joint.viscous),
+        ("friction", "friction", joint.coulomb),
+        ("armature", "rotor inertia", joint.rotor_inertia),
+    ):
+        if not (math.isfinite(value) and value >= 0.0):
+            yield attribute, f"{word} must be finite and >= 0; got {value:g}"
+
+
+def _listed(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def mass_problems(tree: Tree) -> Iterator[Problem]:
+    """Links whose own numbers no body has: not finite, or a negative mass. Zero is fine for a frame."""
+    for link in tree.links:
+        if link.inertia is None:
+            continue
+        numbers = np.concatenate([np.ravel(link.inertia.com), np.ravel(link.inertia.inertia)])
+        mass = link.inertia.mass
+        if not (math.isfinite(mass) and mass >= 0.0):
+            text = f"mass must be finite and >= 0 [kg]; got {mass:g}"
+        elif not np.isfinite(numbers).all():
+            text = "centre of mass and inertia must be finite"
+        else:
+            continue
+        yield Problem(
+            object=link.name,
+            attribute="mass",
+            message=f"link '{link.name}': {text}; {tree.inertia_fix}",
+            line=link.lines.get("mass", link.line),
+        )
+
+
+def check_inertia(mass: float, inertia: Float64Array) -> tuple[str, str] | None:
+    """What is wrong with a rigid body's mass properties: (attribute, text), or None.
+
+    A body exists only if its mass is positive, its inertia positive definite, and no principal moment
+    larger than the sum of the other two.
+    """
+    if not math.isfinite(mass) or not np.isfinite(inertia).all():
+        return "inertia", "mass and inertia must be finite"
+    if mass <= 0.0:
+        return "mass", f"mass must be > 0 [kg]; got {mass:g}"
+    if np.abs(inertia - inertia.T).max() > 1e-9 * max(np.abs(inertia).max(), 1e-300):
+        return "inertia", "inertia must be symmetric"
+    small, middle, large = np.linalg.eigvalsh(inertia)
+    if small <= SINGULAR * large:
+        text = f"inertia must be positive definite [kg m^2]; its smallest principal moment is {small:.3g}"
+        return "inertia", text
+    if large > (small + middle) * (1.0 + INERTIA_TOLERANCE):
+        return "inertia", f"inertia violates the triangle inequality ({_triangle(inertia)})"
+    return None
+
+
+def _triangle(inertia: Float64Array) -> str:
+    diagonal = np.diag(inertia)
+    if not np.allclose(inertia, np.diag(diagonal), rtol=0.0, atol=1e-9 * float(diagonal.max())):
+        small, middle, large = np.linalg.eigvalsh(inertia)
+        return f"principal moments {large:.4g} > {small:.4g} + {middle:.4g}"
+    k = int(np.argmax(diagonal))
+    a, b = (i for i in range(3) if i != k)
+    name = [f"I{axis}{axis}" for axis in "xyz"]
+    return f"{name[k]} {diagonal[k]:.4g} > {name[a]} + {name[b]} {diagonal[a] + diagonal[b]:.4g}"

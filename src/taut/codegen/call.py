@@ -1,0 +1,379 @@
+"""The call path: a Python builtin, generated with the kernel, that takes arrays and gives an array.
+
+`step(q, v, ref)` checks types, lengths and contiguity, copies the numbers into the kernel's input block, runs the
+kernel, and returns a new array; `tick()` does the same on the block alone and allocates nothing. Whatever is not
+plain (keywords, lists, a first tick, a number that is not finite) goes to a Python function that knows the words.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import importlib
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from taut.base.types import Float64Array
+from taut.codegen.layout import Block
+from taut.codegen.native import NativeModule
+from taut.codegen.text import Writer
+
+__all__ = [
+    "METH_FASTCALL_KEYWORDS",
+    "METH_NOARGS",
+    "Argument",
+    "CallPath",
+    "Context",
+    "layout_key",
+    "offsets",
+    "slot_offsets",
+]
+
+METH_NOARGS: Final = 0x4
+METH_FASTCALL_KEYWORDS: Final = 0x82
+NPY_DOUBLE: Final = 12
+CONTIGUOUS_ALIGNED: Final = 0x1 | 0x100
+PYARRAY_TYPE, PYARRAY_NEW = 2, 93  # places in NumPy's table of C functions, fixed by its ABI
+
+
+@dataclass(frozen=True)
+class Argument:
+    """One positional argument: an array that fills one field, or an object whose slots fill several."""
+
+    fields: tuple[str, ...]
+    is_object: bool = False
+
+
+# -------------------------------------------------------------------- how Python objects lie in memory
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """Where the parts of a NumPy array object stand [bytes]."""
+
+    type_: int
+    data: int
+    nd: int
+    dims: int
+    descr: int
+    flags: int
+
+
+@functools.cache
+def offsets() -> Offsets | None:
+    """The offsets, verified on arrays of this process; None where they are not as expected."""
+    base = object.__basicsize__
+    found = Offsets(base - 8, base, base + 8, base + 16, base + 40, base + 48)
+    try:
+        arrays = (np.zeros(3), np.zeros((2, 5)), np.zeros(6)[::2], np.zeros((2, 5), order="F"))
+        right = all(_as_expected(found, array) for array in arrays) and _numpy_table()[PYARRAY_TYPE] == id(np.ndarray)
+    except (ValueError, OSError, AttributeError, TypeError):
+        right = False
+    if not right:
+        warnings.warn(
+            "NumPy's arrays lie in memory in an unknown way, so calls go through ctypes, which costs about 1 us each",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+        return None
+    return found
+
+
+def _read(address: int, kind: Any) -> int:
+    return int(kind.from_address(address).value or 0)
+
+
+def _as_expected(at: Offsets, array: Float64Array) -> bool:
+    here = id(array)
+    dims = _read(here + at.dims, ctypes.c_void_p)
+    flags = _read(here + at.flags, ctypes.c_int)
+    return (
+        _read(here + at.type_, ctypes.c_void_p) == id(np.ndarray)
+        and _read(here + at.data, ctypes.c_void_p) == array.ctypes.data
+        and _read(here + at.nd, ctypes.c_int) == array.ndim
+        and all(_read(dims + 8 * i, ctypes.c_int64) == size for i, size in enumerate(array.shape))
+        and _read(here + at.descr, ctypes.c_void_p) == id(array.dtype)
+        and bool(flags & 0x1) == array.flags.c_contiguous
+        and bool(flags & 0x100) == array.flags.aligned
+    )
+
+
+@functools.cache
+def _numpy_table() -> Any:
+    multiarray: Any = importlib.import_module("numpy._core._multiarray_umath")
+    get = ctypes.pythonapi.PyCapsule_GetPointer
+    get.restype, get.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
+    address = get(multiarray._ARRAY_API, None)
+    return ctypes.cast(address, ctypes.POINTER(ctypes.c_void_p))
+
+
+@functools.cache
+def slot_offsets(cls: type, names: tuple[str, ...]) -> tuple[int, ...] | None:
+    """Where the slots of a class stand [bytes], found by looking; None if they cannot be."""
+    probe: object = object.__new__(cls)
+    marks = [object() for _ in names]
+    for name, mark in zip(names, marks, strict=True):
+        object.__setattr__(probe, name, mark)
+    words = {_read(id(probe) + at, ctypes.c_void_p): at for at in range(object.__basicsize__, cls.__basicsize__, 8)}
+    try:
+        return tuple(words[id(mark)] for mark in marks)
+    except KeyError:
+        return None
+
+
+def layout_key() -> bytes:
+    """What of Python's and NumPy's memory layout is baked into generated code."""
+    return repr((offsets(), object.__basicsize__)).encode()
+
+
+# -------------------------------------------------------------------- the context
+
+
+WORDS: Final = (
+    "ndarray",  # type object
+    "float64",  # dtype object
+    "new_array",  # PyArray_New
+    "vectorcall",  # PyObject_Vectorcall
+    "incref",  # Py_IncRef
+    "none",
+    "slow",  # Python function for everything that is not plain
+    "failed",  # Python function that raises when a number is not finite
+    "reference",  # type of the object argument
+    "inputs",
+    "parameters",
+    "memory",
+    "new",
+    "before",  # memory as it was before the last tick
+    "outputs",
+    "shape",
+    "ready",  # 0 until memory has started
+    "count",  # ticks so far
+    "dt",
+)
+WORD: Final = {name: i for i, name in enumerate(WORDS)}
+
+
+class _Keeper(np.ndarray[Any, np.dtype[np.uint64]]):
+    """The context's words as an array that keeps alive what they point to."""
+
+    keep: list[Any]
+
+
+class _MethodDef(ctypes.Structure):
+    _fields_ = (
+        ("name", ctypes.c_char_p),
+        ("function", ctypes.c_void_p),
+        ("flags", ctypes.c_int),
+        ("doc", ctypes.c_char_p),
+    )
+
+
+class Context:
+    """What a generated call needs at run time: blocks, counters, and the Python objects it touches."""
+
+    def __init__(
+        self,
+        module: NativeModule,
+        *,
+        inputs: Float64Array,
+        parameters: Float64Array,
+        memory: Float64Array,
+        before: Float64Array,
+        outputs: Float64Array,
+        result_shape: tuple[int, ...],
+        dt: float = 0.0,
+        reference: type | None = None,
+    ) -> None:
+        self._words = np.zeros(len(WORDS), dtype=np.uint64).view(_Keeper)
+        new = memory.copy()
+        shape = np.array(result_shape or (1,), dtype=np.int64)
+        float64 = np.dtype(np.float64)
+        self._words.keep = [module, inputs, parameters, memory, before, new, outputs, shape, float64, reference]
+        for name, array in (
+            ("inputs", inputs),
+            ("parameters", parameters),
+            ("memory", memory),
+            ("new", new),
+            ("before", before),
+            ("outputs", outputs),
+            ("shape", shape),
+        ):
+            self[name] = array.ctypes.data
+        self["ndarray"], self["float64"], self["none"] = id(np.ndarray), id(float64), id(None)
+        self["reference"] = id(reference)
+        self["new_array"] = _numpy_table()[PYARRAY_NEW]
+        self["vectorcall"] = _address(ctypes.pythonapi.PyObject_Vectorcall)
+        self["incref"] = _address(ctypes.pythonapi.Py_IncRef)
+        self._words.view(np.float64)[WORD["dt"]] = dt
+        self._module = module
+
+    def __setitem__(self, name: str, value: int) -> None:
+        self._words[WORD[name]] = value
+
+    def __getitem__(self, name: str) -> int:
+        return int(self._words[WORD[name]])
+
+    def python(self, name: str, function: Callable[..., Any]) -> None:
+        """The Python function for one of the words."""
+        self._words.keep.append(function)
+        self[name] = id(function)
+
+    def builtin(self, name: str, flags: int, doc: str) -> Callable[..., Any]:
+        """A compiled function as a Python builtin."""
+        definition = _MethodDef(name.encode(), self._module[name], flags, doc.encode())
+        self._words.keep.append(definition)
+        make = ctypes.pythonapi.PyCFunction_NewEx
+        make.restype, make.argtypes = ctypes.py_object, [ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p]
+        made: Callable[..., Any] = make(ctypes.addressof(definition), self._words, None)
+        return made
+
+
+def _address(function: Any) -> int:
+    address = ctypes.cast(function, ctypes.c_void_p).value
+    assert address is not None
+    return address
+
+
+# -------------------------------------------------------------------- text
+
+
+@dataclass(frozen=True, kw_only=True)
+class CallPath:
+    """LLVM text of the builtins `step` and `tick` around a function `kernel`.
+
+    Args:
+        arguments: Positional arguments of `step`.
+        inputs: Layout of the inputs.
+        outputs: Layout of the outputs; the first field is the result.
+        memory: Layout of the memory.
+        slots: Where the slots of the object argument stand [bytes].
+        time: Path of the input that gets the number of ticks times dt, if any.
+        guarded: Whether numbers that are not finite are refused.
+    """
+
+    arguments: Sequence[Argument]
+    inputs: Block
+    outputs: Block
+    memory: Block
+    slots: Sequence[int] = ()
+    time: str | None = None
+    guarded: bool = True
+
+    def text(self) -> str:
+        """All functions."""
+        return "\n".join([self._advance(Writer()), self._tick(Writer()), self._step(Writer())])
+
+    def _advance(self, w: Writer) -> str:
+        """One tick on the blocks: 0, or 1 where a number is not finite; then memory stays as it was."""
+        block = {name: _word(w, name) for name in ("inputs", "parameters", "memory", "new", "before", "outputs")}
+        if self.time is not None:
+            ticks = w.put(f"sitofp i64 {_word(w, 'count', 'i64')} to double")
+            t = w.put(f"fmul double {ticks}, {_word(w, 'dt', 'double')}")
+            place = w.put(f"getelementptr double, ptr {block['inputs']}, i64 {self.inputs.field(self.time).offset}")
+            w.line(f" store double {t}, ptr {place}")
+        self._guard(w, block["inputs"], self.inputs)
+        w.line(
+            f" call void @kernel(ptr {block['inputs']}, ptr {block['parameters']}, ptr {block['memory']}, "
+            f"ptr {block['new']}, ptr {block['outputs']})"
+        )
+        self._guard(w, block["outputs"], self.outputs)
+        self._guard(w, block["new"], self.memory)
+        w.copy(block["memory"], block["before"], self.memory.size)
+        w.copy(block["new"], block["memory"], self.memory.size)
+        more = w.put(f"add i64 {_word(w, 'count', 'i64')}, 1")
+        place = w.put(f"getelementptr i64, ptr %context, i64 {WORD['count']}")
+        w.line(f" store i64 {more}, ptr {place}", " ret i32 0")
+        if self.guarded:
+            w.line("bad:", " ret i32 1")
+        return w.function("internal i32 @advance(ptr %context) nounwind")
+
+    def _guard(self, w: Writer, pointer: str, block: Block) -> None:
+        wrong = w.not_finite(pointer, block.size) if self.guarded else None
+        if wrong is not None:
+            w.unless(wrong, "bad")
+
+    def _tick(self, w: Writer) -> str:
+        """The builtin without arguments: the kernel on its own blocks; returns None."""
+        _context(w)
+        w.unless(w.put(f"icmp eq i64 {_word(w, 'ready', 'i64')}, 0"), "slow")
+        status = w.put("call i32 @advance(ptr %context)")
+        w.unless(w.put(f"icmp ne i32 {status}, 0"), "failed")
+        none, incref = _word(w, "none"), _word(w, "incref")
+        w.line(f" call void {incref}(ptr {none})", f" ret ptr {none}")
+        for label in ("slow", "failed"):
+            _leave(w, label, "ptr null, i64 0, ptr null")
+        return w.function("ptr @tick(ptr %self, ptr %unused) nounwind")
+
+    def _step(self, w: Writer) -> str:
+        """The builtin with arguments: arrays in, a new array out."""
+        _context(w)
+        w.unless(w.put(f"icmp ne i64 %nargs, {len(self.arguments)}"), "slow")
+        w.unless(w.put("icmp ne ptr %names, null"), "slow")
+        w.unless(w.put(f"icmp eq i64 {_word(w, 'ready', 'i64')}, 0"), "slow")
+        inputs, ndarray, float64 = _word(w, "inputs"), _word(w, "ndarray"), _word(w, "float64")
+        for i, argument in enumerate(self.arguments):
+            value = w.load_at("%args", 8 * i)
+            owners = [value]
+            if argument.is_object:
+                kind = w.load_at(value, _at().type_)
+                w.unless(w.put(f"icmp ne ptr {kind}, {_word(w, 'reference')}"), "slow")
+                owners = [w.load_at(value, offset) for offset in self.slots]
+            for path, array in zip(argument.fields, owners, strict=True):
+                self._take(w, path, array, inputs, ndarray, float64)
+        status = w.put("call i32 @advance(ptr %context)")
+        w.unless(w.put(f"icmp ne i32 {status}, 0"), "failed")
+        result = self.outputs.fields[0]
+        new_array, shape, outputs = _word(w, "new_array"), _word(w, "shape"), _word(w, "outputs")
+        made = w.put(
+            f"call ptr {new_array}(ptr {ndarray}, i32 {len(result.shape)}, ptr {shape}, i32 {NPY_DOUBLE}, "
+            "ptr null, ptr null, i32 0, i32 0, ptr null)"
+        )
+        w.unless(w.put(f"icmp eq ptr {made}, null"), "out")
+        w.copy(outputs, w.load_at(made, _at().data), result.size)
+        w.line(f" ret ptr {made}", "out:", " ret ptr null")
+        _leave(w, "slow", "ptr %args, i64 %nargs, ptr %names")
+        _leave(w, "failed", "ptr null, i64 0, ptr null")
+        return w.function("ptr @step(ptr %self, ptr %args, i64 %nargs, ptr %names) nounwind")
+
+    def _take(self, w: Writer, path: str, array: str, inputs: str, ndarray: str, float64: str) -> None:
+        """Check one array and copy its numbers into the input block."""
+        field, at = self.inputs.field(path), _at()
+        w.unless(w.put(f"icmp eq ptr {array}, null"), "slow")
+        w.unless(w.put(f"icmp ne ptr {w.load_at(array, at.type_)}, {ndarray}"), "slow")
+        w.unless(w.put(f"icmp ne ptr {w.load_at(array, at.descr)}, {float64}"), "slow")
+        w.unless(w.put(f"icmp ne i32 {w.load_at(array, at.nd, 'i32')}, {len(field.shape)}"), "slow")
+        if field.shape:
+            dims = w.load_at(array, at.dims)
+            for i, size in enumerate(field.shape):
+                w.unless(w.put(f"icmp ne i64 {w.load_at(dims, 8 * i, 'i64')}, {size}"), "slow")
+        good = w.put(f"and i32 {w.load_at(array, at.flags, 'i32')}, {CONTIGUOUS_ALIGNED}")
+        w.unless(w.put(f"icmp ne i32 {good}, {CONTIGUOUS_ALIGNED}"), "slow")
+        target = w.put(f"getelementptr double, ptr {inputs}, i64 {field.offset}")
+        w.copy(w.load_at(array, at.data), target, field.size)
+
+
+def _at() -> Offsets:
+    at = offsets()
+    assert at is not None
+    return at
+
+
+def _context(w: Writer) -> None:
+    place = w.put(f"getelementptr i8, ptr %self, i64 {_at().data}")
+    w.line(f" %context = load ptr, ptr {place}")
+
+
+def _word(w: Writer, name: str, kind: str = "ptr") -> str:
+    return w.load_at("%context", 8 * WORD[name], kind)
+
+
+def _leave(w: Writer, label: str, arguments: str) -> None:
+    """Hand over to a Python function and return what it returns."""
+    w.line(f"{label}:")
+    function, call = _word(w, label), _word(w, "vectorcall")
+    result = w.put(f"call ptr {call}(ptr {function}, {arguments})")
+    w.line(f" ret ptr {result}")

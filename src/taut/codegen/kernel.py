@@ -1,0 +1,323 @@
+"""Kernels: a program with blocks of its own, run natively or on plain floats, behind one interface."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from taut.base.errors import TautError
+from taut.base.types import Float64Array
+from taut.codegen.call import (
+    METH_FASTCALL_KEYWORDS,
+    METH_NOARGS,
+    Argument,
+    CallPath,
+    Context,
+    layout_key,
+    offsets,
+    slot_offsets,
+)
+from taut.codegen.layout import Block
+from taut.codegen.llvm import declarations, kernel
+from taut.codegen.native import NativeModule, compiled
+from taut.codegen.program import Function, Program
+
+__all__ = ["Blocks", "FloatKernel", "Kernel", "NativeKernel", "verified"]
+
+VERIFY_TOLERANCE = 1e-9  # relative to the largest number of the result; far above rounding, far below a fault
+POINTERS = [ctypes.c_void_p] * 5
+
+
+class Blocks:
+    """The numbers that a kernel reads and writes, each block one flat array."""
+
+    __slots__ = ("before", "inputs", "layout", "memory", "outputs", "parameters")
+
+    def __init__(self, inputs: Block, parameters: Block, memory: Block, outputs: Block) -> None:
+        self.layout = {"inputs": inputs, "parameters": parameters, "memory": memory, "outputs": outputs}
+        self.inputs = inputs.zeros()
+        self.parameters = parameters.zeros()
+        self.memory = memory.zeros()
+        self.outputs = outputs.zeros()
+        self.before = memory.zeros()  # memory as it was before the last tick
+
+    def views(self, name: str) -> dict[str, Float64Array]:
+        """The fields of one block, sharing its memory."""
+        return self.layout[name].views(getattr(self, name))
+
+
+class Kernel(Protocol):
+    """What a controller needs of an engine."""
+
+    blocks: Blocks
+    operations: int
+    engine: Literal["native", "float"]
+    step: Callable[..., Any]
+    """Arrays in, a new array out; everything that is not plain goes to the slow function."""
+    tick: Callable[[], None]
+    """One evaluation on the blocks; memory stays as it was where a number is not finite."""
+
+    def start(self) -> None:
+        """Start memory from the inputs."""
+
+    @property
+    def ready(self) -> bool:
+        """Whether memory has started."""
+
+    @property
+    def count(self) -> int:
+        """Ticks since memory started."""
+
+    def clear(self) -> None:
+        """Forget: the next tick starts memory again."""
+
+
+class FloatKernel:
+    """A function run as plain Python on floats: for debugging, and where llvmlite is missing."""
+
+    engine: Literal["native", "float"] = "float"
+    operations = 0
+
+    def __init__(
+        self,
+        function: Function,
+        starter: Function,
+        blocks: Blocks,
+        *,
+        time: str | None,
+        dt: float,
+        slow: Callable[..., Any],
+        failed: Callable[[], Any],
+    ) -> None:
+        self.blocks = blocks
+        self._function, self._starter = function, starter
+        self._time, self._dt = time, dt
+        self._slow, self._failed = slow, failed
+        self._count = 0
+        self._started = False
+        self.step = slow
+        self.tick = self._tick
+
+    def start(self) -> None:
+        values, _ = self._starter(self.blocks.views("inputs"), self.blocks.views("parameters"), {})
+        self.blocks.layout["memory"].pack(values, self.blocks.memory)
+        self._count, self._started = 0, True
+
+    @property
+    def ready(self) -> bool:
+        return self._started
+
+    @property
+    def count(self) -> int:
+        return self._count
+
+    def clear(self) -> None:
+        self._started = False
+
+    def _tick(self) -> None:
+        if not self._started:
+            self._slow()
+            return
+        blocks = self.blocks
+        inputs = blocks.views("inputs")
+        if self._time is not None:
+            inputs[self._time][...] = self._count * self._dt
+        if not np.isfinite(blocks.inputs).all():
+            self._failed()
+        read_only = {name: _frozen(value) for name, value in inputs.items()}
+        with np.errstate(all="ignore"):
+            outputs, after = self._function(read_only, blocks.views("parameters"), _copies(blocks.views("memory")))
+        new = blocks.layout["memory"].pack(after)
+        blocks.layout["outputs"].pack(outputs, blocks.outputs)
+        if not (np.isfinite(blocks.outputs).all() and np.isfinite(new).all()):
+            self._failed()
+        blocks.before[:] = blocks.memory
+        blocks.memory[:] = new
+        self._count += 1
+
+
+def _frozen(x: Float64Array) -> Float64Array:
+    out = x.copy()
+    out.flags.writeable = False
+    return out if out.ndim else out[()]
+
+
+def _copies(values: dict[str, Float64Array]) -> dict[str, Float64Array]:
+    return {name: _frozen(value) for name, value in values.items()}
+
+
+class NativeKernel:
+    """A program compiled with its call path."""
+
+    engine: Literal["native", "float"] = "native"
+
+    def __init__(
+        self,
+        program: Program,
+        starter: Program,
+        blocks: Blocks,
+        *,
+        arguments: Sequence[Argument],
+        reference: type | None,
+        time: str | None,
+        dt: float,
+        guarded: bool,
+        slow: Callable[..., Any],
+        failed: Callable[[], Any],
+        verify: Callable[[NativeModule], None] | None,
+    ) -> None:
+        self.blocks = blocks
+        self.operations = program.operations
+        objects = [argument for argument in arguments if argument.is_object]
+        names = tuple(path.rpartition(".")[2] for argument in objects for path in argument.fields)
+        slots = slot_offsets(reference, names) if reference is not None else ()
+        fast = offsets() is not None and slots is not None
+        path = CallPath(
+            arguments=arguments,
+            inputs=program.inputs,
+            outputs=program.outputs,
+            memory=program.memory,
+            slots=slots or (),
+            time=time if time is not None and _reads(program, time) else None,
+            guarded=guarded,
+        )
+
+        def text() -> str:
+            parts = [declarations(), kernel(program, "kernel"), kernel(starter, "start")]
+            return "\n".join([*parts, path.text()] if fast else parts)
+
+        content = b"".join(
+            [program.content, starter.content, layout_key(), repr((path, fast)).encode()],
+        )
+        builtins = ("step", "tick") if fast else ()
+        self.module = compiled(content, text, ("kernel", "start", *builtins), verify)
+        self._kernel = _callable(self.module["kernel"])
+        self._start = _callable(self.module["start"])
+        self._slow, self._failed, self._guarded = slow, failed, guarded
+        self._time, self._dt = path.time, dt
+        self._new = blocks.memory.copy()
+        self._context: Context | None = None
+        self._plain_count, self._plain_ready = 0, False
+        if fast:
+            self._context = context = Context(
+                self.module,
+                inputs=blocks.inputs,
+                parameters=blocks.parameters,
+                memory=blocks.memory,
+                before=blocks.before,
+                outputs=blocks.outputs,
+                result_shape=program.outputs.fields[0].shape,
+                dt=dt,
+                reference=reference,
+            )
+            context.python("slow", slow)
+            context.python("failed", failed)
+            self.step = context.builtin("step", METH_FASTCALL_KEYWORDS, "One tick: arrays in, a new array out.")
+            self.tick = context.builtin("tick", METH_NOARGS, "One tick on the bound arrays.")
+        else:
+            self.step, self.tick = slow, self._plain_tick
+
+    def start(self) -> None:
+        blocks = self.blocks
+        self._start(
+            blocks.inputs.ctypes.data,
+            blocks.parameters.ctypes.data,
+            None,
+            None,
+            blocks.memory.ctypes.data,
+        )
+        self._set(count=0, ready=True)
+
+    def _set(self, *, count: int, ready: bool) -> None:
+        if self._context is not None:
+            self._context["count"], self._context["ready"] = count, int(ready)
+        else:
+            self._plain_count, self._plain_ready = count, ready
+
+    @property
+    def ready(self) -> bool:
+        return bool(self._context["ready"]) if self._context is not None else self._plain_ready
+
+    @property
+    def count(self) -> int:
+        return self._context["count"] if self._context is not None else self._plain_count
+
+    def clear(self) -> None:
+        self._set(count=self.count, ready=False)
+
+    def _plain_tick(self) -> None:
+        """The tick through ctypes, where Python's objects lie in memory in an unknown way."""
+        if not self.ready:
+            self._slow()
+            return
+        blocks = self.blocks
+        if self._time is not None:
+            blocks.views("inputs")[self._time][...] = self.count * self._dt
+        if self._guarded and not np.isfinite(blocks.inputs).all():
+            self._failed()
+        self._kernel(
+            blocks.inputs.ctypes.data,
+            blocks.parameters.ctypes.data,
+            blocks.memory.ctypes.data,
+            self._new.ctypes.data,
+            blocks.outputs.ctypes.data,
+        )
+        if self._guarded and not (np.isfinite(blocks.outputs).all() and np.isfinite(self._new).all()):
+            self._failed()
+        blocks.before[:] = blocks.memory
+        blocks.memory[:] = self._new
+        self._set(count=self.count + 1, ready=True)
+
+
+def _callable(address: int) -> Callable[..., None]:
+    function: Callable[..., None] = ctypes.CFUNCTYPE(None, *POINTERS)(address)
+    return function
+
+
+def _reads(program: Program, path: str) -> bool:
+    """Whether a program depends on one of its inputs."""
+    field = program.inputs.field(path)
+    index = range(field.offset, field.offset + field.size)
+    return any(program.graph.ops[i] == 1 and program.graph.a[i] in index for i in program.live)
+
+
+def verified(
+    what: str,
+    function: Function,
+    program: Program,
+    samples: Sequence[tuple[Float64Array, Float64Array, Float64Array]],
+) -> Callable[[NativeModule], None]:
+    """A check that the compiled kernel gives what the function gives on plain floats.
+
+    Args:
+        what: What is compiled, for the message.
+        function: The function itself.
+        program: Its trace.
+        samples: Inputs, parameters and memory to compare at, flat.
+    """
+
+    def check(module: NativeModule) -> None:
+        run = _callable(module["kernel"])
+        for inputs, parameters, memory in samples:
+            new, outputs = memory.copy(), program.outputs.zeros()
+            run(*(array.ctypes.data for array in (inputs, parameters, memory, new, outputs)))
+            with np.errstate(all="ignore"):
+                expected, after = function(
+                    _copies(program.inputs.views(inputs)),
+                    _copies(program.parameters.views(parameters)),
+                    _copies(program.memory.views(memory)),
+                )
+            pairs = ((outputs, program.outputs.pack(expected)), (new, program.memory.pack(after)))
+            for got, wanted in pairs:
+                scale = max(1.0, float(np.abs(wanted[np.isfinite(wanted)]).max(initial=0.0)))
+                if not np.allclose(got, wanted, rtol=0.0, atol=VERIFY_TOLERANCE * scale, equal_nan=True):
+                    worst = float(np.nanmax(np.abs(got - wanted)))
+                    raise TautError(
+                        f"{what}: compiled code and plain Python differ by {worst:.3g}; a law must give the same "
+                        "at the same inputs: no random numbers, no clock, no state outside its memory"
+                    )
+
+    return check

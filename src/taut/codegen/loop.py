@@ -1,0 +1,146 @@
+"""The native loop: a kernel called many times without coming back to Python."""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+
+from taut.base.types import Float64Array
+from taut.codegen.layout import Block
+from taut.codegen.llvm import declarations, kernel
+from taut.codegen.native import compiled
+from taut.codegen.program import Function, Program, trace
+from taut.codegen.text import Writer
+
+__all__ = ["FloatLoop", "NativeLoop"]
+
+
+class FloatLoop:
+    """A step function and its substeps, run as plain Python: for debugging, and where llvmlite is missing."""
+
+    operations = 0
+
+    def __init__(
+        self, step: Function, substep: Function, repeats: int, inputs: Block, parameters: Block, memory: Block
+    ) -> None:
+        self._step, self._substep, self._repeats = step, substep, repeats
+        self._inputs, self._parameters, self._memory = inputs, parameters, memory
+        values = (block.views(block.zeros()) for block in (inputs, parameters, memory))
+        with np.errstate(all="ignore"):
+            record, _ = step(*values)
+        self.outputs = Block.of({path: np.shape(value) for path, value in record.items()})
+
+    def run(self, inputs: Float64Array, parameters: Float64Array, memory: Float64Array, outputs: Float64Array) -> int:
+        """Steps with one row of inputs and of outputs each; the number of them that ended in finite memory."""
+        values = self._parameters.views(parameters)
+        for k in range(len(inputs)):
+            row = self._inputs.views(inputs[k])
+            with np.errstate(all="ignore"):
+                record, after = self._step(row, values, _copied(self._memory.views(memory)))
+                for _ in range(self._repeats):
+                    _, after = self._substep(row, values, after)
+            self.outputs.pack(record, outputs[k])
+            new = self._memory.pack(after)
+            if not np.isfinite(new).all():
+                return k
+            memory[:] = new
+        return len(inputs)
+
+
+def _copied(values: dict[str, Float64Array]) -> dict[str, Float64Array]:
+    return {path: value.copy() if value.ndim else value[()] for path, value in values.items()}
+
+
+class NativeLoop:
+    """A step function and its substeps as one native loop."""
+
+    def __init__(
+        self, step: Function, substep: Function, repeats: int, inputs: Block, parameters: Block, memory: Block
+    ) -> None:
+        program = trace(step, inputs, parameters, memory)
+        inner = trace(substep, inputs, parameters, memory) if repeats else None
+        self.outputs = program.outputs
+        self.operations = program.operations + (inner.operations * repeats if inner else 0)
+        content = b"loop" + program.content + (inner.content + repeats.to_bytes(8, "little") if inner else b"")
+        self.module = compiled(content, lambda: _module_text(program, inner, repeats), ("loop",))
+        kinds = [ctypes.c_int64, ctypes.c_void_p, ctypes.c_int64, *[ctypes.c_void_p] * 3, ctypes.c_int64]
+        self._loop = ctypes.CFUNCTYPE(ctypes.c_int64, *kinds)(self.module["loop"])
+
+    def run(self, inputs: Float64Array, parameters: Float64Array, memory: Float64Array, outputs: Float64Array) -> int:
+        """Steps with one row of inputs and of outputs each; the number of them that ended in finite memory.
+
+        The interpreter's lock is released meanwhile.
+        """
+        for array in (inputs, parameters, memory, outputs):
+            assert array.dtype == np.float64
+            assert array.flags.c_contiguous
+        assert inputs.shape[1:] == () or inputs.ndim == 2
+        return int(
+            self._loop(
+                len(inputs),
+                inputs.ctypes.data,
+                inputs.shape[1],
+                parameters.ctypes.data,
+                memory.ctypes.data,
+                outputs.ctypes.data,
+                outputs.shape[1],
+            )
+        )
+
+
+def _module_text(program: Program, inner: Program | None, repeats: int) -> str:
+    parts = [declarations(), kernel(program, "kernel", "internal")]
+    if inner is not None:
+        parts.append(kernel(inner, "substep", "internal"))
+    return "\n".join([*parts, loop_text(program.memory.size, repeats if inner is not None else 0)])
+
+
+def loop_text(memory_size: int, repeats: int) -> str:
+    """LLVM text of `loop`: `kernel`, then `substep` `repeats` times, for each row of inputs and outputs.
+
+    It returns the number of steps done: fewer than asked where the new memory was not finite, which is then not kept.
+    """
+    w = Writer()
+    w.line(
+        "entry:",
+        f" %new = alloca [{max(memory_size, 1)} x double], align 32",
+        " %none = icmp sle i64 %count, 0",
+        " br i1 %none, label %end, label %head",
+        "head:",
+        " %k = phi i64 [0, %entry], [%next, %kept]",
+        " %in_at = mul i64 %k, %input_stride",
+        " %in = getelementptr double, ptr %inputs, i64 %in_at",
+        " %out_at = mul i64 %k, %output_stride",
+        " %out = getelementptr double, ptr %outputs, i64 %out_at",
+        " call void @kernel(ptr %in, ptr %parameters, ptr %memory, ptr %new, ptr %out)",
+    )
+    if repeats:
+        w.line(
+            " br label %inner",
+            "inner:",
+            " %i = phi i64 [0, %head], [%i1, %inner]",
+            " call void @substep(ptr %in, ptr %parameters, ptr %new, ptr %new, ptr %out)",
+            " %i1 = add i64 %i, 1",
+            f" %again = icmp slt i64 %i1, {repeats}",
+            " br i1 %again, label %inner, label %check",
+            "check:",
+        )
+    wrong = w.not_finite("%new", memory_size)
+    if wrong is None:
+        w.line(" br label %kept")
+    else:
+        w.line(f" br i1 {wrong}, label %bad, label %kept", "bad:", " ret i64 %k")
+    w.line("kept:")
+    w.copy("%new", "%memory", memory_size)
+    w.line(
+        " %next = add i64 %k, 1",
+        " %done = icmp sge i64 %next, %count",
+        " br i1 %done, label %end, label %head",
+        "end:",
+        " ret i64 %count",
+    )
+    return w.function(
+        "i64 @loop(i64 %count, ptr %inputs, i64 %input_stride, ptr %parameters, ptr %memory, ptr %outputs, "
+        "i64 %output_stride) nounwind"
+    )

@@ -1,0 +1,149 @@
+"""Native: LLVM text to machine code through llvmlite, kept in the cache. No C compiler is needed."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import hashlib
+import importlib.util
+import itertools
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from taut.base.errors import TautError
+from taut.codegen import cache
+from taut.codegen.llvm import EMITTER_VERSION, LIBM
+
+__all__ = ["NativeModule", "available", "compiled"]
+
+LEVEL: Final = 2  # of LLVM's code generator; 3 gives nothing, 1 is no faster to compile
+_LOCK: Final = threading.Lock()
+
+
+def available() -> bool:
+    """Whether native code can be made here: whether llvmlite is installed."""
+    return importlib.util.find_spec("llvmlite") is not None
+
+
+@dataclass(frozen=True)
+class NativeModule:
+    """Compiled functions, by name. They live as long as this object."""
+
+    addresses: dict[str, int]
+    cached: bool
+    code_bytes: int
+    _library: Any = field(repr=False)
+
+    def __getitem__(self, name: str) -> int:
+        return self.addresses[name]
+
+
+def _new_machine() -> Any:
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    return llvm.Target.from_default_triple().create_target_machine(
+        cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=LEVEL
+    )
+
+
+@functools.cache
+def _machine() -> Any:
+    """LLVM's code generator for this processor."""
+    return _new_machine()
+
+
+@functools.cache
+def _jit() -> Any:
+    """The linker that puts object code into this process; it takes over its machine, so it has its own."""
+    import llvmlite.binding as llvm
+
+    return llvm.create_lljit_compiler(_new_machine())
+
+
+@functools.cache
+def _libm_addresses() -> dict[str, int]:
+    library = ctypes.cdll.msvcrt if sys.platform == "win32" else ctypes.CDLL(None)
+    return {name: ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0 for name in LIBM}
+
+
+_LIBRARY_NUMBERS: Final = itertools.count()
+
+
+@functools.cache
+def _platform_key() -> bytes:
+    """What besides the program decides about the machine code."""
+    import llvmlite
+    import llvmlite.binding as llvm
+
+    parts = (
+        EMITTER_VERSION,
+        LEVEL,
+        llvmlite.__version__,
+        llvm.llvm_version_info,
+        llvm.get_default_triple(),
+        llvm.get_host_cpu_name(),
+        llvm.get_host_cpu_features().flatten(),
+    )
+    return repr(parts).encode()
+
+
+def compiled(
+    content: bytes,
+    text: Callable[[], str],
+    names: Sequence[str],
+    verify: Callable[[NativeModule], None] | None = None,
+) -> NativeModule:
+    """Machine code for a module of LLVM text.
+
+    Args:
+        content: What the text is made from; with the platform it is the key in the cache.
+        text: Makes the text; called only where the cache has nothing.
+        names: Functions to look up.
+        verify: Checks a freshly compiled module and raises where it is wrong; only what passed is kept.
+    """
+    key = hashlib.sha256(_platform_key() + content).digest()
+    kept = cache.load(key)
+    with _LOCK:
+        if kept is not None:
+            try:
+                return _linked(kept, names, cached=True)
+            except RuntimeError:  # an object that LLVM does not take: compile it again
+                pass
+        code = _generated(text())
+        module = _linked(code, names, cached=False)
+    if verify is not None:
+        verify(module)
+    cache.store(key, code)
+    return module
+
+
+def _generated(text: str) -> bytes:
+    import llvmlite.binding as llvm
+
+    machine = _machine()
+    try:
+        module = llvm.parse_assembly(text)
+    except RuntimeError as cause:  # a fault of ours, never of the caller
+        raise TautError(f"LLVM refuses generated code; please report this: {cause}") from cause
+    # The graph is already folded and shared: of LLVM's passes only inlining is worth its time.
+    builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=0))
+    builder.getModulePassManager().run(module, builder)
+    code: bytes = machine.emit_object(module)
+    return code
+
+
+def _linked(code: bytes, names: Sequence[str], *, cached: bool) -> NativeModule:
+    import llvmlite.binding as llvm
+
+    builder = llvm.JITLibraryBuilder().add_object_img(code)
+    for name, address in _libm_addresses().items():
+        builder.import_symbol(name, address)
+    for name in names:
+        builder.export_symbol(name)
+    library = builder.link(_jit(), f"taut{next(_LIBRARY_NUMBERS)}")
+    return NativeModule({name: int(library[name]) for name in names}, cached, len(code), library)

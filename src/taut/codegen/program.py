@@ -1,0 +1,146 @@
+"""Program: a pure function of named blocks, traced once; what every target is made from."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from taut.base.array import traced_array
+from taut.base.errors import TautError, TraceError, user_location
+from taut.base.graph import NONE, Graph, Op
+from taut.base.scalar import Condition, Scalar, to_node, tracing
+from taut.base.types import Array
+from taut.codegen.layout import Block
+
+__all__ = ["Function", "Program", "Values", "trace"]
+
+Values: TypeAlias = Mapping[str, Any]
+Function: TypeAlias = Callable[[Values, Values, Values], tuple[Values, Values]]
+"""(inputs, parameters, memory) -> (outputs, new memory), each by path; for floats and for symbols."""
+
+CONST, INPUT = int(Op.CONST), int(Op.INPUT)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Program:
+    """A traced function: (inputs, parameters, memory) -> (outputs, new memory)."""
+
+    graph: Graph
+    inputs: Block
+    parameters: Block
+    memory: Block
+    outputs: Block
+    output_nodes: tuple[int, ...]  # one per double of `outputs`
+    memory_nodes: tuple[int, ...]  # one per double of the new `memory`
+
+    @cached_property
+    def live(self) -> list[int]:
+        """The nodes that are needed, in order."""
+        return self.graph.live((*self.output_nodes, *self.memory_nodes))
+
+    @cached_property
+    def operations(self) -> int:
+        """Number of arithmetic operations: live nodes that are neither inputs nor constants."""
+        ops = self.graph.ops
+        return sum(1 for i in self.live if ops[i] > INPUT)
+
+    def place_of_input(self, index: int) -> tuple[str, int]:
+        """Block and offset of an input node."""
+        for name, block in (("inputs", self.inputs), ("parameters", self.parameters), ("memory", self.memory)):
+            if index < block.size:
+                return name, index
+            index -= block.size
+        raise AssertionError(index)
+
+    @cached_property
+    def content(self) -> bytes:
+        """The program's content in a form that does not depend on how it was traced: the cache's key."""
+        graph, live = self.graph, self.live
+        number = dict(zip(live, range(len(live)), strict=True))
+        number[NONE] = NONE
+        rows = np.empty((len(live), 4), dtype=np.int32)
+        constants: list[float] = []
+        ops, a, b, c, value = graph.ops, graph.a, graph.b, graph.c, graph.value
+        for k, i in enumerate(live):
+            op = ops[i]
+            if op == CONST:
+                rows[k] = (op, len(constants), NONE, NONE)
+                constants.append(value[i] or 0.0)
+            elif op == INPUT:
+                rows[k] = (op, a[i], NONE, NONE)
+            else:
+                rows[k] = (op, number[a[i]], number[b[i]], number[c[i]])
+        ends = np.array([number[i] for i in (*self.output_nodes, *self.memory_nodes)], dtype=np.int32)
+        sizes = np.array([b.size for b in (self.inputs, self.parameters, self.memory, self.outputs)], dtype=np.int32)
+        digest = hashlib.sha256()
+        for part in (sizes, rows, np.array(constants), ends):
+            digest.update(part.tobytes())
+        return digest.digest()
+
+
+def trace(function: Function, inputs: Block, parameters: Block, memory: Block) -> Program:
+    """Run `function` once on symbols.
+
+    Raises:
+        TraceError: The function does what cannot be traced.
+    """
+    graph = Graph()
+    blocks = [_symbols(graph, block) for block in (inputs, parameters, memory)]
+    with tracing(graph):
+        try:
+            outputs, after = function(*blocks)
+        except TautError:
+            raise
+        except Exception as cause:
+            raise TraceError(
+                f"the law cannot be traced: {type(cause).__name__}: {cause} (at {_raised_at(cause)}). It runs on "
+                "plain numbers; use taut.math for arrays, branches and functions, and engine='float' to debug it"
+            ) from cause
+    out_block = Block.of({path: np.shape(value) for path, value in outputs.items()})
+    return Program(
+        graph=graph,
+        inputs=inputs,
+        parameters=parameters,
+        memory=memory,
+        outputs=out_block,
+        output_nodes=_nodes(graph, [outputs[field.path] for field in out_block.fields]),
+        memory_nodes=_nodes(graph, [after[field.path] for field in memory.fields]),
+    )
+
+
+def _symbols(graph: Graph, block: Block) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for field in block.fields:
+        scalars = [Scalar(graph, graph.input()) for _ in range(field.size)]
+        if field.shape == ():
+            out[field.path] = scalars[0]
+            continue
+        array = traced_array(scalars).reshape(field.shape)
+        array.flags.writeable = False
+        out[field.path] = array
+    return out
+
+
+def _nodes(graph: Graph, values: list[Any]) -> tuple[int, ...]:
+    nodes: list[int] = []
+    for value in values:
+        flat: Array = np.asarray(value, dtype=object).ravel()
+        nodes += [to_node(graph, x.number() if isinstance(x, Condition) else x) for x in flat]
+    return tuple(nodes)
+
+
+def _raised_at(cause: BaseException) -> str:
+    """The innermost line of the caller's code in a traceback, else of ours."""
+    trace_ = cause.__traceback__
+    place = user_location()
+    while trace_ is not None:
+        file = trace_.tb_frame.f_code.co_filename
+        if "numpy" not in file and "/taut/base/" not in file.replace("\\", "/"):
+            place = f"{file}:{trace_.tb_lineno}"
+        trace_ = trace_.tb_next
+    return place

@@ -1,0 +1,99 @@
+"""Laws that hold laws: sums."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from taut.base.errors import MatchError, UsageError
+from taut.control.command import Command
+from taut.control.law import Law, MemoryView, call, initial_memory
+from taut.control.reference import Sample
+from taut.maths.snapshot import Snapshot
+
+__all__ = ["Sum", "added"]
+
+ADDED_ONCE = ("gravity", "coriolis", "friction")
+
+
+class Sum(Law):
+    """The sum of laws, made by `law + law`. Its parts keep their class names: the path of a gain is law.PID.kp.
+
+    Law:          tau = tau_1 + tau_2 + ...; terms of equal names add
+    Closed loop:  that of the parts together
+
+    Two parts that both compensate gravity (or Coriolis torques, or friction) are refused.
+    """
+
+    parts: Mapping[str, Law]
+
+    def children(self) -> dict[str, Law]:
+        return dict(self.parts)
+
+    def with_children(self, children: Mapping[str, Law]) -> Law:
+        return self._replaced({"parts": dict(children)})
+
+    def start(self, x: Snapshot, ref: Sample) -> dict[str, Any]:
+        return {name: initial_memory(law, x, ref) for name, law in self.parts.items()}
+
+    def command(self, x: Snapshot, ref: Sample, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
+        after: dict[str, Any] = {}
+        total: Command | None = None
+        owner: dict[str, str] = {}
+        for name, law in self.parts.items():
+            own = x.with_own_record()
+            command, after[name] = call(law, own, ref, memory[name], dt)
+            _check_added_once(owner, name, own.used)
+            x.used.update(own.used)
+            if total is None:
+                total = command
+            elif type(command) is type(total):
+                total = type(total)(total.terms + command.terms)
+            else:
+                raise MatchError(
+                    f"{' + '.join(self.parts)}: {name} gives a {command.kind} and the others a {total.kind}; "
+                    "only commands of one kind add"
+                )
+        assert total is not None
+        return total, after
+
+    def __repr__(self) -> str:
+        return " + ".join(repr(law) for law in self.parts.values())
+
+
+def _check_added_once(owner: dict[str, str], name: str, used: set[str]) -> None:
+    for what in ADDED_ONCE:
+        if what not in used:
+            continue
+        if what in owner:
+            raise MatchError(
+                f"{owner[what]} + {name}: both compensate {what}, so it would be added twice; "
+                "use one law that does not (PID instead of GravityPID or ComputedTorque)",
+                name=name,
+                rule="added once",
+            )
+        owner[what] = name
+
+
+def added(first: Law, second: Law) -> Sum:
+    """The sum of two laws; sums are flattened.
+
+    Raises:
+        UsageError: The two follow different kinds of reference.
+    """
+    if first.reference is not second.reference:
+        raise UsageError(
+            f"{type(first).__name__} follows {first.reference.__name__} and {type(second).__name__} "
+            f"{second.reference.__name__}; only laws that follow the same kind of reference add"
+        )
+    parts: dict[str, Law] = {}
+    for law in (first, second):
+        for name, part in law.parts.items() if isinstance(law, Sum) else [(type(law).__name__, law)]:
+            k, unique = 1, name
+            while unique in parts:
+                k += 1
+                unique = f"{name}{k}"
+            parts[unique] = part
+    made = Sum(parts=parts)
+    object.__setattr__(made, "reference", first.reference)
+    return made

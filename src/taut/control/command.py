@@ -1,0 +1,183 @@
+"""Commands and their named terms: a torque is the sum of what it is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+
+from taut.base.array import has_symbols
+from taut.base.errors import UsageError, user_location
+from taut.base.types import Array
+
+__all__ = ["Command", "Position", "Terms", "Torque", "Velocity"]
+
+
+class Terms:
+    """A named sum. Linear maps go through it: `x.M @ Terms(P=..., D=...)` maps the sum and each term.
+
+    The sum is computed at once, each term only when somebody asks, so that a law pays one `M @` however many
+    terms it names.
+
+    Example:
+        >>> a = Terms(P=np.array([1.0, 0.0]), D=np.array([0.0, 2.0]))
+        >>> (2.0 * a).total.tolist(), sorted((2.0 * a).parts)
+        ([2.0, 4.0], ['D', 'P'])
+    """
+
+    __slots__ = ("_parts", "total")
+    answers_ufuncs: ClassVar[bool] = True
+
+    def __init__(self, **terms: Any) -> None:
+        if not terms:
+            raise UsageError("Terms needs one named term at least; got none")
+        arrays = {name: _array(name, value) for name, value in terms.items()}
+        total, *rest = arrays.values()
+        for array in rest:
+            total = total + array
+        self.total = total
+        self._parts: Mapping[str, Array] | Callable[[], dict[str, Array]] = arrays
+
+    @classmethod
+    def _of(cls, total: Array, parts: Callable[[], dict[str, Array]]) -> Terms:
+        made = cls.__new__(cls)
+        made.total = total
+        made._parts = parts
+        return made
+
+    @property
+    def parts(self) -> Mapping[str, Array]:
+        """Each term by its name; they add up to `total`."""
+        if callable(self._parts):
+            self._parts = self._parts()
+        return self._parts
+
+    def mapped(self, linear: Callable[[Array], Array]) -> Terms:
+        """A linear map of the sum, and of each term."""
+        return Terms._of(linear(self.total), lambda: {name: linear(part) for name, part in self.parts.items()})
+
+    def _plus(self, other: Any, sign: float) -> Terms:
+        if not isinstance(other, Terms):
+            raise _unnamed(other)
+
+        def parts() -> dict[str, Array]:
+            out = dict(self.parts)
+            for name, part in other.parts.items():
+                part = part if sign > 0.0 else -part
+                out[name] = out[name] + part if name in out else part
+            return out
+
+        total = self.total + other.total if sign > 0.0 else self.total - other.total
+        return Terms._of(total, parts)
+
+    def __add__(self, other: Any) -> Terms:
+        return self._plus(other, 1.0)
+
+    def __sub__(self, other: Any) -> Terms:
+        return self._plus(other, -1.0)
+
+    def __radd__(self, other: Any) -> Terms:
+        raise _unnamed(other)
+
+    __rsub__ = __radd__
+
+    def __neg__(self) -> Terms:
+        return self.mapped(lambda x: -x)
+
+    def __mul__(self, factor: Any) -> Terms:
+        return self.mapped(lambda x: x * factor)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, divisor: Any) -> Terms:
+        return self.mapped(lambda x: x / divisor)
+
+    def __rmatmul__(self, matrix: Any) -> Terms:
+        return self.mapped(lambda x: matrix @ x)
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **_: Any) -> Any:
+        if method == "__call__" and len(inputs) == 2:
+            left, right = inputs
+            if ufunc is np.matmul and right is self:
+                return self.__rmatmul__(left)
+            if ufunc is np.multiply:
+                return self * (left if right is self else right)
+            if ufunc is np.divide and left is self:
+                return self / right
+            if ufunc in (np.add, np.subtract):
+                raise _unnamed(left if right is self else right)
+        raise UsageError(
+            f"np.{ufunc.__name__} is no linear map, so it cannot go through named terms "
+            f"at {user_location()}; apply it to .total and name the result"
+        )
+
+    def __repr__(self) -> str:
+        return f"Terms({', '.join(self.parts)})"
+
+
+def _array(name: str, value: Any) -> Array:
+    if isinstance(value, Terms):
+        raise UsageError(f"term '{name}' is itself a named sum; add the two: Terms(...) + Terms(...)")
+    if hasattr(value, "as_array"):
+        value = value.as_array()
+    if isinstance(value, np.ndarray):
+        return value
+    return value if has_symbols(value) else np.asarray(value, dtype=np.float64)
+
+
+def _unnamed(value: Any) -> UsageError:
+    return UsageError(
+        f"an unnamed {type(value).__name__} is added to named terms at {user_location()}; "
+        "give it a name: + Terms(friction=...)"
+    )
+
+
+class Command:
+    """What a law returns: named terms of one kind of command. Abstract: use Torque, Velocity or Position."""
+
+    __slots__ = ("terms",)
+    kind: ClassVar[str]
+    unit: ClassVar[str]
+
+    def __init__(self, terms: Terms | None = None, /, **named: Any) -> None:
+        if terms is not None and not isinstance(terms, Terms):
+            raise UsageError(
+                f"{type(self).__name__} takes named terms at {user_location()}; got an unnamed "
+                f"{type(terms).__name__}; write {type(self).__name__}(feedforward=...)"
+            )
+        if terms is None:
+            self.terms = Terms(**named)
+        else:
+            self.terms = terms + Terms(**named) if named else terms
+
+    @property
+    def total(self) -> Array:
+        """(n,) the command itself."""
+        return self.terms.total
+
+
+class Torque(Command):
+    """A joint torque or force command (n,) [N m | N], as the sum of its named terms.
+
+    Example:
+        >>> Torque(P=np.array([1.0]), D=np.array([0.5])).total.tolist()
+        [1.5]
+    """
+
+    kind = "torque"
+    unit = "N m | N"
+
+
+class Velocity(Command):
+    """A joint velocity command (n,) [rad/s | m/s], for arms whose drives close the velocity loop."""
+
+    kind = "velocity"
+    unit = "rad/s | m/s"
+
+
+class Position(Command):
+    """A joint position command (n,) [rad | m], for arms whose drives close the position loop."""
+
+    kind = "position"
+    unit = "rad | m"

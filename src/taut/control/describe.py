@@ -1,0 +1,70 @@
+"""Words about laws: their docstrings, units and parts, for `explain` and for lists."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from taut.base.types import Array
+from taut.control.law import Law, field_units
+
+__all__ = ["PARAMETER_UNITS", "all_laws", "gain_units", "section", "short", "summary", "title"]
+
+PARAMETER_UNITS: Final = {
+    "limits.tau": "N m | N",
+    "limits.tau_dot": "N m/s | N/s",
+    "model.payload.mass": "kg",
+    "model.payload.com": "m",
+    "model.payload.inertia": "kg m^2",
+}
+
+
+def all_laws(law: Law, name: str = "") -> Iterator[tuple[str, Law]]:
+    """A law and the laws that it holds, each with its path."""
+    yield name, law
+    for child, inner in law.children().items():
+        yield from all_laws(inner, f"{name}.{child}" if name else child)
+
+
+def gain_units(law: Law) -> dict[str, str]:
+    """Unit of each gain of a law and of the laws it holds, by path."""
+    units = dict(field_units(type(law)))
+    for child, inner in law.children().items():
+        units |= {f"{child}.{path}": unit for path, unit in gain_units(inner).items()}
+    return units
+
+
+def title(law: Law) -> str:
+    """A law's name; of a sum, the names of its parts."""
+    children = law.children()
+    return " + ".join(children) if children else type(law).__name__
+
+
+def summary(law: type[Law]) -> str:
+    """The first line of a law's docstring."""
+    return (inspect.getdoc(law) or "").partition("\n")[0]
+
+
+def section(law: type[Law], head: str) -> list[str]:
+    """The lines behind 'Law:' or 'Closed loop:' in a docstring."""
+    lines = (inspect.getdoc(law) or "").splitlines()
+    for i, line in enumerate(lines):
+        if line.startswith(f"{head}:"):
+            found = [re.sub(r"\s{3,}", "   ", line.partition(":")[2].strip())]
+            for follow in lines[i + 1 :]:
+                if not follow.startswith(" "):
+                    break
+                found.append(follow.strip())
+            return found
+    return []
+
+
+def short(value: Array) -> str:
+    """A parameter's value in one line."""
+    if value.ndim == 0:
+        return f"{float(value):g}"
+    return np.array2string(value, precision=6, separator=", ", threshold=20).replace("\n", " ")

@@ -1,0 +1,196 @@
+"""Laws of joint motion: sections 10.2.1 and 10.2.2 of the chapter."""
+
+from __future__ import annotations
+
+from taut.base import math as tm
+from taut.base.checks import one_of
+from taut.control.command import Command, Terms, Torque, Velocity
+from taut.control.gains import Gain, Memory
+from taut.control.integral import ANTI_WINDUP, AntiWindup, integrated
+from taut.control.law import Law, MemoryView
+from taut.control.reference import JointMotion
+from taut.maths.snapshot import Snapshot
+
+__all__ = [
+    "PID",
+    "ComputedTorque",
+    "FeedForward",
+    "FrictionCompensation",
+    "GravityCompensation",
+    "GravityPID",
+    "VelocityPI",
+]
+
+FRICTION_POINTS = ("ref", "meas")
+
+
+class PID(Law):
+    """PID control, each joint on its own: the decentralised controller. P, PI and PD by the gains.
+
+    Law:          tau = kp e + ki int(e) + kd e_dot                                     eq. 10.6, figure 10.8
+    Closed loop:  M e_ddot + (b + kd) e_dot + kp e + ki int(e) = tau_dist, one joint    eq. 10.12
+                  stable for 0 <= ki < (b + kd) kp / M; a constant disturbance leaves no error with ki > 0,
+                  and the error tau_dist / kp without
+
+    The integral includes this tick's error, as in the chapter's pseudocode.
+
+    References:
+        Section 10.2.1.1 PID control; section 10.2.2.1 decentralised multi-joint control.
+    """
+
+    kp: Gain  # [N m/rad]
+    kd: Gain = Gain(0.0)  # [N m s/rad]
+    ki: Gain = Gain(0.0)  # [N m/(rad s)]
+    e_int: Memory = Memory(0.0)  # [rad s]
+    anti_windup: AntiWindup = "clamping"
+
+    def __post_init__(self) -> None:
+        one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
+
+    def command(
+        self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
+    ) -> tuple[Command, dict[str, object]]:
+        e, e_dot = x.difference(ref.q), ref.v - x.v
+        e_int = integrated(memory.e_int, e, x, dt, self.anti_windup)
+        return Torque(P=self.kp @ e, I=self.ki @ e_int, D=self.kd @ e_dot), {"e_int": e_int}
+
+
+class FeedForward(Law):
+    """Feedforward control: the model's torques along the desired motion. Use it with feedback: + PID(...).
+
+    Law:          tau = M(q_des) a_des + h(q_des, v_des)                                eq. 10.16, figure 10.9
+    Closed loop:  none; with an exact model and no initial error the arm follows exactly, and errors of the
+                  model or the start stay
+
+    References:
+        Section 10.2.1.2 feedforward control.
+    """
+
+    def command(self, x: Snapshot, ref: JointMotion) -> Command:
+        desired = x.at(ref.q, ref.v)
+        return Torque(desired.M @ Terms(feedforward=ref.a) + Terms(nonlinear=desired.h))
+
+
+class ComputedTorque(Law):
+    """Joint-space feedback linearisation (computed torque).
+
+    Law:          tau = M(q) (a_des + kp e + ki int(e) + kd e_dot) + h(q, v)            eq. 10.19, 10.21
+    Closed loop:  e_ddot + kd e_dot + kp e + ki int(e) = 0, with an exact model         eq. 10.17
+                  each joint alike: omega_n = sqrt(kp), zeta = kd / (2 sqrt(kp)) for ki = 0
+
+    References:
+        Section 10.2.1.3 feedforward plus feedback linearisation; section 10.2.2.2 centralised control.
+    """
+
+    kp: Gain  # [1/s^2]
+    kd: Gain  # [1/s]
+    ki: Gain = Gain(0.0)  # [1/s^3]
+    e_int: Memory = Memory(0.0)  # [rad s]
+    anti_windup: AntiWindup = "clamping"
+
+    def __post_init__(self) -> None:
+        one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
+
+    def command(
+        self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
+    ) -> tuple[Command, dict[str, object]]:
+        e, e_dot = x.difference(ref.q), ref.v - x.v
+        e_int = integrated(memory.e_int, e, x, dt, self.anti_windup)
+        a = Terms(feedforward=ref.a, P=self.kp @ e, I=self.ki @ e_int, D=self.kd @ e_dot)
+        return Torque(x.M @ a + Terms(nonlinear=x.h)), {"e_int": e_int}
+
+
+class GravityPID(Law):
+    """PID control with gravity compensation (known elsewhere as joint impedance control).
+
+    Law:          tau = kp e + ki int(e) + kd e_dot + g(q)                              eq. 10.22
+    Closed loop:  M a + C v = kp e - kd v, for a set-point, ki = 0 and an exact g       eq. 10.23
+                  globally asymptotically stable: V = e kp e / 2 + v M v / 2 falls by v kd v
+
+    References:
+        Section 10.2.2.2 centralised multi-joint control, equations 10.22 to 10.27.
+    """
+
+    kp: Gain  # [N m/rad]
+    kd: Gain  # [N m s/rad]
+    ki: Gain = Gain(0.0)  # [N m/(rad s)]
+    e_int: Memory = Memory(0.0)  # [rad s]
+    anti_windup: AntiWindup = "clamping"
+
+    def __post_init__(self) -> None:
+        one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
+
+    def command(
+        self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
+    ) -> tuple[Command, dict[str, object]]:
+        e, e_dot = x.difference(ref.q), ref.v - x.v
+        e_int = integrated(memory.e_int, e, x, dt, self.anti_windup)
+        tau = Torque(P=self.kp @ e, I=self.ki @ e_int, D=self.kd @ e_dot, gravity=x.g)
+        return tau, {"e_int": e_int}
+
+
+class GravityCompensation(Law):
+    """Gravity compensation with joint damping: hand guiding.
+
+    Law:          tau = g(q) - kd v                                                     eq. 10.22 with kp = ki = 0
+    Closed loop:  M a + C v + kd v = tau_ext: the arm floats, and follows a hand
+
+    References:
+        Section 10.2.2.2 centralised multi-joint control.
+    """
+
+    kd: Gain = Gain(0.0)  # [N m s/rad]
+
+    def command(self, x: Snapshot, ref: JointMotion) -> Command:  # noqa: ARG002
+        return Torque(gravity=x.g, D=-(self.kd @ x.v))
+
+
+class FrictionCompensation(Law):
+    """The model's joint friction as feedforward; add it to a law whose h is C v + g.
+
+    Law:          tau = b v* + mu tanh(v* / width), v* the desired or the measured velocity
+    Closed loop:  with exact friction and v* = v_des the friction along the motion is cancelled; at="meas" cancels
+                  viscous friction everywhere, and with it the damping it gave
+
+    References:
+        Section 10.2.1.4 a closer look at friction; the chapter's h in figures 10.10 and 10.12 includes b v.
+    """
+
+    at: str = "ref"
+    width: Gain = Gain(0.01, minimum=1e-9)  # [rad/s]
+
+    def __post_init__(self) -> None:
+        one_of("at", self.at, FRICTION_POINTS)
+
+    def command(self, x: Snapshot, ref: JointMotion) -> Command:
+        v = ref.v if self.at == "ref" else x.v
+        viscous = x.viscous * v
+        if not self._dry(x):
+            return Torque(friction=viscous)
+        return Torque(friction=viscous + x.coulomb * tm.tanh(v / self.width))
+
+    @staticmethod
+    def _dry(x: Snapshot) -> bool:
+        return bool(x.arm.coulomb.any())
+
+
+class VelocityPI(Law):
+    """Velocity-input control: feedforward plus PI, for arms whose drives close the velocity loop.
+
+    Law:          v_cmd = v_des + kp e + ki int(e)                    published edition, section 11.3
+    Closed loop:  e_dot + kp e + ki int(e) = 0, where the drives follow v_cmd exactly
+
+    References:
+        Lynch and Park, Modern Robotics (2017), section 11.3 motion control with velocity inputs.
+    """
+
+    kp: Gain  # [1/s]
+    ki: Gain = Gain(0.0)  # [1/s^2]
+    e_int: Memory = Memory(0.0)  # [rad s]
+
+    def command(
+        self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
+    ) -> tuple[Command, dict[str, object]]:
+        e = x.difference(ref.q)
+        e_int = memory.e_int + e * dt
+        return Velocity(feedforward=ref.v, P=self.kp @ e, I=self.ki @ e_int), {"e_int": e_int}

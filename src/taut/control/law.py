@@ -1,0 +1,333 @@
+"""Law: a control law as a pure function of a snapshot, written like the textbook writes it.
+
+A law of your own is a class like ours, in a file of your own. Its fields are gains and memory; `command` gives
+the command, and with memory the new memory. The same code runs on floats and is traced for every target.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import inspect
+import io
+import re
+import tokenize
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, ClassVar, Final, dataclass_transform
+
+import numpy as np
+
+from taut.base.array import traced_array
+from taut.base.errors import ShapeError, TraceError, UsageError, unknown_name
+from taut.base.types import Float64Array
+from taut.control.command import Command
+from taut.control.gains import Gain, GainValue, Memory
+from taut.control.reference import JointMotion, Sample
+from taut.maths.snapshot import Snapshot
+
+__all__ = ["Law", "LawMemory", "call", "field_units", "initial_memory"]
+
+LawMemory = Mapping[str, Any]
+"""Memory by name; a law that holds laws has theirs under their names."""
+
+
+class MemoryView:
+    """Memory as law code reads it: `memory.e_int`."""
+
+    __slots__ = ("_law", "_values")
+
+    def __init__(self, values: LawMemory, law: str) -> None:
+        self._values = values
+        self._law = law
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in self._values:
+            raise unknown_name(f"the memory of {self._law}", "entry", name, self._values)
+        return self._values[name]
+
+    def __getitem__(self, name: str) -> Any:
+        return self._values[name]
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True)
+class Law:
+    """Base of every control law.
+
+    A law is a frozen, keyword-only dataclass with these parts:
+
+    * fields `kp: Gain` (a run-time parameter), `e_int: Memory = Memory(0.0)` (remembered), or plain values;
+    * `command(self, x, ref)`, or `command(self, x, ref, memory, dt)` with memory, which returns a Command and,
+      with memory, a dict of the new memory by name;
+    * optionally `start(self, x, ref) -> dict`: memory that starts from the measured state;
+    * `reference`, the kind of sample it follows (JointMotion unless said).
+
+    Laws add: `FeedForward() + PID(kp=..., kd=...)`. A law must not inherit from another one: wrap it.
+    """
+
+    reference: ClassVar[type[Sample]] = JointMotion
+    uses_memory: ClassVar[bool] = False
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        if cls.__mro__[1] is not Law:
+            raise UsageError(
+                f"law {cls.__name__} inherits from law {cls.__mro__[1].__name__}; inherit from taut.Law "
+                "and hold the other law in a field",
+                name=cls.__name__,
+            )
+        for name, annotation in inspect.get_annotations(cls).items():
+            word = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", "")
+            if word.rpartition(".")[2] == "Gain" and name not in cls.__dict__:
+                gain = Gain()
+                gain.__set_name__(cls, name)
+                setattr(cls, name, gain)
+        cls.uses_memory = _takes_memory(cls)
+        dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)(cls)
+        _check_arguments(cls)
+
+    # ---------------------------------------------------------------- its parts
+
+    def children(self) -> dict[str, Law]:
+        """The laws that this law holds, by field."""
+        return {
+            field.name: getattr(self, field.name)
+            for field in dataclasses.fields(self)  # type: ignore[arg-type]  # every subclass is a dataclass
+            if isinstance(getattr(self, field.name), Law)
+        }
+
+    def with_children(self, children: Mapping[str, Law]) -> Law:
+        """A copy that holds other laws."""
+        return self._replaced(children)
+
+    def gains(self) -> dict[str, GainValue]:
+        """This law's own gains, by field."""
+        return {name: value for name, value in vars(self).items() if isinstance(value, GainValue)}
+
+    def parameters(self) -> dict[str, Float64Array]:
+        """Every gain of this law and of the laws it holds, by path."""
+        out = {name: gain.as_array() for name, gain in self.gains().items()}
+        for child, law in self.children().items():
+            out |= {f"{child}.{path}": values for path, values in law.parameters().items()}
+        return out
+
+    def gain_field(self, path: str) -> tuple[Gain, str]:
+        """The field behind a path, and its unit: what a new value is checked with."""
+        head, _, rest = path.partition(".")
+        if rest:
+            return self.children()[head].gain_field(rest)
+        return type(self).__dict__[head], field_units(type(self)).get(head, "")
+
+    def bound(self, values: Mapping[str, Any]) -> Law:
+        """A copy whose gains are `values` by path: symbols while traced, numbers in the float engine."""
+        own = {name: GainValue(values[name], name) for name in self.gains()}
+        children = {
+            child: law.bound({p[len(child) + 1 :]: v for p, v in values.items() if p.startswith(child + ".")})
+            for child, law in self.children().items()
+        }
+        law = self.with_children(children) if children else self
+        return law._replaced(own)
+
+    def _replaced(self, values: Mapping[str, Any]) -> Law:
+        copy = object.__new__(type(self))
+        copy.__dict__.update(self.__dict__)
+        copy.__dict__.update(values)
+        return copy
+
+    def check_size(self, n: int) -> None:
+        """Every gain that is no scalar must have as many entries as the law acts on.
+
+        Raises:
+            ShapeError: A gain has another size.
+        """
+        for path, values in self.parameters().items():
+            if values.ndim and values.shape[0] != n:
+                raise ShapeError(
+                    f"{path} must be a scalar, ({n},) or ({n}, {n}); got shape {values.shape}", name=path
+                )
+
+    def __add__(self, other: Law) -> Law:
+        from taut.control.combine import added
+
+        if not isinstance(other, Law):
+            return NotImplemented
+        return added(self, other)
+
+    def __repr__(self) -> str:
+        shown = []
+        for field in dataclasses.fields(self):  # type: ignore[arg-type]  # every subclass is a dataclass
+            value = getattr(self, field.name)
+            if isinstance(value, GainValue) or not _is_default(value, field.default):
+                shown.append(f"{field.name}={value!r}")
+        return f"{type(self).__name__}({', '.join(shown)})"
+
+
+def _is_default(value: Any, default: Any) -> bool:
+    if isinstance(value, np.ndarray):
+        return default is not dataclasses.MISSING and np.array_equal(value, np.asarray(default))
+    return bool(value == default)
+
+
+# -------------------------------------------------------------------- checks of a class of law
+
+
+def _takes_memory(cls: type[Law]) -> bool:
+    command = cls.__dict__.get("command")
+    if command is None:
+        raise UsageError(f"law {cls.__name__} has no command(self, x, ref)", name=cls.__name__)
+    names = list(inspect.signature(command).parameters)
+    if names not in (["self", "x", "ref"], ["self", "x", "ref", "memory", "dt"]):
+        raise UsageError(
+            f"law {cls.__name__}: command must take (self, x, ref) or (self, x, ref, memory, dt); "
+            f"got ({', '.join(names)})",
+            name=cls.__name__,
+        )
+    return len(names) == 5
+
+
+def _check_arguments(cls: type[Law]) -> None:
+    """Make a misspelt, missing or positional argument one clear sentence."""
+    generated = cls.__init__
+    fields = {field.name: field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    required = [
+        name
+        for name, field in fields.items()
+        if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+    ]
+
+    @functools.wraps(generated)
+    def checked(self: Law, *args: Any, **kwargs: Any) -> None:
+        if args:
+            raise UsageError(
+                f"{cls.__name__} takes its gains by name; got {len(args)} without; "
+                f"write {cls.__name__}({', '.join(f'{name}=...' for name in fields)})",
+                name=cls.__name__,
+            )
+        for name in kwargs:
+            if name not in fields:
+                raise unknown_name(cls.__name__, "gain", name, fields)
+        missing = [name for name in required if name not in kwargs]
+        if missing:
+            units = field_units(cls)
+            named = ", ".join(f"{name}{f' [{units[name]}]' if name in units else ''}" for name in missing)
+            raise UsageError(f"{cls.__name__} needs {named}", name=missing[0])
+        generated(self, *args, **kwargs)
+
+    cls.__init__ = checked  # type: ignore[assignment, method-assign]
+
+
+_UNITS: Final[dict[type, dict[str, str]]] = {}
+
+
+def field_units(cls: type) -> dict[str, str]:
+    """The unit of each field, from the comment behind it: `kp: Gain  # [1/s^2]`."""
+    if cls not in _UNITS:
+        _UNITS[cls] = _read_units(cls)
+    return _UNITS[cls]
+
+
+def _read_units(cls: type) -> dict[str, str]:
+    try:
+        source = inspect.getsource(cls)
+    except (OSError, TypeError):  # a class without a file, as in an interactive session
+        return {}
+    units = {}
+    for name, comment in _commented_fields(source):
+        match = re.search(r"\[([^\]]+)\]", comment)
+        if match:
+            units[name] = match.group(1)
+    return units
+
+
+def _commented_fields(source: str) -> Iterator[tuple[str, str]]:
+    name: str | None = None
+    try:
+        for token in tokenize.generate_tokens(io.StringIO(source).readline):
+            field = re.match(r"\s*(\w+)\s*:", token.line)
+            if token.type == tokenize.NAME and field and token.string == field.group(1):
+                name = token.string
+            elif token.type == tokenize.COMMENT and name is not None:
+                yield name, token.string
+            elif token.type in (tokenize.NEWLINE, tokenize.NL):
+                name = None
+    except (tokenize.TokenError, IndentationError):
+        return
+
+
+# -------------------------------------------------------------------- running a law
+
+
+def initial_memory(law: Law, x: Snapshot, ref: Sample) -> dict[str, Any]:
+    """Memory at the first tick: the stated values, then what `start` makes of the measured state."""
+    values: dict[str, Any] = {}
+    for field in dataclasses.fields(law):  # type: ignore[arg-type]  # every law is a dataclass
+        if isinstance(type(law).__dict__.get(field.name), Memory):
+            values[field.name] = law.__dict__[field.name]
+    start: Callable[[Snapshot, Sample], Mapping[str, Any]] | None = getattr(law, "start", None)
+    if start is not None:
+        values |= start(x, ref)
+    return values
+
+
+def call(law: Law, x: Snapshot, ref: Sample, memory: LawMemory, dt: Any) -> tuple[Command, dict[str, Any]]:
+    """One evaluation of a law.
+
+    Raises:
+        UsageError: What it returns is no command, or its memory does not fit.
+    """
+    who = type(law).__name__
+    run: Callable[..., Any] = law.command  # type: ignore[attr-defined]  # each subclass declares its own
+    result = run(x, ref, MemoryView(memory, who), dt) if law.uses_memory else run(x, ref)
+    after: Mapping[str, Any] = {}
+    if isinstance(result, tuple) and len(result) == 2:
+        result, after = result
+    if not isinstance(result, Command):
+        raise UsageError(
+            f"{who}.command must return a taut.Torque, Velocity or Position"
+            f"{' and a dict of memory' if law.uses_memory else ''}; got {_described(result)}",
+            name=who,
+        )
+    for name in after:
+        if name not in memory:
+            raise UsageError(
+                f"{who}.command returns memory '{name}', which has no start; declare {name}: Memory = "
+                "Memory(0.0), or return it from start(self, x, ref)",
+                name=name,
+            )
+    missing = [name for name in memory if name not in after and not _is_empty(memory[name])]
+    if missing:
+        raise UsageError(
+            f"{who}.command does not return its memory '{missing[0]}'; return {{'{missing[0]}': ...}} "
+            "with the command, in every tick",
+            name=missing[0],
+        )
+    total = np.asanyarray(result.total)
+    if total.shape != (x.n,):
+        raise ShapeError(
+            f"{who}.command must give one entry per joint, shape ({x.n},); got shape {total.shape}", name=who
+        )
+    return result, dict(after)
+
+
+def _is_empty(value: Any) -> bool:
+    return isinstance(value, Mapping) and not value
+
+
+def _described(result: Any) -> str:
+    if isinstance(result, np.ndarray):
+        return f"an unnamed array of shape {result.shape}; write taut.Torque(P=...)"
+    return type(result).__name__
+
+
+def as_array(value: Any, name: str) -> Any:
+    """A value of memory or a term as an array.
+
+    Raises:
+        TraceError: It is no number.
+    """
+    array = value.as_array() if hasattr(value, "as_array") else np.asanyarray(value)
+    if array.dtype == object:
+        return traced_array(array)
+    try:
+        return np.asarray(array, dtype=np.float64)
+    except (TypeError, ValueError) as cause:
+        raise TraceError(f"{name} must be numbers; got {value!r}", name=name) from cause

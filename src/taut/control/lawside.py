@@ -1,0 +1,284 @@
+"""LawSide: sensing, law and limits as one pure function.
+
+A Controller compiles it; a Loop fuses it with a plant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from taut.arm.description import Arm
+from taut.base import math as tm
+from taut.base.checks import finite_scalar, require_at_least, vector
+from taut.base.errors import MatchError, ShapeError, unknown_name
+from taut.base.paths import flatten, subtree, unflatten
+from taut.base.types import Array, ArrayLike, Float64Array, Vector
+from taut.control.command import Terms, Torque
+from taut.control.law import Law, as_array, call, initial_memory
+from taut.control.limits import Limits, limited
+from taut.control.reference import Sample
+from taut.control.sensing import Sensing
+from taut.maths.adds import Adds
+from taut.maths.model import Model, PayloadValues, model_of
+from taut.maths.snapshot import MEASUREMENTS, Snapshot
+
+__all__ = ["LawSide", "Tick"]
+
+Memory = Mapping[str, Any]
+"""Memory of the law side by path: law.e_int, sensing.q_prev, limits.tau_applied."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tick:
+    """What one tick gives."""
+
+    command: Vector  # (n,) what goes out, after limits
+    memory: dict[str, Any]  # by path
+    named: Terms  # before limits
+    cut: Vector | None  # (n,) what limits added to it; None without limits
+
+    @property
+    def terms(self) -> dict[str, Vector]:
+        """Each term by name; they add up to the command."""
+        parts = dict(self.named.parts)
+        return parts if self.cut is None else {**parts, "limits": self.cut}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Probe:
+    """What a first run at the home pose shows of a law."""
+
+    kind: str  # of the command
+    used: frozenset[str]  # measurements and compensations that it asks for
+    shapes: Mapping[str, tuple[int, ...]]  # of the memory, by path
+    terms: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LawSide:
+    """A law with what surrounds it on the controller's side, for one arm and one rate."""
+
+    law: Law
+    arm: Arm
+    rate: float  # [Hz]
+    sensing: Sensing
+    limits: Limits | None
+    adds: Adds
+
+    @property
+    def dt(self) -> float:
+        """Nominal period [s]."""
+        return 1.0 / self.rate
+
+    @cached_property
+    def model(self) -> Model:
+        """The constants of the controller's arm."""
+        return model_of(self.arm)
+
+    # ---------------------------------------------------------------- parameters
+
+    @cached_property
+    def parameters(self) -> dict[str, Float64Array]:
+        """Every run-time parameter, by path, with the values it was made with."""
+        out = {f"law.{path}": values for path, values in self.law.parameters().items()}
+        if self.limits is not None:
+            out |= {f"limits.{name}": values for name, values in self.limits.parameters().items()}
+        payload = self.arm.payload
+        out["model.payload.mass"] = np.asarray(payload.mass)
+        out["model.payload.com"] = payload.com
+        out["model.payload.inertia"] = payload.inertia
+        return out
+
+    def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:
+        """A new value of a parameter, checked like the first one and in the compiled shape.
+
+        Raises:
+            UnknownNameError: There is no such parameter.
+            ShapeError: A value that the compiled shape cannot take.
+            RangeError: NaN, infinite, negative, not positive definite.
+        """
+        if path not in self.parameters:
+            raise unknown_name("the controller", "parameter", path, self.parameters)
+        head, _, rest = path.partition(".")
+        if head == "law":
+            field, unit = self.law.gain_field(rest)
+            new = field.checked(value, unit, name=path)
+        elif head == "limits":
+            made = Limits(**{rest: value})
+            new = np.asarray(getattr(made, rest))
+        else:
+            new = checked_payload_entry(path, value)
+        return in_compiled_shape(path, new, self.parameters[path].shape)
+
+    # ---------------------------------------------------------------- one run at the home pose
+
+    @cached_property
+    def probe(self) -> Probe:
+        """Shapes and needs of the law, seen in a first run on plain numbers at the home pose.
+
+        Raises:
+            MatchError: The law does not fit: torque limits on another kind of command.
+        """
+        self.law.check_size(self.arm.n)
+        if self.limits is not None:
+            self.limits.check_size(self.arm)
+        measured = self.measurements_at_rest()
+        ref = self.law.reference.at_rest(self.arm.home)
+        x = self._snapshot(measured, self.arm.home * 0.0, self.parameters, {})
+        law = self.law.bound(subtree(self.parameters, "law"))
+        memory = initial_memory(law, x, ref)
+        command, after = call(law, x, ref, memory, self.dt)
+        command, after = call(law, x, ref, after, self.dt)
+        if self.limits is not None and not isinstance(command, Torque):
+            raise MatchError(
+                f"limits cut torques, and {type(self.law).__name__} gives a {command.kind}; leave limits=None",
+                name="limits",
+            )
+        shapes = {f"law.{path}": np.shape(as_array(v, path)) for path, v in flatten(after).items()}
+        n = (self.arm.n,)
+        shapes |= {f"sensing.{name}": n for name in self.sensing.start(self.arm.home)}
+        if isinstance(command, Torque) and self._remembers_torque(x.used):
+            shapes["limits.tau_applied"] = n
+        if self.limits is not None and "tau_cut" in x.used:
+            shapes["limits.tau_cut"] = n
+        names = [*command.terms.parts, *(["limits"] if self.limits is not None else [])]
+        return Probe(kind=command.kind, used=frozenset(x.used), shapes=shapes, terms=tuple(names))
+
+    def _remembers_torque(self, used: set[str]) -> bool:
+        rate_limited = self.limits is not None and self.limits.tau_dot is not None
+        return rate_limited or "tau_applied" in used
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """What the law side asks to be measured, beyond positions."""
+        velocity = ("v",) if self.sensing.needs_velocity else ()
+        return (*velocity, *(name for name in MEASUREMENTS if name in self.probe.used))
+
+    def measurements_at_rest(self) -> dict[str, Any]:
+        """Measurements of the arm at rest at home, with nothing touching it."""
+        n = self.arm.n
+        return {"q": self.arm.home, "v": np.zeros(n), "t": 0.0, "F_ext": np.zeros(6), "tau_meas": np.zeros(n)}
+
+    # ---------------------------------------------------------------- the pure functions
+
+    def start(self, measured: Mapping[str, Any], ref: Sample, parameters: Mapping[str, Any]) -> dict[str, Any]:
+        """Memory by path in the first tick, from what is measured then."""
+        q = measured["q"]
+        sensing = self.sensing.start(q)
+        v, _ = self.sensing.velocity_of(self.arm, q, measured["v"], sensing, self.dt)
+        x = self._snapshot(measured, v, parameters, {})
+        law = self.law.bound(subtree(parameters, "law"))
+        memory = flatten({"law": initial_memory(law, x, ref), "sensing": sensing})
+        shapes = self.probe.shapes
+        if "limits.tau_applied" in shapes:
+            memory["limits.tau_applied"] = x.g
+        if "limits.tau_cut" in shapes:
+            memory["limits.tau_cut"] = tm.zeros(self.arm.n)
+        return {path: _filled(as_array(memory[path], path), shape) for path, shape in shapes.items()}
+
+    def tick(
+        self,
+        measured: Mapping[str, Any],
+        ref: Sample,
+        memory: Memory,
+        parameters: Mapping[str, Any],
+        dt: Any,
+    ) -> Tick:
+        """One tick: sense, evaluate the law, limit."""
+        nested = unflatten(memory)
+        v, sensing = self.sensing.velocity_of(self.arm, measured["q"], measured["v"], nested.get("sensing", {}), dt)
+        x = self._snapshot(measured, v, parameters, nested.get("limits", {}))
+        law = self.law.bound(subtree(parameters, "law"))
+        command, after = call(law, x, ref, _nested_memory(law, nested.get("law", {})), dt)
+        total = as_array(command.total, "command")
+        applied, held = total, {}
+        if self.limits is not None:
+            applied = limited(total, nested.get("limits", {}).get("tau_applied"), subtree(parameters, "limits"), dt)
+            held = {"tau_cut": total - applied}
+        held["tau_applied"] = applied
+        new = flatten({"law": after, "sensing": sensing, "limits": held})
+        shapes = self.probe.shapes
+        return Tick(
+            command=applied,
+            memory={path: _shaped(as_array(new[path], path), path, shapes[path]) for path in shapes},
+            named=command.terms,
+            cut=None if self.limits is None else applied - total,
+        )
+
+    def _snapshot(
+        self,
+        measured: Mapping[str, Any],
+        v: Vector,
+        parameters: Mapping[str, Any],
+        held: Mapping[str, Array],
+    ) -> Snapshot:
+        others = {name: measured[name] for name in MEASUREMENTS if name in measured}
+        zero = np.zeros(self.arm.n)
+        return Snapshot(
+            self.model,
+            q=measured["q"],
+            v=v,
+            t=measured["t"],
+            payload=PayloadValues.of(subtree(parameters, "model.payload")),
+            adds=self.adds,
+            measured={
+                **others,
+                "tau_applied": held.get("tau_applied", zero),
+                "tau_cut": held.get("tau_cut", zero),
+            },
+        )
+
+
+def checked_payload_entry(path: str, value: ArrayLike) -> Float64Array:
+    """A new mass, com or inertia of a payload, by the last name in its path."""
+    name = path.rpartition(".")[2]
+    if name == "mass":
+        mass = np.asarray(finite_scalar(path, value, unit="kg"))
+        require_at_least(path, mass, 0.0, unit="kg")
+        return mass
+    if name == "com":
+        return vector(path, value, 3, unit="m")
+    return vector(path, value, 6, unit="kg m^2")
+
+
+def in_compiled_shape(path: str, value: Float64Array, shape: tuple[int, ...]) -> Float64Array:
+    """A parameter in the shape it was compiled with: a scalar k serves as k I, one per joint as a diagonal.
+
+    Raises:
+        ShapeError: It has more entries than the compiled shape has room for.
+    """
+    if value.shape == shape:
+        return value
+    if value.ndim < len(shape) == 2 and value.shape in ((), shape[:1]):
+        return np.eye(shape[0]) * value
+    if value.ndim == 0:
+        return np.full(shape, float(value))
+    raise ShapeError(
+        f"{path} was compiled with shape {shape}; got shape {value.shape}; compile the law with a value of the "
+        "new shape",
+        name=path,
+    )
+
+
+def _nested_memory(law: Law, memory: Mapping[str, Any]) -> dict[str, Any]:
+    """Memory with a place for every law that is held, also for those that remember nothing."""
+    children = {name: _nested_memory(child, memory.get(name, {})) for name, child in law.children().items()}
+    return {**memory, **children}
+
+
+def _filled(value: Array, shape: tuple[int, ...]) -> Array:
+    return value if value.shape == shape else np.broadcast_to(value, shape)
+
+
+def _shaped(value: Array, path: str, shape: tuple[int, ...]) -> Array:
+    if value.shape != shape:
+        raise ShapeError(
+            f"memory '{path}' has shape {shape} in one tick and {value.shape} in the next; it must keep its shape",
+            name=path,
+        )
+    return value

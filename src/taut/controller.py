@@ -1,0 +1,548 @@
+"""Controller: a law compiled for one arm and one rate."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from taut.arm.description import Arm, Payload
+from taut.base.checks import finite_array, one_of, positive_scalar
+from taut.base.errors import NumericalError, RangeError, TautError, UsageError, unknown_name
+from taut.base.paths import subtree
+from taut.base.types import ArrayLike, Float64Array, Vector
+from taut.codegen import native
+from taut.codegen.call import Argument
+from taut.codegen.kernel import Blocks, FloatKernel, Kernel, NativeKernel, verified
+from taut.codegen.layout import Block
+from taut.codegen.program import Values, trace
+from taut.control.describe import PARAMETER_UNITS, all_laws, gain_units, section, short, summary, title
+from taut.control.law import Law
+from taut.control.lawside import LawSide
+from taut.control.limits import Limits
+from taut.control.reference import Sample
+from taut.control.sensing import Sensing
+from taut.maths.adds import Adds
+
+__all__ = ["BoundKernel", "Controller", "compile"]
+
+Engine = Literal["auto", "native", "float"]
+ENGINES: Final[tuple[Engine, ...]] = ("auto", "native", "float")
+DT: Final = "dt"  # the period stands beside the parameters, so that code serves every rate
+
+
+def compile(
+    law: Law,
+    arm: Arm,
+    *,
+    rate: float = 1000.0,
+    sensing: Sensing | None = None,
+    limits: Limits | None = None,
+    adds: Adds | Iterable[str] | Mapping[str, Payload | None] = (),
+    engine: Engine = "auto",
+) -> Controller:
+    """A controller: the law for this arm, as native code.
+
+    Args:
+        law: A law of `taut.laws`, a sum of them, or one of your own.
+        arm: The controller's model of the arm, payload included.
+        rate: Ticks per second [Hz].
+        sensing: Where the velocity comes from; measured by default.
+        limits: What a torque command is cut to; no limit unless given.
+        adds: What the plant adds itself ("gravity", "coriolis", "friction"): `plant.adds`. It is left out.
+        engine: "native" for machine code, "float" for plain Python, "auto" for the first that is there.
+
+    Raises:
+        UsageError: Not a law, not an arm, or a law whose command does not fit its memory.
+        ShapeError: A gain or limit of another size than the arm.
+        MatchError: Two laws that add the same, limits on a command that is no torque.
+        TraceError: Law code that cannot be traced; the message names file and line.
+
+    Example:
+        >>> import taut
+        >>> arm = taut.load_arm("planar2")
+        >>> ctrl = taut.compile(taut.laws.PID(kp=10.0, kd=1.0), arm, rate=500.0)
+        >>> ctrl.step(np.zeros(2), np.zeros(2), taut.JointMotion(q=[0.1, 0.0])).tolist()
+        [1.0, 0.0]
+    """
+    if not isinstance(law, Law):  # callers without a type checker
+        raise UsageError(
+            f"compile takes a law such as taut.laws.PID(kp=...), with its gains; got {law!r}", name="law"
+        )
+    if not isinstance(arm, Arm):
+        raise UsageError(f"compile takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
+    if sensing is not None and not isinstance(sensing, Sensing):
+        raise UsageError(f"sensing must be a taut.Sensing; got {type(sensing).__name__}", name="sensing")
+    if limits is not None and not isinstance(limits, Limits):
+        raise UsageError(f"limits must be a taut.Limits; got {type(limits).__name__}", name="limits")
+    side = LawSide(
+        law=law,
+        arm=arm,
+        rate=positive_scalar("rate", rate, unit="Hz"),
+        sensing=sensing or Sensing(),
+        limits=limits,
+        adds=Adds.of(adds),
+    )
+    return Controller(side, _engine(engine))
+
+
+def _engine(engine: Engine) -> Literal["native", "float"]:
+    one_of("engine", engine, ENGINES)
+    if engine == "float":
+        return "float"
+    if native.available():
+        return "native"
+    if engine == "native":
+        raise UsageError(
+            "engine='native' needs llvmlite, which is not installed; pip install llvmlite, or engine='float'",
+            name="engine",
+        )
+    warnings.warn(
+        "llvmlite is not installed, so laws run as plain Python, about 1000 times slower; pip install llvmlite",
+        RuntimeWarning,
+        stacklevel=3,
+    )
+    return "float"
+
+
+class Controller:
+    """A law with its sensing and limits, compiled for one arm. Made by `taut.compile`."""
+
+    def __init__(self, side: LawSide, engine: Literal["native", "float"]) -> None:
+        self.side = side
+        self._kernel = _kernel_of(side, engine, self._slow, self._failed)
+        self.parameters = Parameters(side, self._kernel)
+        self._inputs = self._kernel.blocks.views("inputs")
+        self._command = self._kernel.blocks.views("outputs")["command"]
+        self._torque_at_start: Float64Array | None = None
+        vars(self)["step"] = self._kernel.step  # the builtin stands before the method that documents it
+
+    def recording_kernel(self) -> Kernel:
+        """A kernel of the same law with blocks of its own, that gives every term in every tick: for simulations."""
+        kernel: Kernel
+
+        def slow(*_: object) -> None:
+            kernel.start()
+            kernel.tick()
+
+        def failed() -> None:
+            raise _not_finite(self.side, kernel)
+
+        kernel = _kernel_of(self.side, self._kernel.engine, slow, failed, record=True)
+        kernel.blocks.parameters[:] = self._kernel.blocks.parameters
+        return kernel
+
+    # ---------------------------------------------------------------- what it is
+
+    @property
+    def law(self) -> Law:
+        """The law, with the gains it was compiled with."""
+        return self.side.law
+
+    @property
+    def arm(self) -> Arm:
+        """The controller's model of the arm."""
+        return self.side.arm
+
+    @property
+    def rate(self) -> float:
+        """Ticks per second [Hz]."""
+        return self.side.rate
+
+    @property
+    def dt(self) -> float:
+        """Nominal period [s]."""
+        return self.side.dt
+
+    @property
+    def adds(self) -> Adds:
+        """What the plant is expected to add itself."""
+        return self.side.adds
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """What must be measured beyond positions."""
+        return self.side.needs
+
+    @property
+    def kind(self) -> str:
+        """The kind of command: torque, velocity or position."""
+        return self.side.probe.kind
+
+    @property
+    def engine(self) -> Literal["native", "float"]:
+        """The engine it runs on: native or float."""
+        return self._kernel.engine
+
+    @property
+    def operations(self) -> int:
+        """Number of arithmetic operations in a tick; 0 in the float engine, which is not traced."""
+        return self._kernel.operations
+
+    @property
+    def ticks(self) -> int:
+        """Ticks since the start."""
+        return self._kernel.count
+
+    def __repr__(self) -> str:
+        return f"Controller({self.law!r}, {self.arm!r}, rate={self.rate:g})"
+
+    # ---------------------------------------------------------------- running it
+
+    def step(
+        self,
+        q: ArrayLike,
+        v: ArrayLike | None = None,
+        ref: Sample | None = None,
+        *,
+        F_ext: ArrayLike | None = None,
+        F_app: ArrayLike | None = None,
+        tau_meas: ArrayLike | None = None,
+    ) -> Vector:
+        """One tick: what is measured and wanted in, the command out.
+
+        Args:
+            q: (n,) measured positions [rad | m].
+            v: (n,) measured velocities [rad/s | m/s]; left out where sensing differences positions.
+            ref: One sample of the reference.
+            F_ext: (6,) measured wrench of the environment on the arm at the tool, force first, world axes; where
+                the law needs it.
+            F_app: (6,) the same with the opposite sign, of the arm on the environment; one of the two.
+            tau_meas: (n,) measured joint torques [N m | N]; where the law needs them.
+
+        Returns:
+            (n,) the command, a new array.
+
+        Raises:
+            ShapeError: An array of another shape.
+            RangeError: NaN or infinity in what is measured or wanted.
+            UsageError: Something that is missing, or that this controller does not take.
+            NumericalError: The law gave NaN or infinity; its memory stays as it was before the tick.
+        """
+        command: Vector = self._slow(q, v, ref, F_ext=F_ext, F_app=F_app, tau_meas=tau_meas)
+        return command
+
+    def _slow(self, *args: Any, **kwargs: Any) -> Any:
+        """A tick with whatever was passed: checked in words, converted, started where needed."""
+        if not args and not kwargs:  # tick() of a bound kernel, in its first tick
+            self._start()
+            self._kernel.tick()
+            return None
+        self._take(*self._arguments(args, kwargs))
+        if not self._kernel.ready:
+            self._start()
+        self._kernel.tick()
+        return self._command.copy()
+
+    def _arguments(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[dict[str, Any], Any]:
+        known = ("q", "v", "ref", "F_ext", "F_app", "tau_meas")
+        positional: tuple[str, ...] = known[:3]
+        if not self.side.sensing.needs_velocity and len(args) == 2 and isinstance(args[1], Sample):
+            positional = ("q", "ref")
+        if len(args) > len(positional):
+            raise UsageError(f"step takes {', '.join(positional)}; got {len(args)} positional arguments")
+        given = dict(zip(positional, args, strict=False))
+        for name, value in kwargs.items():
+            if name not in known:
+                raise unknown_name("step", "argument", name, known)
+            if name in given:
+                raise UsageError(f"step got {name} twice", name=name)
+            given[name] = value
+        if given.get("F_app") is not None:
+            if given.get("F_ext") is not None:
+                raise UsageError("step takes F_ext or F_app, not both: one is minus the other", name="F_app")
+            given["F_ext"] = -finite_array("F_app", given.pop("F_app"), shape=(6,), unit="N, N m")
+        given.pop("F_app", None)
+        ref = given.pop("ref", None)
+        return {name: value for name, value in given.items() if value is not None}, ref
+
+    def _take(self, given: dict[str, Any], ref: Any) -> None:
+        """Check everything, then write everything."""
+        needed = ("q", *self.needs)
+        for name in needed:
+            if name not in given:
+                raise UsageError(f"step needs {name}, which {_why(name)}; got none", name=name)
+        for name in given:
+            if name not in needed:
+                raise UsageError(
+                    f"step got {name}, which this controller does not use"
+                    f"{'; its sensing differences positions' if name == 'v' else ''}; leave it out",
+                    name=name,
+                )
+        if not isinstance(ref, self.law.reference):
+            hint = "; for a trajectory pass ref.at(t)" if hasattr(ref, "at") else ""
+            raise UsageError(
+                f"step needs ref, a taut.{self.law.reference.__name__}; got {type(ref).__name__}{hint}", name="ref"
+            )
+        joints = self.arm.joint_names
+        checked = {
+            name: finite_array(
+                name,
+                value,
+                shape=self._inputs[name].shape,
+                joints=joints if self._inputs[name].shape == (self.arm.n,) else None,
+            )
+            for name, value in given.items()
+        }
+        for path, view in self._inputs.items():
+            if path.startswith("ref."):
+                checked[path] = finite_array(path, getattr(ref, path[4:]), shape=view.shape, joints=joints)
+        for path, value in checked.items():
+            self._inputs[path][...] = value
+
+    def _start(self) -> None:
+        """Start memory from the inputs; then a torque that the plant holds already, if one was told."""
+        self._kernel.start()
+        if self._torque_at_start is not None:
+            self._kernel.blocks.views("memory")["limits.tau_applied"][:] = self._torque_at_start
+            self._torque_at_start = None
+
+    def _failed(self) -> None:
+        raise _not_finite(self.side, self._kernel)
+
+    def reset(self, tau_applied: ArrayLike | None = None) -> None:
+        """Forget everything: the next tick starts memory from what is measured then.
+
+        Args:
+            tau_applied: (n,) the torque that the plant holds now, from which a rate limit starts; the model's
+                gravity torque if left out.
+
+        Raises:
+            UsageError: A torque for a controller that does not remember one.
+        """
+        if tau_applied is not None:
+            if "limits.tau_applied" not in self.side.probe.shapes:
+                raise UsageError(
+                    "reset(tau_applied=) is for controllers that limit the torque rate, or whose law asks for "
+                    "x.tau_applied; this one does neither",
+                    name="tau_applied",
+                )
+            tau_applied = finite_array(
+                "tau_applied", tau_applied, shape=(self.arm.n,), unit="N m | N", joints=self.arm.joint_names
+            )
+        self._torque_at_start = tau_applied
+        self._kernel.clear()
+
+    def bind(self) -> BoundKernel:
+        """The controller's own arrays, to write measurements into and read the command from, for fast loops.
+
+        Example:
+            >>> import taut
+            >>> ctrl = taut.compile(taut.laws.PID(kp=10.0), taut.load_arm("planar2"))
+            >>> k = ctrl.bind()
+            >>> k.q[:], k.ref.q[:] = [0.0, 0.1], 0.2
+            >>> k.tick()
+            >>> k.command.round(6).tolist()
+            [2.0, 1.0]
+        """
+        return BoundKernel(self._kernel, self.law.reference)
+
+    # ---------------------------------------------------------------- looking inside
+
+    @property
+    def terms(self) -> Mapping[str, Vector]:
+        """The named terms of the last tick, computed when asked for; they add up to the command.
+
+        Raises:
+            UsageError: There was no tick yet.
+        """
+        if self.ticks == 0:
+            raise UsageError("there are no terms before the first tick; call step first", name="terms")
+        blocks, functions = self._kernel.blocks, _Functions(self.side, record=True)
+        parameters = blocks.layout["parameters"].views(self.parameters.at_tick(self.ticks))
+        memory = blocks.layout["memory"].views(blocks.before)
+        outputs, _ = functions.tick(self._inputs, parameters, memory)
+        return {name: np.array(value, dtype=np.float64) for name, value in subtree(outputs, "terms").items()}
+
+    def explain(self) -> None:
+        """Print the law, its gains with units, the closed loop it yields, and what a tick costs."""
+        print(self.explanation())
+
+    def explanation(self) -> str:
+        """What `explain` prints."""
+        side = self.side
+        lines = [f"{title(side.law)} for arm '{side.arm.name}' ({side.arm.n} joints) at {side.rate:g} Hz"]
+        for name, law in all_laws(side.law):
+            lines += ["", f"{name}: {summary(type(law))}"] if name else []
+            for head in ("Law", "Closed loop"):
+                texts = section(type(law), head)
+                lines += [f"  {head + ':' if not i else '':13}{text}" for i, text in enumerate(texts)]
+        lines += ["", "parameters"]
+        units = {f"law.{path}": unit for path, unit in gain_units(side.law).items()} | PARAMETER_UNITS
+        for path, value in self.parameters.items():
+            unit = f"  [{units[path]}]" if path in units else ""
+            lines.append(f"  {path:24} {short(value)}{unit}")
+        lines += ["", f"terms          {', '.join(side.probe.terms)}"]
+        lines.append(f"needs          {', '.join(('q', *side.needs))}")
+        if side.adds.names:
+            lines.append(f"left out       {', '.join(side.adds.names)} (the plant adds them)")
+        cost = f"{self.operations} operations" if self.operations else "not traced"
+        lines.append(f"engine         {self.engine}, {cost} a tick")
+        return "\n".join(lines)
+
+
+def _why(name: str) -> str:
+    return "is always needed" if name in ("q", "v") else "the law asks for"
+
+
+# -------------------------------------------------------------------- what is compiled
+
+
+class _Functions:
+    """What is compiled of a law side: its tick and its start, as functions of blocks."""
+
+    def __init__(self, side: LawSide, *, record: bool) -> None:
+        self._side = side
+        self._record = record
+
+    def tick(self, inputs: Values, parameters: Values, memory: Values) -> tuple[Values, Values]:
+        tick = self._side.tick(self.measured(inputs), self.sample(inputs), memory, parameters, parameters[DT])
+        terms = {f"terms.{name}": value for name, value in tick.terms.items()} if self._record else {}
+        return {"command": tick.command, **terms}, tick.memory
+
+    def start(self, inputs: Values, parameters: Values, memory: Values) -> tuple[Values, Values]:  # noqa: ARG002
+        return self._side.start(self.measured(inputs), self.sample(inputs), parameters), {}
+
+    def measured(self, inputs: Values) -> dict[str, Any]:
+        zero = np.zeros(self._side.arm.n)
+        return {"v": zero, **{name: inputs[name] for name in inputs if not name.startswith("ref.")}}
+
+    def sample(self, inputs: Values) -> Sample:
+        return self._side.law.reference.of(subtree(inputs, "ref"))
+
+
+def _kernel_of(
+    side: LawSide,
+    engine: Literal["native", "float"],
+    slow: Callable[..., Any],
+    failed: Callable[[], Any],
+    *,
+    record: bool = False,
+) -> Kernel:
+    """A law side as a kernel with blocks of its own."""
+    n, probe = side.arm.n, side.probe
+    sizes = {"v": (n,), "F_ext": (6,), "tau_meas": (n,)}
+    ref_fields = {f"ref.{name}": shape for name, shape in side.law.reference.fields(n).items()}
+    terms = {f"terms.{name}": (n,) for name in probe.terms} if record else {}
+    inputs = Block.of({"t": (), "q": (n,), **{name: sizes[name] for name in side.needs}, **ref_fields})
+    parameters = Block.of({path: value.shape for path, value in side.parameters.items()} | {DT: ()})
+    memory = Block.of(probe.shapes)
+    blocks = Blocks(inputs, parameters, memory, Block.of({"command": (n,), **terms}))
+    parameters.pack({**side.parameters, DT: side.dt}, blocks.parameters)
+    functions = _Functions(side, record=record)
+    if engine == "float":
+        return FloatKernel(functions.tick, functions.start, blocks, time="t", dt=side.dt, slow=slow, failed=failed)
+    program = trace(functions.tick, inputs, parameters, memory)
+    starter = trace(functions.start, inputs, parameters, Block())
+    v = ("v",) if side.sensing.needs_velocity else ()
+    plain = len(side.needs) == len(v)  # a law that needs a force gets it by keyword, on the slow path
+    arguments = [Argument((name,)) for name in ("q", *v)] + [Argument(tuple(ref_fields), is_object=True)]
+    return NativeKernel(
+        program,
+        starter,
+        blocks,
+        arguments=arguments if plain else (),
+        reference=side.law.reference if plain else None,
+        time="t",
+        dt=side.dt,
+        guarded=True,
+        slow=slow,
+        failed=failed,
+        verify=verified(type(side.law).__name__, functions.tick, program, _random_samples(side, blocks)),
+    )
+
+
+def _random_samples(side: LawSide, blocks: Blocks) -> list[tuple[Float64Array, Float64Array, Float64Array]]:
+    """Three states near home, at which compiled code is compared with the float run."""
+    rng = np.random.default_rng(0)
+    samples = []
+    for _ in range(3):
+        inputs, memory = (0.3 * rng.standard_normal(block.size) for block in (blocks.inputs, blocks.memory))
+        views = blocks.layout["inputs"].views(inputs)
+        for name in ("q", "ref.q"):
+            if name in views:
+                views[name] += side.arm.home
+        samples.append((inputs, blocks.parameters.copy(), memory))
+    return samples
+
+
+def _not_finite(side: LawSide, kernel: Kernel) -> TautError:
+    """The error that says which number is not finite."""
+    joints, blocks = side.arm.joint_names, kernel.blocks
+    for path, values in blocks.views("inputs").items():
+        try:
+            finite_array(path, values, joints=joints if values.shape == (side.arm.n,) else None)
+        except RangeError as error:
+            return error
+    law = type(side.law).__name__
+    bad = np.flatnonzero(~np.isfinite(blocks.views("outputs")["command"]))
+    joint = joints[int(bad[0])] if bad.size else None
+    who = f"the {side.probe.kind} of joint '{joint}'" if joint is not None else "its new memory"
+    return NumericalError(
+        f"{law} gives numbers that are not finite in tick {kernel.count}: {who}; its memory stays as it was "
+        "before that tick",
+        name=law,
+        joint=joint,
+    )
+
+
+# -------------------------------------------------------------------- parameters and bound arrays
+
+
+class Parameters(MutableMapping[str, Float64Array]):
+    """Run-time parameters by path. A new value is checked like the first one and acts from the next tick."""
+
+    def __init__(self, side: LawSide, kernel: Kernel) -> None:
+        self._side = side
+        self._kernel = kernel
+        self._views = kernel.blocks.views("parameters")
+        self._kept: tuple[int, Float64Array] | None = None  # a tick, and the values that it was computed with
+
+    def at_tick(self, tick: int) -> Float64Array:
+        """All parameters as the last tick saw them, flat."""
+        if self._kept is not None and self._kept[0] == tick:
+            return self._kept[1]
+        return self._kernel.blocks.parameters
+
+    def __getitem__(self, path: str) -> Float64Array:
+        if path not in self._side.parameters:
+            raise unknown_name("the controller", "parameter", path, self._side.parameters)
+        value = self._views[path].copy()
+        value.flags.writeable = False
+        return value
+
+    def __setitem__(self, path: str, value: ArrayLike) -> None:
+        checked = self._side.checked_parameter(path, value)
+        if self._kept is None or self._kept[0] != self._kernel.count:
+            self._kept = (self._kernel.count, self._kernel.blocks.parameters.copy())
+        self._views[path][...] = checked
+
+    def __delitem__(self, path: str) -> None:
+        raise UsageError(f"parameter '{path}' cannot be removed; set it", name=path)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._side.parameters)
+
+    def __len__(self) -> int:
+        return len(self._side.parameters)
+
+    def __repr__(self) -> str:
+        return "{" + ", ".join(f"'{path}': {short(value)}" for path, value in self.items()) + "}"
+
+
+class BoundKernel:
+    """A controller's arrays: write `q`, `v`, `ref.q`, ..., call `tick()`, read `command`. Nothing is allocated."""
+
+    __slots__ = ("F_ext", "command", "q", "ref", "tau_meas", "tick", "v")
+
+    def __init__(self, kernel: Kernel, reference: type[Sample]) -> None:
+        inputs, empty = kernel.blocks.views("inputs"), np.zeros(0)
+        self.q: Float64Array = inputs["q"]
+        self.v: Float64Array = inputs.get("v", empty)
+        self.F_ext: Float64Array = inputs.get("F_ext", empty)
+        self.tau_meas: Float64Array = inputs.get("tau_meas", empty)
+        self.ref: Any = reference.of(subtree(inputs, "ref"))
+        self.command: Float64Array = kernel.blocks.views("outputs")["command"]
+        self.tick = kernel.tick

@@ -1,0 +1,389 @@
+"""Kinematics and dynamics of a tree of joints, written once, for floats and for symbols.
+
+Vectors are (n,) in the order of the arm's joints. Frames: body i's own frame unless said. The payload is
+added to the body that carries the tool; rotor inertia acts on each joint's own acceleration. Friction is
+not in here: h = C v + g.
+
+References:
+    Featherstone, Rigid Body Dynamics Algorithms (2008): recursive Newton-Euler (5.3), composite rigid
+    bodies (6.2). Echeandia and Wensing, J. Computational and Nonlinear Dynamics 16 (2021): the Christoffel
+    matrix by recursion.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from taut.arm.description import BASE
+from taut.base import math as tm
+from taut.base.math import cross
+from taut.base.pose import Pose
+from taut.base.types import Array, Matrix, Vector, Vector3
+from taut.maths.model import JointConstants, Model, PayloadValues, RigidBody
+
+__all__ = [
+    "bias",
+    "coriolis_matrix",
+    "forward_dynamics",
+    "gravity_torque",
+    "inverse_dynamics",
+    "jacobian",
+    "jacobian_rate_v",
+    "kinetic_energy",
+    "link_poses",
+    "mass_matrix",
+    "pose",
+    "potential_energy",
+    "twist",
+]
+
+Z = np.array([0.0, 0.0, 1.0])
+NO_GRAVITY = np.zeros(3)
+
+
+# -------------------------------------------------------------------- one joint
+
+
+def _placed(joint: JointConstants, q: Any) -> tuple[Matrix, Vector3]:
+    """Orientation and origin of a body in its parent's frame."""
+    if joint.prismatic:
+        return joint.R, joint.p + joint.R[:, 2] * q
+    c, s = tm.cos(q), tm.sin(q)
+    return joint.R @ tm.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), joint.p
+
+
+def _placed_all(model: Model, q: Vector) -> list[tuple[Matrix, Vector3]]:
+    return [_placed(joint, q[i]) for i, joint in enumerate(model.joints)]
+
+
+def _loaded(model: Model, payload: PayloadValues | None) -> list[RigidBody]:
+    """The bodies, with the payload on the one that carries the tool."""
+    bodies = list(model.bodies)
+    if payload is not None:
+        body, R, p = model.placement(None)
+        if body != BASE:
+            bodies[body] = bodies[body] + payload.body().seen_from(R, p)
+    return bodies
+
+
+# -------------------------------------------------------------------- inverse dynamics
+
+
+def inverse_dynamics(
+    model: Model,
+    q: Vector,
+    v: Vector | None,
+    a: Vector | None,
+    payload: PayloadValues | None = None,
+    *,
+    gravity: bool = True,
+) -> Vector:
+    """(n,) joint torques M a + C v + g, by recursive Newton-Euler; None stands for zeros."""
+    placed = _placed_all(model, q)
+    bodies = _loaded(model, payload)
+    zero = np.zeros(3)
+    omega: list[Vector3] = []
+    alpha: list[Vector3] = []
+    acc: list[Vector3] = []
+    forces: list[Vector3] = []
+    moments: list[Vector3] = []
+    for i, joint in enumerate(model.joints):
+        R, p = placed[i]
+        if joint.parent == BASE:
+            w, dw, dv = zero, zero, (-model.gravity_B if gravity else zero)
+        else:
+            w, dw, dv = omega[joint.parent], alpha[joint.parent], acc[joint.parent]
+        w_i = R.T @ w
+        dv_i = R.T @ (dv + cross(dw, p) + cross(w, cross(w, p)))
+        dw_i = R.T @ dw
+        if joint.prismatic:
+            if v is not None:
+                dv_i = dv_i + 2.0 * v[i] * cross(w_i, Z)
+            if a is not None:
+                dv_i = dv_i + a[i] * Z
+        else:
+            if v is not None:
+                dw_i = dw_i + v[i] * cross(w_i, Z)
+                w_i = w_i + v[i] * Z
+            if a is not None:
+                dw_i = dw_i + a[i] * Z
+        body = bodies[i]
+        omega.append(w_i)
+        alpha.append(dw_i)
+        acc.append(dv_i)
+        forces.append(body.m * dv_i + cross(dw_i, body.h) + cross(w_i, cross(w_i, body.h)))
+        moments.append(body.I @ dw_i + cross(w_i, body.I @ w_i) + cross(body.h, dv_i))
+    tau: list[Any] = [0.0] * model.n
+    for i in range(model.n - 1, -1, -1):
+        joint = model.joints[i]
+        tau[i] = forces[i][2] if joint.prismatic else moments[i][2]
+        if a is not None:
+            tau[i] = tau[i] + joint.rotor_inertia * a[i]
+        if joint.parent != BASE:
+            R, p = placed[i]
+            force = R @ forces[i]
+            forces[joint.parent] = forces[joint.parent] + force
+            moments[joint.parent] = moments[joint.parent] + R @ moments[i] + cross(p, force)
+    return tm.array(tau)
+
+
+def bias(
+    model: Model,
+    q: Vector,
+    v: Vector,
+    payload: PayloadValues | None = None,
+    *,
+    gravity: bool = True,
+) -> Vector:
+    """(n,) h = C v + g, or C v alone without gravity."""
+    return inverse_dynamics(model, q, v, None, payload, gravity=gravity)
+
+
+def gravity_torque(model: Model, q: Vector, payload: PayloadValues | None = None) -> Vector:
+    """(n,) g: the torques that hold the arm at rest."""
+    return inverse_dynamics(model, q, None, None, payload)
+
+
+# -------------------------------------------------------------------- mass matrix
+
+
+def mass_matrix(model: Model, q: Vector, payload: PayloadValues | None = None) -> Matrix:
+    """(n, n) M, symmetric positive definite, by composite rigid bodies."""
+    placed = _placed_all(model, q)
+    composite = _loaded(model, payload)
+    M = tm.zeros((model.n, model.n))
+    for i in range(model.n - 1, -1, -1):
+        joint, body = model.joints[i], composite[i]
+        # Momentum of the composite body when joint i alone moves at unit speed.
+        if joint.prismatic:
+            force, moment = body.m * Z, cross(body.h, Z)
+        else:
+            force, moment = cross(Z, body.h), body.I[:, 2]
+        M[i, i] = (force[2] if joint.prismatic else moment[2]) + joint.rotor_inertia
+        j = i
+        while model.joints[j].parent != BASE:
+            R, p = placed[j]
+            force = R @ force
+            moment = R @ moment + cross(p, force)
+            j = model.joints[j].parent
+            M[i, j] = M[j, i] = force[2] if model.joints[j].prismatic else moment[2]
+        if joint.parent != BASE:
+            composite[joint.parent] = composite[joint.parent] + body.seen_from(*placed[i])
+    return M
+
+
+def forward_dynamics(
+    model: Model,
+    q: Vector,
+    v: Vector,
+    tau: Vector,
+    payload: PayloadValues | None = None,
+    *,
+    damping: Array | None = None,
+) -> Vector:
+    """(n,) accelerations M^-1 (tau - h); `damping` (n,) is added to the diagonal of M.
+
+    The mass matrix is factorised, which for the arms of this field beats the articulated-body recursion.
+    """
+    M = mass_matrix(model, q, payload)
+    if damping is not None:
+        for i in range(model.n):
+            M[i, i] = M[i, i] + damping[i]
+    solved: Vector = tm.solve_spd(M, tau - bias(model, q, v, payload))
+    return solved
+
+
+# -------------------------------------------------------------------- frames
+
+
+def link_poses(model: Model, q: Vector) -> list[tuple[Matrix, Vector3]]:
+    """Orientation and origin of every body in the world, in the model's own body frames."""
+    out: list[tuple[Matrix, Vector3]] = []
+    for i, joint in enumerate(model.joints):
+        R, p = _placed(joint, q[i])
+        R_W, p_W = (model.R_WB, model.p_WB) if joint.parent == BASE else out[joint.parent]
+        out.append((R_W @ R, R_W @ p + p_W))
+    return out
+
+
+def pose(model: Model, q: Vector, frame: str | None = None) -> Pose:
+    """T_WE of a frame; of the tool if none is named."""
+    body, R, p = model.placement(frame)
+    if body == BASE:
+        return Pose.of(model.R_WB @ R, model.R_WB @ p + model.p_WB)
+    R_W, p_W = link_poses(model, q)[body]
+    return Pose.of(R_W @ R, R_W @ p + p_W)
+
+
+def jacobian(model: Model, q: Vector, frame: str | None = None, axes: str = "W") -> Matrix:
+    """(6, n) J_WE: twist of the frame's origin per joint speed, linear part first.
+
+    Frames: axes "W" gives J_WE_W, aligned with the world; "E" gives J_WE_E, aligned with the frame itself.
+    """
+    body, R_in_body, p_in_body = model.placement(frame)
+    J = tm.zeros((6, model.n))
+    if body == BASE:
+        return J
+    links = link_poses(model, q)
+    R_W, p_W = links[body]
+    origin = R_W @ p_in_body + p_W
+    for i in model.arm.ancestors(body):
+        R_i, p_i = links[i]
+        axis = R_i[:, 2]
+        if model.joints[i].prismatic:
+            J[:3, i] = axis
+        else:
+            J[:3, i] = cross(axis, origin - p_i)
+            J[3:, i] = axis
+    if axes == "W":
+        return J
+    R_E = R_W @ R_in_body
+    out = tm.zeros((6, model.n))
+    out[:3], out[3:] = R_E.T @ J[:3], R_E.T @ J[3:]
+    return out
+
+
+def twist(model: Model, q: Vector, v: Vector, frame: str | None = None, axes: str = "W") -> Vector:
+    """(6,) twist of a frame, linear part first [m/s, rad/s]: J v."""
+    moved: Vector = jacobian(model, q, frame, axes) @ v
+    return moved
+
+
+def jacobian_rate_v(model: Model, q: Vector, v: Vector, frame: str | None = None, axes: str = "W") -> Vector:
+    """(6,) J-dot v: the acceleration of a frame when the joints do not accelerate [m/s^2, rad/s^2].
+
+    With axes "W" the linear part is the acceleration of the frame's origin; with axes "E" it is the rate of
+    the twist's own numbers in the turning frame.
+    """
+    body, R_in_body, p_in_body = model.placement(frame)
+    if body == BASE:
+        return tm.zeros(6)
+    zero = np.zeros(3)
+    w, dw, dp = zero, zero, zero  # angular velocity and acceleration, acceleration of the origin; body axes
+    for i in model.arm.ancestors(body):
+        joint = model.joints[i]
+        R, p = _placed(joint, q[i])
+        dp = R.T @ (dp + cross(dw, p) + cross(w, cross(w, p)))
+        w, dw = R.T @ w, R.T @ dw
+        if joint.prismatic:
+            dp = dp + 2.0 * v[i] * cross(w, Z)
+        else:
+            dw = dw + v[i] * cross(w, Z)
+            w = w + v[i] * Z
+    dp = dp + cross(dw, p_in_body) + cross(w, cross(w, p_in_body))
+    if axes == "W":
+        R_W = link_poses(model, q)[body][0]
+        return tm.array([*(R_W @ dp), *(R_W @ dw)])
+    velocity = twist(model, q, v, frame, axes="E")
+    w_E = velocity[3:]
+    return tm.array([*(R_in_body.T @ dp - cross(w_E, velocity[:3])), *(R_in_body.T @ dw)])
+
+
+# -------------------------------------------------------------------- Coriolis matrix and energy
+
+
+def coriolis_matrix(model: Model, q: Vector, v: Vector, payload: PayloadValues | None = None) -> Matrix:
+    """(n, n) C of Christoffel symbols: C v are Coriolis and centripetal torques, M-dot - 2 C is skew."""
+    links = link_poses(model, q)
+    bodies = _loaded(model, payload)
+    S, S_dot = _axes_and_rates(model, links, v)
+    C = tm.zeros((model.n, model.n))
+    # Everything about the world's origin, so that composite bodies simply add up.
+    composite: list[tuple[Matrix, Matrix]] = []
+    for i in range(model.n):
+        inertia = _spatial_inertia(bodies[i].seen_from(*links[i]))
+        path = model.arm.ancestors(i)
+        velocity = tm.zeros(6)
+        for k in path:
+            velocity = velocity + S[k] * v[k]
+        composite.append((inertia, _coriolis_of_body(inertia, velocity)))
+    for i in range(model.n - 1, -1, -1):
+        inertia, B = composite[i]
+        f1 = inertia @ S_dot[i] + B @ S[i]
+        f2 = inertia @ S[i]
+        f3 = B.T @ S[i]
+        C[i, i] = S[i] @ f1
+        j = model.joints[i].parent
+        while j != BASE:
+            C[j, i] = S[j] @ f1
+            C[i, j] = S_dot[j] @ f2 + S[j] @ f3
+            j = model.joints[j].parent
+        parent = model.joints[i].parent
+        if parent != BASE:
+            composite[parent] = (composite[parent][0] + inertia, composite[parent][1] + B)
+    return C
+
+
+def _axes_and_rates(model: Model, links: list[tuple[Matrix, Vector3]], v: Vector) -> tuple[list[Array], list[Array]]:
+    """Screw axis of each joint about the world's origin, angular part first, and its rate of change."""
+    S: list[Array] = []
+    S_dot: list[Array] = []
+    velocities: list[Array] = []
+    for i, joint in enumerate(model.joints):
+        R, p = links[i]
+        axis = R[:, 2]
+        if joint.prismatic:
+            screw = tm.array([0.0, 0.0, 0.0, *axis])
+        else:
+            screw = tm.array([*axis, *cross(p, axis)])
+        before = tm.zeros(6) if joint.parent == BASE else velocities[joint.parent]
+        S.append(screw)
+        S_dot.append(_cross_motion(before, screw))
+        velocities.append(before + screw * v[i])
+    return S, S_dot
+
+
+def _cross_motion(a: Array, b: Array) -> Array:
+    """The rate of motion b carried along with motion a (6,), angular part first."""
+    return tm.array([*cross(a[:3], b[:3]), *(cross(a[:3], b[3:]) + cross(a[3:], b[:3]))])
+
+
+def _cross_motion_matrix(a: Array) -> Matrix:
+    out = tm.zeros((6, 6))
+    out[:3, :3] = out[3:, 3:] = tm.skew(a[:3])
+    out[3:, :3] = tm.skew(a[3:])
+    return out
+
+
+def _spatial_inertia(body: RigidBody) -> Matrix:
+    """(6, 6) about the world's origin, angular part first."""
+    H = tm.skew(body.h)
+    out = tm.zeros((6, 6))
+    out[:3, :3], out[:3, 3:], out[3:, :3] = body.I, H, -H
+    for k in range(3, 6):
+        out[k, k] = body.m
+    return out
+
+
+def _coriolis_of_body(inertia: Matrix, velocity: Array) -> Matrix:
+    """B with B v = v x* (I v), half of it and its mirror, which makes the sum the Christoffel one."""
+    X = _cross_motion_matrix(velocity)
+    momentum = inertia @ velocity
+    K = tm.zeros((6, 6))  # K m = m x* momentum for every motion m
+    K[:3, :3] = -tm.skew(momentum[:3])
+    K[:3, 3:] = K[3:, :3] = -tm.skew(momentum[3:])
+    B: Matrix = 0.5 * (K - X.T @ inertia - inertia @ X)
+    return B
+
+
+def kinetic_energy(model: Model, q: Vector, v: Vector, payload: PayloadValues | None = None) -> Any:
+    """Kinetic energy [J]: v M v / 2."""
+    return 0.5 * (v @ (mass_matrix(model, q, payload) @ v))
+
+
+def potential_energy(model: Model, q: Vector, payload: PayloadValues | None = None) -> Any:
+    """Potential energy in the gravity field [J], zero at the world's origin.
+
+    The bodies are taken from the Arm itself: regrouping keeps torques, not where the mass is.
+    """
+    g = model.arm.gravity
+    energy: Any = 0.0
+    links = link_poses(model, q)
+    for (R, p), A, body in zip(links, model.aligned, model.arm.bodies, strict=True):
+        energy = energy - body.mass * (g @ (R @ (A.T @ body.com) + p))
+    if payload is not None:
+        T = pose(model, q)
+        energy = energy - payload.mass * (g @ T.act(payload.com))
+    return energy

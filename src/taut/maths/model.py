@@ -1,0 +1,172 @@
+"""Model: the constants of an Arm in the form the dynamics compute with.
+
+Joint axes are turned onto z, so that a rotation has two unknown numbers, and the part of each body that is
+symmetric about its joint axis is moved to the body before it (Khalil's minimal set of inertial parameters).
+Joint torques stay exactly what they were; on the Panda one operation in seven vanishes.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from taut.arm.description import BASE, Arm
+from taut.base import math as tm
+from taut.base.pose import Pose, snapped
+from taut.base.types import Array, Float64Array, Matrix, Vector3
+
+__all__ = ["Model", "PayloadValues", "RigidBody", "model_of"]
+
+Z = np.array([0.0, 0.0, 1.0])
+TINY = 1e-14  # relative size under which a regrouped number is rounding
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigidBody:
+    """Mass, first and second moment of mass about the origin of the body frame: linear in the mass."""
+
+    m: Any  # [kg]
+    h: Vector3  # (3,) m times centre of mass [kg m]
+    I: Matrix  # (3, 3) about the origin [kg m^2]
+
+    def __add__(self, other: RigidBody) -> RigidBody:
+        return RigidBody(m=self.m + other.m, h=self.h + other.h, I=self.I + other.I)
+
+    def seen_from(self, R: Matrix, p: Vector3) -> RigidBody:
+        """The same body in the frame in which this one has orientation R and origin p."""
+        h = R @ self.h
+        S, H = tm.skew(p), tm.skew(h)
+        cross = S @ H
+        I = R @ self.I @ R.T - cross - cross.T - self.m * (S @ S)
+        return RigidBody(m=self.m, h=h + self.m * p, I=I)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PayloadValues:
+    """Payload as numbers or symbols; see `taut.Payload` for frames and units."""
+
+    mass: Any
+    com: Vector3
+    inertia: Array  # (6,) xx, yy, zz, xy, xz, yz
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> PayloadValues:
+        """From parameters called mass, com and inertia."""
+        return cls(mass=values["mass"], com=values["com"], inertia=values["inertia"])
+
+    def body(self) -> RigidBody:
+        """The payload as a rigid body, in the tool frame."""
+        xx, yy, zz, xy, xz, yz = self.inertia
+        S = tm.skew(self.com)
+        I = tm.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - self.mass * (S @ S)
+        return RigidBody(m=self.mass, h=self.mass * self.com, I=I)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointConstants:
+    """One joint, with its axis on z."""
+
+    parent: int
+    prismatic: bool
+    R: Float64Array  # (3, 3) orientation in the parent's body frame at q = 0
+    p: Float64Array  # (3,) origin in the parent's body frame at q = 0
+    rotor_inertia: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Model:
+    """All constants of an arm's kinematics and dynamics."""
+
+    arm: Arm
+    joints: tuple[JointConstants, ...]
+    bodies: tuple[RigidBody, ...]  # regrouped
+    aligned: tuple[Float64Array, ...]  # (3, 3) of each body: orientation of our frame in the Arm's
+    R_WB: Float64Array
+    p_WB: Float64Array
+    gravity_B: Float64Array  # (3,) gravity in the base frame
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    def placement(self, frame: str | None) -> tuple[int, Float64Array, Float64Array]:
+        """Body of a frame, and its orientation and origin there."""
+        found = self.arm.frame(frame)
+        R, p = found.placement.R, found.placement.p
+        if found.body == BASE:
+            return BASE, snapped(R), p
+        A = self.aligned[found.body]
+        return found.body, snapped(A.T @ R), A.T @ p
+
+
+@functools.lru_cache(maxsize=64)
+def model_of(arm: Arm) -> Model:
+    """The constants of an arm; kept, since a law asks for them at each trace."""
+    aligned = tuple(_turn_onto_z(joint.axis) for joint in arm.joints)
+    joints, bodies = [], []
+    for joint, body, A in zip(arm.joints, arm.bodies, aligned, strict=True):
+        before = np.eye(3) if joint.parent == BASE else aligned[joint.parent]
+        joints.append(
+            JointConstants(
+                parent=joint.parent,
+                prismatic=joint.kind == "prismatic",
+                R=snapped(before.T @ joint.placement.R @ A),
+                p=before.T @ joint.placement.p,
+                rotor_inertia=joint.rotor_inertia,
+            )
+        )
+        S = tm.skew(body.com)
+        I = body.inertia - body.mass * (S @ S)
+        bodies.append(RigidBody(m=body.mass, h=A.T @ (body.mass * body.com), I=A.T @ I @ A))
+    return Model(
+        arm=arm,
+        joints=tuple(joints),
+        bodies=_regrouped(joints, bodies),
+        aligned=aligned,
+        R_WB=snapped(arm.T_WB.R),
+        p_WB=arm.T_WB.p,
+        gravity_B=_rounded(snapped(arm.T_WB.R).T @ arm.gravity),
+    )
+
+
+def _turn_onto_z(axis: Float64Array) -> Float64Array:
+    """A rotation whose third column is the axis; exact for axes along +-x, +-y, +-z."""
+    k = int(np.argmax(np.abs(axis)))
+    side = np.zeros(3)
+    side[(k + 1) % 3] = 1.0
+    x = side - axis * (axis @ side)
+    x /= np.linalg.norm(x)
+    return snapped(np.column_stack([x, np.cross(axis, x), axis]))
+
+
+def _regrouped(joints: list[JointConstants], bodies: list[RigidBody]) -> tuple[RigidBody, ...]:
+    out = list(bodies)
+    for i in range(len(joints) - 1, -1, -1):
+        joint, body = joints[i], out[i]
+        if joint.prismatic:  # it never turns against its parent: all of I may go there
+            moved = RigidBody(m=0.0, h=np.zeros(3), I=body.I)
+            seen = RigidBody(m=0.0, h=np.zeros(3), I=joint.R @ body.I @ joint.R.T)
+        else:
+            Iyy = body.I[1, 1]
+            moved = RigidBody(m=body.m, h=body.h[2] * Z, I=np.diag([Iyy, Iyy, 0.0]))
+            seen = moved.seen_from(joint.R, joint.p)
+        out[i] = RigidBody(m=body.m - moved.m, h=_rounded(body.h - moved.h), I=_rounded(body.I - moved.I))
+        if joint.parent != BASE:
+            out[joint.parent] = out[joint.parent] + seen
+    return tuple(RigidBody(m=b.m, h=_rounded(b.h), I=_rounded(b.I)) for b in out)
+
+
+def _rounded(x: Float64Array) -> Float64Array:
+    """x with entries that are zero but for rounding set to zero."""
+    scale = float(np.abs(x).max(initial=0.0))
+    return np.where(np.abs(x) <= TINY * scale, 0.0, x)
+
+
+def pose_of_base(model: Model) -> Pose:
+    """T_WB, with exact zeros and ones."""
+    return Pose.of(model.R_WB, model.p_WB)

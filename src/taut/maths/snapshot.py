@@ -1,0 +1,258 @@
+"""Snapshot: what a law sees at one instant. Measurements, and quantities of the model on demand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final, TypeVar
+
+import numpy as np
+
+from taut.arm.description import Arm, Payload
+from taut.base import math as tm
+from taut.base.checks import one_of, vector
+from taut.base.errors import MatchError
+from taut.base.linalg import LTDL
+from taut.base.pose import Pose
+from taut.base.types import Array, ArrayLike, Matrix, Twist, Vector, Wrench
+from taut.maths import dynamics as dyn
+from taut.maths.adds import Adds
+from taut.maths.model import Model, PayloadValues, model_of
+
+__all__ = ["MEASUREMENTS", "Snapshot", "snapshot"]
+
+T = TypeVar("T")
+
+MEASUREMENTS: Final[Mapping[str, str]] = {
+    "F_ext": "a wrist force-torque sensor: pass F_ext= or F_app= to step, or use a plant that measures it",
+    "tau_meas": "joint torque sensors: pass tau_meas= to step, or use a plant that measures it",
+}
+AXES: Final = ("W", "E")
+
+
+class Snapshot:
+    """The arm at one instant, as law code sees it: x.q, x.v, x.M, x.h, x.J("tool"), ...
+
+    Everything is computed when first asked for, and once. In a traced law the numbers are symbols; in the
+    float engine, and in `taut.snapshot(arm, q, v)`, they are plain arrays.
+
+    Frames: `x.T(frame)` is T_WE; `x.J(frame)` is J_WE_W (world-aligned), `x.J(frame, axes="E")` is J_WE_E.
+    Model quantities are those of the controller's arm and payload; what the plant adds itself is left out
+    of `x.g`, `x.h` and `x.Cv`, so that a law adds exactly what is missing.
+    """
+
+    __slots__ = ("_adds", "_cache", "_measured", "_payload", "arm", "model", "q", "t", "used", "v")
+
+    def __init__(
+        self,
+        model: Model,
+        *,
+        q: Vector,
+        v: Vector,
+        t: Any = 0.0,
+        payload: PayloadValues | None = None,
+        adds: Adds | None = None,
+        measured: Mapping[str, Array] | None = None,
+        used: set[str] | None = None,
+    ) -> None:
+        self.model = model
+        self.arm = model.arm
+        self.q = q  # (n,) [rad | m]
+        self.v = v  # (n,) [rad/s | m/s]
+        self.t = t  # [s]
+        self._payload = payload
+        self._adds = adds or Adds()
+        self._measured = dict(measured or {})
+        self._cache: dict[Any, Any] = {}
+        self.used = set() if used is None else used
+        """Names of the measurements and compensations that were asked for."""
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.model.n
+
+    def _once(self, key: Any, compute: Callable[[], T]) -> T:
+        if key not in self._cache:
+            self._cache[key] = compute()
+        value: T = self._cache[key]
+        return value
+
+    # ---------------------------------------------------------------- measurements
+
+    def _measurement(self, name: str) -> Array:
+        self.used.add(name)
+        if name not in self._measured:
+            raise MatchError(
+                f"the law asks for {name}, which is not measured; it needs {MEASUREMENTS[name]}", name=name
+            )
+        return self._measured[name]
+
+    @property
+    def F_ext(self) -> Wrench:
+        """(6,) wrench of the environment on the arm at the tool, force first, world axes [N, N m]."""
+        return self._measurement("F_ext")
+
+    @property
+    def tau_meas(self) -> Vector:
+        """(n,) measured joint torques [N m | N]."""
+        return self._measurement("tau_meas")
+
+    @property
+    def tau_applied(self) -> Vector:
+        """(n,) what really went out in the last tick, after limits [N m | N]."""
+        self.used.add("tau_applied")
+        return self._measured.get("tau_applied", np.zeros(self.n))
+
+    @property
+    def tau_cut(self) -> Vector:
+        """(n,) what limits took from the last command, commanded minus applied [N m | N]; zero without limits."""
+        self.used.add("tau_cut")
+        return self._measured.get("tau_cut", np.zeros(self.n))
+
+    # ---------------------------------------------------------------- dynamics
+
+    @property
+    def M(self) -> Matrix:
+        """(n, n) mass matrix [kg m^2]."""
+        return self._once("M", lambda: dyn.mass_matrix(self.model, self.q, self._payload))
+
+    @property
+    def M_factors(self) -> LTDL:
+        """Factors of M, for `taut.math.solve_spd(x.M_factors, b)`."""
+        return self._once("M_factors", lambda: tm.factor_spd(self.M))
+
+    @property
+    def h(self) -> Vector:
+        """(n,) C v + g, less what the plant adds itself [N m | N]."""
+        self.used |= {"gravity", "coriolis"}
+        return self._once("h", self._bias)
+
+    def _bias(self) -> Vector:
+        adds = self._adds
+        if not adds.gravity and not adds.coriolis:
+            return dyn.bias(self.model, self.q, self.v, self._payload)
+        if adds.gravity and adds.load is None:
+            return self.Cv
+        return self.Cv + self.g
+
+    @property
+    def g(self) -> Vector:
+        """(n,) gravity torques, less what the plant adds itself [N m | N]."""
+        self.used.add("gravity")
+        return self._once("g", self._gravity)
+
+    def _gravity(self) -> Vector:
+        if not self._adds.gravity:
+            return dyn.gravity_torque(self.model, self.q, self._payload)
+        if self._adds.load is None:
+            return tm.zeros(self.n)
+        known = self._adds.load
+        added = PayloadValues(mass=known.mass, com=known.com, inertia=known.inertia)
+        own = dyn.gravity_torque(self.model, self.q, self._payload)
+        difference: Vector = own - dyn.gravity_torque(self.model, self.q, added)
+        return difference
+
+    @property
+    def Cv(self) -> Vector:
+        """(n,) Coriolis and centripetal torques, less what the plant adds itself [N m | N]."""
+        self.used.add("coriolis")
+        if self._adds.coriolis:
+            return tm.zeros(self.n)
+        return self._once("Cv", lambda: dyn.bias(self.model, self.q, self.v, self._payload, gravity=False))
+
+    @property
+    def C(self) -> Matrix:
+        """(n, n) Christoffel matrix of the whole model: M-dot - 2 C is skew, so C v_ref can be written."""
+        self.used.add("coriolis")
+        return self._once("C", lambda: dyn.coriolis_matrix(self.model, self.q, self.v, self._payload))
+
+    @property
+    def viscous(self) -> Vector:
+        """(n,) the model's viscous friction [N m s/rad], less what the plant adds itself."""
+        self.used.add("friction")
+        return np.zeros(self.n) if self._adds.friction else self.arm.viscous
+
+    @property
+    def coulomb(self) -> Vector:
+        """(n,) the model's dry friction [N m], less what the plant adds itself."""
+        self.used.add("friction")
+        return np.zeros(self.n) if self._adds.friction else self.arm.coulomb
+
+    # ---------------------------------------------------------------- kinematics
+
+    def T(self, frame: str | None = None) -> Pose:
+        """T_WE of a frame; of the tool if none is named."""
+        return self._once(("T", frame), lambda: dyn.pose(self.model, self.q, frame))
+
+    def J(self, frame: str | None = None, axes: str = "W") -> Matrix:
+        """(6, n) Jacobian of a frame, linear part first: J_WE_W, or J_WE_E with axes="E"."""
+        one_of("axes", axes, AXES)
+        return self._once(("J", frame, axes), lambda: dyn.jacobian(self.model, self.q, frame, axes))
+
+    def Jdot_v(self, frame: str | None = None, axes: str = "W") -> Twist:
+        """(6,) J-dot v of a frame [m/s^2, rad/s^2]."""
+        one_of("axes", axes, AXES)
+        return self._once(
+            ("Jdot_v", frame, axes),
+            lambda: dyn.jacobian_rate_v(self.model, self.q, self.v, frame, axes),
+        )
+
+    def twist(self, frame: str | None = None, axes: str = "W") -> Twist:
+        """(6,) twist of a frame, linear part first [m/s, rad/s]."""
+        moved: Twist = self.J(frame, axes) @ self.v
+        return moved
+
+    def difference(self, q_des: Vector) -> Vector:
+        """(n,) q_des - q the short way round; continuous joints wrap."""
+        return self.arm.difference(q_des, self.q)
+
+    # ---------------------------------------------------------------- other snapshots
+
+    def at(self, q: Vector, v: Vector) -> Snapshot:
+        """The same arm, payload and time at another state."""
+        return Snapshot(
+            self.model,
+            q=q,
+            v=v,
+            t=self.t,
+            payload=self._payload,
+            adds=self._adds,
+            measured=self._measured,
+            used=self.used,
+        )
+
+    def with_own_record(self) -> Snapshot:
+        """The same snapshot, shared, with a record of its own of what is asked for."""
+        twin = Snapshot.__new__(Snapshot)
+        for name in Snapshot.__slots__:
+            setattr(twin, name, getattr(self, name))
+        twin.used = set()
+        return twin
+
+
+def snapshot(arm: Arm, q: ArrayLike, v: ArrayLike | None = None, payload: Payload | None = None) -> Snapshot:
+    """The arm at one state, with plain numbers: M, h, g, C, poses and Jacobians of any frame.
+
+    Args:
+        arm: The arm.
+        q: (n,) positions [rad | m].
+        v: (n,) velocities [rad/s | m/s]; zero if left out.
+        payload: What the tool carries; the arm's own payload if left out.
+
+    Raises:
+        ShapeError: Wrong number of entries.
+        RangeError: NaN or infinite entries.
+
+    Example:
+        >>> import taut
+        >>> x = taut.snapshot(taut.load_arm("one_joint"), q=[0.0])
+        >>> x.g.round(3).tolist()
+        [0.981]
+    """
+    held = arm.payload if payload is None else payload
+    return Snapshot(
+        model_of(arm),
+        q=vector("q", q, arm.n, joints=arm.joint_names),
+        v=vector("v", np.zeros(arm.n) if v is None else v, arm.n, joints=arm.joint_names),
+        payload=PayloadValues(mass=held.mass, com=held.com, inertia=held.inertia),
+    )

@@ -1,0 +1,299 @@
+"""RigidPlant: a rigid arm with drives, friction, sensors and an environment, as pure functions.
+
+Written like a law, so that it runs on floats, is fused with a controller into one native loop, and differentiated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from taut.arm.description import COMMANDS, Arm, CommandKind, Payload
+from taut.base import math as tm
+from taut.base.checks import one_of
+from taut.base.errors import RangeError, UsageError
+from taut.base.paths import flatten, subtree
+from taut.base.types import Array, Float64Array, Vector
+from taut.maths import dynamics as dyn
+from taut.maths.adds import Adds
+from taut.maths.friction import dry_friction
+from taut.maths.model import Model, PayloadValues, model_of
+from taut.plant.stages import Actuation, Environment, Sensors, delayed, lagged
+
+__all__ = ["RigidPlant"]
+
+Integrator = Literal["semi-implicit-euler", "rk4"]
+INTEGRATORS: Final[tuple[Integrator, ...]] = ("semi-implicit-euler", "rk4")
+Values = Mapping[str, Any]
+MOST_SUBSTEPS: Final = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class RigidPlant:
+    """A rigid arm in free space, or touching an environment at its tool.
+
+    Model:
+        (M + rotors) a + C v + g + b v + friction = tau + J^T F_ext
+        semi-implicit Euler: v+ = v + dt a with b v taken at v+, q+ = q + dt v+; dry friction really sticks.
+        rk4: fourth order in smooth motion; dry friction is refused.
+
+    Args:
+        arm: The true arm; make it differ from the controller's and there is a modelling error.
+        friction: "arm" for the arm's own viscous and dry friction, None for none.
+        integrator: "semi-implicit-euler" or "rk4".
+        substeps: Steps of the integrator in one control period.
+        takes: The command: "torque", "velocity" or "position". The last two are stiff drives, which need
+            `actuation=Actuation(bandwidth=...)`.
+        actuation: Bandwidth and delay of the drives.
+        sensors: Resolution and noise; ideal if left out.
+        environment: What touches the tool, if anything; then the wrench is measured too.
+        adds: What the plant adds to a torque command itself: "gravity", "coriolis", "friction".
+
+    Raises:
+        UsageError: Options that do not go together.
+    """
+
+    arm: Arm
+    friction: Literal["arm"] | None = "arm"
+    integrator: Integrator = field(default="semi-implicit-euler", kw_only=True)
+    substeps: int = field(default=1, kw_only=True)
+    takes: CommandKind = field(default="torque", kw_only=True)
+    actuation: Actuation = field(default_factory=Actuation, kw_only=True)
+    sensors: Sensors = field(default_factory=Sensors, kw_only=True)
+    environment: Environment | None = field(default=None, kw_only=True)
+    adds: Adds | Iterable[str] | Mapping[str, Payload | None] = field(default=(), kw_only=True)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.arm, Arm):
+            raise UsageError(f"a plant takes an Arm from taut.load_arm; got {type(self.arm).__name__}", name="arm")
+        one_of("integrator", self.integrator, INTEGRATORS)
+        one_of("takes", self.takes, COMMANDS)
+        if self.friction not in ("arm", None):
+            raise UsageError(f"friction must be 'arm' or None; got {self.friction!r}", name="friction")
+        if isinstance(self.substeps, bool) or not isinstance(self.substeps, int):
+            raise UsageError(f"substeps must be a whole number; got {self.substeps!r}", name="substeps")
+        if not 1 <= self.substeps <= MOST_SUBSTEPS:
+            raise RangeError(f"substeps must be between 1 and {MOST_SUBSTEPS}; got {self.substeps}", name="substeps")
+        adds = Adds.of(self.adds)
+        object.__setattr__(self, "adds", adds)
+        if self.integrator == "rk4" and self._dry:
+            raise UsageError(
+                f"rk4 needs smooth forces, and arm '{self.arm.name}' has dry friction; use semi-implicit-euler, "
+                "or friction=None",
+                name="integrator",
+            )
+        if self.takes != "torque":
+            if self.actuation.bandwidth is None:
+                raise UsageError(
+                    f"a plant that takes {self.takes} needs the bandwidth of its drives: "
+                    "actuation=taut.Actuation(bandwidth=50.0)  # rad/s",
+                    name="actuation",
+                )
+            if adds.names:
+                raise UsageError(f"adds is for torque commands; this plant takes {self.takes}", name="adds")
+            if self.environment is not None:
+                raise UsageError(
+                    f"a plant that takes {self.takes} has stiff drives, which an environment cannot move; "
+                    "leave environment out",
+                    name="environment",
+                )
+
+    @property
+    def _dry(self) -> bool:
+        return self.friction == "arm" and bool(self.arm.coulomb.any())
+
+    @property
+    def _viscous(self) -> bool:
+        return self.friction == "arm" and bool(self.arm.viscous.any())
+
+    # ---------------------------------------------------------------- what it declares
+
+    @property
+    def name(self) -> str:
+        """What it is called in messages."""
+        return f"RigidPlant({self.arm.name})"
+
+    @property
+    def measures(self) -> frozenset[str]:
+        """What it measures besides positions."""
+        return frozenset({"v", "tau_meas"} | ({"F_ext"} if self.environment is not None else set()))
+
+    @property
+    def noise(self) -> dict[str, tuple[int, ...]]:
+        """Standard normal numbers that it needs in every tick, by name."""
+        return dict.fromkeys(self.sensors.noisy, (self.arm.n,))
+
+    @property
+    def model(self) -> Model:
+        """The constants of the true arm."""
+        return model_of(self.arm)
+
+    def parameters(self) -> dict[str, Float64Array]:
+        """Run-time parameters by path."""
+        payload = self.arm.payload
+        out: dict[str, Any] = {
+            "payload": {"mass": np.asarray(payload.mass), "com": payload.com, "inertia": payload.inertia}
+        }
+        if self._viscous:
+            out["friction"] = {"viscous": self.arm.viscous}
+        if self._dry:
+            out.setdefault("friction", {})["coulomb"] = self.arm.coulomb
+        out["actuation"] = self.actuation.parameters()
+        out["sensors"] = self.sensors.parameters()
+        if self.environment is not None:
+            out["environment"] = self.environment.parameters()
+        return flatten(out)
+
+    # ---------------------------------------------------------------- the pure functions
+
+    def start(self, q: Vector, v: Vector, dt: float) -> dict[str, Any]:
+        """Memory by path at the start of a run, from the true state."""
+        n = self.arm.n
+        memory: dict[str, Any] = {"q": q, "v": v, "tau": tm.zeros(n), "held": tm.zeros(n)}
+        if self._dry:
+            memory["friction"] = tm.zeros(n)
+        taps = self.actuation.taps(dt)
+        if taps:
+            rest = {"torque": np.zeros(n), "velocity": np.zeros(n), "position": q}[self.takes]
+            memory["delay"] = tm.stack([rest] * taps)
+        if self.environment is not None:
+            memory["t"] = 0.0
+            memory["F_ext"] = tm.zeros(6)
+            touched = self.environment.start(dyn.pose(self.model, q))
+            memory |= {f"environment.{name}": value for name, value in touched.items()}
+        return memory
+
+    def measure(self, memory: Values, noise: Values, parameters: Values) -> dict[str, Any]:
+        """What the sensors give: q, v, the joint torques, and the wrench where something touches the tool."""
+        q, v = self.sensors.read(memory["q"], memory["v"], noise, subtree(parameters, "sensors"))
+        measured = {"q": q, "v": v, "tau_meas": memory["tau"]}
+        if self.environment is not None:
+            measured["F_ext"] = memory["F_ext"]
+        return measured
+
+    def command(self, command: Vector, memory: Values, parameters: Values, t: Any, dt: Any) -> dict[str, Any]:
+        """Memory after a command came in at time t: the delay line, and what stands at the drives until the next."""
+        held, line = delayed(command, memory.get("delay"))
+        out = dict(memory)
+        if self.environment is not None:
+            out["t"] = t
+        if line is not None:
+            out["delay"] = line
+        if self.takes == "torque" and self.actuation.bandwidth is not None:
+            held = lagged(held, memory["tau"], parameters["actuation.bandwidth"], dt)
+        out["held"] = held
+        return out
+
+    def advance(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
+        """Memory after one step of the integrator, dt long, under what stands at the drives."""
+        if self.takes == "torque":
+            return self._torque_step(memory, parameters, dt)
+        return self._driven_step(memory, parameters, dt)
+
+    def _driven_step(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
+        """Stiff drives: their loop decides the motion, and the torque is what that takes."""
+        q, v, wanted = memory["q"], memory["v"], memory["held"]
+        omega = parameters["actuation.bandwidth"]
+        if self.takes == "velocity":
+            v_new = lagged(wanted, v, omega, dt)
+            # The exact integral of the exponential approach.
+            q_new = q + wanted * dt + (v - wanted) * ((1.0 - tm.exp(-omega * dt)) / omega)
+        else:
+            # Critically damped: e(t) = (e0 + (v + omega e0) t) exp(-omega t), exact over the step.
+            e = q - wanted
+            rate = v + omega * e
+            decay = tm.exp(-omega * dt)
+            q_new = wanted + (e + rate * dt) * decay
+            v_new = (rate - omega * (e + rate * dt)) * decay
+        a = (v_new - v) / dt
+        tau = dyn.inverse_dynamics(self.model, q, v, a, self._payload(parameters))
+        if self._viscous:
+            tau = tau + parameters["friction.viscous"] * v
+        return {**memory, "q": q_new, "v": v_new, "tau": tau}
+
+    def _torque_step(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
+        q, v, t = memory["q"], memory["v"], memory.get("t", 0.0)
+        payload = self._payload(parameters)
+        out = dict(memory)
+        out["tau"] = memory["held"]
+        tau = memory["held"] + self._compensation(q, v, parameters)
+        if self.environment is not None:
+            wrench, touched = self._touch(q, v, memory, parameters, t, dt)
+            out["F_ext"], out["t"] = wrench, t + dt
+            out |= {f"environment.{name}": value for name, value in touched.items()}
+        if self.integrator == "rk4":
+            out["q"], out["v"] = self._rk4(q, v, tau, memory, parameters, t, dt)
+            return out
+        if self.environment is not None:
+            tau = tau + dyn.jacobian(self.model, q).T @ out["F_ext"]
+        M = dyn.mass_matrix(self.model, q, payload)
+        rhs = tau - dyn.bias(self.model, q, v, payload)
+        if self._viscous:
+            b = parameters["friction.viscous"]
+            rhs = rhs - b * v
+            for i in range(self.arm.n):
+                M[i, i] = M[i, i] + dt * b[i]
+        factors = tm.factor_spd(M)
+        v_new = v + dt * factors.solve(rhs)
+        if self._dry:
+            v_new, out["friction"] = dry_friction(
+                factors, v_new, parameters["friction.coulomb"], memory["friction"], dt
+            )
+        out["v"], out["q"] = v_new, q + dt * v_new
+        return out
+
+    def _compensation(self, q: Vector, v: Vector, parameters: Values) -> Array:
+        """(n,) what the plant adds to a torque command itself."""
+        adds = Adds.of(self.adds)
+        total: Array = np.zeros(self.arm.n)
+        if adds.gravity:
+            load = self._payload(parameters)
+            if adds.load is not None:
+                load = PayloadValues(mass=adds.load.mass, com=adds.load.com, inertia=adds.load.inertia)
+            total = total + dyn.gravity_torque(self.model, q, load)
+        if adds.coriolis:
+            total = total + dyn.bias(self.model, q, v, self._payload(parameters), gravity=False)
+        if adds.friction and self._viscous:
+            total = total + parameters["friction.viscous"] * v
+        return total
+
+    def _payload(self, parameters: Values) -> PayloadValues:
+        return PayloadValues.of(subtree(parameters, "payload"))
+
+    def _touch(
+        self, q: Vector, v: Vector, memory: Values, parameters: Values, t: Any, dt: Any
+    ) -> tuple[Array, dict[str, Any]]:
+        assert self.environment is not None
+        return self.environment.wrench(
+            dyn.pose(self.model, q),
+            dyn.twist(self.model, q, v),
+            t,
+            subtree(memory, "environment"),
+            subtree(parameters, "environment"),
+            dt,
+        )
+
+    def _rk4(
+        self, q: Vector, v: Vector, tau: Vector, memory: Values, parameters: Values, t: Any, dt: Any
+    ) -> tuple[Vector, Vector]:
+        payload = self._payload(parameters)
+
+        def rates(q: Vector, v: Vector, t: Any) -> tuple[Vector, Vector]:
+            force = tau
+            if self._viscous:
+                force = force - parameters["friction.viscous"] * v
+            if self.environment is not None:
+                wrench, _ = self._touch(q, v, memory, parameters, t, dt)
+                force = force + dyn.jacobian(self.model, q).T @ wrench
+            return v, dyn.forward_dynamics(self.model, q, v, force, payload)
+
+        half = 0.5 * dt
+        v1, a1 = rates(q, v, t)
+        v2, a2 = rates(q + half * v1, v + half * a1, t + half)
+        v3, a3 = rates(q + half * v2, v + half * a2, t + half)
+        v4, a4 = rates(q + dt * v3, v + dt * a3, t + dt)
+        sixth = dt / 6.0
+        return q + sixth * (v1 + 2.0 * (v2 + v3) + v4), v + sixth * (a1 + 2.0 * (a2 + a3) + a4)

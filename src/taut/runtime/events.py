@@ -1,0 +1,55 @@
+"""Events: parameters that change at stated times of a run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from taut.base.checks import finite_scalar
+from taut.base.errors import RangeError, UsageError
+from taut.base.types import ArrayLike
+
+__all__ = ["Event", "sorted_events"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Event:
+    """Parameters that take new values at time t, from the tick at or just after it.
+
+    Args:
+        t: [s].
+        set: New values by path, such as {"plant.payload.mass": 1.0} or {"law.kp": 150.0}.
+
+    Example:
+        >>> Event(t=2.0, set={"plant.payload.mass": 1.0}).t
+        2.0
+    """
+
+    t: float
+    set: Mapping[str, ArrayLike]
+
+    def __post_init__(self) -> None:
+        if finite_scalar("event.t", self.t, unit="s") < 0.0:
+            raise RangeError(f"event.t must be >= 0 [s]; got {self.t!r}", name="event.t")
+        if not isinstance(self.set, Mapping) or not self.set:
+            raise UsageError(f"an event sets one parameter at least: set={{'law.kp': 150.0}}; got {self.set!r}")
+
+    def json(self) -> dict[str, Any]:
+        """As plain values."""
+        return {"t": self.t, "set": {path: _plain(value) for path, value in self.set.items()}}
+
+
+def _plain(value: ArrayLike) -> Any:
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+def sorted_events(events: Iterable[Event] | None, rate: float) -> list[tuple[int, Event]]:
+    """Events with the tick at which they act, in order."""
+    out = []
+    for event in events or ():
+        if not isinstance(event, Event):
+            raise UsageError(f"events must be taut.Event(t=, set=); got {event!r}", name="events")
+        out.append((math.ceil(event.t * rate - 1e-9), event))
+    return sorted(out, key=lambda pair: pair[0])

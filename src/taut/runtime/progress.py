@@ -1,0 +1,54 @@
+"""Progress of long work, on a terminal."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+from typing import Any, Final, Self
+
+__all__ = ["Progress"]
+
+PATIENCE: Final = 1.0  # [s] before anything is shown
+
+
+class Progress:
+    """A bar on standard error that appears when the work takes a while.
+
+    Args:
+        total: Number of steps.
+        show: True or False; None shows it on a terminal only.
+        what: What is counted.
+    """
+
+    def __init__(self, total: int, show: bool | None, what: str = "simulating") -> None:
+        self._total = total
+        self._show = sys.stderr.isatty() if show is None else show
+        self._what = what
+        self._bar: Any = None
+        self._task: Any = None
+        self._since = time.monotonic()
+        self._done = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def advance(self, steps: int) -> None:
+        """Some more steps are done."""
+        self._done += steps
+        if not self._show or (self._bar is None and time.monotonic() - self._since < PATIENCE):
+            return
+        if self._bar is None:
+            from rich.console import Console
+            from rich.progress import Progress as Bar
+
+            self._bar = Bar(console=Console(stderr=True), transient=True)
+            self._bar.start()
+            self._task = self._bar.add_task(self._what, total=self._total)
+        self._bar.update(self._task, completed=self._done)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()

@@ -1,0 +1,93 @@
+"""Tape: the rows of a run while it goes on, and the Run that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+
+from taut.base.paths import subtree
+from taut.base.types import Float64Array
+from taut.codegen.layout import Block
+from taut.control.lawside import LawSide
+from taut.loop import AnyPlant
+from taut.record.outcome import Outcome
+from taut.record.run import Run
+
+__all__ = ["RowLog", "Tape"]
+
+COLUMNS = ("q", "v", "tau", "command")
+
+
+class RowLog(Protocol):
+    """A file that takes rows while a run goes on."""
+
+    def write(self, rows: Run) -> None:
+        """Append the ticks of a piece of the run."""
+        ...
+
+    def finish(self, outcome: Outcome) -> None:
+        """Write how the run ended, and what readers need."""
+        ...
+
+
+class Tape:
+    """Two tables with one row per tick: what the loop got from outside, and what it did.
+
+    Args:
+        side: The law side of the loop.
+        plant: The plant.
+        ticks: Number of rows.
+        inputs: Layout of the first table: t, ref.*, ...
+        outputs: Layout of the second: q, v, tau, command, terms.*, and further columns.
+        info: What is known of the run beforehand, as plain values.
+    """
+
+    def __init__(self, side: LawSide, ticks: int, inputs: Block, outputs: Block, info: Mapping[str, Any]) -> None:
+        self._side = side
+        self.input_rows = np.zeros((ticks, inputs.size))
+        self.output_rows = np.zeros((ticks, outputs.size))
+        self.inputs = inputs.views(self.input_rows)
+        self.outputs = outputs.views(self.output_rows)
+        self.inputs["t"][...] = np.arange(ticks) * side.dt
+        self.info = info
+
+    def reference(self, first: int, end: int) -> dict[str, Float64Array]:
+        """The reference's columns for some ticks, to be filled."""
+        return {name: column[first:end] for name, column in subtree(self.inputs, "ref").items()}
+
+    def piece(self, first: int, end: int, outcome: Outcome) -> Run:
+        """The ticks from first to end as a Run; its arrays share the tape's memory."""
+        arm, rows = self._side.arm, {name: column[first:end] for name, column in self.outputs.items()}
+        extra = {name: rows[name] for name in rows if name not in COLUMNS and not name.startswith("terms.")}
+        return Run(
+            t=self.inputs["t"][first:end],
+            q=rows["q"],
+            v=rows["v"],
+            tau=rows["tau"],
+            command=rows["command"],
+            terms=subtree(rows, "terms"),
+            reference=self._side.law.reference.of(self.reference(first, end)),
+            outcome=outcome,
+            joint_names=arm.joint_names,
+            units=arm.units,
+            continuous=arm.continuous,
+            kind=self._side.probe.kind,
+            extra=extra,
+            info=self.info,
+            arm=self._plant.arm,
+        )
+
+    def diverged(self, tick: int) -> tuple[int, Outcome]:
+        """Number of rows to keep, and the outcome, when the step after row `tick` did not give finite numbers."""
+        names, units = self._side.arm.joint_names, self._side.arm.units
+        finite = np.isfinite(self.output_rows[tick]).all()
+        speeds = np.abs(self.outputs["v"][tick])
+        joint = int(np.argmax(np.where(np.isfinite(speeds), speeds, np.inf)))
+        t = self.inputs["t"][tick]
+        message = (
+            f"the simulation diverged at t = {t:.6g} s (tick {tick}): joint '{names[joint]}' was at "
+            f"{speeds[joint]:.3g} {units[joint]}/s; try smaller gains, a higher rate or more substeps"
+        )
+        return tick + int(finite), Outcome(kind="diverged", message=message, tick=tick, joint=names[joint])
