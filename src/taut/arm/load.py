@@ -21,7 +21,7 @@ from taut.base.errors import FileError, ModelError, Problem, UsageError, unknown
 from taut.base.pose import Pose
 from taut.base.types import ArrayLike
 
-__all__ = ["OpenedModel", "load_arm", "open_model"]
+__all__ = ["OpenedModel", "arm_of", "load_arm", "open_model"]
 
 SUFFIXES: Final = (".urdf", ".xml", ".mjcf")
 
@@ -77,7 +77,20 @@ def load_arm(
         raise UsageError(f"T_WB must be a taut.Pose; got {type(T_WB).__name__}", name="T_WB")
     if tool is not None and not isinstance(tool, str):
         raise UsageError(f"tool must be the name of a frame; got {type(tool).__name__}", name="tool")
-    opened = open_model(model)
+    return arm_of(open_model(model), tool=tool, T_WB=T_WB, locked=locked, joints=joints, home=home, gravity=gravity)
+
+
+def arm_of(
+    opened: OpenedModel,
+    *,
+    tool: str | None = None,
+    T_WB: Pose | None = None,
+    locked: Mapping[str, float | None] | None = None,
+    joints: Iterable[str] | None = None,
+    home: Mapping[str, float] | ArrayLike | None = None,
+    gravity: ArrayLike | None = None,
+) -> Arm:
+    """The arm of a model that has been read; the arguments are those of `load_arm`."""
     tree = opened.tree
     start: Mapping[str, float] | ArrayLike = tree.home if home is None else home
     if isinstance(start, Mapping):

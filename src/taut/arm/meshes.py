@@ -54,7 +54,7 @@ class MeshPaths:
             yield f"{count} not shown, because they {reason}: {quoted_list(names, 2)}"
 
     def _drop(self, reason: str, name: str) -> str:
-        self._dropped.setdefault(reason, []).append(name if len(name) <= 80 else f"{name[:77]}...")
+        self._dropped.setdefault(reason, []).append(name if len(name) <= 60 else f"...{name[-57:]}")
         return ""
 
     def _resolve(self, name: str) -> str:

@@ -11,7 +11,7 @@ from typing import TypeAlias
 from taut.arm.builtin import BUILT_IN, COMMANDS
 from taut.arm.catalogue import CATALOGUE, is_installed
 from taut.arm.description import BASE, Arm, CommandKind, Joint
-from taut.arm.load import OpenedModel, load_arm, open_model
+from taut.arm.load import OpenedModel, arm_of, open_model
 from taut.arm.reach import reach
 from taut.arm.tree import TreeJoint
 from taut.base.errors import ModelError, Problem, TautError, UsageError
@@ -19,7 +19,7 @@ from taut.base.types import Float64Array
 
 __all__ = ["ArmRow", "CheckReport", "arm_rows", "check_model"]
 
-Json: TypeAlias = "str | float | bool | None | list[Json] | dict[str, Json]"
+Json: TypeAlias = "str | float | bool | list[Json] | dict[str, Json] | None"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,10 +92,10 @@ def check_model(model: str | os.PathLike[str]) -> CheckReport:
     notes: tuple[str, ...] = ()
     try:
         try:
-            arm = load_arm(model)
+            arm = arm_of(opened)
         except UsageError as ask:  # several ends, and no tool named: any of them will do to look at the arm
             notes = (f"{ask}; here it is '{ask.value}'",)
-            arm = load_arm(model, tool=str(ask.value))
+            arm = arm_of(opened, tool=str(ask.value))
     except TautError as wrong:
         return CheckReport(
             name=tree.name, problems=_problems_of(wrong, tree.name), opened=opened, notes=tuple(tree.notes)
@@ -187,13 +187,11 @@ def _text(report: CheckReport) -> Iterator[str]:
 
 def _arm_text(arm: Arm, opened: OpenedModel | None) -> Iterator[str]:
     yield ""
-    yield from _table(
-        [("moved by", "mass [kg]", "centre of mass [m]", "links")]
-        + [
-            (joint.name, f"{body.mass:.4g}", " ".join(f"{c:.4g}" for c in body.com), ", ".join(body.links))
-            for joint, body in zip(arm.joints, arm.bodies, strict=True)
-        ]
-    )
+    cells: list[tuple[str, ...]] = [("moved by", "mass [kg]", "centre of mass [m]", "links")]
+    for joint, body in zip(arm.joints, arm.bodies, strict=True):
+        com = " ".join(f"{c:.4g}" for c in body.com)
+        cells.append((joint.name, f"{body.mass:.4g}", com, ", ".join(body.links)))
+    yield from _table(cells)
     yield ""
     if opened is not None and opened.locked:
         held = (f"'{name}' at {position:g}" for name, position in opened.locked.items())

@@ -135,6 +135,7 @@ def _bad(joint: TreeJoint, attribute: str, text: str) -> Problem:
 
 def joint_problems(tree: Tree, locked: Collection[str]) -> Iterator[Problem]:
     """Types that an arm cannot have; axes, limits and friction of the joints that move."""
+    names = {joint.name for joint in tree.joints}
     for joint in tree.joints:
         if joint.kind == "fixed" or joint.name in locked:
             continue
@@ -143,6 +144,8 @@ def joint_problems(tree: Tree, locked: Collection[str]) -> Iterator[Problem]:
             yield _bad(joint, "type", f"{OTHER_KINDS[joint.kind]}, {hold}")
         elif joint.mimic is not None:
             follows = f"it mimics '{joint.mimic}'" if joint.mimic else "a coupling holds it"
+            if joint.mimic and joint.mimic not in names:
+                follows += " (there is no such joint)"
             yield _bad(joint, "mimic", f"{follows}, and taut has no coupled joints; make it fixed, {hold}")
         else:
             for attribute, text in value_problems(joint):

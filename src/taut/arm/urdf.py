@@ -72,7 +72,6 @@ class _Reader:
                 self._tree.structure_unknown = True
             else:
                 self._tree.joints.append(joint)
-        self._check_mimics()
         if self._wrapping:
             text = "continuous, so the position limits in the file are left out"
             self._tree.notes.append(f"{quoted_list(self._wrapping)}: {text}")
@@ -175,14 +174,6 @@ class _Reader:
             read["lower"], read["upper"] = -math.inf, math.inf
         joint.lower, joint.upper = read["lower"], read["upper"]
         joint.velocity, joint.effort = read["velocity"], read["effort"]
-
-    def _check_mimics(self) -> None:
-        names = [joint.name for joint in self._tree.joints]
-        for joint in self._tree.joints:
-            if joint.mimic is None or joint.mimic in names:
-                continue
-            text = str(unknown_name("the model", "joint", joint.mimic, names)) if joint.mimic else "give joint="
-            self._problem(f"joint '{joint.name}'", "mimic", f"its <mimic>: {text}", joint.lines["mimic"])
 
     # ---------------------------------------------------------------- pieces
 

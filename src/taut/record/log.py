@@ -1,6 +1,7 @@
 """Log files."""
 
 from __future__ import annotations
+
 from typing import Any
 
 

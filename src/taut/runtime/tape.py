@@ -44,8 +44,11 @@ class Tape:
         info: What is known of the run beforehand, as plain values.
     """
 
-    def __init__(self, side: LawSide, ticks: int, inputs: Block, outputs: Block, info: Mapping[str, Any]) -> None:
+    def __init__(
+        self, side: LawSide, plant: AnyPlant, ticks: int, inputs: Block, outputs: Block, info: Mapping[str, Any]
+    ) -> None:
         self._side = side
+        self._plant = plant
         self.input_rows = np.zeros((ticks, inputs.size))
         self.output_rows = np.zeros((ticks, outputs.size))
         self.inputs = inputs.views(self.input_rows)

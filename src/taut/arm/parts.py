@@ -1,0 +1,152 @@
+"""What an Arm is made of: joints, bodies, frames, shapes to draw, and the payload."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final, Literal
+
+import numpy as np
+
+from taut.base.checks import finite_array, finite_scalar, require_at_least, symmetric_psd, vector
+from taut.base.errors import RangeError
+from taut.base.pose import Pose
+from taut.base.types import Float64Array
+
+__all__ = [
+    "BASE",
+    "COMMANDS",
+    "STANDARD_GRAVITY",
+    "Body",
+    "CommandKind",
+    "Frame",
+    "Joint",
+    "JointKind",
+    "Payload",
+    "Shape",
+    "Visual",
+]
+
+JointKind = Literal["revolute", "continuous", "prismatic"]
+CommandKind = Literal["torque", "velocity", "position"]
+Shape = Literal["mesh", "box", "cylinder", "sphere"]
+COMMANDS: Final[tuple[CommandKind, ...]] = ("torque", "velocity", "position")
+BASE: Final = -1
+STANDARD_GRAVITY: Final = (0.0, 0.0, -9.81)  # [m/s^2] in the world
+
+
+@dataclass(frozen=True, kw_only=True)
+class Body:
+    """What one joint carries, as one rigid body.
+
+    Frames: `com` and `inertia` are given in the body frame; `inertia` is about the centre of mass.
+    """
+
+    mass: float  # [kg]
+    com: Float64Array  # (3,) [m]
+    inertia: Float64Array  # (3, 3) [kg m^2]
+    links: tuple[str, ...] = ()  # the links that were lumped into it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Joint:
+    """One moving joint. Units are rad and N m for rotating joints, m and N for prismatic ones."""
+
+    name: str
+    kind: JointKind
+    parent: int  # the joint that moves the parent body; BASE at the root
+    placement: Pose  # the joint's frame in the parent's body frame, at q = 0
+    axis: Float64Array  # (3,) unit vector in the joint's frame
+    lower: float = -np.inf  # [rad | m]
+    upper: float = np.inf  # [rad | m]
+    velocity: float = np.inf  # largest speed [rad/s | m/s]
+    effort: float = np.inf  # largest torque or force [N m | N]
+    viscous: float = 0.0  # friction per speed [N m s/rad | N s/m]
+    coulomb: float = 0.0  # dry friction [N m | N]
+    rotor_inertia: float = 0.0  # seen at the joint, G^2 I_motor [kg m^2 | kg]
+
+    @property
+    def unit(self) -> str:
+        """Unit of the joint's position."""
+        return "m" if self.kind == "prismatic" else "rad"
+
+    @property
+    def effort_unit(self) -> str:
+        """Unit of the joint's torque or force."""
+        return "N" if self.kind == "prismatic" else "N m"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """A named frame that is fixed to a body."""
+
+    name: str
+    body: int  # index of the joint that moves it; BASE where nothing does
+    placement: Pose  # in the body's frame
+
+
+@dataclass(frozen=True, kw_only=True)
+class Visual:
+    """Something to draw: a mesh file or a primitive, fixed to a body. Never needed to control an arm."""
+
+    body: int
+    placement: Pose
+    shape: Shape
+    size: tuple[float, ...]  # mesh: scale xyz; box: edges xyz [m]; cylinder: radius, length; sphere: radius
+    file: str = ""
+    rgba: tuple[float, float, float, float] = (0.8, 0.8, 0.8, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Payload:
+    """What the tool carries. A run-time parameter: it changes between ticks without compiling.
+
+    Frames: `com` and `inertia` are in the tool frame; `inertia` is about the payload's centre of mass,
+    in the order xx, yy, zz, xy, xz, yz.
+
+    Args:
+        mass: [kg], >= 0.
+        com: (3,) [m].
+        inertia: (6,) [kg m^2], or (3, 3).
+
+    Example:
+        >>> Payload(mass=1.0, com=[0.0, 0.0, 0.05]).mass
+        1.0
+    """
+
+    mass: float = 0.0
+    com: Float64Array = field(default_factory=lambda: np.zeros(3))
+    inertia: Float64Array = field(default_factory=lambda: np.zeros(6))
+
+    def __post_init__(self) -> None:
+        mass = finite_scalar("payload.mass", self.mass, unit="kg")
+        require_at_least("payload.mass", np.array(mass), 0.0, unit="kg")
+        com = vector("payload.com", self.com, 3, unit="m")
+        given = np.asarray(self.inertia)
+        if given.shape == (3, 3):
+            I = finite_array("payload.inertia", given, shape=(3, 3), unit="kg m^2")
+            symmetric_psd("payload.inertia", I, unit="kg m^2")
+            six = np.array([I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]])
+        else:
+            six = given
+        inertia = vector("payload.inertia", six, 6, unit="kg m^2")
+        _check_moments(inertia)
+        object.__setattr__(self, "mass", mass)
+        object.__setattr__(self, "com", com)
+        object.__setattr__(self, "inertia", inertia)
+
+
+def _check_moments(six: Float64Array) -> None:
+    """Zero, as of a point mass, or a possible body's."""
+    if not six.any():
+        return
+    xx, yy, zz, xy, xz, yz = six
+    I = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    symmetric_psd("payload.inertia", I, unit="kg m^2")
+    small, middle, large = np.linalg.eigvalsh(I)
+    if large > (small + middle) * (1.0 + 1e-6):
+        raise RangeError(
+            f"payload.inertia violates the triangle inequality: principal moments {large:.4g} > {small:.4g} + "
+            f"{middle:.4g} [kg m^2]; it is about the centre of mass, in the order xx, yy, zz, xy, xz, yz",
+            name="payload.inertia",
+            rule="triangle inequality",
+        )
