@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from taut.base.errors import UnknownNameError as UnknownNameError
     from taut.base.errors import UsageError as UsageError
     from taut.base.pose import Pose as Pose
+    from taut.codegen.casadi import from_casadi as from_casadi
+    from taut.codegen.casadi import to_casadi as to_casadi
     from taut.codegen.function import native as native
     from taut.control import laws as laws
     from taut.control.command import Position as Position
@@ -85,6 +87,7 @@ _HOME: Final = {
         "UsageError",
     ),
     "base.pose": ("Pose",),
+    "codegen.casadi": ("from_casadi", "to_casadi"),
     "codegen.function": ("native",),
     "control.command": ("Position", "Terms", "Torque", "Velocity"),
     "control.gains": ("Gain", "Memory"),

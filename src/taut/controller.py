@@ -17,7 +17,7 @@ from taut.codegen import native
 from taut.codegen.call import Argument
 from taut.codegen.kernel import Blocks, FloatKernel, Kernel, NativeKernel, verified
 from taut.codegen.layout import Block
-from taut.codegen.program import Values, trace
+from taut.codegen.program import Program, Values, trace
 from taut.control.describe import PARAMETER_UNITS, all_laws, gain_units, section, short, summary, title
 from taut.control.law import Law
 from taut.control.lawside import LawSide
@@ -180,6 +180,15 @@ class Controller:
     def operations(self) -> int:
         """Number of arithmetic operations in a tick; 0 in the float engine, which is not traced."""
         return self._kernel.operations
+
+    @property
+    def program(self) -> Program:
+        """The traced tick, for other targets: `taut.to_casadi(ctrl.program)`."""
+        if self._kernel.program is not None:
+            return self._kernel.program
+        layout = self._kernel.blocks.layout
+        functions = _Functions(self.side, record=False)
+        return trace(functions.tick, layout["inputs"], layout["parameters"], layout["memory"])
 
     @property
     def ticks(self) -> int:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from taut.arm.description import BASE, Body, Frame, Joint, JointKind, Visual
-from taut.arm.rules import check_inertia
+from taut.arm.rules import check_inertia, wrong_mass
 from taut.base.errors import Problem, quoted_list
 from taut.base.pose import Pose, axis_angle
 from taut.base.types import Float64Array
@@ -142,8 +142,8 @@ class Lumps:
         """Bodies that no joint can move: without mass, or with an inertia that no rigid body has."""
         for i in range(len(self._moving)):
             links = self._on_body[i]
-            if any(link.unreadable for link in links):
-                continue  # reported by the reader
+            if any(link.unreadable or wrong_mass(link) for link in links):
+                continue  # reported already
             body = self._lump(i)
             wrong = check_inertia(body.mass, body.inertia)
             if wrong is None:

@@ -47,7 +47,9 @@ def mjcf_tree(root: Element, path: Path) -> Tree:
     if source.problems:
         raise ModelError(str(path), source.problems)
     result = compiled(source, path)
-    tree = Tree(name=root.get("model") or path.stem, source=str(path), inertia_fix="fix its <inertial>")
+    tree = Tree(
+        name=root.get("model") or path.stem, source=str(path), line=root.line, inertia_fix="fix its <inertial>"
+    )
     links = _Builder(tree, result, str(path)).build()
     meshes = MeshPaths(path.parent)
     for body, visual in visuals_of(result, source.meshes, meshes):

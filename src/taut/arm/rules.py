@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from taut.arm.description import Joint
     from taut.arm.tree import Tree, TreeJoint, TreeLink
 
-__all__ = ["check_inertia", "joint_problems", "mass_problems", "structure_problems", "value_problems"]
+__all__ = ["check_inertia", "joint_problems", "mass_problems", "structure_problems", "value_problems", "wrong_mass"]
 
 AXIS_TOLERANCE: Final = 1e-3  # an axis shorter than this has no direction; any other length is normalised
 INERTIA_TOLERANCE: Final = 1e-6  # relative slack of the triangle inequality, for rounded files
@@ -35,11 +35,12 @@ MAX_LINKS: Final = 1000  # a humanoid with hands has 100; what is far beyond is 
 def structure_problems(tree: Tree) -> Iterator[Problem]:
     """Names that are empty, doubled or unknown; more than one root or parent; cycles."""
     if not tree.links:
-        yield Problem(object=tree.name, attribute=None, message="the model has no links")
+        text = "the model has no links; an arm needs a base and one link at least"
+        yield Problem(object=tree.name, attribute="link", message=text, line=tree.line)
         return
     if len(tree.links) > MAX_LINKS:
         text = f"the model has {len(tree.links)} links; an arm has {MAX_LINKS} at most"
-        yield Problem(object=tree.name, attribute=None, message=text)
+        yield Problem(object=tree.name, attribute="link", message=text, line=tree.line)
         return
     found = [*_name_problems(tree), *_reference_problems(tree)]
     yield from found
@@ -166,7 +167,7 @@ def value_problems(joint: Joint | TreeJoint) -> Iterator[tuple[str, str]]:
     if joint.kind == "continuous" and not (math.isinf(low) and math.isinf(high)):
         yield "limit", "a continuous joint has no position limits; make it revolute"
     elif low >= high:
-        way_out = "make a joint that does not move a fixed one"
+        way_out = "swap them" if low > high else "make a joint that does not move a fixed one"
         yield "limit", f"lower limit {low:g} must be below upper limit {high:g}; {way_out}"
     for attribute, word, value in (("velocity", "speed", joint.velocity), ("effort", "effort", joint.effort)):
         if value <= 0.0:
@@ -185,24 +186,28 @@ def _listed(words: list[str]) -> str:
 
 
 def mass_problems(tree: Tree) -> Iterator[Problem]:
-    """Links whose own numbers no body has: not finite, or a negative mass. Zero is fine for a frame."""
+    """Links whose own numbers no body has."""
     for link in tree.links:
-        if link.inertia is None:
-            continue
-        numbers = np.concatenate([np.ravel(link.inertia.com), np.ravel(link.inertia.inertia)])
-        mass = link.inertia.mass
-        if not (math.isfinite(mass) and mass >= 0.0):
-            text = f"mass must be finite and >= 0 [kg]; got {mass:g}"
-        elif not np.isfinite(numbers).all():
-            text = "centre of mass and inertia must be finite"
-        else:
-            continue
-        yield Problem(
-            object=link.name,
-            attribute="mass",
-            message=f"link '{link.name}': {text}; {tree.inertia_fix}",
-            line=link.lines.get("mass", link.line),
-        )
+        text = wrong_mass(link)
+        if text is not None:
+            yield Problem(
+                object=link.name,
+                attribute="mass",
+                message=f"link '{link.name}': {text}; {tree.inertia_fix}",
+                line=link.lines.get("mass", link.line),
+            )
+
+
+def wrong_mass(link: TreeLink) -> str | None:
+    """What is wrong with a link's own numbers: not finite, or a negative mass. Zero is fine for a frame."""
+    if link.inertia is None:
+        return None
+    mass = link.inertia.mass
+    if not (math.isfinite(mass) and mass >= 0.0):
+        return f"mass must be finite and >= 0 [kg]; got {mass:g}"
+    if not (np.isfinite(link.inertia.com).all() and np.isfinite(link.inertia.inertia).all()):
+        return "centre of mass and inertia must be finite"
+    return None
 
 
 def check_inertia(mass: float, inertia: Float64Array) -> tuple[str, str] | None:

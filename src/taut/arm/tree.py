@@ -105,6 +105,7 @@ class Tree:
 
     name: str
     source: str
+    line: int | None = None  # where the model begins
     links: list[TreeLink] = field(default_factory=list)
     joints: list[TreeJoint] = field(default_factory=list)
     frames: list[tuple[str, str, Pose]] = field(default_factory=list)  # extra: name, link, T_link_frame
@@ -152,16 +153,15 @@ def assemble(
     problems = [*tree.problems, *structure_problems(tree)]
     sound = len(problems) == len(tree.problems)
     problems += joint_problems(tree, held)
-    heavy = list(mass_problems(tree))
-    problems += heavy
+    problems += mass_problems(tree)
     lumps = Lumps(tree, held) if sound and not tree.structure_unknown else None
-    if lumps is not None and not heavy:
+    if lumps is not None:
         problems += lumps.problems()
     if lumps is not None and not problems and not lumps.joints():
         text = "no joint moves; an arm needs one at least"
-        problems.append(Problem(object=tree.name, attribute=None, message=text))
+        problems.append(Problem(object=tree.name, attribute="joint", message=text, line=tree.line))
     if problems or lumps is None:
-        raise ModelError(tree.source, problems)
+        raise ModelError(tree.source, sorted(problems, key=_by_line))
     joints = lumps.joints()
     frames = lumps.frames()
     return Arm(
@@ -178,6 +178,10 @@ def assemble(
         source=tree.source,
         notes=(*tree.notes, *_limit_notes(joints)),
     )
+
+
+def _by_line(problem: Problem) -> float:
+    return math.inf if problem.line is None else problem.line
 
 
 def _checked_locks(tree: Tree, locked: Mapping[str, float]) -> dict[str, float]:

@@ -42,7 +42,7 @@ def urdf_tree(robot: Element, path: Path, packages: Mapping[str, Path] | None = 
         text = f"its root element is <{robot.tag}>; a URDF begins with <robot>"
         raise ModelError(str(path), [Problem(object=path.name, attribute=robot.tag, message=text, line=robot.line)])
     name = robot.get("name") or path.stem
-    tree = Tree(name=name, source=str(path), inertia_fix="fix its <inertial>")
+    tree = Tree(name=name, source=str(path), line=robot.line, inertia_fix="fix its <inertial>")
     if name != robot.get("name"):
         tree.notes.append(f"the robot has no name; it is called '{name}' after its file")
     meshes = MeshPaths(path.parent, packages)
@@ -116,6 +116,7 @@ class _Reader:
         kind = self._kind(owner, element)
         ends = [self._end(owner, element, role) for role in ("parent", "child")]
         joint = TreeJoint(name=name, kind=kind, parent=ends[0] or "", child=ends[1] or "", line=element.line)
+        joint.lines.update({end.tag: end.line for end in element.children if end.tag in ("parent", "child")})
         joint.origin = self._origin(owner, element)
         axis = self._only(owner, element, "axis")
         if axis is not None:

@@ -56,5 +56,6 @@ def slips(element: Element) -> Iterator[tuple[str, str, int]]:
 def _meant(word: str, known: tuple[str, ...], present: set[str]) -> str | None:
     if word in known:
         return None
-    close = difflib.get_close_matches(word.lower(), known, n=1, cutoff=LIKE)
+    close = [other for other in known if sorted(other) == sorted(word.lower())]  # xzy for xyz
+    close = close or difflib.get_close_matches(word.lower(), known, n=1, cutoff=LIKE)
     return close[0] if close and close[0] not in present else None

@@ -24,6 +24,8 @@ MAX_DEPTH: Final = 200  # elements inside elements
 MAX_ELEMENTS: Final = 50_000
 MAX_MAGNITUDE: Final = 1e9  # a length, mass or inertia beyond this is a slip, and its square may overflow
 
+NO_XML: Final = "the file is not XML; a robot model begins with <robot> (URDF) or <mujoco> (MJCF)"
+
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?\Z")
 _NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)(?:\(.*\))?\Z", re.IGNORECASE)
 
@@ -83,7 +85,8 @@ def numbers(text: str, count: int | None = None, *, bounded: bool = True) -> tup
             way_out = "; separate numbers by blanks" if "," in word or ";" in word else ""
             raise BadNumberError(f"must be {_amount(count)}; got {_shown(text)}{way_out}")
     if count is not None and len(words) != count:
-        raise BadNumberError(f"must be {_amount(count)}; got {len(words)}: {_shown(text)}")
+        got = f"{len(words)} ({_shown(text)})" if words else "none"
+        raise BadNumberError(f"must be {_amount(count)}; got {got}")
     values = tuple(float(word) for word in words)
     for value in values:
         if abs(value) > (MAX_MAGNITUDE if bounded else 1e300):
@@ -100,7 +103,7 @@ def is_not_finite(word: str) -> bool:
 def _amount(count: int | None) -> str:
     if count is None:
         return "numbers"
-    return "a number" if count == 1 else f"{count} numbers"
+    return "one number" if count == 1 else f"{count} numbers"
 
 
 def _shown(text: str) -> str:
@@ -135,7 +138,7 @@ def parse_xml(data: bytes, source: str) -> Element:
     if len(data) > MAX_BYTES:
         raise _refused(source, "size", f"the file is larger than {MAX_BYTES // 2**20} MB, the most that is read")
     if not data.strip():
-        raise _refused(source, "content", "the file holds nothing but blanks")
+        raise _refused(source, "content", "the file holds nothing but blanks", 1)
     if b"\0" in data and not data.startswith((b"\xff\xfe", b"\xfe\xff")):  # UTF-16 has them
         line = data[: data.index(b"\0")].count(b"\n") + 1
         raise _refused(source, "content", "the file holds a NUL byte; it is no text file, or damaged", line)
@@ -143,7 +146,9 @@ def parse_xml(data: bytes, source: str) -> Element:
     try:
         reader.parser.Parse(data, True)
     except expat.ExpatError as cause:
-        raise _refused(source, "XML", _not_well_formed(cause, reader.open_tag), cause.lineno) from cause
+        markup = data.lstrip(b"\xef\xbb\xbf\xff\xfe \t\r\n\0").startswith(b"<")
+        text = _not_well_formed(cause, reader.open_tag) if markup else NO_XML
+        raise _refused(source, "XML", text, cause.lineno) from cause
     except ModelError:
         raise
     except (ValueError, LookupError) as cause:
@@ -159,9 +164,6 @@ def _not_well_formed(cause: expat.ExpatError, open_tag: str | None) -> str:
     code = cause.code
     if code in (errors.codes[errors.XML_ERROR_NO_ELEMENTS], errors.codes[errors.XML_ERROR_UNCLOSED_TOKEN]):
         return f"the file ends{inside or ' before its root element is closed'}; it is cut off"
-    no_markup = (errors.codes[errors.XML_ERROR_SYNTAX], errors.codes[errors.XML_ERROR_INVALID_TOKEN])
-    if code in no_markup and open_tag is None:
-        return "the file is not XML; a robot model begins with <robot> (URDF) or <mujoco> (MJCF)"
     if code == errors.codes[errors.XML_ERROR_INVALID_TOKEN]:
         return f"a character{inside} that XML does not allow: a stray < or &, or bytes that are not UTF-8"
     if code == errors.codes[errors.XML_ERROR_TAG_MISMATCH]:

@@ -83,7 +83,7 @@ _COMPARE: Final[dict[int, Callable[[float, float], bool]]] = {
 class Graph:
     """A program under construction. Node numbers grow, so operands always come before their node."""
 
-    __slots__ = ("a", "b", "c", "n_inputs", "ops", "table", "value")
+    __slots__ = ("a", "b", "c", "n_inputs", "n_placeholders", "ops", "table", "value")
 
     def __init__(self) -> None:
         self.ops: list[int] = []
@@ -93,6 +93,7 @@ class Graph:
         self.value: list[float | None] = []  # of a constant; a truth value is 0.0 or 1.0
         self.table: dict[tuple[int, int, int, int] | float, int] = {}
         self.n_inputs = 0
+        self.n_placeholders = 0
 
     def __len__(self) -> int:
         return len(self.ops)
@@ -141,6 +142,11 @@ class Graph:
         i = self._append(INPUT, self.n_inputs, NONE, NONE, None)
         self.n_inputs += 1
         return i
+
+    def placeholder(self) -> int:
+        """A node that stands for a number to be put in later, when a derivative is taken."""
+        self.n_placeholders += 1
+        return self._append(INPUT, -self.n_placeholders, NONE, NONE, None)
 
     # ---------------------------------------------------------------- arithmetic, folded
 
@@ -301,6 +307,26 @@ class Graph:
         if value is not None:
             return a if value != 0.0 else b
         return a if a == b else self.node(SELECT, condition, a, b)
+
+    def operate(self, op: int, a: int, b: int = NONE, c: int = NONE) -> int:
+        """Any operation by its number, folded like the others."""
+        direct = {ADD: self.add, SUB: self.sub, MUL: self.mul, DIV: self.div, int(Op.ATAN2): self.atan2}
+        if op in direct:
+            return direct[op](a, b)
+        if op == NEG:
+            return self.neg(a)
+        if op == NOT:
+            return self.invert(a)
+        if op in _UNARY:
+            return self.unary(op, a)
+        if op in (MIN, MAX):
+            return self.extremum(op, a, b)
+        if op in (AND, OR):
+            return self.logic(op, a, b)
+        if op in _COMPARE:
+            return self.compare(op, a, b)
+        assert op == SELECT, op
+        return self.select(a, b, c)
 
     # ---------------------------------------------------------------- reading
 

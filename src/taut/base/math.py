@@ -34,6 +34,7 @@ __all__ = [
     "full",
     "inverse",
     "inverse_spd",
+    "jacobian",
     "log",
     "maximum",
     "minimum",
@@ -242,6 +243,13 @@ def solve(A: Any, b: Any) -> Any:
 def inverse_spd(A: Any) -> Matrix:
     """The inverse of a symmetric positive definite matrix."""
     return factor_spd(A).solve(np.eye(np.shape(A)[0]))
+
+
+def jacobian(function: Callable[[Array], Any], x: Any) -> Matrix:
+    """The derivative (..., n) of a function of a vector (n,), exact; on floats or while a law is traced."""
+    from taut.base.derivative import jacobian as derivative
+
+    return derivative(function, x)
 
 
 def inverse(A: Any) -> Matrix:

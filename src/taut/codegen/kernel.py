@@ -54,6 +54,8 @@ class Kernel(Protocol):
 
     blocks: Blocks
     operations: int
+    program: Program | None
+    """The trace; None in the float engine."""
     engine: Literal["native", "float"]
     step: Callable[..., Any]
     """Arrays in, a new array out; everything that is not plain goes to the slow function."""
@@ -93,6 +95,7 @@ class FloatKernel:
         failed: Callable[[], Any],
     ) -> None:
         self.blocks = blocks
+        self.program: Program | None = None
         self._function, self._starter = function, starter
         self._time, self._dt = time, dt
         self._slow, self._failed = slow, failed
@@ -170,6 +173,7 @@ class NativeKernel:
         verify: Callable[[NativeModule], None] | None,
     ) -> None:
         self.blocks = blocks
+        self.program: Program | None = program
         self.operations = program.operations
         objects = [argument for argument in arguments if argument.is_object]
         names = tuple(path.rpartition(".")[2] for argument in objects for path in argument.fields)
