@@ -12,7 +12,6 @@ from taut.arm.builtin import BUILT_IN, COMMANDS
 from taut.arm.catalogue import CATALOGUE, entry_tree
 from taut.arm.description import Arm, CommandKind
 from taut.arm.descriptions import PATTERN, described
-from taut.arm.mjcf import mjcf_tree
 from taut.arm.tree import Tree, assemble, rest_position
 from taut.arm.urdf import urdf_tree
 from taut.arm.xml import read_xml
@@ -94,6 +93,8 @@ def arm_of(
     tree = opened.tree
     start: Mapping[str, float] | ArrayLike = tree.home if home is None else home
     if isinstance(start, Mapping):
+        for name in start:
+            _require_name("home", name)
         start = {**tree.home, **start}
     return assemble(
         tree,
@@ -117,6 +118,8 @@ def _locks(
         raise UsageError(
             f"locked must be joint names with positions, {{'joint': 0.0}}; got {type(locked).__name__}", name="locked"
         )
+    for name in locked or {}:
+        _require_name("locked", name)
     tree = opened.tree
     movable = {joint.name: joint for joint in tree.joints if joint.kind != "fixed"}
     held = dict(opened.locked)
@@ -129,16 +132,22 @@ def _locks(
             raise unknown_name(f"model '{tree.name}'", "joint", name, movable)
     if joints is None:
         return held
-    keep = [joints] if isinstance(joints, str) else list(joints)
+    keep = [joints] if isinstance(joints, str) or not isinstance(joints, Iterable) else list(joints)
     if not keep:
         raise UsageError("joints must name one joint at least; got none", name="joints")
     for name in keep:
+        _require_name("joints", name)
         if name not in movable:
             raise unknown_name(f"model '{tree.name}'", "joint", name, movable)
         if name in (locked or {}) and name in held:
             raise UsageError(f"joint '{name}' is both in joints= and in locked=; take it out of one", name=name)
     at_home = {name: home.get(name, rest_position(joint)) for name, joint in movable.items()}
-    return {name: held.get(name, at_home[name]) for name in movable if name not in keep}
+    return {name: position for name, position in (at_home | held).items() if name not in keep}
+
+
+def _require_name(argument: str, name: object) -> None:
+    if not isinstance(name, str):
+        raise UsageError(f"{argument} must name joints; got {name!r}, which is no name", name=argument, value=name)
 
 
 def open_model(model: str | os.PathLike[str]) -> OpenedModel:
@@ -198,6 +207,8 @@ def _read(path: Path, packages: Mapping[str, Path]) -> Tree:
     if root.tag == "robot":
         return urdf_tree(root, file, packages)
     if root.tag == "mujoco":
+        from taut.arm.mjcf import mjcf_tree  # with what it needs, for those who have such a file
+
         return mjcf_tree(root, file)
     way_out = "; convert it to URDF" if root.tag == "sdf" else ""
     text = f"its root element is <{root.tag}>; a robot model begins with <robot> (URDF) or <mujoco> (MJCF){way_out}"

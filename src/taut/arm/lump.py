@@ -150,6 +150,9 @@ class Lumps:
                 continue
             attribute, text = wrong
             owner = next((link for link in links if link.inertia is not None), None)
+            if owner is None and links[0].if_massless is not None:
+                yield links[0].if_massless
+                continue
             yield Problem(
                 object=(owner or links[0]).name,
                 attribute=attribute,
@@ -158,14 +161,13 @@ class Lumps:
             )
 
     def _without_mass(self, i: int) -> str:
-        link, joint = self._on_body[i][0], self._moving[i]
-        fix = link.without_mass or "give it an inertial element"
-        return f"link '{link.name}' is moved by joint '{joint.name}' and has no mass; {fix}"
+        link = f"{self._tree.words.link} '{self._on_body[i][0].name}'"
+        return f"{link} is moved by joint '{self._moving[i].name}' and has no mass; {self._tree.words.no_mass}"
 
     def _wrong(self, owner: TreeLink, links: list[TreeLink], text: str) -> str:
         fixed = [link.name for link in links if link is not owner and link.is_frame]
         along = f", with {quoted_list(fixed, 3)} fixed to it" if fixed else ""
-        return f"link '{owner.name}'{along}: {text}; {self._tree.inertia_fix}"
+        return f"{self._tree.words.link} '{owner.name}'{along}: {text}; {self._tree.words.wrong_inertia}"
 
 
 def _moving_kind(joint: TreeJoint) -> JointKind:

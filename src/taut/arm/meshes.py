@@ -9,8 +9,6 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Final
 
-from taut.base.errors import quoted_list
-
 __all__ = ["SHOWABLE", "MeshPaths", "OutsideError", "file_inside"]
 
 SHOWABLE: Final = (".stl", ".obj")  # what MuJoCo can show
@@ -18,7 +16,7 @@ PACKAGE: Final = "package://"
 
 
 class OutsideError(ValueError):
-    """A name that leads out of its folder; the text completes "such names ..."."""
+    """A name that leads out of its folder; the text completes "it ..."."""
 
 
 class MeshPaths:
@@ -39,19 +37,19 @@ class MeshPaths:
         try:
             return self._resolve(name)
         except (OSError, RuntimeError):  # too long, a loop of links, an odd character
-            return self._drop("are no file names", name)
+            return self._drop("is no file name", name)
 
     def drop_unshowable(self, *names: str) -> None:
         """Remember the meshes of these that are of a type that cannot be shown."""
         for name in names:
             if PurePosixPath(name).suffix.lower() not in SHOWABLE:
-                self._drop(f"are not {' or '.join(SHOWABLE)}", name)
+                self._drop(f"is not {' or '.join(SHOWABLE)}", name)
 
     def notes(self) -> Iterator[str]:
         """What was dropped, one note for each reason."""
         for reason, names in self._dropped.items():
-            count = "1 mesh is" if len(names) == 1 else f"{len(names)} meshes are"
-            yield f"{count} not shown, because they {reason}: {quoted_list(names, 2)}"
+            more = f" ({len(names) - 1} more like it)" if len(names) > 1 else ""
+            yield f"the mesh '{names[0]}' is not shown: it {reason}{more}"
 
     def _drop(self, reason: str, name: str) -> str:
         self._dropped.setdefault(reason, []).append(name if len(name) <= 60 else f"...{name[-57:]}")
@@ -62,13 +60,13 @@ class MeshPaths:
         if name.startswith(PACKAGE):
             package, _, path = name[len(PACKAGE) :].partition("/")
             if package not in self._packages:
-                return self._drop("belong to packages that are not known here", name)
+                return self._drop("belongs to a package that is not known here", name)
             root = self._packages[package]
         try:
             file = file_inside(root, path)
         except OutsideError as reason:
             return self._drop(str(reason), name)
-        return str(file) if file.is_file() else self._drop("are not there", name)
+        return str(file) if file.is_file() else self._drop("is not there", name)
 
 
 def file_inside(root: Path, name: str) -> Path:
@@ -78,12 +76,12 @@ def file_inside(root: Path, name: str) -> Path:
         OutsideError: An address, an absolute path, `..`, or a link that leads out; the text says which.
     """
     if not name.isprintable() or any(character in name for character in ":\\"):
-        raise OutsideError("are addresses or other odd names, not plain relative paths")
+        raise OutsideError("is an address or an odd name, not a plain relative path")
     parts = PurePosixPath(name)
     if not name or parts.is_absolute() or ".." in parts.parts:
-        raise OutsideError("lead out of the model's folder")
+        raise OutsideError("leads out of the model's folder")
     root = root.resolve()
     file = (root / parts).resolve()  # follows links, so that one that leads outside shows
     if not file.is_relative_to(root):
-        raise OutsideError("are links that lead out of the model's folder")
+        raise OutsideError("is a link that leads out of the model's folder")
     return file

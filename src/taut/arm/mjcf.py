@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -17,9 +17,9 @@ from taut.arm.mjcf_actuators import Efforts
 from taut.arm.mjcf_compile import Compiled, compiled
 from taut.arm.mjcf_source import prepare
 from taut.arm.mjcf_visuals import visuals_of
-from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink
+from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink, Words
 from taut.arm.xml import Element, read_xml
-from taut.base.errors import ModelError, quoted_list
+from taut.base.errors import ModelError, Problem, quoted_list
 from taut.base.pose import Pose, axis_angle
 from taut.base.types import Float64Array
 
@@ -28,7 +28,10 @@ if TYPE_CHECKING:
 
 __all__ = ["mjcf_tree", "read_mjcf"]
 
-WORLD = "world"
+WORLD: Final = "world"
+WORDS: Final = Words(
+    link="body", no_mass="give it an <inertial>, or geoms with mass", wrong_inertia="fix its <inertial>"
+)
 
 
 def read_mjcf(path: Path) -> Tree:
@@ -47,9 +50,7 @@ def mjcf_tree(root: Element, path: Path) -> Tree:
     if source.problems:
         raise ModelError(str(path), source.problems)
     result = compiled(source, path)
-    tree = Tree(
-        name=root.get("model") or path.stem, source=str(path), line=root.line, inertia_fix="fix its <inertial>"
-    )
+    tree = Tree(name=root.get("model") or path.stem, source=str(path), line=root.line, words=WORDS)
     links = _Builder(tree, result, str(path)).build()
     meshes = MeshPaths(path.parent)
     for body, visual in visuals_of(result, source.meshes, meshes):
@@ -101,7 +102,7 @@ class _Builder:
     def _body(self, i: int) -> TreeLink:
         m, name = self._model, self._links[i]
         line = self._line(self._result.bodies[i])
-        link = TreeLink(name=name, line=line, without_mass="give it an <inertial>, or geoms with mass")
+        link = TreeLink(name=name, line=line)
         if m.body_mass[i] > 0.0 or m.body_inertia[i].any():
             pose = _pose(m.body_ipos[i], m.body_iquat[i])
             I = pose.R @ np.diag(m.body_inertia[i]) @ pose.R.T
@@ -135,15 +136,17 @@ class _Builder:
 
     def _between(self, j: int, body: str, line: int | None, *, last: bool) -> str:
         """A link without mass at the anchor of a joint: before another joint, or off the body's origin."""
-        child = self._unique(self._model.jnt(j).name or f"joint{j}")
-        fix = "give it an <inertial>, or geoms with mass"
+        joint = self._joint_name(j)
+        link = TreeLink(name=self._unique(joint), line=line, is_frame=last)
         if not last:
-            fix = (
-                f"body '{body}' has several joints: write one body for each, inside one another, "
-                "each with its own <inertial>, or hold one of the joints still: load_arm(..., locked={...})"
+            way_out = (
+                "write one body for each joint, inside one another, each with its own <inertial>, or hold all but "
+                f"one of them still: load_arm(..., locked={{'{joint}': 0.0}})"
             )
-        self._tree.links.append(TreeLink(name=child, line=line, without_mass=fix, is_frame=last))
-        return child
+            text = f"body '{body}' has several joints that move, and taut has a body for each joint: {way_out}"
+            link.if_massless = Problem(object=body, attribute="joint", message=text, line=line)
+        self._tree.links.append(link)
+        return link.name
 
     def _fix(self, parent: str, child: str, pose: Pose) -> None:
         self._tree.joints.append(TreeJoint(name=f"<{child}>", kind="fixed", parent=parent, child=child, origin=pose))
@@ -159,7 +162,7 @@ class _Builder:
             int(mujoco.mjtJoint.mjJNT_HINGE): "revolute" if m.jnt_limited[j] else "continuous",
         }
         kind = kinds[int(m.jnt_type[j])]
-        line = self._line(self._result.joints[j])
+        line = self._line(self._result.joints[j] or self._result.bodies[m.jnt_bodyid[j]])
         joint = TreeJoint(name=self._joint_name(j), kind=kind, parent=parent, child=child, line=line)
         joint.origin = T_parent_joint
         if kind not in ("floating", "ball"):
@@ -201,12 +204,9 @@ class _Builder:
             kind = mujoco.mjtEq(int(m.eq_type[e])).name.removeprefix("mjEQ_").lower()
             name = m.eq(e).name
             called = f"equality '{name}'" if name else "an equality"
-            self._tree.problem(
-                name or "equality",
-                kind,
-                f"{called} of type {kind} closes a loop; an arm is a tree: take it out and state the closure "
-                "as a constraint",
-            )
+            way_out = "take it out and state the closure as a constraint"
+            text = f"{called} of type {kind} closes a loop, and an arm is a tree: {way_out}"
+            self._tree.problem(name or "equality", kind, text, self._line(self._result.equalities[e]))
 
     def _home(self) -> None:
         """The key frame 'home', where the file has one."""

@@ -19,6 +19,17 @@ if TYPE_CHECKING:
 
 __all__ = ["Compiled", "MeshShape", "compiled"]
 
+IN_OUR_WORDS: Final = (  # what MuJoCo says of things that the other formats can have too
+    (
+        "must be larger than mjMINVAL",
+        "inertial",
+        "a joint moves it, and it has no mass or no inertia; give it an <inertial>, or geoms with mass",
+    ),
+    ("axis too small", "axis", "axis must not be zero: a joint that moves needs a direction"),
+    ("zero quaternion", "quat", "quat must not be zero; it is (w, x, y, z)"),
+    ("range[0] should be smaller", "range", "it is limited, and has no range; give it one"),
+    ("invalid qpos size", "qpos", "its qpos must have one entry for each entry of q that MuJoCo counts"),
+)
 _LINE = re.compile(r"line (\d+)")
 
 
@@ -37,6 +48,7 @@ class Compiled:
     model: mujoco.MjModel
     bodies: list[Element | None]  # by id
     joints: list[Element | None]
+    equalities: list[Element | None]
     meshes: dict[int, MeshShape]  # by id of the geom
 
 
@@ -65,35 +77,52 @@ def compiled(source: MjcfSource, path: Path) -> Compiled:
         model=model,
         bodies=_elements(spec.bodies, source),
         joints=_elements(spec.joints, source),
+        equalities=_elements(spec.equalities, source),
         meshes={geom.id: shape for geom, shape in shapes},
     )
 
 
 def _refused(text: str, source: MjcfSource, path: Path) -> Problem:
-    """MuJoCo's sentence, with the element and the line in the user's file."""
+    """MuJoCo's sentence, with the element, the attribute and the line in the user's file."""
     found = _LINE.search(text)
     element = source.at(int(found[1])) if found else None
-    said = re.sub(r"^(XML )?(Error: )*(Schema violation: )?", "", text.splitlines()[0])
+    said = re.sub(r"^(XML )?(Error: )*(Schema violation: )?", "", (text.splitlines() or [""])[0])
+    if element is None:
+        element = next((source.named(word) for word in re.findall(r"'([^']+)'", said)), None)
     if element is None:
         return Problem(object=path.name, attribute=None, message=f"MuJoCo refuses the model: {said}")
     name = element.get("name")
     where = "" if element.file == str(path) else f" in '{element.file}'"
     called = f"{element.tag} '{name}'" if name else f"<{element.tag}>"
-    attribute = re.search(r"attribute:? (?:missing: )?'([^']+)'", said)
+    attribute = _attribute(said, element)
+    for phrase, ours, sentence in IN_OUR_WORDS:
+        if phrase in said:
+            attribute, said = ours, sentence
+            break
+    else:
+        said = f"MuJoCo refuses it: {said}"
     return Problem(
-        object=name or element.tag,
-        attribute=attribute[1] if attribute else element.tag,
-        message=f"{called}{where}: MuJoCo refuses it: {said}",
-        line=element.line,
+        object=name or element.tag, attribute=attribute, message=f"{called}{where}: {said}", line=element.line
     )
 
 
-def _elements(items: list[mujoco.MjsBody] | list[mujoco.MjsJoint], source: MjcfSource) -> list[Element | None]:
+def _attribute(said: str, element: Element) -> str:
+    """The attribute that MuJoCo means: it quotes the attribute or its value."""
+    for word in re.findall(r"'([^']+)'", said):
+        for attribute, value in element.attributes.items():
+            if word in (attribute, value):
+                return attribute
+    return element.tag
+
+
+def _elements(
+    items: list[mujoco.MjsBody] | list[mujoco.MjsJoint] | list[mujoco.MjsEquality], source: MjcfSource
+) -> list[Element | None]:
     found: list[Element | None] = [None] * len(items)
     for item in items:
         line = _LINE.search(item.info)
-        if line and 0 <= item.id < len(found):
-            found[item.id] = source.at(int(line[1]))
+        if 0 <= item.id < len(found):
+            found[item.id] = source.at(int(line[1])) if line else source.named(item.name)
     return found
 
 
@@ -123,7 +152,8 @@ def _masses_from_meshes(spec: mujoco.MjSpec, source: MjcfSource) -> Iterator[Pro
             lost = True
     if lost and spec.compiler.settotalmass > 0.0:
         text = "settotalmass of <compiler> needs the masses of mesh files, which are never opened; take it out"
-        yield Problem(object="compiler", attribute="settotalmass", message=text)
+        line = next((element.line for element in source.lines if element.get("settotalmass")), None)
+        yield Problem(object="compiler", attribute="settotalmass", message=text, line=line)
 
 
 def _mass_problem(body: mujoco.MjsBody, geom: mujoco.MjsGeom, source: MjcfSource) -> Problem:
@@ -163,7 +193,6 @@ def _without_meshes(spec: mujoco.MjSpec, source: MjcfSource) -> list[tuple[mujoc
         geom.type = mujoco.mjtGeom.mjGEOM_SPHERE
         geom.size = [PLACEHOLDER, 0.0, 0.0]
         geom.meshname = ""
-        geom.mass = 0.0
         geom.fromto = [math.nan] * 6
     for mesh in list(spec.meshes):
         if mesh.name in source.meshes:

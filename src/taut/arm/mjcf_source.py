@@ -10,18 +10,19 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Final
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from taut.arm.meshes import OutsideError, file_inside
 from taut.arm.rules import MAX_LINKS, check_inertia
-from taut.arm.xml import MAX_DEPTH, MAX_ELEMENTS, BadNumberError, Element, is_not_finite, numbers, read_xml
+from taut.arm.xml import MAX_BYTES, MAX_DEPTH, MAX_ELEMENTS, BadNumberError, Element, is_not_finite, numbers, read_xml
 from taut.base.errors import FileError, ModelError, Problem
 
 __all__ = ["MjcfSource", "prepare"]
 
 MAX_FILES: Final = 50
+MAX_ATTRIBUTE: Final = 200_000  # characters
+MOST: Final = {"body": MAX_LINKS, "joint": MAX_LINKS, "geom": 5000, "site": 2000, "default": 1000}
 WRITE_OUT: Final = "let MuJoCo write the model out: mujoco.MjSpec.from_file(MODEL).to_xml()"
 REFUSED: Final = {  # elements that repeat, fetch or run something
     "replicate": f"<replicate> is not read; {WRITE_OUT}",
@@ -86,8 +87,13 @@ NUMBERED: Final = frozenset(
     {"body", "frame", "inertial", "joint", "geom", "site", "option", "key", "mesh"}
     | {"general", "motor", "position", "velocity", "intvelocity", "damper"}
 )
-UNBOUNDED: Final = frozenset({"range", "actuatorfrcrange", "forcerange", "ctrlrange"})
+RANGES: Final = ("range", "actuatorfrcrange", "forcerange", "ctrlrange")
 NOT_NEGATIVE: Final = {"joint": ("armature", "frictionloss", "damping"), "inertial": ("mass",), "geom": ("mass",)}
+
+
+ESCAPED: Final = str.maketrans(
+    {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\n": "&#10;", "\r": "&#13;", "\t": "&#9;"}
+)
 
 
 @dataclass(kw_only=True)
@@ -102,6 +108,10 @@ class MjcfSource:
     def at(self, line: int) -> Element | None:
         """The element that stands on a line of the text, counted from 1."""
         return self.lines[line - 1] if 0 < line <= len(self.lines) else None
+
+    def named(self, name: str) -> Element | None:
+        """The first element of that name, for where MuJoCo gives no line."""
+        return next((element for element in self.lines if name and element.get("name") == name), None)
 
 
 def prepare(root: Element, path: Path) -> MjcfSource:
@@ -131,6 +141,7 @@ class _Includes:
         self._problems = problems
         self._seen = {path.resolve()}
         self._elements = 0
+        self._bytes = 0
 
     def resolved(self, element: Element, depth: int = 0) -> Element:
         if depth > MAX_DEPTH:
@@ -151,17 +162,24 @@ class _Includes:
 
     def _included(self, include: Element) -> list[Element]:
         name = include.get("file") or ""
+        if not name:
+            self._report(include, "it names no file; give it file=")
+            return []
         try:
             file = file_inside(self._path.parent, name)
-            if file in self._seen:
-                raise OutsideError("may be included only once")
-            if len(self._seen) > MAX_FILES:
-                raise OutsideError(f"may be no more than {MAX_FILES}")
-        except (OutsideError, OSError, RuntimeError) as reason:
-            text = str(reason) if isinstance(reason, OutsideError) else "are no file names"
-            self._report(include, f"includes that {text} are not followed; got {name!r}")
+        except (OutsideError, OSError, RuntimeError) as wrong:
+            reason = str(wrong) if isinstance(wrong, OutsideError) else "is no file name"
+            self._report(include, f"'{name}' is not followed: it {reason}")
+            return []
+        if file in self._seen:
+            self._report(include, f"'{name}' is included twice, or includes itself; keep one")
             return []
         self._seen.add(file)
+        self._bytes += file.stat().st_size if file.is_file() else 0
+        if len(self._seen) > MAX_FILES or self._bytes > MAX_BYTES:
+            most = f"{MAX_FILES} files and {MAX_BYTES // 2**20} MB"
+            self._report(include, f"'{name}' is one file too many; at most {most} are included")
+            return []
         try:
             root = read_xml(file, "included file", shown=name)
         except FileError as wrong:
@@ -197,7 +215,7 @@ def _owners(root: Element) -> Iterator[tuple[str, Element]]:
 
 def _problems(root: Element, main: str) -> Iterator[Problem]:
     names: dict[tuple[str, str], Element] = {}
-    bodies = 0
+    counts = dict.fromkeys(MOST, 0)
     for owner, element in _owners(root):
         found: list[tuple[str | None, str]] = []
         if element.tag in REFUSED:
@@ -208,7 +226,8 @@ def _problems(root: Element, main: str) -> Iterator[Problem]:
             first = names.setdefault((kind, element.attributes["name"]), element)
             if first is not element:
                 found.append(("name", f"this name is there twice (first in line {first.line}); rename one"))
-        bodies += element.tag == "body"
+        if element.tag in counts:
+            counts[element.tag] += 1
         for attribute, text in found:
             where = "" if element.file == main else f" in '{element.file}'"
             yield Problem(
@@ -217,9 +236,10 @@ def _problems(root: Element, main: str) -> Iterator[Problem]:
                 message=f"{owner}{where}: {text}",
                 line=element.line,
             )
-    if bodies > MAX_LINKS:
-        text = f"the model has {bodies} bodies; an arm has {MAX_LINKS} at most"
-        yield Problem(object="model", attribute="body", message=text)
+    for tag, most in MOST.items():
+        if counts[tag] > most:
+            text = f"the model has {counts[tag]} <{tag}> elements; {most} at most are read"
+            yield Problem(object="model", attribute=tag, message=text, line=root.line)
 
 
 def _number_problems(element: Element) -> Iterator[tuple[str, str]]:
@@ -227,9 +247,12 @@ def _number_problems(element: Element) -> Iterator[tuple[str, str]]:
     values: dict[str, tuple[float, ...]] = {}
     for attribute, text in element.attributes.items():
         where = f"{attribute} of <{tag}>"
+        if len(text) > MAX_ATTRIBUTE:
+            yield attribute, f"{where} must have at most {MAX_ATTRIBUTE} characters; got {len(text)}"
+            continue
         if tag in NUMBERED and (attribute in COUNTS or attribute in ANY_COUNT):
             try:
-                values[attribute] = numbers(text, COUNTS.get(attribute), bounded=attribute not in UNBOUNDED)
+                values[attribute] = numbers(text, COUNTS.get(attribute), bounded=attribute not in RANGES)
             except BadNumberError as wrong:
                 yield attribute, f"{where} {wrong}"
         elif attribute not in WORDS and any(is_not_finite(word) for word in text.split()):
@@ -238,9 +261,10 @@ def _number_problems(element: Element) -> Iterator[tuple[str, str]]:
         value = values.get(attribute, (0.0,))
         if value and value[0] < 0.0:
             yield attribute, f"{attribute} of <{tag}> must be >= 0; got {value[0]:g}"
-    low, high = values.get("range", (0.0, 0.0))
-    if tag == "joint" and low >= high and (low, high) != (0.0, 0.0):
-        yield "range", f"lower limit {low:g} must be below upper limit {high:g}; swap them"
+    for attribute in RANGES:
+        low, high = values.get(attribute, (0.0, 0.0))
+        if low >= high and (low, high) != (0.0, 0.0):  # MuJoCo would take it for "no limit"
+            yield attribute, f"{attribute} of <{tag}> must go from low to high; got {low:g} to {high:g}; swap them"
     if tag == "inertial":
         yield from _inertia_problems(element, values)
 
@@ -303,7 +327,7 @@ def _attributes(element: Element) -> dict[str, str]:
 
 def _write(element: Element, text: list[str], lines: list[Element]) -> None:
     """One tag on each line; `element` is at most MAX_DEPTH deep."""
-    attributes = "".join(f" {name}={quoteattr(value)}" for name, value in _attributes(element).items())
+    attributes = "".join(f' {name}="{value.translate(ESCAPED)}"' for name, value in _attributes(element).items())
     text.append(f"<{element.tag}{attributes}>")
     lines.append(element)
     for child in element.children:

@@ -9,7 +9,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink, assemble
+from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink, Words, assemble
 from taut.base.errors import UsageError
 from taut.base.pose import Pose
 from taut.base.types import ArrayLike, Float64Array
@@ -108,6 +108,11 @@ class PinocchioModel(Protocol):
     rotorGearRatio: Float64Array
 
 
+WORDS: Final = Words(
+    no_mass="fix its entry of model.inertias",
+    wrong_inertia="fix its entry of model.inertias",
+    hold="or hold it still: pinocchio.buildReducedModel",
+)
 HUGE: Final = 1e300  # Pinocchio writes the largest float where there is no limit
 KINDS: Final[dict[str, TreeKind]] = {
     **{f"JointModelR{axis}": "revolute" for axis in "XYZ"},
@@ -131,9 +136,7 @@ def arm_from_pinocchio(model: PinocchioModel, tool: str | None, gravity: ArrayLi
     """
     if not hasattr(model, "jointPlacements"):
         raise UsageError(f"model must be a pinocchio.Model; got {type(model).__name__}", name="model")
-    tree = Tree(name=model.name or "arm", source="a Pinocchio model")
-    tree.inertia_fix = "fix its entry of model.inertias"
-    tree.hold = "or hold it still: pinocchio.buildReducedModel"
+    tree = Tree(name=model.name or "arm", source="a Pinocchio model", words=WORDS)
     tree.gravity = np.array(model.gravity.linear)
     links = [str(name) for name in model.names]
     tree.links.append(TreeLink(name=links[0]))
@@ -166,7 +169,7 @@ def _joint(tree: Tree, model: PinocchioModel, i: int, parent: str, child: str) -
             child,
             "type",
             f"joint '{child}': {type_name} is not one of an arm's joints (hinges and slides); "
-            f"build the model without it, {tree.hold}",
+            f"build the model without it, {WORDS.hold}",
         )
     elif kind in ("revolute", "continuous", "prismatic"):
         _fill(made, model, joint)

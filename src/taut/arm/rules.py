@@ -140,7 +140,7 @@ def joint_problems(tree: Tree, locked: Collection[str]) -> Iterator[Problem]:
     for joint in tree.joints:
         if joint.kind == "fixed" or joint.name in locked:
             continue
-        hold = tree.hold.format(joint=joint.name)
+        hold = tree.words.hold.format(joint=joint.name)
         if joint.kind in OTHER_KINDS:
             yield _bad(joint, "type", f"{OTHER_KINDS[joint.kind]}, {hold}")
         elif joint.mimic is not None:
@@ -193,7 +193,7 @@ def mass_problems(tree: Tree) -> Iterator[Problem]:
             yield Problem(
                 object=link.name,
                 attribute="mass",
-                message=f"link '{link.name}': {text}; {tree.inertia_fix}",
+                message=f"{tree.words.link} '{link.name}': {text}; {tree.words.wrong_inertia}",
                 line=link.lines.get("mass", link.line),
             )
 

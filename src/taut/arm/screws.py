@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink, assemble
+from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink, Words, assemble
 from taut.base.checks import SYMMETRY_TOLERANCE, finite_array
 from taut.base.errors import RangeError, ShapeError
 from taut.base.pose import Pose
@@ -22,6 +22,7 @@ __all__ = ["arm_from_screws"]
 UNIT: Final = 1e-6  # how far a screw axis may be from unit length and from zero pitch
 BASE: Final = "base"
 TOOL: Final = "tool"
+WORDS: Final = Words(no_mass="fix its entry of Glist", wrong_inertia="fix its entry of Glist")
 
 
 def arm_from_screws(Mlist: ArrayLike, Glist: ArrayLike, Slist: ArrayLike, gravity: ArrayLike, name: str) -> Arm:
@@ -40,7 +41,7 @@ def arm_from_screws(Mlist: ArrayLike, Glist: ArrayLike, Slist: ArrayLike, gravit
     n = S.shape[1]
     M = finite_array("Mlist", Mlist, shape=(n + 1, 4, 4))
     G = finite_array("Glist", Glist, shape=(n, 6, 6))
-    tree = Tree(name=name, source="screw axes", inertia_fix="fix its entry of Glist")
+    tree = Tree(name=name, source="screw axes", words=WORDS)
     tree.links.append(TreeLink(name=BASE))
     T_0_link, parent = Pose.identity(), BASE
     for i in range(n):

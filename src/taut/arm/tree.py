@@ -34,6 +34,7 @@ __all__ = [
     "TreeJoint",
     "TreeLink",
     "TreeVisual",
+    "Words",
     "assemble",
     "check_inertia",
     "require_within_limits",
@@ -74,7 +75,7 @@ class TreeLink:
     visuals: list[TreeVisual] = field(default_factory=list)
     is_frame: bool = True  # False: only a loader's helper, which no caller should see
     unreadable: bool = False  # its mass properties could not be read, which the reader has reported
-    without_mass: str = ""  # what to do if it has no mass and a joint moves it; an inertial element by default
+    if_massless: Problem | None = None  # what to say if a joint moves it and nothing gives it mass
 
 
 @dataclass(kw_only=True)
@@ -99,6 +100,16 @@ class TreeJoint:
     lines: dict[str, int] = field(default_factory=dict)  # where an attribute stands, if not at `line`
 
 
+@dataclass(frozen=True, kw_only=True)
+class Words:
+    """What sentences about a model call its parts, and where its numbers are mended."""
+
+    link: str = "link"
+    no_mass: str = "give it an inertial element"
+    wrong_inertia: str = "fix the inertial element"
+    hold: str = "or hold it still: load_arm(..., locked={{'{joint}': 0.0}})"  # how a joint is locked
+
+
 @dataclass(kw_only=True)
 class Tree:
     """Links and joints of one file, with the problems met while reading it."""
@@ -115,8 +126,7 @@ class Tree:
     home: dict[str, float] = field(default_factory=dict)  # joint positions where the file states them
     leaves: list[str] | None = None  # frames at the ends, where links alone do not tell
     structure_unknown: bool = False  # something unreadable hides how the links hang together
-    hold: str = "or hold it still: load_arm(..., locked={{'{joint}': 0.0}})"  # how to lock a joint
-    inertia_fix: str = "fix the inertial element"  # what to do about a wrong mass or inertia
+    words: Words = field(default_factory=Words)
 
     def problem(self, object_: str, attribute: str | None, message: str, line: int | None = None) -> None:
         """Report one thing that is wrong."""
@@ -283,7 +293,7 @@ def _home(tree: Tree, joints: tuple[Joint, ...], home: Mapping[str, float] | Arr
 
 def rest_position(joint: Joint | TreeJoint) -> float:
     """Zero, or where the limits leave it out, the middle between them [rad | m]."""
-    if joint.lower <= 0.0 <= joint.upper:
+    if joint.lower <= 0.0 <= joint.upper or math.isnan(joint.lower) or math.isnan(joint.upper):
         return 0.0
     if math.isinf(joint.lower) or math.isinf(joint.upper):
         return joint.lower if math.isinf(joint.upper) else joint.upper

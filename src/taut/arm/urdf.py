@@ -10,7 +10,8 @@ from typing import Final
 import numpy as np
 
 from taut.arm.meshes import MeshPaths
-from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink
+from taut.arm.rules import MAX_LINKS
+from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink, Words
 from taut.arm.urdf_visuals import colours_of, visuals_of
 from taut.arm.urdf_words import INERTIA, slips
 from taut.arm.xml import BadNumberError, Element, numbers, read_xml
@@ -19,6 +20,7 @@ from taut.base.pose import Pose
 
 __all__ = ["read_urdf", "urdf_tree"]
 
+WORDS: Final = Words(no_mass="give it an <inertial> with mass and inertia", wrong_inertia="fix its <inertial>")
 KINDS: Final[tuple[TreeKind, ...]] = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 
 
@@ -42,9 +44,13 @@ def urdf_tree(robot: Element, path: Path, packages: Mapping[str, Path] | None = 
         text = f"its root element is <{robot.tag}>; a URDF begins with <robot>"
         raise ModelError(str(path), [Problem(object=path.name, attribute=robot.tag, message=text, line=robot.line)])
     name = robot.get("name") or path.stem
-    tree = Tree(name=name, source=str(path), line=robot.line, inertia_fix="fix its <inertial>")
+    tree = Tree(name=name, source=str(path), line=robot.line, words=WORDS)
     if name != robot.get("name"):
         tree.notes.append(f"the robot has no name; it is called '{name}' after its file")
+    for tag in ("link", "joint"):
+        if len(robot.all(tag)) > MAX_LINKS:  # before any of them is read
+            text = f"the model has {len(robot.all(tag))} {tag}s; an arm has {MAX_LINKS} at most"
+            raise ModelError(str(path), [Problem(object=name, attribute=tag, message=text, line=robot.line)])
     meshes = MeshPaths(path.parent, packages)
     _Reader(tree).read(robot, meshes)
     tree.notes.extend(meshes.notes())
@@ -79,11 +85,7 @@ class _Reader:
     # ---------------------------------------------------------------- links
 
     def _link(self, element: Element) -> TreeLink:
-        link = TreeLink(
-            name=element.get("name") or "",
-            line=element.line,
-            without_mass="give it an <inertial> with mass and inertia",
-        )
+        link = TreeLink(name=element.get("name") or "", line=element.line)
         owner = f"link '{link.name}'"
         self._check_words(owner, element)
         inertial = self._only(owner, element, "inertial")

@@ -7,7 +7,7 @@ not: left out, it would change the arm in silence.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from typing import Final
 
 from taut.arm.xml import Element
@@ -34,6 +34,7 @@ ATTRIBUTES: Final = {
     "dynamics": ("damping", "friction"),
     "mimic": ("joint", "multiplier", "offset"),
 }
+MAX_ATTRIBUTES: Final = 50  # an element with more is a vendor's own
 LIKE: Final = 0.75  # difflib's ratio from which a word is taken for another
 
 
@@ -42,18 +43,21 @@ def slips(element: Element) -> Iterator[tuple[str, str, int]]:
 
     Only where the known word itself is missing: `limits` beside a `limit` is a vendor's own.
     """
-    for child in element.children:
-        like = _meant(child.tag, ELEMENTS.get(element.tag, ()), {other.tag for other in element.children})
+    tags = {child.tag: child.line for child in element.children}
+    for tag, line in tags.items():
+        like = _meant(tag, ELEMENTS.get(element.tag, ()), tags)
         if like is not None:
-            yield child.tag, f"<{element.tag}> has an unknown <{child.tag}>; did you mean <{like}>?", child.line
+            yield tag, f"<{element.tag}> has an unknown <{tag}>; did you mean <{like}>?", line
+    if len(element.attributes) > MAX_ATTRIBUTES:
+        return
     for attribute in element.attributes:
-        like = _meant(attribute, ATTRIBUTES.get(element.tag, ()), set(element.attributes))
+        like = _meant(attribute, ATTRIBUTES.get(element.tag, ()), element.attributes)
         if like is not None:
             text = f"<{element.tag}> has an unknown attribute '{attribute}'; did you mean '{like}'?"
             yield attribute, text, element.line
 
 
-def _meant(word: str, known: tuple[str, ...], present: set[str]) -> str | None:
+def _meant(word: str, known: tuple[str, ...], present: Container[str]) -> str | None:
     if word in known:
         return None
     close = [other for other in known if sorted(other) == sorted(word.lower())]  # xzy for xyz

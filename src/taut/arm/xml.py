@@ -19,9 +19,10 @@ from taut.base.errors import ModelError, Problem
 
 __all__ = ["BadNumberError", "Element", "is_not_finite", "numbers", "parse_xml", "read_xml"]
 
-MAX_BYTES: Final = 16 * 2**20  # the largest robot description met so far has 1 MB
+MAX_BYTES: Final = 4 * 2**20  # the largest robot description met so far has 0.2 MB and 4000 elements
 MAX_DEPTH: Final = 200  # elements inside elements
-MAX_ELEMENTS: Final = 50_000
+MAX_ELEMENTS: Final = 20_000
+MAX_WORDS: Final = 10_000  # characters in one attribute that holds numbers
 MAX_MAGNITUDE: Final = 1e9  # a length, mass or inertia beyond this is a slip, and its square may overflow
 
 NO_XML: Final = "the file is not XML; a robot model begins with <robot> (URDF) or <mujoco> (MJCF)"
@@ -77,6 +78,8 @@ def numbers(text: str, count: int | None = None, *, bounded: bool = True) -> tup
         >>> numbers("0 -1.5e-3 .5", 3)
         (0.0, -0.0015, 0.5)
     """
+    if len(text) > MAX_WORDS:
+        raise BadNumberError(f"must be {_amount(count)}; got {len(text)} characters")
     words = text.split()
     for word in words:
         if is_not_finite(word):

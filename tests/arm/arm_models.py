@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 DUO = """\
 <?xml version="1.0"?>
 <robot name="duo">
@@ -63,3 +65,20 @@ PAIR = """\
   </actuator>
 </mujoco>
 """
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """A broken model: what is replaced in the sound one, or the whole text, and what is said about it."""
+
+    title: str
+    problems: list[tuple[str, str | None, int | None, str]]  # object, attribute, line, message
+    old: str = ""
+    new: str = ""
+    text: str = ""
+
+    def written(self, sound: str) -> str:
+        if self.text:
+            return self.text
+        assert self.old in sound, self.title
+        return sound.replace(self.old, self.new, 1)

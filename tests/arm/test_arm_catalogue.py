@@ -1,0 +1,210 @@
+"""Every arm of the catalogue, against Pinocchio reading the same file with the same joints locked."""
+
+from __future__ import annotations
+
+from importlib import metadata
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from arm_oracles import pinocchio_of
+
+from taut.arm.catalogue import CATALOGUE, Entry, entry_tree
+from taut.arm.description import BASE
+from taut.arm.load import load_arm
+from taut.arm.tree import assemble
+from taut.base.errors import MissingExtraError
+
+SAME = 1e-12  # both read the same decimal numbers; what differs is the order of a few sums
+SNAPPED = 2e-11  # a rotation entry this close to 0 or +-1 is set exactly (taut.base.pose.SNAP)
+NAMES = sorted(CATALOGUE)
+
+
+def file_of(entry: Entry) -> str:
+    return str(metadata.distribution(entry.package).locate_file(entry.file))
+
+
+def reduced(entry: Entry) -> pin.Model:
+    """Pinocchio's model with the entry's joints locked.
+
+    The SO-100 and SO-101 have a joint and a link of one name, which Pinocchio's reduction does not survive; so the
+    locked joints get other names first.
+    """
+    root = ElementTree.parse(file_of(entry)).getroot()
+    for joint in root.findall("joint"):
+        joint.set(
+            "name", f"locked {joint.get('name')}" if joint.get("name") in entry.locked else joint.get("name", "")
+        )
+    for mimic in [(joint, found) for joint in root.findall("joint") for found in joint.findall("mimic")]:
+        mimic[0].remove(mimic[1])
+    model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
+    q, ids = pin.neutral(model), []
+    for name, position in entry.locked.items():
+        ids.append(model.getJointId(f"locked {name}"))
+        q[model.joints[ids[-1]].idx_q] = position
+    return pin.buildReducedModel(model, ids, q)
+
+
+def axis_of(model: pin.Model, i: int) -> np.ndarray:
+    data = model.joints[i].createData()
+    model.joints[i].calc(data, pin.neutral(model))
+    S = np.asarray(data.S).reshape(6)
+    return S[:3] + S[3:]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_joints_are_where_pinocchio_puts_them(name: str) -> None:
+    arm, model = load_arm(name), reduced(CATALOGUE[name])
+    assert sorted(arm.joint_names) == sorted(model.names[1:])
+    assert arm.n == CATALOGUE[name].joints
+    for joint in arm.joints:
+        i = model.getJointId(joint.name)
+        parent = "universe" if joint.parent == BASE else arm.joints[joint.parent].name
+        assert model.names[model.parents[i]] == parent
+        np.testing.assert_allclose(joint.placement.p, model.jointPlacements[i].translation, atol=SAME)
+        np.testing.assert_allclose(joint.placement.R, model.jointPlacements[i].rotation, atol=SNAPPED)
+        np.testing.assert_allclose(joint.axis, axis_of(model, i), atol=SAME)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_bodies_weigh_what_pinocchio_lumps(name: str) -> None:
+    arm, model = load_arm(name), reduced(CATALOGUE[name])
+    for joint, body in zip(arm.joints, arm.bodies, strict=True):
+        inertia = model.inertias[model.getJointId(joint.name)]
+        assert body.mass == pytest.approx(inertia.mass, abs=SAME)
+        np.testing.assert_allclose(body.com, inertia.lever, atol=SAME)
+        np.testing.assert_allclose(body.inertia, inertia.inertia, atol=SAME)
+    assert arm.total_mass == pytest.approx(sum(inertia.mass for inertia in list(model.inertias)[1:]), abs=SAME)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_limits_and_friction_are_those_of_the_file_or_supplied(name: str) -> None:
+    entry = CATALOGUE[name]
+    arm, model = load_arm(name), reduced(entry)
+    for joint in arm.joints:
+        here = model.joints[model.getJointId(joint.name)]
+        assert (joint.viscous, joint.coulomb) == (model.damping[here.idx_v], model.friction[here.idx_v])
+        if joint.name in entry.limits:
+            continue
+        assert joint.velocity == model.velocityLimit[here.idx_v]
+        assert joint.effort == model.effortLimit[here.idx_v]
+        if joint.kind == "continuous":
+            assert here.nq == 2
+            assert (joint.lower, joint.upper) == (-np.inf, np.inf)
+        else:
+            assert joint.lower == model.lowerPositionLimit[here.idx_q]
+            assert joint.upper == model.upperPositionLimit[here.idx_q]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_frames_are_where_pinocchio_puts_the_links(name: str) -> None:
+    entry = CATALOGUE[name]
+    arm, model = load_arm(name), reduced(entry)
+    links = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
+    assert {frame.name for frame in links} == set(arm.frame_names) - set(entry.frames)
+    for link in links:
+        frame = arm.frame(link.name)
+        moved_by = "universe" if frame.body == BASE else arm.joint_names[frame.body]
+        assert model.names[link.parentJoint] == moved_by
+        np.testing.assert_allclose(frame.placement.p, link.placement.translation, atol=SNAPPED)
+        np.testing.assert_allclose(frame.placement.R, link.placement.rotation, atol=SNAPPED)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_dynamics_that_follow_are_pinocchios(name: str) -> None:
+    arm, theirs = load_arm(name), reduced(CATALOGUE[name])
+    ours = pinocchio_of(arm)
+    rng = np.random.default_rng(1)
+    order = [theirs.joints[theirs.getJointId(joint)].idx_v for joint in arm.joint_names]
+    for _ in range(3):
+        v, a = rng.normal(size=arm.n), rng.normal(size=arm.n)
+        q = arm.home + 0.1 * rng.normal(size=arm.n)
+        q_theirs, v_theirs, a_theirs = pin.neutral(theirs), np.zeros(arm.n), np.zeros(arm.n)
+        for i, joint in enumerate(arm.joints):
+            here = theirs.joints[theirs.getJointId(joint.name)]
+            angle = [np.cos(q[i]), np.sin(q[i])] if here.nq == 2 else [q[i]]
+            q_theirs[here.idx_q : here.idx_q + here.nq] = angle
+        v_theirs[order], a_theirs[order] = v, a
+        expected = pin.rnea(theirs, theirs.createData(), q_theirs, v_theirs, a_theirs)[order]
+        got = pin.rnea(ours, ours.createData(), q, v, a)
+        np.testing.assert_allclose(got, expected, atol=1e-9 * max(1.0, np.abs(expected).max()))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_home_is_inside_the_limits_and_no_singularity(name: str) -> None:
+    arm = load_arm(name)
+    assert (arm.lower <= arm.home).all()
+    assert (arm.home <= arm.upper).all()
+    model = pinocchio_of(arm)
+    J = pin.computeFrameJacobian(model, model.createData(), arm.home, model.getFrameId(arm.tool))
+    assert np.linalg.svd(J, compute_uv=False)[min(arm.n, 6) - 1] > 0.02
+
+
+def test_the_panda_starts_in_the_pose_of_frankas_examples() -> None:
+    arm = load_arm("panda")
+    expected = [0, -np.pi / 4, 0, -3 * np.pi / 4, 0, np.pi / 2, np.pi / 4]
+    np.testing.assert_allclose(arm.home, expected)
+    assert arm.tool == "panda_hand_tcp"
+    assert arm.commands == ("torque", "velocity", "position")
+
+
+def test_what_the_double_pendulums_file_lacks_is_supplied_and_said() -> None:
+    arm = load_arm("double_pendulum")
+    np.testing.assert_allclose(arm.upper, 2 * np.pi)
+    np.testing.assert_allclose(arm.effort, 2.0)
+    assert arm.notes == (
+        "the file gives every limit as 0; supplied: positions +-2 pi rad, speeds 20 rad/s, torques 2 N m",
+        "the file has no frame at the tip; supplied: 'tip', 0.2 m along link2",
+    )
+
+
+def test_kinovas_continuous_joints_have_one_entry_of_q_each() -> None:
+    arm = load_arm("kinova")
+    assert arm.continuous == (0, 3, 5)
+    assert arm.home.shape == (6,)
+    assert "'j2s6s200_joint_1', 'j2s6s200_joint_4', 'j2s6s200_joint_6': continuous" in arm.notes[0]
+
+
+def test_so101s_zero_axis_on_a_fixed_joint_is_no_problem() -> None:
+    assert load_arm("so101").n == 5
+
+
+def test_fr3_has_the_hand_that_the_clean_file_lacks() -> None:
+    arm = load_arm("fr3")
+    assert "fr3_hand_tcp" in arm.frame_names
+    assert arm.bodies[-1].mass == pytest.approx(0.6271432862 + 0.6544 + 2 * 0.0291)
+    assert arm.notes[0].startswith("rotor inertia is left out")
+    np.testing.assert_allclose(np.array([4.206399e-5, 3.211626e-5]) * 120**2, [0.606, 0.462], atol=1e-3)
+    np.testing.assert_allclose(3.211626e-5 * 80**2, 0.206, atol=1e-3)
+
+
+def test_meshes_that_mujoco_can_show_lie_inside_the_package() -> None:
+    arm = load_arm("panda")
+    root = str(metadata.distribution("example-robot-data").locate_file("cmeel.prefix/share/example-robot-data"))
+    files = [visual.file for visual in arm.visuals if visual.shape == "mesh"]
+    assert len(files) == 9
+    assert all(file.startswith(root) and file.endswith(".stl") for file in files)
+
+
+@pytest.mark.parametrize(
+    ("name", "package", "extra"), [("panda", "example-robot-data", "arms"), ("fr3", "franky-sim", "franka")]
+)
+def test_a_missing_package_is_named_with_the_command_that_installs_it(
+    name: str, package: str, extra: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nothing(wanted: str) -> metadata.Distribution:
+        raise metadata.PackageNotFoundError(wanted)
+
+    monkeypatch.setattr(metadata, "distribution", nothing)
+    with pytest.raises(MissingExtraError) as caught:
+        load_arm(name)
+    assert str(caught.value) == (
+        f"arm '{name}' needs the package '{package}', which is not installed; "
+        f'pip install -e ".[{extra}]" installs it'
+    )
+
+
+def test_an_entry_without_its_locks_is_refused_for_the_coupled_finger() -> None:
+    with pytest.raises(ValueError, match="it mimics 'panda_finger_joint1'"):
+        assemble(entry_tree(CATALOGUE["panda"]), tool="panda_hand_tcp")

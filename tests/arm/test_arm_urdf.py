@@ -1,0 +1,228 @@
+"""URDF files that are fine: defaults, vendors' words, friction, and meshes that never lead out of their folder."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from arm_models import DUO
+
+from taut.arm.load import load_arm
+from taut.arm.meshes import MeshPaths, OutsideError, file_inside
+from taut.arm.urdf import read_urdf
+from taut.base.errors import ModelError
+
+VISUAL = '<visual><origin xyz="0 0 1"/><geometry>{}</geometry></visual>'
+
+
+def written(folder: Path, text: str) -> Path:
+    file = folder / "duo.urdf"
+    file.write_text(text)
+    return file
+
+
+def with_shape(*shapes: str) -> str:
+    return DUO.replace('<link name="tool"/>', f'<link name="tool">{"".join(shapes)}</link>')
+
+
+def mesh(name: str, tag: str = "visual") -> str:
+    return f'<{tag}><geometry><mesh filename="{name}"/></geometry></{tag}>'
+
+
+def test_a_sound_file_gives_its_numbers(tmp_path: Path) -> None:
+    arm = load_arm(written(tmp_path, DUO))
+    shoulder, elbow = arm.joints
+    assert (shoulder.name, shoulder.kind, shoulder.lower, shoulder.upper) == ("shoulder", "revolute", -2.0, 2.0)
+    assert (shoulder.velocity, shoulder.effort, shoulder.viscous, shoulder.coulomb) == (3.0, 40.0, 0.1, 0.2)
+    assert (elbow.kind, elbow.lower, elbow.upper) == ("continuous", -math.inf, math.inf)
+    np.testing.assert_array_equal(shoulder.placement.p, (0.0, 0.0, 0.3))
+    np.testing.assert_array_equal(arm.bodies[0].com, (0.2, 0.0, 0.0))
+    np.testing.assert_array_equal(np.diag(arm.bodies[0].inertia), (0.01, 0.03, 0.03))
+    assert arm.tool == "tool"
+    assert arm.frame_names == ("base", "upper", "fore", "tool")
+    assert arm.notes == ()
+
+
+def test_an_axis_of_another_length_is_normalised_and_a_missing_one_is_x(tmp_path: Path) -> None:
+    text = DUO.replace('<axis xyz="0 1 0"/>\n    <limit lower', '<axis xyz="0 3 4"/>\n    <limit lower')
+    text = text.replace('    <axis xyz="0 1 0"/>\n    <limit velocity', "    <limit velocity")
+    arm = load_arm(written(tmp_path, text))
+    np.testing.assert_allclose(arm.joints[0].axis, (0.0, 0.6, 0.8))
+    np.testing.assert_allclose(arm.joints[1].axis, (1.0, 0.0, 0.0))
+
+
+def test_turned_inertials_and_fixed_links_are_lumped_as_pinocchio_does(tmp_path: Path) -> None:
+    turned = DUO.replace('<origin xyz="0.2 0 0" rpy="0 0 0"/>', '<origin xyz="0.2 0.1 0" rpy="0.3 -0.4 0.5"/>')
+    turned = turned.replace('ixy="0"', 'ixy="0.002"').replace('ixz="0"', 'ixz="-0.001"')
+    camera = (
+        '<link name="camera"><inertial><origin xyz="0 0.1 0" rpy="1 2 3"/><mass value="0.5"/>'
+        '<inertia ixx="0.01" iyy="0.02" izz="0.025" ixy="0.001" ixz="0" iyz="0.002"/></inertial></link>'
+        '<joint name="c" type="fixed"><origin xyz="0.1 0.2 0.3" rpy="-1 0.5 2"/><parent link="upper"/>'
+        '<child link="camera"/></joint></robot>'
+    )
+    text = turned.replace("</robot>", camera)
+    arm, model = load_arm(written(tmp_path, text), tool="tool"), pin.buildModelFromXML(text)
+    assert model.nv == arm.n == 2
+    for body, inertia in zip(arm.bodies, list(model.inertias)[1:], strict=True):
+        assert body.mass == pytest.approx(inertia.mass, abs=1e-12)
+        np.testing.assert_allclose(body.com, inertia.lever, atol=1e-12)
+        np.testing.assert_allclose(body.inertia, inertia.inertia, atol=1e-12)
+
+
+def test_a_limit_may_be_as_large_as_a_file_likes(tmp_path: Path) -> None:
+    arm = load_arm(
+        written(tmp_path, DUO.replace('upper="2"', 'upper="1e16"').replace('effort="40"', 'effort="1e30"'))
+    )
+    assert (arm.upper[0], arm.effort[0]) == (1e16, 1e30)
+
+
+def test_a_continuous_joint_ignores_position_limits_and_needs_no_others(tmp_path: Path) -> None:
+    text = DUO.replace('<limit velocity="3" effort="20"/>', '<limit lower="0" upper="0" effort="20"/>')
+    arm = load_arm(written(tmp_path, text))
+    assert arm.joints[1].upper == math.inf
+    assert arm.notes == (
+        "'elbow': continuous, so the position limits in the file are left out",
+        "no speed limit on 'elbow'",
+    )
+
+
+def test_vendors_words_are_fine(tmp_path: Path) -> None:
+    text = DUO.replace(
+        "</robot>",
+        '<gazebo reference="fore"><mu1>0.2</mu1></gazebo><transmission name="t"><joint name="elbow"/></transmission>'
+        '<ros2_control name="x" type="system"/><sensor name="s"/></robot>',
+    ).replace(
+        '<dynamics damping="0.1" friction="0.2"/>',
+        '<dynamics D="1" K="7000" damping="0.1" friction="0.2" mu_coulomb="0"/>'
+        '<safety_controller k_velocity="40"/><limits_ext lower="x"/>',
+    )
+    assert load_arm(written(tmp_path, text)).viscous[0] == 0.1
+
+
+def test_rules_about_joints_do_not_bite_on_fixed_or_held_ones(tmp_path: Path) -> None:
+    text = DUO.replace('<origin xyz="0.3 0 0"/>', '<origin xyz="0.3 0 0"/><axis xyz="0 0 0"/><limit effort="-1"/>')
+    text = text.replace(
+        '<limit velocity="3" effort="20"/>', '<limit velocity="-3" effort="0"/><mimic joint="shoulder"/>'
+    )
+    arm = load_arm(written(tmp_path, text), locked={"elbow": 0.5})
+    assert arm.joint_names == ("shoulder",)
+    np.testing.assert_allclose(arm.frame().placement.p, (0.4 + 0.3 * math.cos(0.5), 0.0, -0.3 * math.sin(0.5)))
+
+
+def test_a_link_without_mass_is_fine_when_it_is_fixed_to_one_that_has(tmp_path: Path) -> None:
+    zero = '<inertial><mass value="0"/><inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial>'
+    assert load_arm(written(tmp_path, with_shape(zero))).bodies[1].mass == 1.0
+
+
+def test_a_robot_without_name_is_called_after_its_file(tmp_path: Path) -> None:
+    arm = load_arm(written(tmp_path, DUO.replace(' name="duo"', "")))
+    assert arm.name == "duo"
+    assert arm.notes == ("the robot has no name; it is called 'duo' after its file",)
+
+
+def test_a_urdf_may_be_called_xml(tmp_path: Path) -> None:
+    (tmp_path / "duo.xml").write_text(DUO)
+    assert load_arm(tmp_path / "duo.xml").name == "duo"
+
+
+# -------------------------------------------------------------------- shapes to draw
+
+
+def test_primitives_are_kept_with_their_place_and_colour(tmp_path: Path) -> None:
+    material = '<material name="red"><color rgba="1 0 0 1"/></material>'
+    box = VISUAL.format('<box size="1 2 3"/>').replace("</visual>", '<material name="red"/></visual>')
+    text = with_shape(box, VISUAL.format('<sphere radius="0.5"/>')).replace("</robot>", f"{material}</robot>")
+    first, second = load_arm(written(tmp_path, text)).visuals
+    assert (first.shape, first.size, first.rgba) == ("box", (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 1.0))
+    assert (second.shape, second.size) == ("sphere", (0.5,))
+    np.testing.assert_array_equal(first.placement.p, (0.3, 0.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    "shape",
+    ['<box size="1 nan 3"/>', '<sphere radius="-1"/>', "<sphere/>", '<cylinder radius="1"/>', '<cone size="1"/>', ""],
+)
+def test_a_wrong_shape_is_left_out_and_harms_nothing(shape: str, tmp_path: Path) -> None:
+    assert load_arm(written(tmp_path, with_shape(VISUAL.format(shape)))).visuals == ()
+
+
+def test_a_collision_mesh_stands_in_for_a_visual_that_cannot_be_shown(tmp_path: Path) -> None:
+    (tmp_path / "hand.stl").write_bytes(b"")
+    arm = load_arm(written(tmp_path, with_shape(mesh("hand.dae"), mesh("hand.stl", "collision"))))
+    assert [visual.file for visual in arm.visuals] == [str((tmp_path / "hand.stl").resolve())]
+    assert arm.notes == ()
+
+
+def test_meshes_of_other_types_are_noted(tmp_path: Path) -> None:
+    arm = load_arm(written(tmp_path, with_shape(mesh("hand.dae"))))
+    assert arm.visuals == ()
+    assert arm.notes == ("the mesh 'hand.dae' is not shown: it is not .stl or .obj",)
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("../secret.stl", "leads out of the model's folder"),
+        ("meshes/../../secret.stl", "leads out of the model's folder"),
+        ("/etc/secret.stl", "leads out of the model's folder"),
+        ("file:///etc/secret.stl", "is an address or an odd name, not a plain relative path"),
+        ("http://example.org/secret.stl", "is an address or an odd name, not a plain relative path"),
+        ("https://example.org/secret.obj", "is an address or an odd name, not a plain relative path"),
+        ("C:/secret.stl", "is an address or an odd name, not a plain relative path"),
+        ("..\\secret.stl", "is an address or an odd name, not a plain relative path"),
+        ("package://other/secret.stl", "belongs to a package that is not known here"),
+        ("package://duo/../secret.stl", "leads out of the model's folder"),
+        ("package://duo//etc/secret.stl", "leads out of the model's folder"),
+        ("link.stl", "is a link that leads out of the model's folder"),
+        ("folder/secret.stl", "is a link that leads out of the model's folder"),
+        ("loop.stl", "is no file name"),
+        ("gone.stl", "is not there"),
+        ("x" * 400 + ".stl", "is no file name"),
+    ],
+)
+def test_no_mesh_path_leads_out_of_its_folder(name: str, reason: str, tmp_path: Path) -> None:
+    (tmp_path / "secret.stl").write_bytes(b"secret")
+    folder = tmp_path / "model"
+    folder.mkdir()
+    (folder / "link.stl").symlink_to(tmp_path / "secret.stl")
+    (folder / "folder").symlink_to(tmp_path)
+    (folder / "loop.stl").symlink_to(folder / "loop.stl")
+    tree = read_urdf(written(folder, with_shape(mesh(name))), {"duo": folder})
+    assert [visual for link in tree.links for visual in link.visuals] == []
+    assert tree.problems == []
+    (note,) = tree.notes
+    assert note.startswith("the mesh '")
+    assert note.endswith(f"' is not shown: it {reason}")
+
+
+@pytest.mark.parametrize("name", ["a\0b.stl", "", "a\nb.stl"])
+def test_odd_characters_make_no_path(name: str, tmp_path: Path) -> None:
+    assert MeshPaths(tmp_path).resolve(name) == ""
+    with pytest.raises(OutsideError):
+        file_inside(tmp_path, name)
+
+
+def test_a_link_that_stays_inside_is_followed(tmp_path: Path) -> None:
+    (tmp_path / "real.stl").write_bytes(b"")
+    (tmp_path / "link.stl").symlink_to(tmp_path / "real.stl")
+    assert MeshPaths(tmp_path).resolve("link.stl") == str((tmp_path / "real.stl").resolve())
+
+
+def test_no_mesh_is_ever_opened(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe.stl"  # opening it would wait for ever
+    os.mkfifo(pipe)
+    arm = load_arm(written(tmp_path, with_shape(mesh("pipe.stl"))))
+    assert arm.visuals == ()
+
+
+def test_every_problem_of_a_file_is_reported_in_the_order_of_its_lines(tmp_path: Path) -> None:
+    text = DUO.replace("0.03", "x").replace('effort="20"', 'effort="-20"').replace('type="fixed"', 'type="welded"')
+    with pytest.raises(ModelError) as caught:
+        load_arm(written(tmp_path, text))
+    lines = [problem.line for problem in caught.value.problems]
+    assert lines == [8, 8, 31, 33]
+    assert str(caught.value).endswith(f" (line 8) (and 3 more: taut check {tmp_path / 'duo.urdf'} lists them)")
