@@ -81,7 +81,10 @@ class GainValue(np.lib.mixins.NDArrayOperatorsMixin):
         if mapped is not None:
             return mapped(self._apply)
         if isinstance(other, GainValue):
-            return GainValue(self._apply(other.matrix(max(self._size(), other._size()))), self.name)
+            if self.ndim < 2 and other.ndim < 2:
+                return GainValue(self._values * other._values, self.name)
+            n = max(self._size(), other._size())
+            return GainValue(self.matrix(n) @ other.matrix(n), self.name)
         return self._apply(other)
 
     def __rmatmul__(self, other: Any) -> Any:

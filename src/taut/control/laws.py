@@ -15,11 +15,11 @@ from taut.control.joint import (
 
 __all__ = [
     "PID",
-    "ComputedTorque",
     "FeedForward",
-    "FrictionCompensation",
-    "GravityCompensation",
+    "ComputedTorque",
     "GravityPID",
-    "Sum",
+    "GravityCompensation",
+    "FrictionCompensation",
     "VelocityPI",
+    "Sum",
 ]

@@ -1,0 +1,46 @@
+# make demo   set up, run the main job, print what it made and where
+# make test   set up, run lint, types and tests
+# make bars   the long counts;  make bench  figures against Pinocchio and MuJoCo;  make docs  the site
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+
+.PHONY: demo test bars bench docs clean
+
+demo: $(VENV)/demo.stamp
+	$(BIN)/taut run panda_payload --out out/demo
+
+test: $(VENV)/test.stamp
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/pytest -n 2
+
+bars: $(VENV)/test.stamp
+	TAUT_BARS=1 $(BIN)/pytest -n 2 -m bars -s
+
+bench: $(VENV)/test.stamp
+	cd benchmarks && ../$(BIN)/python run.py
+
+docs: $(VENV)/test.stamp
+	$(BIN)/sphinx-build -q -W --keep-going -b html docs site
+	@echo "site/index.html"
+
+clean:
+	rm -rf $(VENV) .wheels out site .mypy_cache .ruff_cache .pytest_cache
+
+$(BIN)/python:
+	$(PYTHON) -c 'import sys; sys.exit("taut needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/demo.stamp: $(BIN)/python pyproject.toml constraints.txt
+	$(PIP) install --quiet -c constraints.txt -e ".[arms]"
+	@touch $@
+
+# Everything the tests need, and a folder of wheels from which one of them installs taut into an empty environment.
+$(VENV)/test.stamp: $(BIN)/python pyproject.toml constraints.txt
+	$(PIP) install --quiet -c constraints.txt -e ".[arms,franka,oracles,ruckig,dev,docs]"
+	$(PIP) download --quiet --dest .wheels -c constraints.txt $$($(BIN)/python tools/core_requirements.py)
+	@touch $@

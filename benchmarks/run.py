@@ -1,0 +1,225 @@
+"""Time taut against what a user would otherwise write; all figures are ratios within one run.
+
+Run it with `make bench`. It prints a table and writes the figures to out/bench.json.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import rivals
+from rich.console import Console
+from rich.table import Table
+
+import taut
+from taut.apps.bench import BareLoop, empty_cache, interleaved
+from taut.maths.model import model_of
+
+TICKS = 2000
+
+
+def main() -> int:
+    """Measure everything, print it, and say which bars are missed."""
+    console = Console(width=110)
+    figures = {**tick_figures(), **loop_figures(), **start_figures()}
+    table = Table("figure", "measured", "bar", title="taut against NumPy + Pinocchio and MuJoCo, Panda, one core")
+    missed = []
+    for name, figure in figures.items():
+        bar = figure.get("bar")
+        ok = bar is None or (figure["value"] >= bar if figure["better"] == "more" else figure["value"] <= bar)
+        missed += [] if ok else [name]
+        sign = "" if bar is None else f"{'>=' if figure['better'] == 'more' else '<='} {bar:g} {figure['unit']}"
+        table.add_row(name, f"{figure['value']:.3g} {figure['unit']}  {figure.get('note', '')}", sign)
+    console.print(table)
+    sizes = size_figures()
+    table = Table(
+        "joints", "operations", "compile, cold [ms]", "cached [ms]", "bound tick [us]", title="a chain of n hinges"
+    )
+    for row in sizes:
+        table.add_row(*(f"{x:g}" for x in row))
+    console.print(table)
+    out = Path("out")
+    out.mkdir(exist_ok=True)
+    (out / "bench.json").write_text(json.dumps({"figures": figures, "sizes": sizes}, indent=1))
+    console.print(
+        f"figures in {out / 'bench.json'}" + (f"; missed: {', '.join(missed)}" if missed else "; all bars met")
+    )
+    return 1 if missed else 0
+
+
+def tick_figures() -> dict[str, dict]:
+    """One tick of computed torque, and inverse dynamics alone, from Python."""
+    arm = rivals.ARM
+    law = taut.laws.ComputedTorque(kp=rivals.KP, kd=rivals.KD, ki=rivals.KI)
+    ctrl = taut.compile(law, arm)
+    other = rivals.PinocchioLaw()
+    rng = np.random.default_rng(0)
+    q, v, a = arm.home + 0.1 * rng.standard_normal(7), rng.standard_normal(7), rng.standard_normal(7)
+    sample = taut.JointMotion(q=arm.home, v=v, a=a)
+    expected = other.natural(q, v, sample.q, sample.v, sample.a)
+    got = ctrl.step(q, v, sample)
+    assert np.abs(got - expected).max() < 1e-10 * np.abs(expected).max(), "the two laws differ"
+    bound = ctrl.bind()
+    bound.q[:], bound.v[:] = q, v
+    bound.ref.q[:], bound.ref.v[:], bound.ref.a[:] = sample.q, sample.v, sample.a
+    model = model_of(arm)
+    rnea = taut.native(lambda q, v, a: taut.dynamics.inverse_dynamics(model, q, v, a), q=7, v=7, a=7).call
+    assert np.abs(rnea(q, v, a) - pin.rnea(other.model, other.data, q, v, a)).max() < 1e-10
+    timing = interleaved(
+        {
+            "natural": "natural(q, v, ref.q, ref.v, ref.a)",
+            "rnea form": "by_rnea(q, v, ref.q, ref.v, ref.a)",
+            "tick": "tick()",
+            "step": "step(q, v, ref)",
+            "native rnea": "rnea(q, v, a)",
+            "pin.rnea": "pin.rnea(model, data, q, v, a)",
+        },
+        {
+            "natural": other.natural,
+            "by_rnea": other.by_rnea,
+            "tick": bound.tick,
+            "step": ctrl.step,
+            "rnea": rnea,
+            "pin": pin,
+            "model": other.model,
+            "data": other.data,
+            "q": q,
+            "v": v,
+            "a": a,
+            "ref": sample,
+        },
+    )
+    us = {name: f"({1e6 * t.median:.2f} us, +-{100 * t.spread:.0f} %)" for name, t in timing.items()}
+    natural = timing["natural"]
+    return {
+        "bound tick, times faster than M @ a + h": {
+            "value": timing["tick"].times_faster_than(natural),
+            "unit": "x",
+            "bar": 16.0,
+            "better": "more",
+            "note": f"{us['tick']} against {us['natural']}",
+        },
+        "bound tick, times faster than rnea(q, v, a)": {
+            "value": timing["tick"].times_faster_than(timing["rnea form"]),
+            "unit": "x",
+            "better": "more",
+            "note": f"against {us['rnea form']}",
+        },
+        "ctrl.step, times faster than M @ a + h": {
+            "value": timing["step"].times_faster_than(natural),
+            "unit": "x",
+            "bar": 6.0,
+            "better": "more",
+            "note": us["step"],
+        },
+        "native inverse dynamics, times faster than pin.rnea": {
+            "value": timing["native rnea"].times_faster_than(timing["pin.rnea"]),
+            "unit": "x",
+            "bar": 6.0,
+            "better": "more",
+            "note": f"{us['native rnea']} against {us['pin.rnea']}",
+        },
+    }
+
+
+def loop_figures() -> dict[str, dict]:
+    """The fused closed loop with its own plant model against loops in Python."""
+    law = taut.laws.ComputedTorque(kp=rivals.KP, kd=rivals.KD, ki=rivals.KI)
+    ref = taut.Sine(center=rivals.CENTER, amplitude=rivals.AMPLITUDE, frequency=rivals.FREQUENCY)
+    loaded = rivals.ARM.with_payload(rivals.PAYLOAD_MASS, rivals.PAYLOAD_COM, rivals.PAYLOAD_INERTIA)
+    ctrl = taut.compile(law, rivals.ARM)
+    own = BareLoop(ctrl, taut.RigidPlant(loaded, friction=None), ref, TICKS)
+    empty = BareLoop(ctrl, taut.RigidPlant(rivals.ARM, friction=None), ref, TICKS)
+    assert np.abs(own.run() - rivals.pinocchio_loop(TICKS)).max() < 1e-9, "the two loops differ"
+    model = rivals.mujoco_model()
+    assert np.abs(empty.run() - rivals.mujoco_loop(model, mujoco.MjData(model), TICKS)).max() < 1e-6
+    recorded = taut.Loop(ctrl, taut.RigidPlant(loaded, friction=None), ref, duration=(TICKS - 1) * ctrl.dt)
+    timing = interleaved(
+        {
+            "fused": own.run,
+            "pinocchio": lambda: rivals.pinocchio_loop(TICKS // 10),
+            "mujoco": lambda: rivals.mujoco_loop(model, mujoco.MjData(model), TICKS // 10),
+            "taut.run": lambda: taut.run(recorded, q0=rivals.CENTER),
+        },
+        budget=0.1,
+    )
+    per_step = {"fused": TICKS, "pinocchio": TICKS // 10, "mujoco": TICKS // 10, "taut.run": TICKS}
+    speed = {name: 1e-6 * per_step[name] / t.median for name, t in timing.items()}
+    ratio = {
+        name: np.median(timing[name].rounds / per_step[name] / (timing["fused"].rounds / TICKS)) for name in per_step
+    }
+    return {
+        "fused loop, times the steps of NumPy + Pinocchio": {
+            "value": float(ratio["pinocchio"]),
+            "unit": "x",
+            "bar": 40.0,
+            "better": "more",
+            "note": f"({speed['fused']:.2f} against {speed['pinocchio']:.3f} million steps/s)",
+        },
+        "fused loop, times the steps of MuJoCo + NumPy": {
+            "value": float(ratio["mujoco"]),
+            "unit": "x",
+            "bar": 32.0,
+            "better": "more",
+            "note": f"(against {speed['mujoco']:.3f} million steps/s)",
+        },
+        "taut.run of 2000 ticks, everything recorded": {
+            "value": speed["taut.run"],
+            "unit": "M steps/s",
+            "better": "more",
+            "note": "(compile from cache included)",
+        },
+    }
+
+
+def start_figures() -> dict[str, dict]:
+    """What a user waits for: import, first compile, compile from the cache."""
+    law = taut.laws.ComputedTorque(kp=rivals.KP, kd=rivals.KD, ki=rivals.KI)
+    colds = []
+    for _ in range(7):
+        with empty_cache():
+            start = time.perf_counter()
+            taut.compile(law, rivals.ARM)
+            colds.append(time.perf_counter() - start)
+    cached = interleaved({"cached": lambda: taut.compile(law, rivals.ARM)}, budget=0.1)["cached"]
+    code = "import time; t = time.perf_counter(); import taut; print(time.perf_counter() - t)"
+    imports = [
+        float(subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True).stdout)
+        for _ in range(7)
+    ]
+    return {
+        "cold trace and compile": {"value": float(np.median(colds)), "unit": "s", "bar": 0.5, "better": "less"},
+        "compile from the cache": {"value": 1e3 * cached.median, "unit": "ms", "bar": 30.0, "better": "less"},
+        "import taut": {"value": float(np.median(imports)), "unit": "s", "bar": 0.3, "better": "less"},
+    }
+
+
+def size_figures() -> list[list[float]]:
+    """Operations, compile time and tick of computed torque for chains of 1 to 30 hinges."""
+    rows = []
+    for n in (1, 2, 3, 5, 7, 10, 15, 20, 30):
+        arm = rivals.chain(n)
+        law = taut.laws.ComputedTorque(kp=100.0, kd=20.0)
+        with empty_cache():
+            start = time.perf_counter()
+            ctrl = taut.compile(law, arm)
+            cold = time.perf_counter() - start
+            start = time.perf_counter()
+            taut.compile(law, arm)
+            cached = time.perf_counter() - start
+        bound = ctrl.bind()
+        bound.q[:] = bound.ref.q[:] = arm.home
+        tick = interleaved({"tick": bound.tick}, rounds=7, budget=0.02)["tick"]
+        rows.append([n, ctrl.operations, round(1e3 * cold), round(1e3 * cached, 1), round(1e6 * tick.median, 2)])
+    return rows
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,196 @@
+"""The command `taut`. Exit status 0: done; 1: the run failed; 2: the request was wrong."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final, NoReturn
+
+from rich.console import Console
+from rich.table import Table
+
+from taut.base.errors import TautError, UsageError
+
+__all__ = ["main"]
+
+DONE, FAILED, WRONG = 0, 1, 2
+ENGINES: Final = ("auto", "native", "float")
+
+
+class _Parser(argparse.ArgumentParser):
+    """Wrong arguments are one sentence on standard error, like every other wrong request."""
+
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(f"{self.prog}: {message}; {self.prog} --help lists what it takes")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        argv: Arguments; those of the process if left out.
+
+    Returns:
+        The exit status.
+    """
+    try:
+        arguments = _parser().parse_args(argv)
+        command: Callable[[argparse.Namespace], int] = arguments.command
+        return command(arguments)
+    except TautError as wrong:
+        print(f"taut: {wrong}", file=sys.stderr)
+        return WRONG
+    except BrokenPipeError:  # the reader of a pipe went away
+        sys.stderr.close()
+        return DONE
+    except KeyboardInterrupt:
+        print("taut: interrupted", file=sys.stderr)
+        return FAILED
+
+
+def _parser() -> argparse.ArgumentParser:
+    from taut import __version__
+
+    parser = _Parser(prog="taut", description="Control laws for robot arms, written once and run everywhere.")
+    parser.add_argument("--version", action="version", version=f"taut {__version__}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+
+    def add(name: str, run: Callable[[argparse.Namespace], int], help_: str) -> argparse.ArgumentParser:
+        command = commands.add_parser(name, help=help_, description=help_)
+        command.set_defaults(command=run)
+        command.add_argument("--json", action="store_true", help="print the result as JSON")
+        return command
+
+    scenario = add("run", _run, "Run a scenario: a built-in one by its name, or a .toml file.")
+    scenario.add_argument("scenario", metavar="SCENARIO", help="name or path")
+    scenario.add_argument("--out", type=Path, metavar="DIR", help="folder for the files (default: out/SCENARIO)")
+    scenario.add_argument("--law", metavar="FILE.py:CLASS", help="a law of your own instead of the scenario's laws")
+    scenario.add_argument("--gain", action="append", default=[], metavar="NAME=VALUE", help="a gain of that law")
+    scenario.add_argument("--engine", choices=ENGINES, default="auto", help="engine of the controllers")
+    add("scenarios", _scenarios, "List the built-in scenarios.")
+    add("arms", _arms, "List the arms that taut knows by name.")
+    add("laws", _laws, "List the laws with their equations and what they need measured.")
+    check = add("check", _check, "Read a robot model and say what is in it and everything that is wrong with it.")
+    check.add_argument("model", metavar="MODEL", help="a name, a .urdf or an MJCF .xml file")
+    bench = add("bench", _bench, "Measure what a tick, a compile and a closed loop cost on this machine.")
+    bench.add_argument("arm", nargs="?", default="planar3", metavar="ARM", help="name or file (default: planar3)")
+    return parser
+
+
+def _print_json(value: Any) -> None:
+    print(json.dumps(value, indent=1, allow_nan=False))
+
+
+def _console() -> Console:
+    """A console that keeps tables whole when the output is a file or a pipe."""
+    console = Console()
+    return console if console.is_terminal else Console(width=140)
+
+
+# -------------------------------------------------------------------- commands
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from taut.apps.run_scenario import run_scenario
+    from taut.apps.scenario import load_scenario
+    from taut.apps.user_law import load_law
+
+    if arguments.gain and not arguments.law:
+        raise UsageError("--gain is for a law of your own: --law FILE.py:CLASS --gain kp=100")
+    own = {arguments.law: load_law(arguments.law, arguments.gain)} if arguments.law else None
+    scenario = load_scenario(arguments.scenario, own)
+    folder = arguments.out or Path("out") / scenario.name
+
+    def say(text: str) -> None:
+        if not arguments.json and sys.stderr.isatty():
+            print(text, file=sys.stderr)
+
+    result = run_scenario(scenario, folder, say=say, engine=arguments.engine)
+    if arguments.json:
+        _print_json(result.json())
+    else:
+        console = _console()
+        console.print(result.table())
+        for kind, path in result.outputs.items():
+            print(f"{kind:8} {path}")
+        for label, one in result.runs.items():
+            if not one.outcome.ok:
+                print(f"{label}: {one.outcome}")
+        for text in result.missed:
+            print(f"missed: {text}")
+    return DONE if result.ok else FAILED
+
+
+def _scenarios(arguments: argparse.Namespace) -> int:
+    from taut.apps.scenario import built_in_scenarios
+    from taut.apps.toml import read_toml
+
+    rows = [(name, read_toml(path).text("title", name), path) for name, path in built_in_scenarios().items()]
+    if arguments.json:
+        _print_json([{"name": name, "title": title, "file": str(path)} for name, title, path in rows])
+        return DONE
+    table = Table("scenario", "what it shows", title="taut run SCENARIO")
+    for name, title, _ in rows:
+        table.add_row(name, title)
+    _console().print(table)
+    return DONE
+
+
+def _arms(arguments: argparse.Namespace) -> int:
+    from taut.arm.report import arm_rows
+
+    rows = list(arm_rows())
+    if arguments.json:
+        _print_json([dataclasses.asdict(row) for row in rows])
+        return DONE
+    table = Table("arm", "joints", "takes in real life", "from", "installed", title="taut.load_arm(NAME)")
+    for row in rows:
+        table.add_row(
+            row.name, str(row.joints), ", ".join(row.commands), row.source, "yes" if row.installed else "no"
+        )
+    _console().print(table)
+    return DONE
+
+
+def _laws(arguments: argparse.Namespace) -> int:
+    from taut.apps.law_table import law_rows
+
+    rows = law_rows()
+    if arguments.json:
+        _print_json([row.json() for row in rows])
+        return DONE
+    table = Table(
+        "law", "command and equation", "closed loop", "follows", "needs", title="taut.laws", show_lines=True
+    )
+    for row in rows:
+        table.add_row(row.name, "\n".join(row.law), "\n".join(row.closed_loop), row.reference, ", ".join(row.needs))
+    _console().print(table)
+    return DONE
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    from taut.arm.report import check_model
+
+    report = check_model(arguments.model)
+    if arguments.json:
+        _print_json(report.json())
+    else:
+        print(report.text())
+    return DONE if report.ok else WRONG
+
+
+def _bench(arguments: argparse.Namespace) -> int:
+    from taut.apps.bench import bench_arm
+    from taut.arm.load import load_arm
+
+    rows = bench_arm(load_arm(arguments.arm))
+    if arguments.json:
+        _print_json(dict(rows))
+    else:
+        for what, figure in rows:
+            print(f"{what:22} {figure}")
+    return DONE

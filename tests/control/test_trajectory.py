@@ -1,0 +1,204 @@
+"""Trajectories: end conditions, limits, derivatives, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import taut
+from taut.base.types import Float64Array
+
+Q0, Q1 = np.array([0.0, 1.0, -0.5]), np.array([1.0, -1.0, -0.5])
+STEP = 1e-5
+CENTRAL = 1e-5  # error of a central difference of these curves at STEP
+
+CURVES = {
+    "cubic": taut.Cubic(q0=Q0, q1=Q1, duration=2.0),
+    "quintic": taut.Quintic(q0=Q0, q1=Q1, duration=2.0),
+    "trapezoidal": taut.Trapezoidal(q0=Q0, q1=Q1, velocity=1.2, acceleration=3.0),
+    "short trapezoidal": taut.Trapezoidal(q0=Q0, q1=Q1, velocity=10.0, acceleration=3.0),
+    "jerk-limited": taut.JerkLimited(q0=Q0, q1=Q1, velocity=1.2, acceleration=3.0, jerk=20.0),
+    "spline": taut.Spline(times=[0.0, 0.7, 2.0], points=[Q0, [0.3, 0.4, 0.5], Q1]),
+}
+
+
+@pytest.fixture(params=list(CURVES))
+def curve(request: pytest.FixtureRequest) -> taut.Quintic:
+    return CURVES[request.param]
+
+
+def test_it_starts_and_ends_at_rest_at_its_ends_and_stays_there(curve: taut.Quintic) -> None:
+    for t, q in ((-1.0, Q0), (0.0, Q0), (curve.duration, Q1), (curve.duration + 5.0, Q1)):
+        sample = curve.at(t)
+        np.testing.assert_allclose(sample.q, q, atol=1e-9)
+        np.testing.assert_allclose(sample.v, 0.0, atol=1e-9)
+    for t in (-1.0, curve.duration + 5.0):
+        np.testing.assert_array_equal(curve.at(t).a, 0.0)
+
+
+def test_velocity_and_acceleration_are_the_derivatives(curve: taut.Quintic) -> None:
+    # Off the instants at which the acceleration or the jerk of a curve jumps.
+    for t in np.linspace(0.013, curve.duration - 0.017, 23):
+        before, now, after = curve.at(t - STEP), curve.at(t), curve.at(t + STEP)
+        np.testing.assert_allclose(now.v, (after.q - before.q) / (2 * STEP), atol=CENTRAL)
+        if not np.allclose(before.a, after.a, atol=1e-2):
+            continue
+        np.testing.assert_allclose(now.a, (after.v - before.v) / (2 * STEP), atol=1e-3)
+
+
+def test_many_times_at_once_are_the_same_as_one_by_one(curve: taut.Quintic) -> None:
+    times = np.linspace(-0.2, curve.duration + 0.2, 41)
+    rows = curve.rows(times)
+    for k, t in enumerate(times):
+        one = curve.at(float(t))
+        for name in ("q", "v", "a"):
+            np.testing.assert_array_equal(getattr(rows, name)[k], getattr(one, name))
+
+
+@pytest.mark.parametrize("name", ["trapezoidal", "short trapezoidal", "jerk-limited"])
+def test_limits_hold_and_the_slowest_joint_reaches_one(name: str) -> None:
+    curve = CURVES[name]
+    rows = curve.rows(np.linspace(0.0, curve.duration, 2001))
+    speed, acceleration = np.abs(rows.v).max(), np.abs(rows.a).max()
+    limit = float(np.max(curve.velocity))
+    assert speed <= limit + 1e-9
+    assert acceleration <= 3.0 + 1e-9
+    assert speed > limit - 1e-6 or acceleration > 3.0 - 1e-6
+
+
+def test_a_jerk_limited_curve_keeps_its_jerk() -> None:
+    curve = CURVES["jerk-limited"]
+    rows = curve.rows(np.linspace(0.0, curve.duration, 4001))
+    jerk = np.diff(rows.a, axis=0) / (curve.duration / 4000)
+    assert np.abs(jerk).max() <= 20.0 * (1 + 1e-6)
+
+
+def test_a_quintic_has_zero_acceleration_at_both_ends_and_a_cubic_does_not() -> None:
+    quintic, cubic = CURVES["quintic"], CURVES["cubic"]
+    for t in (0.0, 2.0):
+        np.testing.assert_allclose(quintic.at(t).a, 0.0, atol=1e-9)
+    np.testing.assert_allclose(cubic.at(0.0).a, 6.0 * (Q1 - Q0) / 4.0)
+
+
+def test_a_spline_goes_through_its_points_with_continuous_acceleration() -> None:
+    curve = CURVES["spline"]
+    np.testing.assert_allclose(curve.at(0.7).q, [0.3, 0.4, 0.5], atol=1e-12)
+    np.testing.assert_allclose(curve.at(0.7 - 1e-9).a, curve.at(0.7 + 1e-9).a, atol=1e-6)
+
+
+def test_a_trapezoid_that_does_not_move_takes_no_time() -> None:
+    curve = taut.Trapezoidal(q0=Q0, q1=Q0, velocity=1.0, acceleration=1.0)
+    assert curve.duration == 0.0
+    np.testing.assert_array_equal(curve.at(0.5).q, Q0)
+
+
+def test_a_sine_is_the_one_of_its_formula() -> None:
+    curve = taut.Sine(center=[1.0, 2.0], amplitude=[0.5, 0.25], frequency=2.0, phase=[0.0, 1.0])
+    t, w = 0.3, 4.0 * np.pi
+    phase = np.array([0.0, 1.0])
+    sample = curve.at(t)
+    np.testing.assert_allclose(sample.q, [1.0, 2.0] + np.array([0.5, 0.25]) * np.sin(w * t + phase))
+    np.testing.assert_allclose(sample.v, w * np.array([0.5, 0.25]) * np.cos(w * t + phase))
+    np.testing.assert_allclose(sample.a, -(w**2) * np.array([0.5, 0.25]) * np.sin(w * t + phase))
+
+
+class TestSamples:
+    times = np.array([0.0, 0.5, 1.0])
+    q = np.array([[0.0, 1.0], [1.0, 1.0], [4.0, 0.0]])
+
+    def test_positions_are_linear_in_between_and_held_outside(self) -> None:
+        samples = taut.Samples(times=self.times, q=self.q)
+        np.testing.assert_allclose(samples.at(0.25).q, [0.5, 1.0])
+        np.testing.assert_allclose(samples.at(9.0).q, [4.0, 0.0])
+        np.testing.assert_array_equal(samples.at(9.0).v, 0.0)
+
+    def test_a_csv_file_reads_back_what_was_written(self, tmp_path: Path) -> None:
+        file = tmp_path / "path.csv"
+        rows = ["t,q1,q2,v1,v2"] + [f"{t},{q[0]},{q[1]},0.5,-0.5" for t, q in zip(self.times, self.q, strict=True)]
+        file.write_text("\n".join(rows) + "\n")
+        samples = taut.Samples.from_csv(file)
+        np.testing.assert_array_equal(samples.q, self.q)
+        np.testing.assert_array_equal(samples.at(0.5).v, [0.5, -0.5])
+
+    @pytest.mark.parametrize(
+        ("text", "message"),
+        [
+            ("", "is empty"),
+            ("q1,q2\n0,1\n", "the first line must name the columns t, q1, q2, ...; got ['q1', 'q2']"),
+            ("t,q1,v2\n0,1,2\n", "the columns must be t, q1, v1; got t, q1, v2"),
+            ("t,q1\n0,x\n", "line 2: not a number"),
+            ("t,q1\n0,1,2\n", "line 2: 2 numbers are needed; got 3"),
+            ("t,q1\n", "there are no samples below the header"),
+            ("t,q1\n0,1\n0,2\n", "times must increase; times[1] = 0 follows 0"),
+            ("t,q1\n0,nan\n", "q[0, 0] must be finite [rad | m]; got nan"),
+        ],
+    )
+    def test_a_wrong_csv_file_is_refused_in_words(self, tmp_path: Path, text: str, message: str) -> None:
+        file = tmp_path / "path.csv"
+        file.write_text(text)
+        with pytest.raises(taut.TautError) as caught:
+            taut.Samples.from_csv(file)
+        assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: taut.Quintic(q0=[0.0], q1=[1.0], duration=0.0), "duration must be > 0 [s]; got 0.0"),
+        (
+            lambda: taut.Quintic(q0=[0.0], q1=[1.0, 2.0], duration=1.0),
+            "q1 must have shape (1,), like the others; got (2,)",
+        ),
+        (lambda: taut.Quintic(q0=[np.nan], q1=[1.0], duration=1.0), "q0[0] must be finite; got nan"),
+        (
+            lambda: taut.Trapezoidal(q0=[0.0], q1=[1.0], velocity=0.0, acceleration=1.0),
+            "velocity[0] must be > 0; got 0.0",
+        ),
+        (
+            lambda: taut.Spline(times=[0.0, 0.0], points=[[0.0], [1.0]]),
+            "times must increase; times[1] = 0 follows 0",
+        ),
+        (lambda: taut.Spline(times=[0.0], points=[[0.0]]), "a spline needs two points at least; got 1"),
+        (
+            lambda: taut.Samples(times=[0.0, 1.0], q=[[0.0]]),
+            "times must have shape (k,) and q (k, n); got (2,) and (1, 1)",
+        ),
+        (lambda: taut.chunk([0.0, 0.1], [[0.0]]), "targets must have one sample per time; got 1 for 2 times"),
+        (lambda: taut.chunk([0.1, 0.0], [[0.0], [1.0]]), "times must increase; times[1] = 0 follows 0.1"),
+        (lambda: taut.stream(period=0.0), "period must be > 0 [s]; got 0.0"),
+        (
+            lambda: taut.hold([0.0]),
+            "hold takes a sample such as taut.JointMotion(q=...); got [0.0]",
+        ),
+        (lambda: taut.JointMotion(q=[[0.0]]), "ref.q must be a vector (n,); got shape (1, 1)"),
+        (
+            lambda: taut.JointMotion(q=[0.0], v=[1.0, 2.0]),
+            "ref.v must have shape (1,) [rad/s | m/s]; got shape (2,)",
+        ),
+    ],
+)
+def test_what_makes_no_reference_is_refused_in_words(make: object, message: str) -> None:
+    with pytest.raises(taut.TautError) as caught:
+        make()  # type: ignore[operator]
+    assert str(caught.value) == message
+
+
+def test_without_ruckig_the_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "ruckig", None)
+    with pytest.raises(taut.MissingExtraError) as caught:
+        taut.JerkLimited(q0=[0.0], q1=[1.0], velocity=1.0, acceleration=1.0, jerk=1.0)
+    assert str(caught.value) == (
+        "a jerk-limited trajectory needs the package 'ruckig', which is not installed; "
+        'pip install -e ".[ruckig]" installs it'
+    )
+
+
+def test_a_chunk_blends_samples_and_then_holds() -> None:
+    targets: list[Float64Array] = [np.array([0.0]), np.array([1.0]), np.array([3.0])]
+    chunk = taut.chunk([0.0, 0.1, 0.3], targets)
+    np.testing.assert_allclose(chunk.at(0.05).q, [0.5])
+    np.testing.assert_allclose(chunk.at(0.2).q, [2.0])
+    np.testing.assert_allclose(chunk.at(5.0).q, [3.0])
+    np.testing.assert_array_equal(chunk.at(5.0).v, [0.0])

@@ -1,0 +1,125 @@
+"""The house: what each room may use, what is public, and that a quick import stays quick."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import taut
+
+ROOT = Path(taut.__file__).parent
+ROOMS = [
+    "base",
+    "arm",
+    "maths",
+    "control",
+    "plant",
+    "loop",
+    "codegen",
+    "controller",
+    "record",
+    "runtime",
+    "study",
+    "apps",
+]
+
+
+def modules() -> list[Path]:
+    return sorted(ROOT.rglob("*.py"))
+
+
+def room_of(parts: tuple[str, ...]) -> str | None:
+    name = parts[0].removesuffix(".py")
+    return name if name in ROOMS else None
+
+
+def imports_of(file: Path) -> set[str]:
+    """Rooms that a module imports, wherever in the module."""
+    found = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        names = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module is not None:
+            names = [node.module]
+        for name in names:
+            if name.startswith("taut."):
+                found.add(name.split(".")[1])
+    return found & set(ROOMS)
+
+
+@pytest.mark.parametrize("file", modules(), ids=lambda file: str(file.relative_to(ROOT)))
+def test_each_room_uses_only_what_stands_above_it(file: Path) -> None:
+    room = room_of(file.relative_to(ROOT).parts)
+    if room is None:
+        assert file.name in ("__init__.py", "__main__.py")
+        return
+    below = set(ROOMS[ROOMS.index(room) + 1 :])
+    assert not imports_of(file) & below
+
+
+def test_no_module_directly_under_taut_has_the_name_of_a_public_function() -> None:
+    public = {name for name in taut.__all__ if callable(getattr(taut, name))}
+    names = {path.stem for path in ROOT.iterdir()}
+    assert not names & public
+
+
+def test_what_type_checkers_see_is_what_there_is() -> None:
+    tree = ast.parse((ROOT / "__init__.py").read_text(encoding="utf-8"))
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    seen = {}
+    for node in block.body:
+        assert isinstance(node, ast.ImportFrom)
+        for alias in node.names:
+            assert alias.asname == alias.name
+            seen[alias.name] = node.module
+    for name, module in seen.items():
+        where = (
+            f"taut.{taut._WHERE[name]}" if name in taut._WHERE else f"taut.{taut._MODULES[name]}".rpartition(".")[0]
+        )
+        assert module == where
+    assert set(seen) == set(taut.__all__)
+
+
+@pytest.mark.parametrize("name", taut.__all__)
+def test_every_public_name_is_there_and_documented(name: str) -> None:
+    value = getattr(taut, name)
+    assert value.__doc__, name
+
+
+def test_an_unknown_name_gets_the_nearest_one() -> None:
+    with pytest.raises(AttributeError, match="taut has no public name 'load_amr'; did you mean 'load_arm'"):
+        taut.load_amr  # noqa: B018
+
+
+def test_importing_taut_loads_nothing_heavy() -> None:
+    code = "import sys, taut; print(sorted(m for m in ('numpy', 'llvmlite', 'mujoco', 'matplotlib', 'scipy', 'rich') if m in sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_compiling_and_running_loads_neither_plots_nor_mujoco() -> None:
+    code = (
+        "import sys, taut; arm = taut.load_arm('planar2');"
+        "taut.run(taut.compile(taut.laws.PID(kp=1.0), arm), taut.RigidPlant(arm), duration=0.1);"
+        "print(sorted(m for m in ('mujoco', 'matplotlib', 'scipy', 'mcap', 'pandas') if m in sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_the_core_declares_what_it_imports() -> None:
+    """Every third-party package that a module imports at its top is a dependency of the core."""
+    declared = {"llvmlite", "matplotlib", "mcap", "mujoco", "numpy", "rich", "scipy"}
+    for file in modules():
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        for node in tree.body:
+            if isinstance(node, (ast.Import, ast.ImportFrom)):
+                names = [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""]
+                for name in names:
+                    top = name.split(".")[0]
+                    assert top == "taut" or top in sys.stdlib_module_names or top in declared, f"{file}: {top}"
