@@ -9,24 +9,30 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rich.markup import escape
 from rich.table import Table
 
 from taut.apps.scenario import PassFigure, Scenario
 from taut.base.errors import FileError, ScenarioError, unknown_name
 from taut.controller import compile
+from taut.record.metrics import MEASURES
 from taut.record.plot import compare
 from taut.record.run import Run
+from taut.record.table import number_text
 from taut.runtime.simulate import run
 
 __all__ = ["ScenarioResult", "run_scenario"]
 
 COLUMNS = (
-    ("rms_error", "RMS error", 1e3, "mrad"),
-    ("peak_error", "peak error", 1e3, "mrad"),
-    ("final_error", "final error", 1e3, "mrad"),
-    ("effort", "effort", 1.0, "(N m)^2 s"),
-    ("peak_torque", "peak torque", 1.0, "N m"),
-    ("chatter", "chatter", 1.0, "N m/s"),
+    "rms_error",
+    "peak_error",
+    "final_error",
+    "overshoot",
+    "settling_time",
+    "effort",
+    "peak_torque",
+    "saturation_time",
+    "chatter",
 )
 
 
@@ -56,19 +62,16 @@ class ScenarioResult:
         }
 
     def table(self) -> Table:
-        """One row per law."""
-        table = Table(
-            "law", *(f"{title}\n[{unit}]" for _, title, _, unit in COLUMNS), "outcome", title=self.scenario.title
-        )
+        """One row per law, with the numbers that mean something for all joints together."""
+        metrics = {label: one.metrics for label, one in self.runs.items()}
+        names = [name for name in COLUMNS if any(not math.isnan(m.overall[name]) for m in metrics.values())]
+        unit = {name: next(iter(metrics.values())).unit(name) for name in names}
+        heads = [escape(f"{MEASURES[name].title}\n[{unit[name]}]") for name in names]
+        table = Table("law", *heads, "outcome", title=self.scenario.title)
         for label, one in self.runs.items():
-            overall = one.metrics.overall
-            cells = [_cell(overall[name] * scale) for name, _, scale, _ in COLUMNS]
-            table.add_row(label, *cells, one.outcome.kind)
+            cells = [number_text(metrics[label].overall[name]) for name in names]
+            table.add_row(escape(label), *cells, one.outcome.kind)
         return table
-
-
-def _cell(value: float) -> str:
-    return f"{value:.4g}" if math.isfinite(value) else "-"
 
 
 def run_scenario(
@@ -147,8 +150,6 @@ def _written(
 
 
 def _check_metrics(scenario: Scenario) -> None:
-    from taut.record.metrics import MEASURES
-
     for figure in scenario.figures:
         if figure.metric not in MEASURES:
             raise ScenarioError(

@@ -113,7 +113,7 @@ def load_scenario(name: str, replace_laws: Mapping[str, Law] | None = None) -> S
         path = Path(name)
     else:
         raise unknown_name("taut", "scenario", name, known, hint="or give the path of a .toml file")
-    root = read_toml(path)
+    root = read_toml(path, f"scenario '{name}'")
     title = root.text("title", path.stem)
     arm = _arm(root.section("arm", required=True))
     laws = dict(replace_laws) if replace_laws else _laws(root.section("laws", required=True))

@@ -19,8 +19,12 @@ REQUIRED: Final = object()
 MOST_BYTES: Final = 1_000_000
 
 
-def read_toml(path: Path) -> Section:
+def read_toml(path: Path, label: str = "") -> Section:
     """The root section of a file.
+
+    Args:
+        path: The file.
+        label: What messages call it; its path if left out.
 
     Raises:
         FileError: It cannot be read.
@@ -35,7 +39,7 @@ def read_toml(path: Path) -> Section:
         raise ScenarioError(f"scenario '{file}' is no UTF-8 text ({cause.reason} at byte {cause.start})") from cause
     except (tomllib.TOMLDecodeError, RecursionError) as cause:
         raise ScenarioError(f"scenario '{file}' is no valid TOML: {cause}") from cause
-    return Section(str(file), "", table)
+    return Section(label or str(file), "", table)
 
 
 class Section:
@@ -91,7 +95,7 @@ class Section:
     def number(self, key: str, default: Any = REQUIRED) -> Any:
         """A finite number."""
         value = self._typed(key, default, (int, float), "a number")
-        if isinstance(value, float) and not math.isfinite(value):
+        if value is not default and not math.isfinite(value):
             raise self.error(f"{key} must be finite; got {value!r}")
         return value
 

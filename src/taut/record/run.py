@@ -2,16 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import dataclasses
+import os
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
 
 from taut.arm.description import Arm
+from taut.base.checks import finite_scalar
+from taut.base.errors import RangeError
 from taut.base.types import Float64Array
 from taut.control.reference import Sample
 from taut.record.outcome import Outcome
 
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+    from taut.record.metrics import Metrics
+
 __all__ = ["Run"]
+
+HALF: Final = 1e-9  # [s] between a time as people write it and as a tick has it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -20,6 +36,16 @@ class Run:
 
     q and v are the true state at the tick, `command` and `terms` what the controller made of what it measured then,
     and tau what acted on the joints during the period that follows.
+
+    Example:
+        >>> import taut
+        >>> arm = taut.load_arm("one_joint")
+        >>> ctrl = taut.compile(taut.laws.GravityPID(kp=2.205, kd=2.0), arm)
+        >>> run = taut.run(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=[0.5]), duration=5.0)
+        >>> run, run.terms["P"].shape
+        (Run(5001 ticks, 5 s, 1 joints, completed), (5001, 1))
+        >>> bool(run.metrics.overshoot[0] < 0.1)  # [%]
+        True
     """
 
     t: Float64Array  # (k,) [s]
@@ -48,9 +74,159 @@ class Run:
         """Ticks per second [Hz]."""
         return float(self.info["rate"])
 
+    @property
+    def effort_units(self) -> tuple[str, ...]:
+        """Unit of each entry of tau: N m or N."""
+        return tuple("N" if unit == "m" else "N m" for unit in self.units)
+
+    @property
+    def command_units(self) -> tuple[str, ...]:
+        """Unit of each entry of the command and its terms."""
+        if self.kind == "torque":
+            return self.effort_units
+        return tuple(f"{unit}/s" for unit in self.units) if self.kind == "velocity" else self.units
+
+    @cached_property
+    def error(self) -> Float64Array | None:
+        """(k, n) tracking error [rad | m], wanted minus true, the short way round for joints that wrap.
+
+        None where the reference is not one of joint positions.
+        """
+        wanted = getattr(self.reference, "q", None)
+        return None if wanted is None else short_way(np.asarray(wanted) - self.q, self.continuous)
+
+    @cached_property
+    def metrics(self) -> Metrics:
+        """How well it went, in numbers: overshoot, settling time, errors, effort, ..."""
+        from taut.record.metrics import metrics_of
+
+        return metrics_of(self)
+
+    def between(self, start: float, end: float) -> Run:
+        """The ticks from time `start` to time `end` [s], both included: to plot, film or measure a stretch of a run.
+
+        Raises:
+            RangeError: Not start < end, or no tick between them.
+        """
+        first, last = np.searchsorted(
+            self.t, [finite_scalar("start", start) - HALF, finite_scalar("end", end) + HALF]
+        )
+        if not start < end or first == last:
+            span = f"{self.t[0]:g} to {self.t[-1]:g}" if len(self) else "no ticks"
+            raise RangeError(f"the run has no ticks from {start:g} to {end:g} s; it has {span}", name="start")
+        fields = {name: getattr(self.reference, name)[first:last] for name in type(self.reference).fields(self.n)}
+        return dataclasses.replace(
+            self,
+            **{name: getattr(self, name)[first:last] for name in ("t", "q", "v", "tau", "command")},
+            terms={name: values[first:last] for name, values in self.terms.items()},
+            extra={name: values[first:last] for name, values in self.extra.items()},
+            reference=type(self.reference).of(fields),
+        )
+
+    # ---------------------------------------------------------------- to look at
+
+    def plot(self, *, joints: Iterable[str | int] | None = None) -> Figure:
+        """Positions, tracking error, torque and its terms over time, as a matplotlib Figure.
+
+        Args:
+            joints: Names or indices of the joints to show; by default all, of more than eight those with the
+                largest error.
+
+        Returns:
+            The figure, which no window shows; save it with `figure.savefig("run.pdf")`.
+
+        Raises:
+            UnknownNameError: The run has no such joint.
+        """
+        from taut.record.plot import plot
+
+        return plot(self, joints=joints)
+
+    def video(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        fps: int = 30,
+        size: tuple[int, int] = (640, 480),
+        speed: float = 1.0,
+        arm: Arm | None = None,
+    ) -> Path:
+        """A film of the arm: rendered by MuJoCo where OpenGL works, else a schematic drawing, with a warning.
+
+        Args:
+            path: Where to: .gif, or .mp4 where ffmpeg is installed.
+            fps: Frames per second of the film.
+            size: Width and height in pixels.
+            speed: How fast the film plays; 2.0 is twice as fast as it was.
+            arm: The arm to draw; the plant's by default. A run from a file needs it.
+
+        Returns:
+            The path.
+
+        Raises:
+            FileError: Another suffix, no such folder, no ffmpeg.
+            UsageError: The run does not know its arm.
+        """
+        from taut.record.video import film
+
+        return film(self, path, fps=fps, size=size, speed=speed, arm=arm)
+
+    # ---------------------------------------------------------------- to keep
+
+    def arrays(self) -> dict[str, Float64Array]:
+        """Everything by name: t, q, v, tau, command, terms.P, reference.q, F_ext, ...; one row per tick."""
+        from taut.record.export import arrays
+
+        return arrays(self)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """A table with one row per tick, the time as index, and one column per number: q.elbow, terms.P.elbow, ...
+
+        Raises:
+            MissingExtraError: pandas is not installed.
+        """
+        from taut.record.export import to_pandas
+
+        return to_pandas(self)
+
+    def to_csv(self, path: str | os.PathLike[str]) -> Path:
+        """Write a table (.csv): a header with names and units, then one line per tick that reads back exactly."""
+        from taut.record.export import to_csv
+
+        return to_csv(self, path)
+
+    def to_mat(self, path: str | os.PathLike[str]) -> Path:
+        """Write a MATLAB file (.mat) with the struct `run`: t, q, ..., terms.P, reference.q, joint_names, units."""
+        from taut.record.export import to_mat
+
+        return to_mat(self, path)
+
+    def to_npz(self, path: str | os.PathLike[str]) -> Path:
+        """Write a NumPy archive (.npz) with the arrays of `arrays()`, joint_names and units."""
+        from taut.record.export import to_npz
+
+        return to_npz(self, path)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write a log (.mcap) that common viewers open and `taut.load_run` reads back exactly."""
+        from taut.record.log import save
+
+        return save(self, path)
+
     def __len__(self) -> int:
         return len(self.t)
 
     def __repr__(self) -> str:
         end = float(self.t[-1]) if len(self) else 0.0
         return f"Run({len(self)} ticks, {end:g} s, {self.n} joints, {self.outcome.kind})"
+
+
+def short_way(delta: Float64Array, continuous: tuple[int, ...]) -> Float64Array:
+    """Differences of positions (..., n); those of joints that wrap go to [-pi, pi)."""
+    if not continuous:
+        return delta
+    delta = np.array(delta)
+    columns = list(continuous)
+    turn = 2.0 * np.pi
+    delta[..., columns] -= turn * np.floor((delta[..., columns] + np.pi) / turn)
+    return delta

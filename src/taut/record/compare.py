@@ -1,0 +1,130 @@
+"""One figure for several runs: how the error goes, and what it costs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from taut.base.errors import UsageError
+from taut.record.metrics import MEASURES
+from taut.record.run import Run
+from taut.record.style import INK, WIDTH, colour, legend_above, line, prepared, short_name
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["compare"]
+
+BARS: Final = ("rms_error", "peak_error", "effort", "chatter")
+MOST: Final = 8  # runs in one figure
+FAR_APART: Final = 30.0  # ratio of errors above which their axis is logarithmic
+
+
+def compare(runs: Mapping[str, Run], *, title: str = "", measures: Sequence[str] = BARS) -> Figure:
+    """Error norm over time of several runs, and bars of their metrics, as a matplotlib Figure.
+
+    Args:
+        runs: The runs by the name that each gets in the figure.
+        title: A title for the figure.
+        measures: Names of the metrics to draw as bars.
+
+    Raises:
+        UsageError: No runs, more than eight, one without a position reference, joints in rad and in m.
+        UnknownNameError: There is no such metric.
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+    unit = _checked(runs, measures)
+    height = 0.3 + 0.22 * len(runs)
+    figure = Figure(figsize=(WIDTH, 2.9 + height), dpi=150, layout="constrained")
+    if title:
+        figure.suptitle(title, fontsize=9.5, color=INK, x=0.01, ha="left")
+    top, bottom = figure.subfigures(2, 1, height_ratios=[2.6, height], squeeze=False)[:, 0]
+    _norms(runs, unit, top.subplots())
+    names = [
+        Line2D([], [], color=colour(i), linewidth=2.0, label=short_name(name, 30)) for i, name in enumerate(runs)
+    ]
+    legend_above(top, names)
+    for i, (ax, measure) in enumerate(
+        zip(bottom.subplots(1, len(measures), squeeze=False)[0], measures, strict=True)
+    ):
+        _bars(runs, measure, ax, with_names=i == 0)
+    return figure
+
+
+def _checked(runs: Mapping[str, Run], measures: Sequence[str]) -> str:
+    """The unit that all runs share."""
+    from taut.base.errors import unknown_name
+
+    if not isinstance(runs, Mapping) or not all(isinstance(run, Run) for run in runs.values()):
+        raise UsageError("compare takes runs by name: compare({'PID': run1, 'computed torque': run2})", name="runs")
+    if not 0 < len(runs) <= MOST:
+        raise UsageError(f"compare draws 1 to {MOST} runs in one figure; got {len(runs)}", name="runs")
+    for measure in measures:
+        if measure not in MEASURES:
+            raise unknown_name("a run", "metric", measure, MEASURES)
+    if not measures:
+        raise UsageError("compare needs one metric at least; got measures=()", name="measures")
+    units = {unit for run in runs.values() for unit in run.units}
+    if len(units) > 1:
+        raise UsageError(
+            "compare draws the norm of the error, which joints in rad and joints in m together do not have; "
+            "plot the runs one by one",
+            name="runs",
+        )
+    for name, run in runs.items():
+        if run.error is None or not len(run):
+            raise UsageError(f"run '{name}' has no tracking error to compare", name="runs")
+    return units.pop()
+
+
+def _norms(runs: Mapping[str, Run], unit: str, ax: Axes) -> None:
+    prepared(ax, "norm of the tracking error", f"[{unit}]", "t [s]")
+    sizes = []
+    for i, run in enumerate(runs.values()):
+        assert run.error is not None
+        norm = np.sqrt(np.sum(run.error**2, axis=1))
+        sizes.append(float(np.sqrt(np.mean(norm**2))))
+        line(ax, run.t, norm, colour(i))
+    if min(sizes) > 0.0 and max(sizes) / min(sizes) > FAR_APART:
+        ax.set_yscale("log")
+        ax.set_ylim(bottom=1e-2 * min(sizes))
+        ax.yaxis.set_tick_params(which="minor", length=1.5, width=0.4)
+    else:
+        ax.set_ylim(bottom=0.0)
+    ax.margins(x=0.01)
+
+
+def _bars(runs: Mapping[str, Run], measure: str, ax: Axes, *, with_names: bool) -> None:
+    """One metric of each run, as a bar with its number."""
+    metrics = [run.metrics for run in runs.values()]
+    values = [m.overall[measure] for m in metrics]
+    finite = [value if math.isfinite(value) else 0.0 for value in values]
+    prepared(ax, f"{MEASURES[measure].title} [{metrics[0].unit(measure)}]")
+    places = np.arange(len(values))[::-1]
+    ax.barh(places, finite, height=0.68, color=[colour(i) for i in range(len(values))])
+    edge = max([abs(value) for value in finite] or [0.0]) or 1.0
+    for place, value, size in zip(places, values, finite, strict=True):
+        ax.text(max(size, 0.0) + 0.03 * edge, place, _number(value), fontsize=7.5, color=INK, va="center", ha="left")
+    ax.set_xlim(1.1 * min([0.0, *finite]), 1.55 * edge)
+    ax.set_yticks(places, [short_name(name, 18) for name in runs] if with_names else [""] * len(places))
+    ax.set_xticks([])
+    ax.grid(False)
+    ax.tick_params(axis="y", length=0.0)
+    ax.spines["bottom"].set_visible(False)
+
+
+def _number(value: float) -> str:
+    """Three digits, without an exponent where that is as short."""
+    if math.isnan(value):
+        return "-"
+    if math.isinf(value):
+        return "not settled"
+    if value and not 1e-4 <= abs(value) < 1e6:
+        return f"{value:.2e}"
+    return np.format_float_positional(float(f"{value:.3g}"), trim="-")

@@ -1,0 +1,66 @@
+"""Metrics as text: one line per joint, one column per metric."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from taut.record.metrics import MEASURES
+
+if TYPE_CHECKING:
+    from taut.record.metrics import Metrics
+
+__all__ = ["metrics_table", "number_text", "runs_table"]
+
+
+def metrics_table(metrics: Metrics) -> str:
+    """The metrics that have a meaning for this run, with units."""
+    names = [name for name in MEASURES if not all(math.isnan(x) for x in getattr(metrics, name))]
+    columns = []
+    for name in names:
+        numbers = [number_text(x) for x in getattr(metrics, name)]
+        last = [number_text(metrics.overall[name])] if len(numbers) > 1 else []
+        columns.append([*_heading(MEASURES[name].title), metrics.unit(name), *numbers, *last])
+    side = ["", "", "", *metrics.joint_names, *(["overall"] if len(metrics.joint_names) > 1 else [])]
+    return _aligned(side, columns)
+
+
+def runs_table(metrics: Mapping[str, Metrics]) -> str:
+    """Several runs side by side: one line per run, with the overall numbers.
+
+    Example:
+        >>> print(runs_table({}))
+        <BLANKLINE>
+    """
+    names = [name for name in MEASURES if any(not math.isnan(m.overall[name]) for m in metrics.values())]
+    columns = []
+    for name in names:
+        units = " | ".join(dict.fromkeys(m.unit(name) for m in metrics.values()))
+        columns.append(
+            [*_heading(MEASURES[name].title), units, *(number_text(m.overall[name]) for m in metrics.values())]
+        )
+    return _aligned(["", "", "", *metrics], columns).rstrip() if columns else ""
+
+
+def _heading(title: str) -> tuple[str, str]:
+    """A title on two lines."""
+    first, _, second = title.partition(" ")
+    return (first, second) if second else ("", first)
+
+
+def number_text(value: float) -> str:
+    """A metric in words: a number, a dash where it has no meaning, "not settled" where it is infinite."""
+    if math.isnan(value):
+        return "-"
+    return "not settled" if math.isinf(value) else f"{value:.4g}"
+
+
+def _aligned(side: list[str], columns: list[list[str]]) -> str:
+    width = max(len(text) for text in side)
+    widths = [max(len(text) for text in column) for column in columns]
+    lines = []
+    for i, text in enumerate(side):
+        cells = [column[i].rjust(size) for column, size in zip(columns, widths, strict=True)]
+        lines.append("  ".join([text.ljust(width), *cells]).rstrip())
+    return "\n".join(lines)

@@ -1,0 +1,360 @@
+"""MujocoPlant: an arm in MuJoCo, built from the same Arm as everything else, or found in a model of the user's."""
+
+from __future__ import annotations
+
+import math
+import os
+import warnings
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import numpy as np
+
+from taut.arm.description import Arm, Payload
+from taut.base.checks import one_of, positive_scalar
+from taut.base.errors import MatchError, UsageError, unknown_name
+from taut.base.types import ArrayLike, Float64Array
+from taut.maths.adds import Adds
+from taut.runtime.drivers.mujoco_attach import Inertias, attached
+from taut.runtime.drivers.mujoco_drives import Compensation, Drives, Motors, cut_off
+from taut.runtime.drivers.mujoco_health import Guard, Health
+from taut.runtime.drivers.mujoco_model import INTEGRATORS, Integrator, ModelOptions, built, put_timestep
+from taut.runtime.drivers.mujoco_rig import Rig
+from taut.runtime.drivers.mujoco_scene import read_scene
+from taut.runtime.drivers.mujoco_settings import Settings
+from taut.runtime.drivers.mujoco_shapes import LOOKS, TOUCHES, Looks, Touch
+from taut.runtime.drivers.mujoco_wrench import Wrench
+
+if TYPE_CHECKING:
+    import mujoco
+
+__all__ = ["MujocoPlant"]
+
+LONGEST: Final = 1e-3  # [s] of a time step that nobody asked for
+
+
+class MujocoPlant:
+    """An arm in MuJoCo, with whatever stands around it.
+
+    Model:
+        (M + rotors) a + C v + g + b v + friction = tau + J^T F_ext + joint limits
+        Integrator "discrete" is semi-implicit Euler, v+ = v + dt a with b v and dry friction taken at v+, and
+        q+ = q + dt v+: the scheme of RigidPlant, which it follows to rounding where nothing touches the arm. Dry
+        friction really sticks.
+
+    A tick, as in RigidPlant: q, v, the joint torques and the wrench of the last step are measured at t_k; the command
+    that follows from them is held for a whole number of MuJoCo's time steps, which end at t_k+1.
+
+    Joints are torque motors without limits of their own (limits belong to the controller); the Arm's position limits
+    are MuJoCo's joint limits, which push back. `model` and `data` are MuJoCo's own, to look at and to add to; a run
+    begins with the scene as it was built. Bodies have the names of their links, joints and motors those of the
+    joints; the site has the tool's name and stands on the body "payload", with the sensors <tool>_force and
+    <tool>_torque: what the arm exerts on tool and payload, in the tool's axes, as a sensor at the flange reads it.
+
+    Frames:
+        F_ext is the wrench of everything outside the arm on the body that carries the tool, force first, in world
+        axes at the tool's origin: contacts, welds, and data.xfrc_applied. The weight and inertia of tool and payload
+        are no part of it, so that a payload that hangs there does not show, and a wall pushes back with the sign of
+        the wall on the arm. What touches other links does not show. It is that of the last time step.
+
+    Args:
+        arm: The true arm; make it differ from the controller's and there is a modelling error.
+        scene: An MJCF fragment, as text or a path: bodies, geoms, assets, what ties them together. Files come from
+            its own folder only. Options and key frames are refused.
+        friction: "arm" for the arm's own viscous and dry friction, None for none.
+        limits: "arm" for the arm's own position limits, None for none.
+        timestep: [s] of MuJoCo, a whole part of the control period; by default the largest one up to 1 ms.
+        integrator: MuJoCo's "discrete", "euler", "implicitfast", "implicit" or "rk4". The last is for smooth forces.
+        adds: What the plant adds to a torque command itself: "gravity", "coriolis", and "friction", which cancels the
+            arm's own, so that none is left.
+        touch: What of the arm can touch the scene: "tool" for a sphere at the tool's origin, "links" for capsules
+            along the links too, None for nothing. The arm never touches itself; friction is that of what it touches.
+        tool_radius: [m] of the sphere.
+        link_radius: [m] of the capsules.
+        looks: What a viewer shows: "plain" shapes, or the arm's "meshes", which take longer to load.
+
+    Raises:
+        UsageError: Options that do not go together.
+        ModelError: A scene that is refused, with its line.
+
+    Example:
+        >>> import taut
+        >>> arm = taut.load_arm("one_joint")
+        >>> ctrl = taut.compile(taut.laws.GravityPID(kp=2.205, kd=2.0), arm)
+        >>> out = taut.run(ctrl, taut.MujocoPlant(arm), taut.JointMotion(q=[0.5]), duration=5.0)
+        >>> out.outcome.ok, bool(abs(out.q[-1, 0] - 0.5) < 1e-3)
+        (True, True)
+
+    References:
+        Todorov, Erez and Tassa, MuJoCo, IROS (2012); its manual on the integrator "discrete" and on noslip.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        *,
+        scene: str | os.PathLike[str] | None = None,
+        friction: Literal["arm"] | None = "arm",
+        limits: Literal["arm"] | None = "arm",
+        timestep: float | None = None,
+        integrator: Integrator = "discrete",
+        adds: Adds | Iterable[str] | Mapping[str, Payload | None] = (),
+        touch: Touch | None = "tool",
+        tool_radius: float = 0.01,
+        link_radius: float = 0.05,
+        looks: Looks = "plain",
+    ) -> None:
+        if not isinstance(arm, Arm):  # callers without a type checker
+            raise UsageError(f"a plant takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
+        for name, value in (("friction", friction), ("limits", limits)):
+            if value not in ("arm", None):
+                raise UsageError(f"{name} must be 'arm' or None; got {value!r}", name=name)
+        what = Adds.of(adds)
+        left = None if what.friction else friction  # a plant that adds its friction has none left
+        options = ModelOptions(
+            friction=left,
+            limits=limits,
+            integrator=one_of("integrator", integrator, INTEGRATORS),
+            touch=None if touch is None else one_of("touch", touch, TOUCHES),
+            tool_radius=positive_scalar("tool_radius", tool_radius, unit="m"),
+            link_radius=positive_scalar("link_radius", link_radius, unit="m"),
+            looks=one_of("looks", looks, LOOKS),
+        )
+        if integrator == "rk4" and left == "arm" and arm.coulomb.any():
+            raise UsageError(
+                f"rk4 needs smooth forces, and arm '{arm.name}' has dry friction; use integrator='discrete', or "
+                "friction=None",
+                name="integrator",
+            )
+        self._timestep = None if timestep is None else positive_scalar("timestep", timestep, unit="s")
+        rig = built(arm, None if scene is None else read_scene(scene), options, what)
+        self._name = f"MujocoPlant({arm.name})"
+        self._settings: Settings | None = Settings(rig, left)
+        self._compensation = Compensation(arm, what) if what.gravity or what.coriolis else None
+        self._take(rig, Motors(rig))
+
+    @classmethod
+    def attach(
+        cls,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        arm: Arm,
+        prefix: str = "",
+        *,
+        bridge: bool = False,
+        inertias: Inertias = "same",
+    ) -> MujocoPlant:
+        """Drive an arm inside a simulation of your own.
+
+        Joints are found by name, prefix + the Arm's. Each takes its torque through its actuator if it has one, else
+        through data.qfrc_applied. Everything else is left alone: other joints and actuators, time, options,
+        callbacks. Friction and joint limits are the model's. A run moves the arm to q0 (`plant.state()[0]` is where
+        it stands) and steps the whole scene on from there. What an actuator's own limits cut off is the run's column
+        tau_cut, and a warning when it first happens.
+
+        Frames:
+            As above. F_ext counts all that the tool's joint carries, fingers too; parts of those that press on each
+            other cancel.
+
+        Args:
+            model: The model; its timestep must be a whole part of the control period.
+            data: Its data.
+            arm: What the model's arm should be: compared in axes, gravity and inertias.
+            prefix: What stands before the names of the joints in the model, such as "left/".
+            bridge: Send torques through position or velocity servos too, by the control that makes their force the
+                torque. Exact with integrator Euler.
+            inertias: "same" refuses an arm with other inertias than the Arm's; "any" takes it as the plant's truth.
+
+        Raises:
+            UsageError: Not a model, its data and an arm.
+            UnknownNameError: A joint that the model does not have.
+            MatchError: Another arm, or actuators that do not take torques.
+            RangeError: The model or its state is not finite.
+        """
+        plant = object.__new__(cls)
+        rig, drives = attached(model, data, arm, prefix, bridge=bridge, inertias=inertias)
+        plant._name = f"MujocoPlant.attach({prefix}{arm.name})"
+        plant._timestep = None
+        plant._settings = None
+        plant._compensation = None
+        plant._take(rig, drives)
+        return plant
+
+    def _take(self, rig: Rig, drives: Drives) -> None:
+        """Keep what the loop needs; MuJoCo's arrays are looked up here, once."""
+        import mujoco
+
+        self._rig, self._drives = rig, drives
+        self._health = Health(rig)
+        self._guard = Guard(rig.model.opt)
+        self._mj_step = mujoco.mj_step
+        self._qpos, self._qvel = rig.data.qpos, rig.data.qvel
+        self._wrench = Wrench(rig)
+        self._substeps = 1
+        self._silence()
+
+    def _silence(self) -> None:
+        n = self._rig.arm.n
+        self._tau, self._cut, self._F_ext = np.zeros(n), np.zeros(n), np.zeros(6)
+        self._told = False
+
+    # ---------------------------------------------------------------- what it declares
+
+    @property
+    def name(self) -> str:
+        """What it is called in messages."""
+        return self._name
+
+    @property
+    def arm(self) -> Arm:
+        """The true arm."""
+        return self._rig.arm
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """MuJoCo's model."""
+        return self._rig.model
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """MuJoCo's state, and what it computed last."""
+        return self._rig.data
+
+    @property
+    def takes(self) -> str:
+        """Torque commands."""
+        return "torque"
+
+    @property
+    def measures(self) -> frozenset[str]:
+        """What it measures besides positions."""
+        return frozenset({"v", "tau_meas", "F_ext"})
+
+    @property
+    def adds(self) -> Adds:
+        """What it adds to a torque command itself; gravity, for an attached arm whose bodies have gravcomp."""
+        return self._rig.adds
+
+    # ---------------------------------------------------------------- parameters
+
+    @property
+    def parameters(self) -> Mapping[str, Float64Array]:
+        """Run-time parameters by path; none for an attached arm, whose model is the user's."""
+        return {} if self._settings is None else self._settings.values
+
+    def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:
+        """A new value of a parameter, checked and in its shape.
+
+        Raises:
+            UnknownNameError: There is no such parameter.
+            ShapeError, RangeError: A value that it cannot have.
+        """
+        if self._settings is None or path not in self._settings.values:
+            hint = "an attached arm has none: change the model" if self._settings is None else ""
+            raise unknown_name(f"plant '{self.name}'", "parameter", path, self.parameters, hint=hint)
+        return self._settings.checked(path, value)
+
+    def set_parameter(self, path: str, value: ArrayLike) -> None:
+        """Give a parameter a new value, which acts from the next step."""
+        checked = self.checked_parameter(path, value)
+        assert self._settings is not None
+        self._settings.put(path, checked)
+
+    # ---------------------------------------------------------------- a run
+
+    def reset(self, q: Float64Array, v: Float64Array, dt: float) -> None:
+        """Put the arm into a state, and prepare for control periods of dt [s].
+
+        Raises:
+            MatchError: The control period is not a whole number of time steps, or the arm's actuators are disabled.
+        """
+        import mujoco
+
+        rig = self._rig
+        self._substeps = self._steps_in(dt)
+        if self._settings is not None:
+            put_timestep(rig, dt / self._substeps)
+            mujoco.mj_resetData(rig.model, rig.data)
+        self._drives.prepare()
+        self._qpos[rig.q] = q
+        self._qvel[rig.v] = v
+        self._health.start()
+        self._silence()
+
+    def _steps_in(self, dt: float) -> int:
+        if self._settings is not None and self._timestep is None:
+            return max(1, math.ceil(dt / LONGEST * (1.0 - 1e-9)))
+        h = float(self._rig.model.opt.timestep) if self._timestep is None else self._timestep
+        steps = dt / h
+        if round(steps) < 1 or abs(steps - round(steps)) > 1e-9 * steps:
+            near = dt / max(1, math.ceil(steps))
+            change = "model.opt.timestep" if self._settings is None else "timestep"
+            raise MatchError(
+                f"plant '{self.name}': the control period must be a whole number of time steps; {dt:g} s is "
+                f"{steps:.6g} times {h:g} s; use {change}={near:.9g}, or another rate",
+                name="timestep",
+                value=h,
+            )
+        return round(steps)
+
+    def state(self) -> tuple[Float64Array, Float64Array]:
+        """(n,) the true position and velocity."""
+        return self._qpos[self._rig.q].copy(), self._qvel[self._rig.v].copy()
+
+    def measure(self) -> dict[str, Float64Array]:
+        """(n,) q, v, tau_meas and (6,) F_ext; the last two are those of the last step, zero before the first."""
+        q, v = self.state()
+        return {"q": q, "v": v, "tau_meas": self._tau.copy(), "F_ext": self._F_ext.copy()}
+
+    def advance(self, command: Float64Array) -> Float64Array:
+        """One control period under a torque command (n,); (n,) the torque that acted on the joints."""
+        model, data, drives = self._rig.model, self._rig.data, self._drives
+        with self._guard:
+            if self._compensation is None and not drives.per_step:
+                drives.write(command)
+                self._mj_step(model, data, self._substeps)
+            else:
+                for _ in range(self._substeps):
+                    self._compensate()
+                    drives.write(command)
+                    self._mj_step(model, data)
+        self._tau = drives.acted()
+        self._F_ext = self._wrench.of_environment()
+        if self._settings is None:
+            self._cut = cut_off(command, self._tau)
+            if not self._told and self._cut.any():
+                self._tell(command)
+        return self._tau
+
+    def _compensate(self) -> None:
+        """What the plant adds itself, at the state of this very step."""
+        if self._compensation is None:
+            return
+        assert self._settings is not None
+        q, v = self.state()
+        self._rig.data.qfrc_applied[self._rig.v] = self._compensation.torque(q, v, self._settings.load)
+
+    def _tell(self, command: Float64Array) -> None:
+        self._told = True
+        i = int(np.argmax(np.abs(self._cut)))
+        arm = self._rig.arm
+        warnings.warn(
+            f"{self.name}: joint '{arm.joint_names[i]}' got {self._tau[i]:.4g} of the {command[i]:.4g} "
+            f"{arm.joints[i].effort_unit} asked for, because of its actuator's limits; the run's column tau_cut has "
+            "what was cut off; give the controller limits=taut.Limits(tau=...)",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+
+    def trouble(self) -> tuple[str, int | None] | None:
+        """What went wrong in the last period, in words, and the joint; None if nothing did."""
+        return self._health.trouble()
+
+    def extra(self) -> dict[str, Any]:
+        """(6,) F_ext of the last step; for an attached arm also (n,) tau_cut, what its actuators did not give."""
+        if self._settings is None:
+            return {"F_ext": self._F_ext, "tau_cut": self._cut}
+        return {"F_ext": self._F_ext}
+
+    def __repr__(self) -> str:
+        return self.name

@@ -1,0 +1,115 @@
+"""Shapes of the arm: to look at, and to touch a scene with. None of them has mass."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
+
+import numpy as np
+
+from taut.arm.description import BASE, Arm, Visual
+from taut.base.checks import readable_file
+from taut.base.types import Float64Array
+
+if TYPE_CHECKING:
+    import mujoco
+
+__all__ = ["LOOKS", "TOUCHES", "TOUCHING", "Looks", "Shapes", "Touch"]
+
+Touch = Literal["tool", "links"]
+TOUCHES: Final[tuple[Touch, ...]] = ("tool", "links")
+Looks = Literal["plain", "meshes"]
+LOOKS: Final[tuple[Looks, ...]] = ("plain", "meshes")
+Bone: TypeAlias = tuple[int, Float64Array, Float64Array]  # body, start and end [m] in its frame
+
+BONE: Final = 0.02  # [m] radius of a link that has no shape to show
+GREY: Final = (0.7, 0.7, 0.7, 1.0)
+SHOWN: Final = 2  # the group of what is looked at
+TOUCHING: Final = 3  # the group of what touches, which MuJoCo's viewers hide until asked
+
+
+class Shapes:
+    """Puts geoms onto the bodies of an arm.
+
+    Args:
+        arm: The arm.
+        spec: What its model is compiled from.
+        bodies: The MuJoCo body of each of the arm's.
+        tool: Name of the body at the tool.
+    """
+
+    def __init__(self, arm: Arm, spec: mujoco.MjSpec, bodies: Sequence[mujoco.MjsBody], tool: str) -> None:
+        import mujoco
+
+        self._arm, self._spec, self._bodies, self._tool = arm, spec, bodies, tool
+        self._kinds: Any = mujoco.mjtGeom
+
+    def touch(self, what: Touch, tool_radius: float, link_radius: float) -> None:
+        """What can touch the scene. It answers to contacts and starts none, so that the arm never meets itself."""
+        sphere = self._spec.body(self._tool).add_geom(type=self._kinds.mjGEOM_SPHERE, size=[tool_radius, 0.0, 0.0])
+        _make_touching(sphere)
+        if what == "links":
+            for bone in self._bones():
+                _make_touching(self._capsule(bone, link_radius))
+
+    def show(self, looks: Looks) -> None:
+        """The arm's own shapes, and bones for bodies that have none; nothing touches them."""
+        seen = {BASE}
+        for k, visual in enumerate(self._arm.visuals):
+            if visual.shape != "mesh" or looks == "meshes":
+                _make_shown(self._shape(visual, f"visual{k}"), visual.rgba)
+                seen.add(visual.body)
+        for bone in self._bones():
+            if bone[0] not in seen:
+                _make_shown(self._capsule(bone, BONE), GREY)
+
+    def _bones(self) -> Iterator[Bone]:
+        """Straight lines from each joint to the joints and the tool that its body carries."""
+        origin = np.zeros(3)
+        for joint in self._arm.joints:
+            if joint.parent != BASE:
+                yield joint.parent, origin, joint.placement.p
+        frame = self._arm.frame()
+        if frame.body != BASE:
+            yield frame.body, origin, frame.placement.p
+
+    def _capsule(self, bone: Bone, radius: float) -> mujoco.MjsGeom:
+        """A capsule along a bone; a sphere where it has no length."""
+        body, start, end = bone
+        length = float(np.linalg.norm(end - start))
+        if length < 1e-6:
+            return self._bodies[body].add_geom(type=self._kinds.mjGEOM_SPHERE, size=[radius, 0.0, 0.0], pos=start)
+        geom = self._bodies[body].add_geom(type=self._kinds.mjGEOM_CAPSULE, size=[radius, 0.0, 0.0])
+        geom.fromto = [*start, *end]
+        return geom
+
+    def _shape(self, visual: Visual, name: str) -> mujoco.MjsGeom:
+        kinds, size = self._kinds, visual.size
+        holder, T = self._spec.worldbody, self._arm.T_WB @ visual.placement
+        if visual.body != BASE:
+            holder, T = self._bodies[visual.body], visual.placement
+        geom = holder.add_geom(pos=T.p, quat=T.wxyz)
+        if visual.shape == "mesh":
+            path = readable_file("mesh", visual.file)
+            file = f"{name}{path.suffix}"
+            self._spec.assets = {**self._spec.assets, file: path.read_bytes()}
+            self._spec.add_mesh(name=name, file=file, scale=list(size))
+            geom.type, geom.meshname = kinds.mjGEOM_MESH, name
+        elif visual.shape == "box":
+            geom.type, geom.size = kinds.mjGEOM_BOX, [0.5 * edge for edge in size]
+        elif visual.shape == "cylinder":
+            geom.type, geom.size = kinds.mjGEOM_CYLINDER, [size[0], 0.5 * size[1], 0.0]
+        else:
+            geom.type, geom.size = kinds.mjGEOM_SPHERE, [size[0], 0.0, 0.0]
+        return geom
+
+
+def _make_touching(geom: mujoco.MjsGeom) -> None:
+    geom.contype, geom.conaffinity = 0, 1
+    geom.friction = [0.0, 0.0, 0.0]  # MuJoCo takes the larger of two: that of what is touched
+    geom.mass, geom.group = 0.0, TOUCHING
+
+
+def _make_shown(geom: mujoco.MjsGeom, rgba: tuple[float, float, float, float]) -> None:
+    geom.contype, geom.conaffinity = 0, 0
+    geom.mass, geom.group, geom.rgba = 0.0, SHOWN, rgba

@@ -1,0 +1,270 @@
+"""Plots: the right numbers, readable letters, no window."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from io import BytesIO
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+import taut
+from taut.record.plot import compare
+from taut.record.style import thinned
+
+
+def axes_titled(figure: Figure, title: str) -> Any:
+    """The axes with a title."""
+    found = [ax for ax in figure.findobj(matplotlib.axes.Axes) if ax.get_title(loc="left").startswith(title)]
+    assert found, f"no axes '{title}'"
+    return found[0]
+
+
+def curves(ax: Any, style: str) -> list[np.ndarray[Any, Any]]:
+    return [line.get_ydata() for line in ax.lines if line.get_linestyle() == style and len(line.get_ydata()) > 2]
+
+
+def assert_legible(figure: Figure) -> None:
+    """Every text stands inside the figure, and none on another one."""
+    FigureCanvasAgg(figure).draw()
+    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    axes = [ax for ax in figure.findobj(matplotlib.axes.Axes) if ax.get_visible()]
+    ticks = [label for ax in axes for label in (*ax.get_xticklabels(), *ax.get_yticklabels())]
+    others = [text for legend in figure.findobj(matplotlib.legend.Legend) for text in legend.get_texts()]
+    for ax in axes:
+        others += [ax.title, ax._left_title, ax.xaxis.label, ax.yaxis.label, *ax.texts]
+    boxes = []
+    for text in others:
+        if not text.get_text().strip():
+            continue
+        box = text.get_window_extent(renderer)
+        assert text.get_fontsize() >= 7.5, text
+        assert figure.bbox.padded(3.0).fully_containsx(box.x0), text
+        assert figure.bbox.padded(3.0).fully_containsx(box.x1), text
+        assert figure.bbox.padded(3.0).fully_containsy(box.y0), text
+        assert figure.bbox.padded(3.0).fully_containsy(box.y1), text
+        boxes.append((text, box.shrunk(0.9, 0.6)))
+    assert all(label.get_fontsize() >= 7.5 for label in ticks)
+    for i, (text, box) in enumerate(boxes):
+        for other, its in boxes[i + 1 :]:
+            assert not box.overlaps(its), (text, other)
+
+
+@pytest.fixture
+def many(make_run: Any) -> Any:
+    """Runs of n joints that move, with long names."""
+
+    def make(n: int, **others: Any) -> taut.Run:
+        t = np.arange(400) * 0.005
+        rng = np.random.default_rng(n)
+        wanted = np.sin(np.outer(t, rng.uniform(1.0, 4.0, n)))
+        q = wanted + 0.01 * np.outer(t, np.arange(n))
+        parts = {"P": 20.0 * (wanted - q), "I": np.zeros_like(q), "gravity": 5.0 * q}
+        values = {
+            "q_ref": wanted,
+            "tau": parts["P"] + parts["gravity"],
+            "terms": parts,
+            "joint_names": tuple(f"a_rather_long_joint_name_{i}" for i in range(n)),
+            "info": {"rate": 200.0, "law": f"GravityPID(kp={[1.0 / 3.0] * n}, kd=2.0)", "arm": "a", "plant": "plant"},
+        }
+        return make_run(t, q, **(values | others))
+
+    return make
+
+
+# -------------------------------------------------------------------- one run
+
+
+def test_the_plot_shows_the_numbers_of_the_run(panda_run: taut.Run) -> None:
+    figure = panda_run.plot()
+    position, error, torque = (axes_titled(figure, t) for t in ("position", "tracking error", "torque"))
+    np.testing.assert_array_equal(np.column_stack(curves(position, "-")), panda_run.q)
+    wanted: Any = panda_run.reference
+    np.testing.assert_array_equal(np.column_stack(curves(position, "--")), wanted.q)
+    np.testing.assert_array_equal(np.column_stack(curves(error, "-")), panda_run.error)
+    np.testing.assert_array_equal(np.column_stack(curves(torque, "-")), panda_run.tau)
+    assert position.get_ylabel() == "q [rad]"
+    assert torque.get_ylabel() == "tau [N m]"
+    assert torque.get_xlabel() == "t [s]"
+    terms = axes_titled(figure, "panda_joint4")
+    busy = [name for name in panda_run.terms if panda_run.terms[name].any()]
+    np.testing.assert_array_equal(
+        np.column_stack(curves(terms, "-")), np.column_stack([panda_run.terms[name][:, 3] for name in busy])
+    )
+    assert set(panda_run.terms) - set(busy) == {"I", "limits"}
+    labels = [text.get_text() for text in figure.findobj(Text)]
+    assert "zero: I, limits" in labels
+    title = figure.get_suptitle()
+    assert title.startswith("ComputedTorque(kp=100, kd=20, ki=0)  on  RigidPlant(panda)\ncompleted: 501 ticks")
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 30])
+def test_a_plot_is_legible_for_any_number_of_joints(many: Any, n: int) -> None:
+    figure = many(n).plot()
+    assert figure.get_figwidth() == 7.5
+    assert_legible(figure)
+
+
+def test_joints_in_rad_and_in_m_have_axes_of_their_own(many: Any) -> None:
+    figure = many(3, units=("m", "rad", "m")).plot()
+    assert_legible(figure)
+    labels = [ax.get_ylabel() for ax in figure.findobj(matplotlib.axes.Axes)]
+    assert labels[:6] == ["q [m]", "wanted - true [m]", "tau [N]", "q [rad]", "wanted - true [rad]", "tau [N m]"]
+    assert axes_titled(figure, "force").get_ylabel() == "tau [N]"
+
+
+def test_of_many_joints_those_with_the_largest_error_are_shown(many: Any) -> None:
+    run = many(30)
+    figure = run.plot()
+    shown = curves(axes_titled(figure, "tracking error"), "-")
+    np.testing.assert_array_equal(np.column_stack(shown), run.error[:, 22:])
+    assert "8 of 30 joints" in figure.get_suptitle()
+
+
+def test_chosen_joints_are_shown_by_name_or_index(many: Any) -> None:
+    run = many(30)
+    figure = run.plot(joints=["a_rather_long_joint_name_3", 12])
+    np.testing.assert_array_equal(np.column_stack(curves(axes_titled(figure, "position"), "-")), run.q[:, [3, 12]])
+    one = run.plot(joints="a_rather_long_joint_name_3")
+    np.testing.assert_array_equal(curves(axes_titled(one, "position"), "-")[0], run.q[:, 3])
+
+
+def test_a_limit_is_drawn_where_the_torque_comes_near_it(many: Any) -> None:
+    info = {"rate": 1.0, "law": "PID()", "parameters": {"limits.tau": [6.0, 1000.0]}}
+    figure = many(2, info=info).plot()
+    levels = {
+        float(line.get_ydata()[0]) for line in axes_titled(figure, "torque").lines if line.get_label() == "limit"
+    }
+    assert levels == {-6.0, 6.0}
+    info["parameters"] = {"limits.tau": 1000.0}
+    assert axes_titled(many(2, info=info).plot(), "torque (below half of limits)")
+
+
+def test_a_velocity_command_is_plotted_as_one(many: Any) -> None:
+    figure = many(2, kind="velocity").plot()
+    assert axes_titled(figure, "velocity command").get_ylabel() == "command [rad/s]"
+
+
+def test_figures_can_be_saved_in_any_format_without_a_warning(panda_run: taut.Run) -> None:
+    figure = panda_run.plot(joints=[0, 3])
+    for kind in ("png", "pdf", "svg"):
+        out = BytesIO()
+        figure.savefig(out, format=kind)
+        assert out.tell() > 10_000
+
+
+def test_a_run_that_diverged_can_be_plotted(many: Any) -> None:
+    run = many(2)
+    run.q[-3:] = [[1e12, 1.0], [1e150, 1e200], [np.inf, np.nan]]
+    run.plot().savefig(BytesIO(), format="png")
+
+
+def test_plotting_leaves_pyplot_and_the_global_settings_alone() -> None:
+    code = """
+import sys, numpy as np, matplotlib, taut
+settings = lambda: {name: matplotlib.rcParams[name] for name in matplotlib.rcParams if name != "backend"}
+before = settings()
+t = np.arange(50) * 0.01
+q = np.sin(t)[:, None]
+run = taut.Run(t=t, q=q, v=q, tau=q, command=q, terms={"P": q}, reference=taut.JointMotion.of({"q": q, "v": q, "a": q}),
+    outcome=taut.Outcome(kind="completed", message="", tick=49), joint_names=("a",), units=("rad",), info={"rate": 100.0})
+run.plot().savefig(sys.stdout.buffer, format="png")
+assert "matplotlib.pyplot" not in sys.modules
+assert settings() == before
+"""
+    done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, timeout=60)
+    assert done.returncode == 0, done.stderr.decode()
+    assert done.stdout.startswith(b"\x89PNG")
+
+
+def test_importing_a_run_does_not_import_matplotlib() -> None:
+    code = (
+        "import sys, taut; taut.Run; taut.load_run; assert not {'matplotlib', 'mujoco', 'pandas'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_a_long_curve_keeps_its_ends_and_extremes_when_it_is_thinned() -> None:
+    rng = np.random.default_rng(0)
+    t = np.arange(100_003) * 0.001
+    y = rng.standard_normal(len(t))
+    y[54_321] = 99.0
+    few_t, few_y = thinned(t, y)
+    assert len(few_t) < 4_300
+    assert (np.diff(few_t) >= 0.0).all()
+    assert (few_t[0], few_t[-1]) == (t[0], t[-1])
+    assert (few_y.min(), few_y.max()) == (y.min(), y.max())
+    short = thinned(t[:3000], y[:3000])
+    assert len(short[0]) == 3000
+
+
+def test_wrong_joints_get_one_sentence(many: Any, make_run: Any) -> None:
+    run = many(3)
+    wrong: dict[str, Any] = {
+        "the run has no joint 'a_rather_long_joint_nam'; did you mean 'a_rather_long_joint_name_2' or "
+        "'a_rather_long_joint_name_1'?": ["a_rather_long_joint_nam"],
+        "joints must be indices from 0 to 2; got 3": [3],
+        "joints must be indices from 0 to 2; got -1": [-1],
+        "joints must be names or indices; got 1.5": [1.5],
+        "joints must name 1 to 8 joints for one figure; got 0": [],
+    }
+    for sentence, joints in wrong.items():
+        with pytest.raises(taut.TautError) as refused:
+            run.plot(joints=joints)
+        assert str(refused.value) == sentence
+    with pytest.raises(taut.UsageError, match="there is nothing to plot: the run has no ticks"):
+        make_run([], np.zeros((0, 1))).plot()
+
+
+# -------------------------------------------------------------------- several runs
+
+
+def test_a_comparison_shows_norms_and_overall_numbers(many: Any) -> None:
+    runs = {"first": many(2), "the second law": many(2, q_ref=0.0)}
+    figure = compare(runs, title="two runs")
+    assert_legible(figure)
+    norms = curves(axes_titled(figure, "norm of the tracking error"), "-")
+    for norm, run in zip(norms, runs.values(), strict=True):
+        np.testing.assert_allclose(norm, np.linalg.norm(run.error, axis=1))
+    bars = axes_titled(figure, "effort [(N m)² s]").patches
+    assert [bar.get_width() for bar in bars] == [run.metrics.overall["effort"] for run in runs.values()]
+    assert figure.get_suptitle() == "two runs"
+
+
+def test_a_comparison_is_legible_for_one_and_for_eight_runs(many: Any) -> None:
+    for count in (1, 8):
+        assert_legible(compare({f"run number {i}": many(2) for i in range(count)}))
+
+
+def test_errors_far_apart_get_a_logarithmic_axis(make_run: Any) -> None:
+    t = np.arange(1, 50) * 0.1
+    runs = {name: make_run(t, np.outer(t, [size])) for name, size in (("bad", 1.0), ("good", 1e-4))}
+    assert axes_titled(compare(runs), "norm").get_yscale() == "log"
+    assert axes_titled(compare({"bad": runs["bad"]}), "norm").get_yscale() == "linear"
+
+
+def test_metrics_without_a_number_are_marked(make_run: Any) -> None:
+    t = np.arange(100) * 0.01
+    run = make_run(t, t[:, np.newaxis], q_ref=1.0)
+    figure = compare({"a": run}, measures=["settling_time", "saturation_time", "overshoot"])
+    words = {text.get_text() for text in figure.findobj(Text)}
+    assert {"not settled", "-"} <= words
+    figure.savefig(BytesIO(), format="png")
+
+
+def test_wrong_comparisons_get_one_sentence(many: Any) -> None:
+    run = many(2)
+    with pytest.raises(taut.UsageError, match="compare takes runs by name"):
+        compare([run])  # type: ignore[arg-type]
+    with pytest.raises(taut.UsageError, match="compare draws 1 to 8 runs in one figure; got 0"):
+        compare({})
+    with pytest.raises(taut.UnknownNameError, match="a run has no metric 'rms_eror'; did you mean 'rms_error'"):
+        compare({"a": run}, measures=["rms_eror"])
+    with pytest.raises(taut.UsageError, match="which joints in rad and joints in m together do not have"):
+        compare({"a": many(2, units=("rad", "m"))})

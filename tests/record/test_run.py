@@ -1,0 +1,46 @@
+"""Run: what it says of itself, and a stretch of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import taut
+from taut.record.topics import columns_of
+
+
+def test_a_run_says_what_it_is(noisy_run: taut.Run) -> None:
+    assert repr(noisy_run) == "Run(250 ticks, 0.249 s, 3 joints, completed)"
+    assert len(noisy_run) == 250
+    assert noisy_run.n == 3
+    assert noisy_run.effort_units == ("N m", "N", "N m")
+
+
+@pytest.mark.parametrize(
+    ("kind", "units"), [("torque", ("N m", "N")), ("velocity", ("rad/s", "m/s")), ("position", ("rad", "m"))]
+)
+def test_a_command_has_the_unit_of_its_kind(make_run: Any, kind: str, units: tuple[str, str]) -> None:
+    assert make_run([0.0], [[0.0, 0.0]], kind=kind, units=("rad", "m")).command_units == units
+
+
+def test_a_stretch_of_a_run_has_its_ticks_and_metrics(noisy_run: taut.Run) -> None:
+    part = noisy_run.between(0.1, 0.2)
+    assert len(part) == 101
+    assert (part.t[0], part.t[-1]) == (noisy_run.t[100], noisy_run.t[200])
+    for name, values in columns_of(noisy_run).items():
+        np.testing.assert_array_equal(columns_of(part)[name], values[100:201])
+    assert part.metrics.duration == pytest.approx(0.1)
+    assert noisy_run.error is not None
+    np.testing.assert_array_equal(part.metrics.final_error, noisy_run.error[200])
+
+
+def test_a_stretch_without_ticks_is_refused(noisy_run: taut.Run, make_run: Any) -> None:
+    for start, end in ((0.2, 0.1), (5.0, 6.0), (0.1, 0.1)):
+        with pytest.raises(taut.RangeError, match=r"the run has no ticks from .* s; it has 0 to 0.249"):
+            noisy_run.between(start, end)
+    with pytest.raises(taut.RangeError, match="it has no ticks"):
+        make_run([], np.zeros((0, 1))).between(0.0, 1.0)
+    with pytest.raises(taut.RangeError, match="start must be finite"):
+        noisy_run.between(np.nan, 1.0)

@@ -1,0 +1,353 @@
+"""Films: rendered where OpenGL works, drawn where it does not, never half written."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import stat
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from PIL import Image
+
+import taut
+from taut.maths import dynamics
+from taut.maths.model import model_of
+from taut.record import render, scene
+from taut.record.skeleton import Skeleton, upright
+
+SIZE = (96, 72)
+PLACES = 1e-9  # [m] between our kinematics and MuJoCo's
+
+
+@pytest.fixture
+def moving(make_run: Any) -> Any:
+    """An arm that swings all its joints for a second."""
+
+    def make(arm: taut.Arm, seconds: float = 1.0) -> taut.Run:
+        t = np.arange(round(100 * seconds) + 1) * 0.01
+        q = arm.home + 0.4 * np.outer(np.sin(2.0 * t), np.ones(arm.n))
+        info = {"rate": 100.0, "arm": arm.name}
+        return make_run(t, q, q_ref=q + 0.05, arm=arm, joint_names=arm.joint_names, units=arm.units, info=info)
+
+    return make
+
+
+@pytest.fixture
+def without_opengl(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "off")
+
+
+def pictures(path: Path) -> tuple[list[np.ndarray[Any, Any]], list[int]]:
+    """The pictures of a GIF and how long each is shown [ms]."""
+    out, times = [], []
+    with Image.open(path) as film:
+        for k in range(film.n_frames):  # type: ignore[attr-defined]
+            film.seek(k)
+            out.append(np.asarray(film.convert("RGB")))
+            times.append(int(film.info["duration"]))
+    return out, times
+
+
+# -------------------------------------------------------------------- films
+
+
+def test_a_film_shows_the_arm_moving_in_real_time(moving: Any, tmp_path: Path) -> None:
+    run = moving(taut.load_arm("planar2"))
+    before = dict(os.environ)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        path = run.video(tmp_path / "run.gif", size=SIZE)
+    # Either the machine has OpenGL, or the film says that it has none.
+    assert all("is a schematic drawing, because no OpenGL works here" in str(w.message) for w in said)
+    frames, times = pictures(path)
+    assert frames[0].shape == (72, 96, 3)
+    assert len(frames) == 31
+    assert sum(times) == pytest.approx(31 * 1000 / 30, abs=10)
+    assert np.abs(frames[0].astype(int) - frames[15]).max() > 60
+    assert frames[0].std() > 3.0
+    assert dict(os.environ) == before
+    assert [file.name for file in tmp_path.iterdir()] == ["run.gif"]
+
+
+@pytest.mark.usefixtures("without_opengl")
+def test_without_opengl_a_schematic_film_says_so(moving: Any, tmp_path: Path) -> None:
+    run = moving(taut.load_arm("panda"), 0.3)
+    with pytest.warns(RuntimeWarning) as said:
+        path = run.video(tmp_path / "run.gif", size=(200, 150))
+    assert str(said[0].message) == (
+        f"video '{path}' is a schematic drawing, because no OpenGL works here (MUJOCO_GL is 'off')"
+    )
+    frames, _ = pictures(path)
+    assert len(frames) == 10
+    assert np.abs(frames[0].astype(int) - frames[-1]).max() > 60
+
+
+@pytest.mark.usefixtures("without_opengl")
+@pytest.mark.filterwarnings("ignore:video:RuntimeWarning")
+@pytest.mark.parametrize(("fps", "speed", "count"), [(10, 1.0, 6), (10, 2.0, 3), (20, 0.5, 21), (7, 1.0, 4)])
+def test_the_number_of_pictures_follows_rate_and_speed(
+    moving: Any, fps: int, speed: float, count: int, tmp_path: Path
+) -> None:
+    run = moving(taut.load_arm("one_joint"), 0.5)
+    frames, times = pictures(run.video(tmp_path / "run.gif", fps=fps, speed=speed, size=(32, 32)))
+    assert len(frames) == count
+    assert sum(times) == pytest.approx(1000 * count / fps, abs=10)
+
+
+@pytest.mark.usefixtures("without_opengl")
+@pytest.mark.filterwarnings("ignore:video:RuntimeWarning")
+def test_a_film_of_a_run_that_diverged_ends_before(moving: Any, tmp_path: Path) -> None:
+    run = moving(taut.load_arm("one_joint"))
+    run.q[50:] = 1e9
+    run.q[60:] = np.nan
+    frames, _ = pictures(run.video(tmp_path / "run.gif", fps=10, size=(32, 32)))
+    assert len(frames) == 5
+
+
+@pytest.mark.usefixtures("without_opengl")
+@pytest.mark.filterwarnings("ignore:video:RuntimeWarning")
+def test_a_loaded_run_is_filmed_with_an_arm(moving: Any, tmp_path: Path) -> None:
+    arm = taut.load_arm("one_joint")
+    run = taut.load_run(moving(arm, 0.2).save(tmp_path / "run.mcap"))
+    assert run.video(tmp_path / "run.gif", size=(32, 32), arm=arm).exists()
+
+
+# -------------------------------------------------------------------- the other process
+
+
+def test_a_backend_that_fails_is_told_and_the_next_is_tried(
+    moving: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(render, "backends", lambda: ["nonsense", "off"])
+    run = moving(taut.load_arm("one_joint"), 0.1)
+    with pytest.warns(RuntimeWarning, match=r"\(MUJOCO_GL is 'off'\)"):
+        run.video(tmp_path / "run.gif", size=(32, 32))
+    monkeypatch.setattr(render, "backends", lambda: ["nonsense"])
+    with pytest.warns(RuntimeWarning, match="nonsense: .*invalid value for environment variable MUJOCO_GL: nonsense"):
+        run.video(tmp_path / "run.gif", size=(32, 32))
+
+
+def test_a_users_choice_of_backend_is_the_only_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "osmesa")
+    assert render.backends() == ["osmesa"]
+    monkeypatch.delenv("MUJOCO_GL")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setattr("platform.system", lambda: "Linux")
+    assert render.backends() == ["egl", "osmesa"]
+    monkeypatch.setenv("DISPLAY", ":0")
+    assert render.backends() == ["egl", "osmesa", "glfw"]
+    monkeypatch.setattr("platform.system", lambda: "Darwin")
+    assert render.backends() == [""]
+
+
+def test_a_renderer_that_dies_leaves_no_half_film(
+    moving: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Dying:
+        def __enter__(self) -> Any:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+        def pictures(self) -> Any:
+            yield np.zeros((32, 32, 3), dtype=np.uint8)
+            raise render.NoRendererError("killed")
+
+    monkeypatch.setattr(render, "opened", lambda *_: Dying())
+    with pytest.raises(taut.FileError, match=r"video '.*run.gif' broke off: killed; try again"):
+        moving(taut.load_arm("one_joint")).video(tmp_path / "run.gif", size=(32, 32))
+    assert not list(tmp_path.iterdir())
+
+
+# -------------------------------------------------------------------- MP4
+
+
+def fake_ffmpeg(folder: Path, code: str) -> None:
+    """A program called ffmpeg; `given` holds what it reads."""
+    program = folder / "ffmpeg"
+    program.write_text(f"#!{sys.executable}\nimport sys\ngiven = sys.stdin.buffer.read()\n{code}\n")
+    program.chmod(program.stat().st_mode | stat.S_IXUSR)
+
+
+@pytest.mark.usefixtures("without_opengl")
+@pytest.mark.filterwarnings("ignore:video:RuntimeWarning")
+def test_an_mp4_is_made_by_the_ffmpeg_on_the_path(
+    moving: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    programs = tmp_path / "programs"
+    programs.mkdir()
+    fake_ffmpeg(programs, "open(sys.argv[-1], 'w').write(f'{len(given)} ' + ' '.join(sys.argv[1:-1]))")
+    monkeypatch.setenv("PATH", str(programs))
+    path = moving(taut.load_arm("one_joint"), 0.5).video(tmp_path / "run.mp4", fps=10, size=(32, 24))
+    size, *words = path.read_text().split()
+    assert int(size) == 6 * 32 * 24 * 3
+    assert " ".join(words) == (
+        "-y -loglevel error -f rawvideo -pix_fmt rgb24 -s 32x24 -r 10 -i - -an -pix_fmt yuv420p "
+        "-movflags +faststart -f mp4"
+    )
+
+
+@pytest.mark.usefixtures("without_opengl")
+@pytest.mark.filterwarnings("ignore:video:RuntimeWarning")
+def test_an_ffmpeg_that_fails_is_quoted_and_an_old_film_kept(
+    moving: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    programs, films = tmp_path / "programs", tmp_path / "films"
+    programs.mkdir()
+    films.mkdir()
+    fake_ffmpeg(programs, "sys.exit('no encoder')")
+    monkeypatch.setenv("PATH", str(programs))
+    path = films / "run.mp4"
+    path.write_bytes(b"old")
+    with pytest.raises(taut.FileError) as refused:
+        moving(taut.load_arm("one_joint"), 0.2).video(path, size=(32, 24))
+    assert str(refused.value) == (f"video '{path}' cannot be written: ffmpeg says 'no encoder'; write a .gif instead")
+    assert [file.name for file in films.iterdir()] == ["run.mp4"]
+    assert path.read_bytes() == b"old"
+
+
+def test_an_mp4_without_ffmpeg_is_refused(moving: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(taut.FileError) as refused:
+        moving(taut.load_arm("one_joint")).video(tmp_path / "run.mp4")
+    assert str(refused.value) == (
+        f"video '{tmp_path / 'run.mp4'}' needs the program ffmpeg, which is not on the PATH; install it, or write a .gif"
+    )
+
+
+# -------------------------------------------------------------------- the scene
+
+
+@pytest.mark.parametrize("name", ["panda", "kinova", "z1", "gantry3", "one_joint", "upside down", "sideways"])
+def test_the_scene_and_the_skeleton_stand_where_the_dynamics_say(name: str) -> None:
+    if name == "upside down":
+        arm = taut.load_arm("kinova").mounted(taut.Pose([0.1, 0.2, 1.0], rpy=[np.pi, 0.0, 0.3]))
+    elif name == "sideways":
+        arm = taut.load_arm("panda").with_gravity([1.0, 9.0, -2.0])
+    else:
+        arm = taut.load_arm(name)
+    q = arm.home + 0.3 * np.sin(np.arange(arm.n) + 1.0)
+    skeleton = Skeleton.of(arm, q[np.newaxis])
+    model, places, problem = scene.scene(arm, skeleton.view(), SIZE)
+    assert not problem
+    data = mujoco.MjData(model)
+    data.qpos[places] = q
+    mujoco.mj_kinematics(model, data)
+    drawn = np.array([data.body(f"body {i}").xpos for i in range(arm.n)])
+    np.testing.assert_allclose(skeleton.origins[0], drawn, atol=PLACES)
+    np.testing.assert_allclose(skeleton.base, data.body("base").xpos, atol=PLACES)
+    tool = dynamics.pose(model_of(arm), q)
+    np.testing.assert_allclose(skeleton.tool[0], upright(arm) @ tool.p, atol=PLACES)
+    seen = {model.geom(i).bodyid[0] for i in range(model.ngeom)}
+    assert seen - {0}, "nothing is drawn"
+
+
+def test_the_joints_of_a_branched_arm_find_their_places() -> None:
+    """MuJoCo numbers the joints of a tree branch by branch, an Arm as it likes."""
+    joints = taut.load_arm("planar3").joints
+    arm = taut.load_arm("planar3")
+    side = dataclasses.replace(joints[2], name="side", parent=0)
+    branched = dataclasses.replace(
+        arm, joints=(joints[0], joints[1], side, joints[2]), bodies=(*arm.bodies, arm.bodies[2]),
+        frames=tuple(f for f in arm.frames if f.body < 2), tool=arm.frame_names[0], home=np.zeros(4), visuals=(),
+    )  # fmt: skip
+    q = np.array([0.1, 0.2, 0.3, 0.4])
+    skeleton = Skeleton.of(branched, q[np.newaxis])
+    model, places, _ = scene.scene(branched, skeleton.view(), SIZE)
+    data = mujoco.MjData(model)
+    data.qpos[places] = q
+    mujoco.mj_kinematics(model, data)
+    np.testing.assert_allclose(skeleton.origins[0], [data.body(f"body {i}").xpos for i in range(4)], atol=PLACES)
+
+
+@pytest.mark.parametrize("gravity", [[0, 0, -9.81], [0, 0, 9.81], [0, -9.81, 0], [3.0, 1.0, 2.0], [0, 0, 0]])
+def test_the_world_is_turned_so_that_things_fall_down(gravity: list[float]) -> None:
+    arm = taut.load_arm("planar2").with_gravity(gravity)
+    R = upright(arm)
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(R) == pytest.approx(1.0)
+    np.testing.assert_allclose(R @ arm.gravity, [0.0, 0.0, -np.linalg.norm(gravity)], atol=1e-12)
+
+
+def test_the_view_holds_all_that_the_arm_does(moving: Any) -> None:
+    for name in ("panda", "gantry3", "planar3", "one_joint"):
+        run = moving(taut.load_arm(name))
+        skeleton = Skeleton.of(run.arm, run.q)
+        view = skeleton.view()
+        far = np.linalg.norm(skeleton.points() - view.centre, axis=-1).max()
+        assert far <= view.radius <= 1.5 * far or view.radius < 0.1
+        assert view.floor <= skeleton.points()[..., 2].min() + 1e-9
+        assert view.distance(640, 480) == view.distance(480, 480) < view.distance(240, 480)
+
+
+def test_an_arm_in_a_vertical_plane_is_seen_from_its_side() -> None:
+    view = Skeleton.of(taut.load_arm("planar2"), np.zeros((1, 2))).view()
+    assert view.azimuth == pytest.approx(90.0)  # looking along y, so that x goes to the right
+    flat = taut.load_arm("planar2").with_gravity([0.0, 9.81, 0.0])
+    assert Skeleton.of(flat, np.zeros((1, 2))).view().elevation == -60.0
+
+
+def test_meshes_that_cannot_be_read_become_capsules(tmp_path: Path) -> None:
+    arm = taut.load_arm("xarm7")
+    broken = tmp_path / "broken.stl"
+    broken.write_bytes(b"solid nonsense")
+    bad = dataclasses.replace(arm.visuals[2], file=str(broken))
+    view = Skeleton.of(arm, arm.home[np.newaxis]).view()
+    model, _, problem = scene.scene(dataclasses.replace(arm, visuals=(*arm.visuals[:2], bad)), view, SIZE)
+    assert problem.startswith("MuJoCo cannot show them: ")
+    assert model.nmesh == 0
+    assert (model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE).sum() > 4
+    gone = dataclasses.replace(bad, file=str(tmp_path / "none.stl"))
+    model, _, problem = scene.scene(dataclasses.replace(arm, visuals=(*arm.visuals[:2], gone)), view, SIZE)
+    assert problem == "some of their files are not there"
+    assert model.nmesh > 0
+
+
+# -------------------------------------------------------------------- messages
+
+
+def test_every_wrong_request_gets_one_sentence(moving: Any, tmp_path: Path) -> None:
+    run = moving(taut.load_arm("one_joint"))
+    bare = dataclasses.replace(run, arm=None)
+    path = tmp_path / "run.gif"
+    wrong: list[tuple[Any, dict[str, Any], str]] = [
+        (run, {"path": tmp_path / "run.avi"}, "the name of a video must end in .gif or .mp4; got 'run.avi'"),
+        (run, {"path": tmp_path / "no" / "run.gif"}, "needs the folder"),
+        (run, {"path": tmp_path}, "the name of a video must end in .gif or .mp4"),
+        (bare, {}, "the run does not know its arm, as a log keeps none; pass arm=taut.load_arm('one_joint')"),
+        (run, {"arm": taut.load_arm("planar2")}, "arm 'planar2' does not have the joints of the run: joint1, joint2 "
+         "against joint1"),
+        (run, {"arm": "panda"}, "arm must be an Arm from taut.load_arm; got str"),
+        (run, {"fps": 0}, "fps must be a whole number from 1 to 50 for .gif; got 0"),
+        (run, {"fps": 60}, "fps must be a whole number from 1 to 50 for .gif; got 60"),
+        (run, {"fps": 29.97}, "fps must be a whole number from 1 to 50 for .gif; got 29.97"),
+        (run, {"size": 640}, "size must be width and height in pixels, whole numbers from 16 to 4096; got 640"),
+        (run, {"size": (640, 8)}, "whole numbers from 16 to 4096; got (640, 8)"),
+        (run, {"speed": 0.0}, "speed must be > 0; got 0.0"),
+    ]  # fmt: skip
+    for one, request, sentence in wrong:
+        with pytest.raises(taut.TautError) as refused:
+            one.video(**({"path": path} | request))
+        assert sentence in str(refused.value)
+        assert "\n" not in str(refused.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_mp4_needs_even_sizes(moving: Any, tmp_path: Path) -> None:
+    with pytest.raises(taut.RangeError, match=r"size must be even numbers for .mp4; got \(641, 480\)"):
+        moving(taut.load_arm("one_joint")).video(tmp_path / "run.mp4", size=(641, 480))
+
+
+def test_a_run_without_ticks_cannot_be_filmed(make_run: Any, tmp_path: Path) -> None:
+    arm = taut.load_arm("one_joint")
+    run = make_run([], np.zeros((0, 1)), arm=arm, joint_names=arm.joint_names)
+    with pytest.raises(taut.UsageError, match="there is nothing to film: the run has no ticks"):
+        run.video(tmp_path / "run.gif")

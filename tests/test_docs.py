@@ -1,0 +1,83 @@
+"""Everything documented is executed: Python blocks of the pages in order, commands, docstring examples."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import pkgutil
+import re
+import shlex
+from pathlib import Path
+
+import matplotlib as mpl
+import pytest
+
+import taut
+from taut.apps.cli import main
+
+REPOSITORY = Path(__file__).parents[1]
+PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
+BLOCK = re.compile(r"^```(python|console)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+mpl.use("Agg")
+
+
+def blocks(page: Path, kind: str) -> list[str]:
+    return [text for word, text in BLOCK.findall(page.read_text(encoding="utf-8")) if word == kind]
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")], ids=lambda page: page.name)
+def test_the_python_on_the_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    # The blocks of a page are one file, so that units can be read from the comments of its laws.
+    text = "\n".join(blocks(page, "python"))
+    file = tmp_path / f"page_{page.stem.lower()}.py"
+    file.write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    importlib.import_module(file.stem)
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "console")], ids=lambda page: page.name)
+def test_the_commands_on_the_page_succeed(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for line in "".join(blocks(page, "console")).splitlines():
+        words = shlex.split(line.removeprefix("$ "))
+        assert words[0] == "taut"
+        assert main(words[1:]) == 0, line
+        assert capsys.readouterr().out
+
+
+def modules() -> list[str]:
+    return sorted(
+        module.name
+        for module in pkgutil.walk_packages(taut.__path__, "taut.")
+        if not module.name.endswith("__main__")
+    )
+
+
+@pytest.mark.parametrize("name", modules())
+def test_the_examples_in_docstrings_give_what_they_say(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    module = importlib.import_module(name)
+    result = doctest.testmod(module, optionflags=doctest.ELLIPSIS)
+    assert result.failed == 0
+
+
+def test_the_law_in_the_readme_has_fewer_than_fifteen_lines() -> None:
+    law = next(block for block in blocks(PAGES[0], "python") if block.startswith("class"))
+    lines = [line for line in law.splitlines() if line.strip()]
+    assert len(lines) < 15
+    assert len(blocks(PAGES[0], "python")[0].splitlines()) <= 16
+
+
+def test_every_page_is_in_the_index_and_every_law_in_the_api() -> None:
+    index = (REPOSITORY / "docs" / "index.md").read_text(encoding="utf-8")
+    for page in (REPOSITORY / "docs").glob("*.md"):
+        assert page.stem == "index" or re.search(rf"^{page.stem}$", index, re.MULTILINE), page.stem
+    api = (REPOSITORY / "docs" / "api.md").read_text(encoding="utf-8")
+    for name in taut.__all__:
+        shown = f"taut.{name}" in api or name in ("dynamics", "laws", "math") or name.endswith("Error")
+        assert shown or re.search(rf"\b{name}\b", api), name
