@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, NoReturn
 
 import numpy as np
 
@@ -17,12 +17,12 @@ from taut.codegen import native
 from taut.codegen.call import Argument
 from taut.codegen.kernel import Blocks, FloatKernel, Kernel, NativeKernel, verified
 from taut.codegen.layout import Block
-from taut.codegen.program import Program, Values, trace
+from taut.codegen.program import Program, Values, failure, trace
 from taut.control.describe import PARAMETER_UNITS, all_laws, gain_units, section, short, summary, title
 from taut.control.law import Law
-from taut.control.lawside import LawSide
+from taut.control.lawside import LawSide, Probe
 from taut.control.limits import Limits
-from taut.control.reference import Sample
+from taut.control.reference import Sample, Trajectory
 from taut.control.sensing import Sensing
 from taut.maths.adds import Adds
 
@@ -77,10 +77,13 @@ def compile(
         raise UsageError(f"sensing must be a taut.Sensing; got {type(sensing).__name__}", name="sensing")
     if limits is not None and not isinstance(limits, Limits):
         raise UsageError(f"limits must be a taut.Limits; got {type(limits).__name__}", name="limits")
+    rate = positive_scalar("rate", rate, unit="Hz")
+    if math.isinf(1.0 / rate):
+        raise RangeError(f"rate must be >= 1e-300 [Hz]; got {rate!r}", name="rate", value=rate, rule=">= 1e-300")
     side = LawSide(
         law=law,
         arm=arm,
-        rate=positive_scalar("rate", rate, unit="Hz"),
+        rate=rate,
         sensing=sensing or Sensing(),
         limits=limits,
         adds=Adds.of(adds),
@@ -99,11 +102,7 @@ def _engine(engine: Engine) -> Literal["native", "float"]:
             "engine='native' needs llvmlite, which is not installed; pip install llvmlite, or engine='float'",
             name="engine",
         )
-    warnings.warn(
-        "llvmlite is not installed, so laws run as plain Python, about 1000 times slower; pip install llvmlite",
-        RuntimeWarning,
-        stacklevel=3,
-    )
+    native.warn_of_plain_python()
     return "float"
 
 
@@ -112,7 +111,7 @@ class Controller:
 
     def __init__(self, side: LawSide, engine: Literal["native", "float"]) -> None:
         self.side = side
-        self._kernel = _kernel_of(side, engine, self._slow, self._failed)
+        self._kernel = _kernel_of(side, engine, slow=self._slow, first=self._first, failed=self._failed)
         self.parameters = Parameters(side, self._kernel)
         self._inputs = self._kernel.blocks.views("inputs")
         self._command = self._kernel.blocks.views("outputs")["command"]
@@ -123,14 +122,14 @@ class Controller:
         """A kernel of the same law with blocks of its own, that gives every term in every tick: for simulations."""
         kernel: Kernel
 
-        def slow(*_: object) -> None:
+        def first() -> None:
             kernel.start()
             kernel.tick()
 
         def failed() -> None:
             raise _not_finite(self.side, kernel)
 
-        kernel = _kernel_of(self.side, self._kernel.engine, slow, failed, record=True)
+        kernel = _kernel_of(self.side, self._kernel.engine, slow=None, first=first, failed=failed, record=True)
         kernel.blocks.parameters[:] = self._kernel.blocks.parameters
         return kernel
 
@@ -198,6 +197,12 @@ class Controller:
     def __repr__(self) -> str:
         return f"Controller({self.law!r}, {self.arm!r}, rate={self.rate:g})"
 
+    def __reduce__(self) -> NoReturn:
+        raise UsageError(
+            "a controller holds machine code, so it cannot be copied or pickled; copy its law and compile again: "
+            "taut.compile(ctrl.law, ctrl.arm, rate=ctrl.rate)"
+        )
+
     # ---------------------------------------------------------------- running it
 
     def step(
@@ -235,13 +240,7 @@ class Controller:
 
     def _slow(self, *args: Any, **kwargs: Any) -> Any:
         """A tick with whatever was passed: checked in words, converted, started where needed."""
-        if not args and not kwargs:  # tick() of a bound kernel, in its first tick
-            self._start()
-            self._kernel.tick()
-            return None
         self._take(*self._arguments(args, kwargs))
-        if not self._kernel.ready:
-            self._start()
         self._kernel.tick()
         return self._command.copy()
 
@@ -272,7 +271,7 @@ class Controller:
         needed = ("q", *self.needs)
         for name in needed:
             if name not in given:
-                raise UsageError(f"step needs {name}, which {_why(name)}; got none", name=name)
+                raise UsageError(f"step needs {name}{_WHY.get(name, '')}; got none", name=name)
         for name in given:
             if name not in needed:
                 raise UsageError(
@@ -281,10 +280,9 @@ class Controller:
                     name=name,
                 )
         if not isinstance(ref, self.law.reference):
-            hint = "; for a trajectory pass ref.at(t)" if hasattr(ref, "at") else ""
-            raise UsageError(
-                f"step needs ref, a taut.{self.law.reference.__name__}; got {type(ref).__name__}{hint}", name="ref"
-            )
+            hint = "; for a trajectory pass ref.at(t)" if isinstance(ref, Trajectory) else ""
+            got = "none" if ref is None else type(ref).__name__
+            raise UsageError(f"step needs ref, a taut.{self.law.reference.__name__}; got {got}{hint}", name="ref")
         joints = self.arm.joint_names
         checked = {
             name: finite_array(
@@ -301,12 +299,18 @@ class Controller:
         for path, value in checked.items():
             self._inputs[path][...] = value
 
-    def _start(self) -> None:
-        """Start memory from the inputs; then a torque that the plant holds already, if one was told."""
+    def _first(self) -> None:
+        """A tick before memory has started: start it from the inputs, and from the torque that the plant holds."""
         self._kernel.start()
+        self.parameters.forget()
         if self._torque_at_start is not None:
             self._kernel.blocks.views("memory")["limits.tau_applied"][:] = self._torque_at_start
-            self._torque_at_start = None
+        try:
+            self._kernel.tick()
+        except TautError:
+            self._kernel.clear()  # nothing has happened yet: the next tick is the first one
+            raise
+        self._torque_at_start = None
 
     def _failed(self) -> None:
         raise _not_finite(self.side, self._kernel)
@@ -360,9 +364,12 @@ class Controller:
         if self.ticks == 0:
             raise UsageError("there are no terms before the first tick; call step first", name="terms")
         blocks, functions = self._kernel.blocks, _Functions(self.side, record=True)
+        inputs = blocks.layout["inputs"].views(blocks.seen.copy())
+        inputs["t"][...] = (self.ticks - 1) * self.dt
         parameters = blocks.layout["parameters"].views(self.parameters.at_tick(self.ticks))
         memory = blocks.layout["memory"].views(blocks.before)
-        outputs, _ = functions.tick(self._inputs, parameters, memory)
+        with np.errstate(all="ignore"):
+            outputs, _ = functions.tick(inputs, parameters, memory)
         return {name: np.array(value, dtype=np.float64) for name, value in subtree(outputs, "terms").items()}
 
     def explain(self) -> None:
@@ -387,13 +394,16 @@ class Controller:
         lines.append(f"needs          {', '.join(('q', *side.needs))}")
         if side.adds.names:
             lines.append(f"left out       {', '.join(side.adds.names)} (the plant adds them)")
-        cost = f"{self.operations} operations" if self.operations else "not traced"
-        lines.append(f"engine         {self.engine}, {cost} a tick")
+        cost = f"{self.operations} operations a tick" if self.operations else "not traced"
+        lines.append(f"engine         {self.engine}, {cost}")
         return "\n".join(lines)
 
 
-def _why(name: str) -> str:
-    return "is always needed" if name in ("q", "v") else "the law asks for"
+_WHY: Final = {
+    "v": ", measured velocities, unless compiled with sensing=taut.Sensing(velocity='difference')",
+    "F_ext": ", which the law asks for: pass F_ext= or F_app=",
+    "tau_meas": ", which the law asks for: pass tau_meas=",
+}
 
 
 # -------------------------------------------------------------------- what is compiled
@@ -425,13 +435,14 @@ class _Functions:
 def _kernel_of(
     side: LawSide,
     engine: Literal["native", "float"],
-    slow: Callable[..., Any],
-    failed: Callable[[], Any],
     *,
+    slow: Callable[..., Any] | None,
+    first: Callable[[], None],
+    failed: Callable[[], Any],
     record: bool = False,
 ) -> Kernel:
-    """A law side as a kernel with blocks of its own."""
-    n, probe = side.arm.n, side.probe
+    """A law side as a kernel with blocks of its own; without `slow` it is for `tick` alone."""
+    n, probe = side.arm.n, _probed(side)
     sizes = {"v": (n,), "F_ext": (6,), "tau_meas": (n,)}
     ref_fields = {f"ref.{name}": shape for name, shape in side.law.reference.fields(n).items()}
     terms = {f"terms.{name}": (n,) for name in probe.terms} if record else {}
@@ -442,25 +453,41 @@ def _kernel_of(
     parameters.pack({**side.parameters, DT: side.dt}, blocks.parameters)
     functions = _Functions(side, record=record)
     if engine == "float":
-        return FloatKernel(functions.tick, functions.start, blocks, time="t", dt=side.dt, slow=slow, failed=failed)
+        return FloatKernel(
+            functions.tick, functions.start, blocks, time="t", dt=side.dt, slow=slow, first=first, failed=failed
+        )
     program = trace(functions.tick, inputs, parameters, memory)
     starter = trace(functions.start, inputs, parameters, Block())
     v = ("v",) if side.sensing.needs_velocity else ()
-    plain = len(side.needs) == len(v)  # a law that needs a force gets it by keyword, on the slow path
+    # A law that needs a force gets it by keyword, on the slow path.
+    plain = slow is not None and len(side.needs) == len(v)
     arguments = [Argument((name,)) for name in ("q", *v)] + [Argument(tuple(ref_fields), is_object=True)]
     return NativeKernel(
         program,
         starter,
         blocks,
-        arguments=arguments if plain else (),
+        arguments=arguments if plain else None,
         reference=side.law.reference if plain else None,
         time="t",
         dt=side.dt,
         guarded=True,
         slow=slow,
+        first=first,
         failed=failed,
         verify=verified(type(side.law).__name__, functions.tick, program, _random_samples(side, blocks)),
     )
+
+
+def _probed(side: LawSide) -> Probe:
+    """What a first run on plain numbers shows; a law that fails there is told in a sentence."""
+    try:
+        with np.errstate(all="ignore"):
+            return side.probe
+    except TautError:
+        raise
+    except Exception as cause:
+        name = type(side.law).__name__
+        raise UsageError(f"{name} fails on plain numbers, at rest at home: {failure(cause)}", name=name) from cause
 
 
 def _random_samples(side: LawSide, blocks: Blocks) -> list[tuple[Float64Array, Float64Array, Float64Array]]:
@@ -509,6 +536,10 @@ class Parameters(MutableMapping[str, Float64Array]):
         self._views = kernel.blocks.views("parameters")
         self._kept: tuple[int, Float64Array] | None = None  # a tick, and the values that it was computed with
 
+    def forget(self) -> None:
+        """Memory starts anew, and ticks count from zero again."""
+        self._kept = None
+
     def at_tick(self, tick: int) -> Float64Array:
         """All parameters as the last tick saw them, flat."""
         if self._kept is not None and self._kept[0] == tick:
@@ -527,6 +558,9 @@ class Parameters(MutableMapping[str, Float64Array]):
         if self._kept is None or self._kept[0] != self._kernel.count:
             self._kept = (self._kernel.count, self._kernel.blocks.parameters.copy())
         self._views[path][...] = checked
+
+    def __contains__(self, path: object) -> bool:
+        return path in self._side.parameters
 
     def __delitem__(self, path: str) -> None:
         raise UsageError(f"parameter '{path}' cannot be removed; set it", name=path)

@@ -7,11 +7,14 @@ and function either has a traced meaning or is refused in words.
 from __future__ import annotations
 
 import functools
+import inspect
 import math
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from taut.base.errors import TraceError, user_location
 from taut.base.graph import Op
@@ -48,6 +51,8 @@ def has_symbols(x: Any) -> bool:
         return True
     if isinstance(x, np.ndarray):
         return x.dtype == object and any(isinstance(entry, Symbol) for entry in x.flat)
+    if isinstance(x, NDArrayOperatorsMixin):  # a gain
+        return has_symbols(np.asarray(x))
     return isinstance(x, (list, tuple)) and any(has_symbols(entry) for entry in x)
 
 
@@ -80,9 +85,20 @@ def _number(x: Any) -> Any:
 def _method(name: str, plain: Callable[[float], float]) -> Callable[[Any], Any]:
     def one(x: Any) -> Any:
         x = _number(x)
-        return getattr(x, name)() if isinstance(x, Scalar) else plain(x)
+        return getattr(x, name)() if isinstance(x, Scalar) else _known(name, plain, x)
 
     return one
+
+
+def _known(name: str, plain: Callable[..., float], *numbers: float) -> float:
+    """A function of plain numbers; what NumPy gives NaN for is refused, as everywhere in a trace."""
+    try:
+        return float(plain(*numbers))
+    except (ValueError, OverflowError) as cause:
+        shown = ", ".join(repr(float(x)) for x in numbers)
+        raise TraceError(
+            f"the law takes {name}({shown}) at {user_location()}, which is no number", rule="no NaN"
+        ) from cause
 
 
 def _extremum(op: int, plain: Callable[[float, float], float]) -> Callable[[Any, Any], Any]:
@@ -101,7 +117,7 @@ def _logic(op: int) -> Callable[[Any, Any], Any]:
         a, b = _truth(a), _truth(b)
         graph = _graph_of(a, b)
         if graph is None:
-            return (a and b) if op == AND else (a or b)
+            return np.bool_((a and b) if op == AND else (a or b))
         x, y = (v.node if isinstance(v, Symbol) else graph.const(float(v)) for v in (a, b))
         return to_symbol(graph, graph.logic(op, x, y), truth=True)
 
@@ -112,6 +128,23 @@ def _truth(x: Any) -> Any:
     if isinstance(x, (Condition, bool, np.bool_)):
         return x
     return x != 0.0
+
+
+def _comparison(compare: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    def one(a: Any, b: Any) -> Any:
+        truth = compare(a, b)
+        return truth if isinstance(truth, Symbol) else np.bool_(truth)  # of Python's own bool, ~True is -2
+
+    return one
+
+
+def _logical_not(x: Any) -> Any:
+    x = _truth(x)
+    return ~x if isinstance(x, Condition) else np.bool_(not x)
+
+
+def _exclusive_or(a: Any, b: Any) -> Any:
+    return _truth(a) != _truth(b)
 
 
 def select_one(condition: Any, a: Any, b: Any) -> Any:
@@ -133,7 +166,10 @@ def _absolute(x: Any) -> Any:
 
 
 def _power(x: Any, exponent: Any) -> Any:
-    return _number(x) ** exponent
+    x, exponent = _number(x), _number(exponent)
+    if isinstance(x, Symbol) or isinstance(exponent, Symbol):
+        return x**exponent
+    return _known("power", math.pow, x, exponent)
 
 
 def _arctan2(y: Any, x: Any) -> Any:
@@ -175,8 +211,12 @@ _LOOPS: Final = frozenset(
 )
 
 
+def _vectorised(one: Callable[..., Any], count: int) -> Any:
+    return np.frompyfunc(one, count, 1, identity=None)  # no identity, and entries may be taken in any order
+
+
 def _entrywise(table: Mapping[np.ufunc, Callable[..., Any]]) -> dict[np.ufunc, Any]:
-    return {ufunc: np.frompyfunc(one, ufunc.nin, 1) for ufunc, one in table.items()}
+    return {ufunc: _vectorised(one, ufunc.nin) for ufunc, one in table.items()}
 
 
 _ENTRYWISE: Final = _entrywise(
@@ -193,7 +233,7 @@ _ENTRYWISE: Final = _entrywise(
         np.tanh: _method("tanh", math.tanh),
         np.sqrt: _method("sqrt", math.sqrt),
         np.floor: _method("floor", math.floor),
-        np.ceil: lambda x: -_method("floor", math.floor)(-x),
+        np.ceil: _method("ceil", math.ceil),
         np.absolute: _absolute,
         np.fabs: _absolute,
         np.sign: _sign,
@@ -203,28 +243,40 @@ _ENTRYWISE: Final = _entrywise(
         np.float_power: _power,
         np.hypot: _hypot,
         np.reciprocal: lambda x: 1.0 / x,
-        np.remainder: lambda x, y: x % y,
+        np.remainder: lambda x, y: _number(x) % _number(y),
+        np.floor_divide: lambda x, y: _number(x) // _number(y),
         np.deg2rad: lambda x: x * (math.pi / 180.0),
         np.radians: lambda x: x * (math.pi / 180.0),
         np.rad2deg: lambda x: x * (180.0 / math.pi),
         np.degrees: lambda x: x * (180.0 / math.pi),
         np.heaviside: lambda x, y: select_one(x > 0.0, 1.0, select_one(x < 0.0, 0.0, y)),
-        np.less: lambda a, b: a < b,
-        np.less_equal: lambda a, b: a <= b,
-        np.greater: lambda a, b: a > b,
-        np.greater_equal: lambda a, b: a >= b,
-        np.equal: lambda a, b: a == b,
-        np.not_equal: lambda a, b: a != b,
+        np.less: _comparison(operator.lt),
+        np.less_equal: _comparison(operator.le),
+        np.greater: _comparison(operator.gt),
+        np.greater_equal: _comparison(operator.ge),
+        np.equal: _comparison(operator.eq),
+        np.not_equal: _comparison(operator.ne),
         np.logical_and: _logic(AND),
         np.logical_or: _logic(OR),
         np.bitwise_and: _logic(AND),
         np.bitwise_or: _logic(OR),
-        np.logical_not: lambda a: ~a if isinstance(a, Condition) else not a,
-        np.invert: lambda a: ~a if isinstance(a, Condition) else not a,
+        np.logical_xor: _exclusive_or,
+        np.bitwise_xor: _exclusive_or,
+        np.logical_not: _logical_not,
+        np.invert: _logical_not,
     }
 )
-_CLIP: Final = np.frompyfunc(_clip, 3, 1)
-_SELECT: Final = np.frompyfunc(select_one, 3, 1)
+_LOGICAL: Final = frozenset({np.logical_and, np.logical_or, np.logical_xor})
+_CLIP: Final = _vectorised(_clip, 3)
+_SELECT: Final = _vectorised(select_one, 3)
+_TRUTH: Final = _vectorised(_truth, 1)
+_NUMBER: Final = _vectorised(_number, 1)
+_OPTIONS: Final[Mapping[str, frozenset[str]]] = {
+    "__call__": frozenset(),
+    "outer": frozenset(),
+    "reduce": frozenset({"axis", "keepdims", "initial"}),
+    "accumulate": frozenset({"axis"}),
+}
 
 
 def apply_ufunc(ufunc: np.ufunc, method: str, inputs: Sequence[Any], kwargs: dict[str, Any]) -> Any:
@@ -236,31 +288,62 @@ def apply_ufunc(ufunc: np.ufunc, method: str, inputs: Sequence[Any], kwargs: dic
     for x in inputs:  # a type with rules of its own (a gain, named terms) answers itself
         if getattr(x, "answers_ufuncs", False):
             return NotImplemented
+    run = _CLIP if ufunc.__name__ == "clip" else _ENTRYWISE.get(ufunc, ufunc)
+    if run is ufunc and ufunc not in _LOOPS:
+        raise _refused(f"np.{ufunc.__name__}")
+    if method == "__call__" and not kwargs:  # nearly always
+        return _wrap(run(*[_lift(x) for x in inputs]))
     out = kwargs.pop("out", None)
-    if out is not None and not (isinstance(out[0], Traced) and len(out) == 1):
+    if out is not None:
+        _check_out(out)
+    result = _with_options(run, ufunc, method, [_lift(x) for x in inputs], kwargs)
+    if out is None:
+        return result
+    out[0][...] = result
+    return out[0]
+
+
+def _with_options(run: Any, ufunc: np.ufunc, method: str, operands: list[Any], given: Mapping[str, Any]) -> Any:
+    """A method of a ufunc, or a call with options."""
+    what = f"np.{ufunc.__name__}"
+    if method not in _OPTIONS:
+        raise _refused(f"{what}.{method}")
+    options = _options(what, given, _OPTIONS[method])
+    if method in ("reduce", "accumulate"):
+        operands = [_lift((_TRUTH if ufunc in _LOGICAL else _NUMBER)(operands[0]))]
+    return _wrap(getattr(run, method)(*operands, **options))
+
+
+def _check_out(out: tuple[Any, ...]) -> None:
+    if len(out) != 1 or not isinstance(out[0], Traced):
         raise TraceError(
             f"a traced value is written into an array of floats at {user_location()}; "
             "make the array with taut.math.zeros(n), or write x = x + y instead of x += y",
             rule="no assignment into float arrays",
         )
-    operands = [_lift(x) for x in inputs]
-    if ufunc in _LOOPS:
-        run = getattr(ufunc, method)
-    elif ufunc in _ENTRYWISE:
-        run = getattr(_ENTRYWISE[ufunc], method)
-        if method in ("reduce", "accumulate"):
-            kwargs = {"axis": kwargs.get("axis", 0)}
-        else:
-            kwargs = {}
-    elif ufunc.__name__ == "clip" and method == "__call__":
-        run, kwargs = _CLIP, {}
-    else:
-        raise _refused(f"np.{ufunc.__name__}")
-    result = _wrap(run(*operands, **kwargs))
-    if out is None:
-        return result
-    out[0][...] = result
-    return out[0]
+    if not out[0].flags.writeable:
+        raise TraceError(
+            f"what a law is given is changed in place at {user_location()}; "
+            "write x = x + y instead of x += y, or change a copy: q = x.q.copy()",
+            rule="inputs are read-only",
+        )
+
+
+def _options(what: str, given: Mapping[str, Any], traced: frozenset[str]) -> dict[str, Any]:
+    """The options that have a traced meaning; those that change nothing are dropped, others refused."""
+    kept: dict[str, Any] = {}
+    for name, value in given.items():
+        if name in traced:
+            kept[name] = value
+        elif not _changes_nothing(name, value):
+            raise _refused(f"{what} with {name}=")
+    return kept
+
+
+def _changes_nothing(name: str, value: Any) -> bool:
+    if name == "dtype":
+        return value in (None, bool, float, object)
+    return name in ("casting", "order", "subok") or (value is True if name == "where" else not value)
 
 
 def _lift(x: Any) -> Any:
@@ -269,6 +352,8 @@ def _lift(x: Any) -> Any:
         box = np.empty((), dtype=object)
         box[()] = x
         return box
+    if isinstance(x, NDArrayOperatorsMixin):  # a gain
+        return np.asarray(x)
     return _bare(x)
 
 
@@ -295,23 +380,23 @@ _PASS: Final = frozenset(
         np.column_stack,
         np.concatenate,
         np.copy,
-        np.cumsum,
+        np.delete,
         np.diag,
         np.diagflat,
         np.diagonal,
+        np.diff,
         np.dot,
         np.einsum,
-        np.empty_like,
         np.expand_dims,
         np.flip,
         np.full_like,
         np.hstack,
         np.inner,
+        np.insert,
         np.kron,
         np.moveaxis,
         np.ndim,
         np.outer,
-        np.prod,
         np.ravel,
         np.repeat,
         np.reshape,
@@ -321,8 +406,8 @@ _PASS: Final = frozenset(
         np.split,
         np.squeeze,
         np.stack,
-        np.sum,
         np.swapaxes,
+        np.take,
         np.tensordot,
         np.tile,
         np.trace,
@@ -338,6 +423,9 @@ _PASS: Final = frozenset(
 )
 
 
+_STACKING: Final = frozenset({np.stack, np.hstack, np.vstack, np.column_stack})
+
+
 def apply_function(func: Any, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
     """A NumPy function on symbols.
 
@@ -346,17 +434,35 @@ def apply_function(func: Any, args: Sequence[Any], kwargs: Mapping[str, Any]) ->
     """
     special = _functions().get(func)
     if special is not None:
-        return special(*args, **kwargs)
+        run, signature = special
+        try:
+            signature.bind(*args, **kwargs)
+        except TypeError as cause:
+            unknown = [f"{name}=" for name in kwargs if name not in signature.parameters]
+            which = f" with {', '.join(unknown)}" if unknown else " with these arguments"
+            raise _refused(_function_name(func) + which) from cause
+        return run(*args, **kwargs)
     if func not in _PASS:
         raise _refused(_function_name(func))
-    bare = [_strip(a) for a in args]
-    return _wrap(func(*bare, **{k: _strip(v) for k, v in kwargs.items()}))
+    strip = _stripped_blocks if func is np.block else _stripped
+    if func in _STACKING and isinstance(args[0], np.ndarray):  # NumPy takes its entries or rows one by one
+        args = (list(args[0]), *args[1:])
+    return _wrap(func(*(strip(x) for x in args), **{name: strip(x) for name, x in kwargs.items()}))
 
 
-def _strip(x: Any) -> Any:
-    if isinstance(x, (list, tuple)):
-        return type(x)(_strip(item) for item in x)
-    return _lift(x)
+def _stripped(x: Any) -> Any:
+    """An argument without our types: an array, or a list of arrays, each of which may be given as a list."""
+    if not isinstance(x, (list, tuple)):
+        return _lift(x)
+    return type(x)(np.asarray(row, dtype=object) if _is_row(row) else _lift(row) for row in x)
+
+
+def _is_row(x: Any) -> bool:
+    return isinstance(x, (list, tuple)) and has_symbols(x)
+
+
+def _stripped_blocks(x: Any) -> Any:
+    return [_stripped_blocks(item) for item in x] if isinstance(x, list) else _lift(x)
 
 
 def _function_name(func: Any) -> str:
@@ -365,53 +471,71 @@ def _function_name(func: Any) -> str:
     return f"{prefix}.{getattr(func, '__name__', func)}"
 
 
+def _reduction(ufunc: np.ufunc) -> Callable[..., Any]:
+    def reduce(a: Any, axis: Any = None, *, keepdims: bool = False) -> Any:
+        return ufunc.reduce(traced_array(a), axis=axis, keepdims=keepdims)
+
+    return reduce
+
+
+def _like(a: Any, dtype: Any, value: float) -> Traced:
+    if not _changes_nothing("dtype", dtype):
+        raise _refused(f"an array of type {np.dtype(dtype).name}")
+    return traced_array(np.full(np.shape(a), value))
+
+
 @functools.cache
-def _functions() -> dict[Any, Callable[..., Any]]:
+def _functions() -> dict[Any, tuple[Callable[..., Any], inspect.Signature]]:
     from taut.base import math as tm
 
-    def clip(a: Any, a_min: Any = None, a_max: Any = None, out: Any = None, **kw: Any) -> Any:
-        low = kw.get("min", a_min)
-        high = kw.get("max", a_max)
-        if out is not None:
-            raise _refused("np.clip with out=")
+    def clip(a: Any, a_min: Any = None, a_max: Any = None, *, min: Any = None, max: Any = None) -> Any:
+        low = a_min if min is None else min
+        high = a_max if max is None else max
         return tm.clip(a, -math.inf if low is None else low, math.inf if high is None else high)
 
     def norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> Any:
-        if ord not in (None, 2) or keepdims:
+        vectors = np.ndim(x) == 1 or isinstance(axis, int)
+        if not (ord is None or (ord == 2 and vectors) or (ord == "fro" and not vectors)):
             raise _refused(f"np.linalg.norm with ord={ord!r}")
-        return tm.norm(x, axis=axis)
+        x = traced_array(x)
+        return np.sqrt(np.sum(x * x, axis=axis, keepdims=keepdims))
 
-    def mean(a: Any, axis: Any = None, **_: Any) -> Any:
-        count = np.size(a) if axis is None else np.shape(a)[axis]
-        return np.sum(a, axis=axis) / count
+    def cross(a: Any, b: Any) -> Any:
+        if np.shape(a) != (3,) or np.shape(b) != (3,):
+            raise _refused(f"np.cross of shapes {np.shape(a)} and {np.shape(b)}")
+        return tm.cross(a, b)
 
-    def zeros_like(a: Any, **_: Any) -> Any:
-        return tm.zeros(np.shape(a))
+    def mean(a: Any, axis: Any = None, *, keepdims: bool = False) -> Any:
+        total = np.sum(a, axis=axis, keepdims=keepdims)
+        return total / (np.size(a) / np.size(total))
 
-    def ones_like(a: Any, **_: Any) -> Any:
-        return tm.ones(np.shape(a))
+    def cumsum(a: Any, axis: int | None = None) -> Any:
+        return np.add.accumulate(np.ravel(a) if axis is None else a, axis=axis or 0)
 
-    return {
+    table: dict[Any, Callable[..., Any]] = {
         np.where: where,
         np.clip: clip,
         np.linalg.norm: norm,
-        np.linalg.solve: tm.solve,
-        np.linalg.inv: tm.inverse,
-        np.cross: tm.cross,
+        np.linalg.solve: lambda a, b: tm.solve(a, b),
+        np.linalg.inv: lambda a: tm.inverse(a),
+        np.cross: cross,
+        np.sum: _reduction(np.add),
+        np.prod: _reduction(np.multiply),
         np.mean: mean,
-        np.zeros_like: zeros_like,
-        np.ones_like: ones_like,
-        np.max: lambda a, axis=None, **_: np.maximum.reduce(a, axis=axis),
-        np.min: lambda a, axis=None, **_: np.minimum.reduce(a, axis=axis),
-        np.amax: lambda a, axis=None, **_: np.maximum.reduce(a, axis=axis),
-        np.amin: lambda a, axis=None, **_: np.minimum.reduce(a, axis=axis),
-        np.any: lambda a, axis=None, **_: np.logical_or.reduce(a, axis=axis),
-        np.all: lambda a, axis=None, **_: np.logical_and.reduce(a, axis=axis),
+        np.cumsum: cumsum,
+        np.max: _reduction(np.maximum),
+        np.amax: _reduction(np.maximum),
+        np.min: _reduction(np.minimum),
+        np.amin: _reduction(np.minimum),
+        np.any: _reduction(np.logical_or),
+        np.all: _reduction(np.logical_and),
+        np.zeros_like: lambda a, dtype=None: _like(a, dtype, 0.0),
+        np.empty_like: lambda a, dtype=None: _like(a, dtype, 0.0),
+        np.ones_like: lambda a, dtype=None: _like(a, dtype, 1.0),
     }
+    return {function: (run, inspect.signature(run)) for function, run in table.items()}
 
 
-def where(condition: Any, *branches: Any) -> Any:
+def where(condition: Any, x: Any, y: Any) -> Any:
     """np.where on symbols."""
-    if len(branches) != 2:
-        raise _refused("np.where with one argument")
-    return _wrap(_SELECT(_lift(condition), *(_lift(x) for x in branches)))
+    return _wrap(_SELECT(_lift(condition), _lift(x), _lift(y)))

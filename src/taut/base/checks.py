@@ -17,6 +17,7 @@ __all__ = [
     "entry_names",
     "finite_array",
     "finite_scalar",
+    "float_array",
     "one_of",
     "positive_scalar",
     "read_only",
@@ -59,8 +60,10 @@ def _as_floats(name: str, value: ArrayLike, unit: str) -> Float64Array:
     if isinstance(value, (str, bytes)) or value is None:
         raise ShapeError(f"{name} must be numbers{_unit(unit)}; got {value!r}", name=name, value=value)
     try:
+        if _is_masked(value):
+            raise ShapeError(f"{name} has masked entries{_unit(unit)}; fill them: x.filled(...)", name=name)
         raw = np.asarray(value)
-        if raw.dtype.kind in "cbSU" and raw.size:
+        if raw.dtype.kind not in "fiuO" and raw.size:  # no bools, complex numbers, texts, dates, records
             raise ShapeError(
                 f"{name} must be real numbers{_unit(unit)}; got an array of {raw.dtype}",
                 name=name,
@@ -69,12 +72,41 @@ def _as_floats(name: str, value: ArrayLike, unit: str) -> Float64Array:
         return np.asarray(raw, dtype=np.float64)
     except TautError:
         raise
-    except (TypeError, ValueError) as cause:
+    except (TypeError, ValueError, OverflowError) as cause:
         raise ShapeError(
             f"{name} must be numbers{_unit(unit)} in a rectangular array; got {value!r}",
             name=name,
             value=value,
         ) from cause
+
+
+def _is_masked(value: object) -> bool:
+    subclass = isinstance(value, np.ndarray) and type(value) is not np.ndarray
+    return subclass and isinstance(value, np.ma.MaskedArray) and bool(np.ma.getmaskarray(value).any())
+
+
+def float_array(
+    name: str,
+    value: ArrayLike,
+    *,
+    shape: tuple[int, ...] | None = None,
+    unit: str = "",
+    joints: Sequence[str] | None = None,
+) -> Float64Array:
+    """A read-only copy of `value` as floats of the given shape; NaN and infinity pass.
+
+    Raises:
+        ShapeError: Not numbers, or another shape.
+    """
+    array = _as_floats(name, value, unit)
+    if shape is not None and array.shape != shape:
+        count = f" ({len(joints)} joints)" if joints is not None and shape[:1] == (len(joints),) else ""
+        raise ShapeError(
+            f"{name} must have shape {shape}{count}{_unit(unit)}; got shape {array.shape}",
+            name=name,
+            value=value,
+        )
+    return read_only(array)
 
 
 def finite_array(
@@ -92,14 +124,7 @@ def finite_array(
         ShapeError: Not numbers, or another shape.
         RangeError: An entry is NaN or infinite; the message names it.
     """
-    array = _as_floats(name, value, unit)
-    if shape is not None and array.shape != shape:
-        count = f" ({len(joints)} joints)" if joints is not None and shape[:1] == (len(joints),) else ""
-        raise ShapeError(
-            f"{name} must have shape {shape}{count}{_unit(unit)}; got shape {array.shape}",
-            name=name,
-            value=value,
-        )
+    array = float_array(name, value, shape=shape, unit=unit, joints=joints)
     bad = np.isnan(array) if allow_infinite else ~np.isfinite(array)
     if bad.any():
         index = np.argwhere(bad)[0]
@@ -110,7 +135,7 @@ def finite_array(
             value=float(array[tuple(index)]),
             rule="finite",
         )
-    return read_only(array)
+    return array
 
 
 def vector(
@@ -129,9 +154,12 @@ def vector(
 def finite_scalar(name: str, value: object, *, unit: str = "") -> float:
     """A finite float."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-        array = _as_floats(name, value, unit)  # type: ignore[arg-type]  # checked inside
-        if array.shape != () or isinstance(value, bool):
-            raise ShapeError(f"{name} must be one number{_unit(unit)}; got {value!r}", name=name)
+        try:
+            array = _as_floats(name, value, unit)  # type: ignore[arg-type]  # checked inside
+        except ShapeError:
+            array = None
+        if array is None or array.shape != () or isinstance(value, bool):
+            raise ShapeError(f"{name} must be one number{_unit(unit)}; got {value!r}", name=name, value=value)
         value = float(array)
     number = float(value)
     if not math.isfinite(number):

@@ -122,7 +122,8 @@ def jacobian(function: Callable[[Array], Any], x: Any) -> Matrix:
         x: (n,) where to differentiate.
 
     Returns:
-        (..., n) the derivative of each entry of the result along each entry of x.
+        (..., n) the derivative of each entry of the result along each entry of x. Where there is none, as of
+        norm at 0, it is NaN or infinite; at a kink it is the derivative of one side.
 
     Example:
         >>> from taut import math
@@ -158,8 +159,10 @@ def _columns(
     graph: Graph, function: Callable[[Array], Any], marks: Sequence[int]
 ) -> tuple[tuple[int, ...], list[list[int]]]:
     """Shape of the function's result, and its derivative along each mark."""
+    placeholders = graph.n_placeholders
     result = np.asarray(function(traced_array([Scalar(graph, mark) for mark in marks])), dtype=object)
     nodes = [to_node(graph, y.number() if isinstance(y, Condition) else y) for y in result.ravel()]
+    graph.check_closed(graph.live(nodes), placeholders)
     one = graph.const(1.0)
     return result.shape, [tangents(graph, nodes, {mark: one}) for mark in marks]
 

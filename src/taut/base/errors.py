@@ -7,7 +7,9 @@ data as attributes, so that a program can act on it without reading the text.
 from __future__ import annotations
 
 import difflib
+import functools
 import sys
+import sysconfig
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +31,7 @@ __all__ = [
     "UsageError",
     "missing_extra",
     "quoted_list",
+    "raised_location",
     "unknown_name",
     "user_location",
 ]
@@ -165,24 +168,56 @@ def missing_extra(what: str, package: str, extra: str) -> MissingExtraError:
     )
 
 
-_PACKAGE_ROOT = Path(__file__).resolve().parents[1]
+_PACKAGE_ROOT = Path(__file__).parents[1]  # as the loader spells it, like the file names in frames
 _CONTROL = _PACKAGE_ROOT / "control"
 
 
 def user_location() -> str:
-    """File and line of the innermost frame that is no library's: the caller's own code, or a law of ours."""
+    """File and line of the innermost frame of the caller's own code, else of a law of ours."""
+    return _place(_frames_now())
+
+
+def raised_location(error: BaseException) -> str:
+    """The same for an error that was caught: the innermost frame that it came through, else one that called us."""
+    frames: list[tuple[FrameType, int]] = []
+    trace = error.__traceback__
+    while trace is not None:
+        frames.insert(0, (trace.tb_frame, trace.tb_lineno))
+        trace = trace.tb_next
+    return _place([*frames, *_frames_now()])
+
+
+def _frames_now() -> list[tuple[FrameType, int]]:
+    """The frames of this thread with the lines they are at, innermost first."""
+    frames: list[tuple[FrameType, int]] = []
     frame: FrameType | None = sys._getframe(1)
-    ours = ""
     while frame is not None:
-        file = Path(frame.f_code.co_filename)
-        if not _is_library(file):
-            return f"{file}:{frame.f_lineno}"
-        if not ours and _CONTROL in file.parents:
-            ours = f"{file.name}:{frame.f_lineno}"
+        frames.append((frame, frame.f_lineno))
         frame = frame.f_back
-    return ours or "an unknown line"
+    return frames
 
 
-def _is_library(file: Path) -> bool:
-    generated = file.name.startswith("<") and not file.name.startswith("<ipython")
+def _place(frames: Sequence[tuple[FrameType, int]]) -> str:
+    """The first of some frames, innermost first, that is no library's."""
+    files = [(Path(frame.f_code.co_filename), frame.f_code.co_name, line) for frame, line in frames]
+    foreign = [(file, line) for file, code, line in files if not _is_ours_or_generated(file, code)]
+    installed = _installed()
+    for file, line in foreign:
+        if not any(folder in file.parents for folder in installed):
+            return f"{file}:{line}"
+    for file, line in foreign:  # a law that is installed itself
+        return f"{file}:{line}"
+    ours = [f"{file.name}:{line}" for file, _, line in files if _CONTROL in file.parents]
+    return ours[0] if ours else "an unknown line"
+
+
+def _is_ours_or_generated(file: Path, code: str) -> bool:
+    """Our own files, NumPy's, and code without a file that libraries make (dataclasses, import)."""
+    generated = file.name.startswith("<frozen") or (file.name == "<string>" and code.startswith("__"))
     return generated or _PACKAGE_ROOT in file.parents or "numpy" in file.parts
+
+
+@functools.cache
+def _installed() -> tuple[Path, ...]:
+    """Where Python keeps its own modules and installed packages."""
+    return tuple({Path(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib", "purelib", "platlib")})

@@ -1,8 +1,9 @@
 """Graph: the straight-line program that tracing yields.
 
 A node is an operation on earlier nodes. Equal nodes are one node (hash-consing), and what is known while
-tracing is folded: constants, zeros, ones, signs. Nodes that nothing needs are dropped when a target reads
-the graph.
+tracing is folded: constants, zeros, ones, signs. Folding keeps every value to the last bit but for three rules
+that make sparse arms cheap: 0 x = 0, 0 / x = 0 and x - x = 0 also where x is infinite, NaN or a divisor of zero.
+Zero has no sign. Nodes that nothing needs are dropped when a target reads the graph.
 """
 
 from __future__ import annotations
@@ -166,8 +167,6 @@ class Graph:
         return self.node(ADD, a, b) if a < b else self.node(ADD, b, a)
 
     def sub(self, a: int, b: int) -> int:
-        if a == b:
-            return self.const(0.0)
         va, vb = self.value[a], self.value[b]
         if va is not None:
             if vb is not None:
@@ -176,6 +175,8 @@ class Graph:
                 return self.neg(b)
         elif vb == 0.0:
             return a
+        if a == b:
+            return self.const(0.0)
         if self.ops[b] == NEG:
             return self.add(a, self.a[b])
         if self.ops[a] == NEG:
@@ -229,12 +230,10 @@ class Graph:
                 return self.const(va / vb)
             if vb == 1.0:
                 return a
-            if math.frexp(vb)[0] in (0.5, -0.5):  # a power of two: the product is exact and cheaper
-                return self.mul(a, self.const(1.0 / vb))
+            if math.frexp(vb)[0] in (0.5, -0.5) and math.isfinite(1.0 / vb):
+                return self.mul(a, self.const(1.0 / vb))  # a power of two: the product is exact and cheaper
         if va == 0.0:
             return a
-        if a == b:
-            return self.const(1.0)
         negative = False
         if self.ops[a] == NEG:
             a, negative = self.a[a], True
@@ -360,9 +359,25 @@ class Graph:
         Slow; for derivatives at a point and for tests.
         """
         values: dict[int, float] = {}
-        for i in self.live(outputs):
-            values[i] = self._evaluate_node(i, values, inputs)
+        live = self.live(outputs)
+        self.check_closed(live)
+        with np.errstate(all="ignore"):  # what is not finite shows in the result, as in native code
+            for i in live:
+                values[i] = self._evaluate_node(i, values, inputs)
         return np.array([values[i] for i in outputs], dtype=np.float64)
+
+    def check_closed(self, nodes: Iterable[int], before: int = 0) -> None:
+        """Refuse nodes that depend on a placeholder made after the first `before`: no number will be put in.
+
+        Raises:
+            TraceError: A value was carried out of a function while it was differentiated.
+        """
+        if self.n_placeholders > before and any(self.ops[i] == INPUT and self.a[i] < -before for i in nodes):
+            raise TraceError(
+                "a value from inside a function that jacobian differentiates is used outside of it; "
+                "let the function return what is needed",
+                rule="closed functions",
+            )
 
     def _evaluate_node(self, i: int, values: dict[int, float], inputs: Sequence[float]) -> float:
         op, a, b, c = self.ops[i], self.a[i], self.b[i], self.c[i]
@@ -374,7 +389,7 @@ class Graph:
             return float(inputs[a])
         x = values[a]
         if op in _UNARY:
-            return float(_UNARY[op](x))
+            return float(_EVALUATE[op](x))
         if op == NEG:
             return -x
         if op == NOT:
@@ -391,10 +406,22 @@ _BINARY: Final[dict[int, Callable[[float, float], float]]] = {
     ADD: lambda x, y: x + y,
     SUB: lambda x, y: x - y,
     MUL: lambda x, y: x * y,
-    DIV: lambda x, y: float(np.float64(x) / np.float64(y)),
+    DIV: np.divide,
     int(Op.ATAN2): math.atan2,
-    MIN: lambda x, y: float(np.minimum(x, y)),
-    MAX: lambda x, y: float(np.maximum(x, y)),
+    MIN: np.minimum,
+    MAX: np.maximum,
     AND: lambda x, y: x * y,
     OR: max,
+}
+_EVALUATE: Final[dict[int, Callable[[float], float]]] = {  # like _UNARY, with NaN and infinity for what is no number
+    int(Op.SQRT): np.sqrt,
+    int(Op.SIN): np.sin,
+    int(Op.COS): np.cos,
+    int(Op.ASIN): np.arcsin,
+    int(Op.ACOS): np.arccos,
+    int(Op.EXP): np.exp,
+    int(Op.LOG): np.log,
+    int(Op.TANH): np.tanh,
+    int(Op.ABS): np.abs,
+    int(Op.FLOOR): np.floor,
 }

@@ -28,7 +28,9 @@ class LTDL:
     __slots__ = ("_inverse_d", "_l", "d")
 
     def __init__(self, A: Matrix) -> None:
-        rows = np.asarray(A).tolist()
+        if np.ndim(A) != 2 or np.shape(A)[0] != np.shape(A)[1]:
+            raise ShapeError(f"a symmetric positive definite matrix is (n, n); got shape {np.shape(A)}")
+        rows = _entries(A).tolist()
         n = len(rows)
         self._inverse_d: list[Any] = [None] * n
         self.d: list[Any] = [None] * n
@@ -44,7 +46,9 @@ class LTDL:
 
     def solve(self, b: Array) -> Array:
         """x in A x = b; b may have columns."""
-        columns = np.asarray(b)
+        columns, n = _entries(b), len(self.d)
+        if columns.shape[:1] != (n,) or columns.ndim > 2:
+            raise ShapeError(f"b must be ({n},) or ({n}, k) to be solved with A ({n}, {n}); got {columns.shape}")
         if columns.ndim == 1:
             return _back(self._solve_one(columns.tolist()), columns.shape)
         solved = [self._solve_one(column) for column in columns.T.tolist()]
@@ -67,6 +71,12 @@ def factor_spd(A: Matrix) -> LTDL:
     return LTDL(A)
 
 
+def _entries(x: Any) -> Array:
+    """A bare array of floats, or of symbols."""
+    x = np.asarray(x)
+    return x if x.dtype == object else np.asarray(x, dtype=np.float64)
+
+
 def _nonzero(pivot: Any) -> Any:
     if isinstance(pivot, float) and pivot == 0.0:
         raise NumericalError("the matrix is singular; a pivot of its factorisation is zero")
@@ -81,14 +91,13 @@ def _back(values: list[Any], shape: tuple[int, ...]) -> Array:
 
 def solve_general(A: Matrix, b: Array) -> Array:
     """x in A x = b for any regular A: Gauss elimination with partial pivoting by selects."""
-    rows = np.asarray(A).tolist()
-    n = len(rows)
-    rhs = np.asarray(b)
-    if np.shape(A) != (n, n) or rhs.shape[:1] != (n,):
-        raise ShapeError(f"solve(A, b) needs A (n, n) and b (n,) or (n, k); got {np.shape(A)} and {rhs.shape}")
+    matrix, rhs = _entries(A), _entries(b)
+    n = len(matrix) if matrix.ndim else 0
+    if matrix.shape != (n, n) or rhs.shape[:1] != (n,) or rhs.ndim > 2:
+        raise ShapeError(f"solve(A, b) needs A (n, n) and b (n,) or (n, k); got {matrix.shape} and {rhs.shape}")
     width = 1 if rhs.ndim == 1 else rhs.shape[1]
     columns = rhs.reshape(n, width).tolist()
-    work = [row + column for row, column in zip(rows, columns, strict=True)]
+    work = [row + column for row, column in zip(matrix.tolist(), columns, strict=True)]
     for k in range(n):
         for i in range(k + 1, n):
             larger = abs(work[i][k]) > abs(work[k][k])

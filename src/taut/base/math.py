@@ -10,11 +10,13 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from taut.base.array import Traced, has_symbols, traced_array
 from taut.base.array import where as _traced_where
+from taut.base.errors import ShapeError, user_location
 from taut.base.linalg import LTDL, factor_spd, solve_general
-from taut.base.scalar import active_graph
+from taut.base.scalar import Symbol, active_graph
 from taut.base.types import Array, Matrix, Vector3
 
 __all__ = [
@@ -59,7 +61,7 @@ Shape = int | tuple[int, ...]
 def _numbers(x: Any) -> Any:
     """Lists and object arrays with symbols become traced arrays, so that NumPy's functions know them."""
     if isinstance(x, (list, tuple)) or (isinstance(x, np.ndarray) and x.dtype == object):
-        return traced_array(x) if has_symbols(x) else np.asarray(x, dtype=np.float64)
+        return array(x) if has_symbols(x) else np.asarray(x, dtype=np.float64)
     return x
 
 
@@ -68,7 +70,22 @@ def _numbers(x: Any) -> Any:
 
 def array(x: Any) -> Array:
     """An array of numbers, some of which may be traced: use it where NumPy code has np.array([a, b])."""
-    return traced_array(x) if has_symbols(x) else np.array(x, dtype=np.float64)
+    if not has_symbols(x):
+        return np.array(x, dtype=np.float64)
+    return traced_array(x).copy() if isinstance(x, np.ndarray) else _rectangular(x)
+
+
+def _rectangular(x: Any) -> Traced:
+    """A list as an array of symbols; NumPy alone would make a ragged one an array of arrays."""
+    out = traced_array(x)
+    for k, entry in enumerate(out.flat):
+        if isinstance(entry, (Symbol, float)):
+            continue
+        if isinstance(entry, NDArrayOperatorsMixin):  # a gain
+            entry = out.flat[k] = np.asarray(entry)[()]
+        if isinstance(entry, (np.ndarray, list, tuple)):
+            raise ShapeError(f"the rows of an array have different lengths at {user_location()}")
+    return out
 
 
 def zeros(shape: Shape) -> Array:
@@ -86,7 +103,7 @@ def full(shape: Shape, value: Any) -> Array:
     if active_graph() is None and not has_symbols(value):
         return np.full(shape, value, dtype=np.float64)
     out = np.empty(shape, dtype=object)
-    out.fill(value)
+    out[...] = np.asarray(value, dtype=object)
     return out.view(Traced)
 
 
@@ -212,14 +229,21 @@ def norm(x: Any, axis: int | None = None) -> Any:
 
 def cross(a: Any, b: Any) -> Vector3:
     """a x b for two vectors of three."""
-    a0, a1, a2 = a
-    b0, b1, b2 = b
+    a0, a1, a2 = _three("cross", a)
+    b0, b1, b2 = _three("cross", b)
     return array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
+
+
+def _three(what: str, a: Any) -> list[Any]:
+    entries = list(a)
+    if len(entries) != 3 or isinstance(entries[0], np.ndarray):
+        raise ShapeError(f"{what} takes vectors (3,); got shape {np.shape(a)} at {user_location()}")
+    return entries
 
 
 def skew(a: Any) -> Matrix:
     """The matrix [a] with [a] b = a x b."""
-    x, y, z = a
+    x, y, z = _three("skew", a)
     return array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from taut.base.checks import finite_array, vector
+from taut.base.checks import finite_array, read_only, vector
 from taut.base.errors import RangeError, UsageError
 from taut.base.types import Array, ArrayLike, Float64Array, Rotation, Vector3
 
@@ -15,7 +15,7 @@ __all__ = ["Pose", "axis_angle", "snapped"]
 
 ROTATION_TOLERANCE: Final = 1e-6  # how far R^T R may be from the identity
 QUATERNION_TOLERANCE: Final = 1e-3  # how far the norm may be from 1; inside, it is normalised
-SNAP: Final = 1e-11  # rotation entries this close to 0 or +-1 are meant to be exact
+SNAP: Final = 1e-11  # rotation entries this close to 0 are meant to be exact
 
 
 class Pose:
@@ -82,6 +82,9 @@ class Pose:
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError("a Pose cannot be changed; make a new one")
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuilt, (self.R, self.p)
+
     @classmethod
     def of(cls, R: Rotation, p: Vector3) -> Pose:
         """A pose from a rotation and a position that are known to be valid; symbols too."""
@@ -130,8 +133,8 @@ class Pose:
         cos_pitch = math.hypot(R[0, 0], R[1, 0])
         pitch = math.atan2(-R[2, 0], cos_pitch)
         if cos_pitch < 1e-9:
-            return np.array([0.0, pitch, math.atan2(-R[0, 1], R[1, 1])])
-        return np.array([math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])])
+            return np.array([0.0, pitch, math.atan2(-R[0, 1], R[1, 1])]) + 0.0
+        return np.array([math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])]) + 0.0
 
     def __matmul__(self, other: Pose) -> Pose:
         if not isinstance(other, Pose):
@@ -162,6 +165,11 @@ class Pose:
         return f"Pose(p={p}, rpy={rpy})"
 
 
+def _rebuilt(R: Float64Array, p: Float64Array) -> Pose:
+    """A pose from a copy or a pickle, whose arrays are writeable."""
+    return Pose.of(read_only(R), read_only(p))
+
+
 def axis_angle(axis: Array, angle: float) -> Float64Array:
     """Rotation by `angle` [rad] about the unit vector `axis` (Rodrigues)."""
     x, y, z = (float(a) for a in axis)
@@ -171,12 +179,14 @@ def axis_angle(axis: Array, angle: float) -> Float64Array:
 
 
 def snapped(R: Float64Array) -> Float64Array:
-    """R with entries that are 0 or +-1 but for rounding set exactly.
+    """R with entries that are 0 but for rounding set exactly, and +-1 where an axis lies along another.
 
-    Products with exact zeros and ones vanish from a traced law: on the Panda a fifth of its operations.
+    Products with exact zeros and ones vanish from a traced law: on the Panda a fifth of its operations. An entry of
+    1 - 1e-11 alone is no rounding: it belongs to an angle of 4e-6 rad, which its neighbours still show.
     """
-    nearest = np.round(R)
-    out: Float64Array = np.where(np.abs(R - nearest) < SNAP, nearest, R) + 0.0
+    out: Float64Array = np.where(np.abs(R) < SNAP, 0.0, R)
+    along = np.count_nonzero(out, axis=1) == 1
+    out[along] = np.sign(out[along])
     return out
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,7 +10,7 @@ from typing import Any, Final, NoReturn
 
 import numpy as np
 
-from taut.base.errors import TraceError, user_location
+from taut.base.errors import TautError, TraceError, user_location
 from taut.base.graph import Graph, Op
 
 __all__ = ["Condition", "Scalar", "Symbol", "active_graph", "to_node", "to_symbol", "tracing"]
@@ -48,14 +49,22 @@ def to_node(graph: Graph, x: Any) -> int:
                 rule="one trace",
             )
         return x.node
-    return graph.const(float(x))
+    if not isinstance(x, (str, bytes)):  # which float() would read
+        try:
+            return graph.const(float(x))
+        except TautError:
+            raise
+        except (TypeError, ValueError, OverflowError):
+            pass
+    shown = f"{x!r}" if x is None or isinstance(x, (str, bytes, complex)) else f"a value of type {type(x).__name__}"
+    raise TraceError(f"{shown} is used as a number at {user_location()}", value=x, rule="numbers only")
 
 
 def to_symbol(graph: Graph, node: int, *, truth: bool = False) -> Any:
-    """A node as law code sees it: a plain float or bool where it is known, else a symbol."""
+    """A node as law code sees it: a plain number or NumPy's truth value where it is known, else a symbol."""
     value = graph.value[node]
     if value is not None:
-        return bool(value) if truth else value
+        return np.bool_(value) if truth else value  # of Python's own bool, ~True is -2
     return Condition(graph, node) if truth else Scalar(graph, node)
 
 
@@ -84,7 +93,16 @@ class Symbol:
             rule="no int()",
         )
 
-    __index__ = __int__
+    __index__ = __trunc__ = __int__
+
+    def __round__(self, digits: int | None = None) -> NoReturn:
+        raise TraceError(
+            f"a traced value is rounded at {user_location()}; use taut.math.floor(x + 0.5)",
+            rule="no round()",
+        )
+
+    def __format__(self, spec: str) -> str:
+        return repr(self)
 
     def __bool__(self) -> NoReturn:
         raise TraceError(
@@ -112,6 +130,10 @@ class Symbol:
         from taut.base.array import apply_function
 
         return apply_function(func, args, kwargs)
+
+
+def _number(x: Any) -> Any:
+    return x.number() if isinstance(x, Condition) else x
 
 
 def _foreign(other: object) -> bool:
@@ -146,26 +168,78 @@ class Condition(Symbol):
     def __invert__(self) -> Any:
         return to_symbol(self.graph, self.graph.invert(self.node), truth=True)
 
+    def __xor__(self, other: Any) -> Any:
+        either = self | other
+        return either if either is NotImplemented else either & ~(self & other)
+
+    __rxor__ = __xor__
+
+    def __eq__(self, other: Any) -> Any:
+        if isinstance(other, (bool, np.bool_, Condition)):
+            return ~(self ^ other)
+        return NotImplemented if _foreign(other) else self.number() == other
+
+    def __ne__(self, other: Any) -> Any:
+        if isinstance(other, (bool, np.bool_, Condition)):
+            return self ^ other
+        return NotImplemented if _foreign(other) else self.number() != other
+
+    __hash__ = Symbol.__hash__
+
+    # ---------------------------------------------------------------- as a number, as in NumPy
+
     def number(self) -> Any:
         """1.0 where it holds, else 0.0."""
         g = self.graph
         return to_symbol(g, g.select(self.node, g.const(1.0), g.const(0.0)))
 
+    def _no_truth(self, other: Any) -> None:
+        """NumPy's sum of two truth values is a truth value, and a difference is none: neither is guessed here."""
+        if isinstance(other, (bool, np.bool_, Condition)):
+            raise TraceError(
+                f"two conditions are added or subtracted at {user_location()}; combine them with & | ~, or make "
+                "numbers of them with taut.math.where(condition, 1.0, 0.0)",
+                rule="conditions are no numbers",
+            )
+
     def __add__(self, other: Any) -> Any:
+        self._no_truth(other)
         return self.number() + other
 
     __radd__ = __add__
 
     def __sub__(self, other: Any) -> Any:
+        self._no_truth(other)
         return self.number() - other
 
     def __rsub__(self, other: Any) -> Any:
+        self._no_truth(other)
         return other - self.number()
 
     def __mul__(self, other: Any) -> Any:
+        if isinstance(other, (bool, np.bool_, Condition)):
+            return self & other
         return self.number() * other
 
     __rmul__ = __mul__
+
+    def __truediv__(self, other: Any) -> Any:
+        return self.number() / _number(other)
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return other / self.number()
+
+    def __lt__(self, other: Any) -> Any:
+        return self.number() < _number(other)
+
+    def __le__(self, other: Any) -> Any:
+        return self.number() <= _number(other)
+
+    def __gt__(self, other: Any) -> Any:
+        return self.number() > _number(other)
+
+    def __ge__(self, other: Any) -> Any:
+        return self.number() >= _number(other)
 
     def __repr__(self) -> str:
         return f"<traced condition {self.node}>"
@@ -218,7 +292,7 @@ class Scalar(Symbol):
 
     def __pow__(self, exponent: Any) -> Any:
         if isinstance(exponent, Symbol):
-            return (exponent * self.log()).exp()
+            return _traced_power(self, _number(exponent))
         if _foreign(exponent):
             return NotImplemented
         return _power(self, float(exponent))
@@ -226,7 +300,13 @@ class Scalar(Symbol):
     def __rpow__(self, base: Any) -> Any:
         if _foreign(base):
             return NotImplemented
-        return (self * float(np.log(base))).exp()
+        if not base > 0.0:
+            raise TraceError(
+                f"{float(base)!r} is raised to a traced power at {user_location()}; the base must be > 0",
+                value=base,
+                rule="base > 0",
+            )
+        return (self * math.log(base)).exp()
 
     def __neg__(self) -> Any:
         return to_symbol(self.graph, self.graph.neg(self.node))
@@ -237,8 +317,21 @@ class Scalar(Symbol):
     def __abs__(self) -> Any:
         return self._unary(ABS)
 
+    def __floordiv__(self, other: Any) -> Any:
+        if not isinstance(other, Symbol) and _foreign(other):
+            return NotImplemented
+        return _floored(self / other)
+
+    def __rfloordiv__(self, other: Any) -> Any:
+        return NotImplemented if _foreign(other) else _floored(other / self)
+
     def __mod__(self, other: Any) -> Any:
-        return self - other * (self / other).floor()
+        if not isinstance(other, Symbol) and _foreign(other):
+            return NotImplemented
+        return self - other * _floored(self / other)
+
+    def __rmod__(self, other: Any) -> Any:
+        return NotImplemented if _foreign(other) else other - self * _floored(other / self)
 
     # ---------------------------------------------------------------- comparisons
 
@@ -264,8 +357,7 @@ class Scalar(Symbol):
     def __ne__(self, other: Any) -> Any:
         if _no_number(other):
             return NotImplemented
-        equal = self._compare(EQ, self, other)
-        return not equal if isinstance(equal, bool) else ~equal
+        return ~self._compare(EQ, self, other)
 
     __hash__ = Symbol.__hash__
 
@@ -312,6 +404,12 @@ class Scalar(Symbol):
     def floor(self) -> Any:
         return self._unary(FLOOR)
 
+    def ceil(self) -> Any:
+        return -(-self).floor()
+
+    __floor__ = floor
+    __ceil__ = ceil
+
     def conjugate(self) -> Scalar:
         return self
 
@@ -323,16 +421,35 @@ def _no_number(other: object) -> bool:
     return not isinstance(other, Scalar) and _foreign(other)
 
 
+def _floored(x: Any) -> Any:
+    return x.floor() if isinstance(x, Scalar) else float(math.floor(x))
+
+
 def _operand(graph: Graph, x: Any) -> int:
-    return to_node(graph, x.number() if isinstance(x, Condition) else x)
+    if isinstance(x, Scalar) and x.graph is graph:  # nearly always
+        return x.node
+    return to_node(graph, _number(x))
+
+
+def _traced_power(x: Scalar, y: Scalar) -> Any:
+    """x**y for an exponent that is not known: exp(y log |x|), with the sign that whole exponents give."""
+    g, half = x.graph, 0.5 * y
+    whole, odd, negative = y.floor() == y, half.floor() != half, x < 0.0
+
+    def select(condition: Condition, a: Any, b: Any) -> Any:
+        return to_symbol(g, g.select(to_node(g, condition), to_node(g, a), to_node(g, b)))
+
+    size = (y * select(whole, abs(x), x).log()).exp()  # NaN of a negative x and a fraction, as in NumPy
+    signed = select(whole & odd & negative, -size, size)
+    return select(y == 0.0, 1.0, signed)
 
 
 def _power(x: Scalar, exponent: float) -> Any:
-    """x**k: products for small whole k, square roots for halves, else exp(k log x)."""
+    """x**k: products for whole k, times a square root for halves, else exp(k log x), for x >= 0."""
     if exponent < 0.0:
         return 1.0 / _power(x, -exponent)
     whole, half = divmod(exponent, 1.0)
-    if half in (0.0, 0.5) and whole <= 16.0:
+    if half in (0.0, 0.5):
         result: Any = x.sqrt() if half else 1.0
         square: Any = x
         k = int(whole)

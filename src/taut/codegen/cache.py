@@ -23,7 +23,7 @@ def cache_folder() -> Path:
     """Where compiled code is kept; the variable TAUT_CACHE_DIR moves it."""
     given = os.environ.get(ENVIRONMENT)
     if given:
-        return Path(given)
+        return Path(given).expanduser()
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local")) / "taut" / "cache"
     if sys.platform == "darwin":
@@ -31,29 +31,43 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "taut"
 
 
-def _private(path: Path) -> bool:
-    """Whether nobody else can write here: what is loaded from it will run."""
+def _private(info: os.stat_result) -> bool:
+    """Whether nobody else can write a file or folder: what is loaded from it will run."""
     if sys.platform == "win32":  # the folder stands in the user's own profile, with its access list
         return True
-    info = path.lstat()
-    mode = stat.S_IMODE(info.st_mode)
-    ours = info.st_uid == os.getuid()
-    return ours and not mode & (stat.S_IWGRP | stat.S_IWOTH) and not stat.S_ISLNK(info.st_mode)
+    return info.st_uid == os.getuid() and not info.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
-def _usable(folder: Path) -> bool:
+def _usable_folder(*, make: bool) -> Path | None:
+    """The folder, if it is there and ours alone; otherwise one warning says why not."""
     try:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        usable = _private(folder)
-    except OSError as cause:
-        _warn_once(f"the cache folder '{folder}' cannot be used ({cause.strerror}); code is compiled each time")
-        return False
-    if not usable:
+        folder = cache_folder()
+        if not folder.exists():
+            if not make:
+                return None
+            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        info = folder.stat()
+    except (OSError, RuntimeError) as cause:  # RuntimeError: a user without a home folder
+        _warn_once(f"the cache folder{_named(cause)} cannot be used ({_reason(cause)}); code is compiled each time")
+        return None
+    if not stat.S_ISDIR(info.st_mode):
+        _warn_once(f"the cache folder '{folder}' is no folder; code is compiled each time; set {ENVIRONMENT}")
+        return None
+    if not _private(info):
         _warn_once(
             f"the cache folder '{folder}' can be written by others, so no code is loaded from it; "
             f"chmod 700 it, or set {ENVIRONMENT}"
         )
-    return usable
+        return None
+    return folder
+
+
+def _named(cause: Exception) -> str:
+    return f" '{cause.filename}'" if isinstance(cause, OSError) and cause.filename else ""
+
+
+def _reason(cause: Exception) -> str:
+    return str((cause.strerror if isinstance(cause, OSError) else None) or cause)
 
 
 _WARNED: Final[set[str]] = set()
@@ -67,14 +81,14 @@ def _warn_once(text: str) -> None:
 
 def load(key: bytes) -> bytes | None:
     """The entry of this key, or None where there is none that is whole and ours."""
-    folder = cache_folder()
-    if not folder.is_dir() or not _usable(folder):
+    folder = _usable_folder(make=False)
+    if folder is None:
         return None
-    file = folder / key.hex()
     try:
-        if not _private(file):
-            return None
-        data = file.read_bytes()
+        with (folder / key.hex()).open("rb") as file:
+            if not _private(os.fstat(file.fileno())):
+                return None
+            data = file.read()
     except OSError:
         return None
     head = len(MAGIC) + DIGEST
@@ -85,20 +99,18 @@ def load(key: bytes) -> bytes | None:
 
 def store(key: bytes, content: bytes) -> None:
     """Keep an entry. It appears whole or not at all, also with many processes at once."""
-    folder = cache_folder()
-    if not _usable(folder):
+    folder = _usable_folder(make=True)
+    if folder is None:
         return
     data = MAGIC + hashlib.sha256(content).digest() + content
+    name: str | None = None
     try:
         handle, name = tempfile.mkstemp(dir=folder, prefix="writing-")
-    except OSError as cause:
-        _warn_once(f"the cache folder '{folder}' cannot be written ({cause.strerror}); code is compiled each time")
-        return
-    try:
         with os.fdopen(handle, "wb") as file:
             file.write(data)
         Path(name).replace(folder / key.hex())
     except OSError as cause:
-        with contextlib.suppress(OSError):
-            Path(name).unlink()
-        _warn_once(f"the cache folder '{folder}' cannot be written ({cause.strerror}); code is compiled each time")
+        if name is not None:
+            with contextlib.suppress(OSError):
+                Path(name).unlink()
+        _warn_once(f"the cache folder '{folder}' cannot be written ({_reason(cause)}); code is compiled each time")

@@ -140,7 +140,8 @@ WORDS: Final = (
     "vectorcall",  # PyObject_Vectorcall
     "incref",  # Py_IncRef
     "none",
-    "slow",  # Python function for everything that is not plain
+    "slow",  # Python function for calls of step that are not plain
+    "first",  # Python function for a tick before memory has started
     "failed",  # Python function that raises when a number is not finite
     "reference",  # type of the object argument
     "inputs",
@@ -148,6 +149,7 @@ WORDS: Final = (
     "memory",
     "new",
     "before",  # memory as it was before the last tick
+    "seen",  # inputs as they were in the last tick
     "outputs",
     "shape",
     "ready",  # 0 until memory has started
@@ -155,6 +157,7 @@ WORDS: Final = (
     "dt",
 )
 WORD: Final = {name: i for i, name in enumerate(WORDS)}
+BUILTINS: Final = 2  # step and tick
 
 
 class _Keeper(np.ndarray[Any, np.dtype[np.uint64]]):
@@ -164,12 +167,17 @@ class _Keeper(np.ndarray[Any, np.dtype[np.uint64]]):
 
 
 class _MethodDef(ctypes.Structure):
+    """What CPython knows of a builtin function."""
+
     _fields_ = (
         ("name", ctypes.c_char_p),
         ("function", ctypes.c_void_p),
         ("flags", ctypes.c_int),
         ("doc", ctypes.c_char_p),
     )
+
+
+DEFINITION_WORDS: Final = ctypes.sizeof(_MethodDef) // 8
 
 
 class Context:
@@ -183,22 +191,26 @@ class Context:
         parameters: Float64Array,
         memory: Float64Array,
         before: Float64Array,
+        seen: Float64Array,
         outputs: Float64Array,
         result_shape: tuple[int, ...],
         dt: float = 0.0,
         reference: type | None = None,
     ) -> None:
-        self._words = np.zeros(len(WORDS), dtype=np.uint64).view(_Keeper)
+        self._words = np.zeros(len(WORDS) + BUILTINS * DEFINITION_WORDS, dtype=np.uint64).view(_Keeper)
+        self._builtins = 0
         new = memory.copy()
         shape = np.array(result_shape or (1,), dtype=np.int64)
         float64 = np.dtype(np.float64)
-        self._words.keep = [module, inputs, parameters, memory, before, new, outputs, shape, float64, reference]
+        arrays = (inputs, parameters, memory, before, seen, new, outputs, shape)
+        self._words.keep = [module, float64, reference, *arrays]
         for name, array in (
             ("inputs", inputs),
             ("parameters", parameters),
             ("memory", memory),
             ("new", new),
             ("before", before),
+            ("seen", seen),
             ("outputs", outputs),
             ("shape", shape),
         ):
@@ -224,11 +236,17 @@ class Context:
 
     def builtin(self, name: str, flags: int, doc: str) -> Callable[..., Any]:
         """A compiled function as a Python builtin."""
-        definition = _MethodDef(name.encode(), self._module[name], flags, doc.encode())
-        self._words.keep.append(definition)
+        # Its definition stands in the words' own buffer, which lives as long as the builtin: an object of its own
+        # could be collected first when both are part of a cycle, and CPython reads it when the builtin goes.
+        place = self._words.ctypes.data + 8 * (len(WORDS) + self._builtins * DEFINITION_WORDS)
+        self._builtins += 1
+        definition = _MethodDef.from_address(place)
+        definition.name, definition.function = name.encode(), self._module[name]
+        definition.flags, definition.doc = flags, doc.encode()
+        self._words.keep.append(definition)  # it keeps the two texts
         make = ctypes.pythonapi.PyCFunction_NewEx
         make.restype, make.argtypes = ctypes.py_object, [ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p]
-        made: Callable[..., Any] = make(ctypes.addressof(definition), self._words, None)
+        made: Callable[..., Any] = make(place, self._words, None)
         return made
 
 
@@ -240,13 +258,15 @@ def _address(function: Any) -> int:
 
 # -------------------------------------------------------------------- text
 
+_BLOCKS: Final = ("inputs", "parameters", "memory", "new", "before", "seen", "outputs")
+
 
 @dataclass(frozen=True, kw_only=True)
 class CallPath:
     """LLVM text of the builtins `step` and `tick` around a function `kernel`.
 
     Args:
-        arguments: Positional arguments of `step`.
+        arguments: Positional arguments of `step`; None where there is no plain way to call it.
         inputs: Layout of the inputs.
         outputs: Layout of the outputs; the first field is the result.
         memory: Layout of the memory.
@@ -255,7 +275,7 @@ class CallPath:
         guarded: Whether numbers that are not finite are refused.
     """
 
-    arguments: Sequence[Argument]
+    arguments: Sequence[Argument] | None
     inputs: Block
     outputs: Block
     memory: Block
@@ -265,11 +285,14 @@ class CallPath:
 
     def text(self) -> str:
         """All functions."""
-        return "\n".join([self._advance(Writer()), self._tick(Writer()), self._step(Writer())])
+        parts = [self._advance(Writer()), self._tick(Writer())]
+        if self.arguments is not None:
+            parts.append(self._step(Writer(), self.arguments))
+        return "\n".join(parts)
 
     def _advance(self, w: Writer) -> str:
         """One tick on the blocks: 0, or 1 where a number is not finite; then memory stays as it was."""
-        block = {name: _word(w, name) for name in ("inputs", "parameters", "memory", "new", "before", "outputs")}
+        block = {name: _word(w, name) for name in _BLOCKS}
         if self.time is not None:
             ticks = w.put(f"sitofp i64 {_word(w, 'count', 'i64')} to double")
             t = w.put(f"fmul double {ticks}, {_word(w, 'dt', 'double')}")
@@ -282,6 +305,7 @@ class CallPath:
         )
         self._guard(w, block["outputs"], self.outputs)
         self._guard(w, block["new"], self.memory)
+        w.copy(block["inputs"], block["seen"], self.inputs.size)
         w.copy(block["memory"], block["before"], self.memory.size)
         w.copy(block["new"], block["memory"], self.memory.size)
         more = w.put(f"add i64 {_word(w, 'count', 'i64')}, 1")
@@ -299,23 +323,23 @@ class CallPath:
     def _tick(self, w: Writer) -> str:
         """The builtin without arguments: the kernel on its own blocks; returns None."""
         _context(w)
-        w.unless(w.put(f"icmp eq i64 {_word(w, 'ready', 'i64')}, 0"), "slow")
+        w.unless(w.put(f"icmp eq i64 {_word(w, 'ready', 'i64')}, 0"), "first")
         status = w.put("call i32 @advance(ptr %context)")
         w.unless(w.put(f"icmp ne i32 {status}, 0"), "failed")
         none, incref = _word(w, "none"), _word(w, "incref")
         w.line(f" call void {incref}(ptr {none})", f" ret ptr {none}")
-        for label in ("slow", "failed"):
+        for label in ("first", "failed"):
             _leave(w, label, "ptr null, i64 0, ptr null")
         return w.function("ptr @tick(ptr %self, ptr %unused) nounwind")
 
-    def _step(self, w: Writer) -> str:
+    def _step(self, w: Writer, arguments: Sequence[Argument]) -> str:
         """The builtin with arguments: arrays in, a new array out."""
         _context(w)
-        w.unless(w.put(f"icmp ne i64 %nargs, {len(self.arguments)}"), "slow")
+        w.unless(w.put(f"icmp ne i64 %nargs, {len(arguments)}"), "slow")
         w.unless(w.put("icmp ne ptr %names, null"), "slow")
         w.unless(w.put(f"icmp eq i64 {_word(w, 'ready', 'i64')}, 0"), "slow")
         inputs, ndarray, float64 = _word(w, "inputs"), _word(w, "ndarray"), _word(w, "float64")
-        for i, argument in enumerate(self.arguments):
+        for i, argument in enumerate(arguments):
             value = w.load_at("%args", 8 * i)
             owners = [value]
             if argument.is_object:

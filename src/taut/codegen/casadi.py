@@ -33,8 +33,11 @@ def to_casadi(program: Program, name: str = "taut") -> Any:
 
     Raises:
         MissingExtraError: CasADi is not installed.
+        UsageError: It is no program.
     """
     ca = _casadi()
+    if not isinstance(program, Program):  # callers without a type checker
+        raise UsageError(f"to_casadi takes a traced program, such as ctrl.program; got {type(program).__name__}")
     blocks = [
         ca.SX.sym(word, block.size)
         for word, block in (
@@ -106,7 +109,12 @@ def from_casadi(function: Any) -> Callable[..., Any]:
     ca = _casadi()
     if not isinstance(function, ca.Function):
         raise UsageError(f"from_casadi takes a casadi.Function; got {type(function).__name__}")
-    expanded = function if function.is_a("SXFunction") else function.expand()
+    if function.has_free():
+        raise UsageError(f"{function.name()} has free variables; give them as inputs")
+    try:
+        expanded = function if function.is_a("SXFunction") else function.expand()
+    except RuntimeError as cause:
+        raise UsageError(f"{function.name()} cannot be expanded into an SX function: {cause}") from cause
 
     def run(*arguments: Any) -> Any:
         if len(arguments) != expanded.n_in():
@@ -141,7 +149,12 @@ def _execute(ca: Any, function: Any, inputs: list[Any], outputs: list[Any]) -> N
         elif op in table:
             work[o[0]] = table[op](*(work[x] for x in i))
         else:
-            raise TraceError(f"{function.name()} uses the CasADi operation {op}, which taut's graph does not have")
+            raise TraceError(f"{function.name()} uses CasADi's {_name(ca, op)}, which taut's graph does not have")
+
+
+def _name(ca: Any, op: int) -> str:
+    names = (name for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) == op)
+    return next(names, f"operation {op}")
 
 
 def _from_operations(ca: Any) -> dict[int, Callable[..., Any]]:
@@ -149,6 +162,9 @@ def _from_operations(ca: Any) -> dict[int, Callable[..., Any]]:
 
     def truth(condition: Any) -> Any:
         return tm.where(condition, 1.0, 0.0)  # a CasADi condition is a number
+
+    def cosh(x: Any) -> Any:
+        return 0.5 * (tm.exp(x) + tm.exp(-x))
 
     return {
         ca.OP_ADD: lambda a, b: a + b,
@@ -170,8 +186,14 @@ def _from_operations(ca: Any) -> dict[int, Callable[..., Any]]:
         ca.OP_EXP: tm.exp,
         ca.OP_LOG: tm.log,
         ca.OP_TANH: tm.tanh,
+        ca.OP_SINH: lambda a: tm.tanh(a) * cosh(a),
+        ca.OP_COSH: cosh,
+        ca.OP_HYPOT: lambda a, b: tm.sqrt(a * a + b * b),
         ca.OP_FABS: tm.abs,
+        ca.OP_COPYSIGN: lambda a, b: tm.where(b < 0.0, -tm.abs(a), tm.abs(a)),
         ca.OP_FLOOR: tm.floor,
+        ca.OP_CEIL: lambda a: -tm.floor(-a),
+        ca.OP_FMOD: lambda a, b: a - b * tm.sign(a / b) * tm.floor(tm.abs(a / b)),
         ca.OP_SIGN: tm.sign,
         ca.OP_FMIN: tm.minimum,
         ca.OP_FMAX: tm.maximum,

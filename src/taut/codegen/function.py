@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from taut.base.checks import finite_array
+from taut.base.checks import float_array
 from taut.base.errors import UsageError
 from taut.base.types import Array, Float64Array
 from taut.codegen.call import Argument
 from taut.codegen.kernel import Blocks, NativeKernel, verified
 from taut.codegen.layout import Block
+from taut.codegen.native import available, warn_of_plain_python
 from taut.codegen.program import Values, trace
 
 __all__ = ["NativeFunction", "native"]
@@ -20,6 +22,8 @@ __all__ = ["NativeFunction", "native"]
 
 def native(function: Callable[..., Array], **shapes: int | tuple[int, ...]) -> NativeFunction:
     """A native version of a function of arrays, written with NumPy and taut.math.
+
+    Where llvmlite is missing it runs as plain Python, with a warning.
 
     Args:
         function: Takes arrays by position and gives one array.
@@ -47,55 +51,79 @@ class NativeFunction:
     def __init__(self, function: Callable[..., Array], shapes: dict[str, Any]) -> None:
         self._shapes = {name: _shape(name, shape) for name, shape in shapes.items()}
         self._function = function
+        self._lock = threading.Lock()  # where calls go through the blocks, in Python
+        self._kernel: NativeKernel | None = None
+        self.operations = 0
+        self.call: Callable[..., Any] = self._slow
+        """The bare builtin: the fastest way to call it."""
+        if available():
+            self._kernel = kernel = self._compiled()
+            kernel.start()
+            self.operations, self.call = kernel.operations, kernel.step
+        else:
+            warn_of_plain_python()
+
+    def _compiled(self) -> NativeKernel:
         inputs = Block.of(self._shapes)
 
         def of_blocks(values: Values, parameters: Values, memory: Values) -> tuple[Values, Values]:  # noqa: ARG001
-            return {"result": function(*(values[name] for name in self._shapes))}, {}
+            return {"result": self._function(*(values[name] for name in self._shapes))}, {}
 
         def nothing(values: Values, parameters: Values, memory: Values) -> tuple[Values, Values]:  # noqa: ARG001
             return {}, {}
 
         program = trace(of_blocks, inputs, Block(), Block())
-        self._blocks = blocks = Blocks(inputs, Block(), Block(), program.outputs)
         rng = np.random.default_rng(0)
         empty = np.zeros(0)
         samples = [(rng.standard_normal(inputs.size), empty, empty) for _ in range(3)]
-        name = getattr(function, "__name__", "function")
-        self._kernel = NativeKernel(
+        name = getattr(self._function, "__name__", "function")
+        return NativeKernel(
             program,
             trace(nothing, inputs, Block(), Block()),
-            blocks,
+            Blocks(inputs, Block(), Block(), program.outputs),
             arguments=[Argument((name,)) for name in self._shapes],
             reference=None,
             time=None,
             dt=0.0,
             guarded=False,
             slow=self._slow,
-            failed=self._slow,
+            first=_never,
+            failed=_never,
             verify=verified(name, of_blocks, program, samples),
         )
-        self._kernel.start()
-        self.operations = program.operations
-        self.call = self._kernel.step
-        """The bare builtin: the fastest way to call it."""
 
     def __call__(self, *args: Any) -> Float64Array:
         result: Float64Array = self.call(*args)
         return result
 
     def _slow(self, *args: Any, **kwargs: Any) -> Float64Array:
-        if kwargs or len(args) != len(self._shapes):
-            raise UsageError(f"the function takes {', '.join(self._shapes)} by position; got {len(args)}")
-        views = self._blocks.views("inputs")
-        for (name, shape), value in zip(self._shapes.items(), args, strict=True):
-            views[name][...] = finite_array(name, value, shape=shape)
-        self._kernel.tick()
-        return self._blocks.views("outputs")["result"].copy()
+        """A call with anything but plain arrays: checked in words and converted."""
+        names = ", ".join(self._shapes)
+        if kwargs:
+            raise UsageError(f"the function takes {names} by position; got {', '.join(kwargs)} by name")
+        if len(args) != len(self._shapes):
+            raise UsageError(f"the function takes {len(self._shapes)} arrays ({names}); got {len(args)}")
+        given = zip(self._shapes.items(), args, strict=True)
+        arrays = [float_array(name, value, shape=shape) for (name, shape), value in given]
+        kernel = self._kernel
+        if kernel is None:
+            with np.errstate(all="ignore"):
+                return np.array(self._function(*arrays), dtype=np.float64)
+        if kernel.fast:
+            return self(*arrays)
+        with self._lock:
+            for view, array in zip(kernel.blocks.views("inputs").values(), arrays, strict=True):
+                view[...] = array
+            kernel.tick()
+            return kernel.blocks.views("outputs")["result"].copy()
+
+
+def _never() -> None:
+    raise AssertionError("a function without memory is always ready, and its numbers are not judged")
 
 
 def _shape(name: str, shape: Any) -> tuple[int, ...]:
-    if isinstance(shape, int) and not isinstance(shape, bool) and shape > 0:
-        return (shape,)
-    if isinstance(shape, tuple) and all(isinstance(size, int) and size > 0 for size in shape):
-        return shape
+    sizes = shape if isinstance(shape, tuple) else (shape,)
+    if all(isinstance(size, (int, np.integer)) and not isinstance(size, bool) and size > 0 for size in sizes):
+        return tuple(int(size) for size in sizes)
     raise UsageError(f"{name} must be a length or a shape such as 7 or (3, 3); got {shape!r}", name=name)

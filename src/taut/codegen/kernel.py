@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, NoReturn, Protocol
 
 import numpy as np
 
-from taut.base.errors import TautError
+from taut.base.errors import TraceError
 from taut.base.types import Float64Array
 from taut.codegen.call import (
     METH_FASTCALL_KEYWORDS,
@@ -23,7 +23,7 @@ from taut.codegen.call import (
 from taut.codegen.layout import Block
 from taut.codegen.llvm import declarations, kernel
 from taut.codegen.native import NativeModule, compiled
-from taut.codegen.program import Function, Program
+from taut.codegen.program import Function, Program, trace
 
 __all__ = ["Blocks", "FloatKernel", "Kernel", "NativeKernel", "verified"]
 
@@ -34,7 +34,7 @@ POINTERS = [ctypes.c_void_p] * 5
 class Blocks:
     """The numbers that a kernel reads and writes, each block one flat array."""
 
-    __slots__ = ("before", "inputs", "layout", "memory", "outputs", "parameters")
+    __slots__ = ("before", "inputs", "layout", "memory", "outputs", "parameters", "seen")
 
     def __init__(self, inputs: Block, parameters: Block, memory: Block, outputs: Block) -> None:
         self.layout = {"inputs": inputs, "parameters": parameters, "memory": memory, "outputs": outputs}
@@ -43,6 +43,7 @@ class Blocks:
         self.memory = memory.zeros()
         self.outputs = outputs.zeros()
         self.before = memory.zeros()  # memory as it was before the last tick
+        self.seen = inputs.zeros()  # inputs as they were in the last tick
 
     def views(self, name: str) -> dict[str, Float64Array]:
         """The fields of one block, sharing its memory."""
@@ -58,9 +59,10 @@ class Kernel(Protocol):
     """The trace; None in the float engine."""
     engine: Literal["native", "float"]
     step: Callable[..., Any]
-    """Arrays in, a new array out; everything that is not plain goes to the slow function."""
+    """Arrays in, a new array out; everything that is not plain goes to the function `slow`."""
     tick: Callable[[], None]
-    """One evaluation on the blocks; memory stays as it was where a number is not finite."""
+    """One evaluation on the blocks; memory stays as it was where a number is not finite. It goes to the function
+    `first` where memory has not started."""
 
     def start(self) -> None:
         """Start memory from the inputs."""
@@ -91,22 +93,25 @@ class FloatKernel:
         *,
         time: str | None,
         dt: float,
-        slow: Callable[..., Any],
+        slow: Callable[..., Any] | None,
+        first: Callable[[], None],
         failed: Callable[[], Any],
     ) -> None:
         self.blocks = blocks
         self.program: Program | None = None
         self._function, self._starter = function, starter
         self._time, self._dt = time, dt
-        self._slow, self._failed = slow, failed
+        self._first, self._failed = first, failed
         self._count = 0
         self._started = False
-        self.step = slow
+        self.step = slow or _no_step
         self.tick = self._tick
 
     def start(self) -> None:
-        values, _ = self._starter(self.blocks.views("inputs"), self.blocks.views("parameters"), {})
-        self.blocks.layout["memory"].pack(values, self.blocks.memory)
+        blocks = self.blocks
+        with np.errstate(all="ignore"):
+            values, _ = self._starter(_copies(blocks.views("inputs")), _copies(blocks.views("parameters")), {})
+        blocks.layout["memory"].pack(values, blocks.memory)
         self._count, self._started = 0, True
 
     @property
@@ -122,21 +127,21 @@ class FloatKernel:
 
     def _tick(self) -> None:
         if not self._started:
-            self._slow()
+            self._first()
             return
         blocks = self.blocks
-        inputs = blocks.views("inputs")
         if self._time is not None:
-            inputs[self._time][...] = self._count * self._dt
+            blocks.views("inputs")[self._time][...] = self._count * self._dt
         if not np.isfinite(blocks.inputs).all():
             self._failed()
-        read_only = {name: _frozen(value) for name, value in inputs.items()}
         with np.errstate(all="ignore"):
-            outputs, after = self._function(read_only, blocks.views("parameters"), _copies(blocks.views("memory")))
+            given = (_copies(blocks.views(name)) for name in ("inputs", "parameters", "memory"))
+            outputs, after = self._function(*given)
         new = blocks.layout["memory"].pack(after)
         blocks.layout["outputs"].pack(outputs, blocks.outputs)
         if not (np.isfinite(blocks.outputs).all() and np.isfinite(new).all()):
             self._failed()
+        blocks.seen[:] = blocks.inputs
         blocks.before[:] = blocks.memory
         blocks.memory[:] = new
         self._count += 1
@@ -163,22 +168,23 @@ class NativeKernel:
         starter: Program,
         blocks: Blocks,
         *,
-        arguments: Sequence[Argument],
+        arguments: Sequence[Argument] | None,
         reference: type | None,
         time: str | None,
         dt: float,
         guarded: bool,
-        slow: Callable[..., Any],
+        slow: Callable[..., Any] | None,
+        first: Callable[[], None],
         failed: Callable[[], Any],
         verify: Callable[[NativeModule], None] | None,
     ) -> None:
         self.blocks = blocks
         self.program: Program | None = program
         self.operations = program.operations
-        objects = [argument for argument in arguments if argument.is_object]
+        objects = [argument for argument in arguments or () if argument.is_object]
         names = tuple(path.rpartition(".")[2] for argument in objects for path in argument.fields)
         slots = slot_offsets(reference, names) if reference is not None else ()
-        fast = offsets() is not None and slots is not None
+        self.fast = fast = offsets() is not None and slots is not None
         path = CallPath(
             arguments=arguments,
             inputs=program.inputs,
@@ -196,15 +202,16 @@ class NativeKernel:
         content = b"".join(
             [program.content, starter.content, layout_key(), repr((path, fast)).encode()],
         )
-        builtins = ("step", "tick") if fast else ()
+        builtins = (*(("step",) if arguments is not None else ()), "tick") if fast else ()
         self.module = compiled(content, text, ("kernel", "start", *builtins), verify)
         self._kernel = _callable(self.module["kernel"])
         self._start = _callable(self.module["start"])
-        self._slow, self._failed, self._guarded = slow, failed, guarded
+        self._first, self._failed, self._guarded = first, failed, guarded
         self._time, self._dt = path.time, dt
         self._new = blocks.memory.copy()
         self._context: Context | None = None
         self._plain_count, self._plain_ready = 0, False
+        self.step, self.tick = slow or _no_step, self._plain_tick
         if fast:
             self._context = context = Context(
                 self.module,
@@ -212,17 +219,17 @@ class NativeKernel:
                 parameters=blocks.parameters,
                 memory=blocks.memory,
                 before=blocks.before,
+                seen=blocks.seen,
                 outputs=blocks.outputs,
                 result_shape=program.outputs.fields[0].shape,
                 dt=dt,
                 reference=reference,
             )
-            context.python("slow", slow)
-            context.python("failed", failed)
-            self.step = context.builtin("step", METH_FASTCALL_KEYWORDS, "One tick: arrays in, a new array out.")
+            for name, function in (("slow", self.step), ("first", first), ("failed", failed)):
+                context.python(name, function)
+            if arguments is not None:
+                self.step = context.builtin("step", METH_FASTCALL_KEYWORDS, "One tick: arrays in, a new array out.")
             self.tick = context.builtin("tick", METH_NOARGS, "One tick on the bound arrays.")
-        else:
-            self.step, self.tick = slow, self._plain_tick
 
     def start(self) -> None:
         blocks = self.blocks
@@ -255,7 +262,7 @@ class NativeKernel:
     def _plain_tick(self) -> None:
         """The tick through ctypes, where Python's objects lie in memory in an unknown way."""
         if not self.ready:
-            self._slow()
+            self._first()
             return
         blocks = self.blocks
         if self._time is not None:
@@ -271,9 +278,14 @@ class NativeKernel:
         )
         if self._guarded and not (np.isfinite(blocks.outputs).all() and np.isfinite(self._new).all()):
             self._failed()
+        blocks.seen[:] = blocks.inputs
         blocks.before[:] = blocks.memory
         blocks.memory[:] = self._new
         self._set(count=self.count + 1, ready=True)
+
+
+def _no_step(*_: object, **__: object) -> NoReturn:
+    raise AssertionError("this kernel runs on its blocks: tick()")
 
 
 def _callable(address: int) -> Callable[..., None]:
@@ -294,7 +306,7 @@ def verified(
     program: Program,
     samples: Sequence[tuple[Float64Array, Float64Array, Float64Array]],
 ) -> Callable[[NativeModule], None]:
-    """A check that the compiled kernel gives what the function gives on plain floats.
+    """A check that the compiled kernel gives what the function gives on plain floats, and that two traces agree.
 
     Args:
         what: What is compiled, for the message.
@@ -304,6 +316,8 @@ def verified(
     """
 
     def check(module: NativeModule) -> None:
+        if trace(function, program.inputs, program.parameters, program.memory).content != program.content:
+            raise _unsteady(f"{what}: two traces of the same code differ")
         run = _callable(module["kernel"])
         for inputs, parameters, memory in samples:
             new, outputs = memory.copy(), program.outputs.zeros()
@@ -317,11 +331,17 @@ def verified(
             pairs = ((outputs, program.outputs.pack(expected)), (new, program.memory.pack(after)))
             for got, wanted in pairs:
                 scale = max(1.0, float(np.abs(wanted[np.isfinite(wanted)]).max(initial=0.0)))
-                if not np.allclose(got, wanted, rtol=0.0, atol=VERIFY_TOLERANCE * scale, equal_nan=True):
-                    worst = float(np.nanmax(np.abs(got - wanted)))
-                    raise TautError(
-                        f"{what}: compiled code and plain Python differ by {worst:.3g}; a law must give the same "
-                        "at the same inputs: no random numbers, no clock, no state outside its memory"
-                    )
+                wrong = ~np.isclose(got, wanted, rtol=0.0, atol=VERIFY_TOLERANCE * scale, equal_nan=True)
+                if wrong.any():
+                    pair = f"{got[wrong][0]:.6g} and {wanted[wrong][0]:.6g}"
+                    raise _unsteady(f"{what}: compiled code and plain Python differ, {pair}")
 
     return check
+
+
+def _unsteady(how: str) -> TraceError:
+    return TraceError(
+        f"{how}; a law must give the same at the same inputs: no random numbers, no clock, no state outside its "
+        "memory",
+        rule="a pure function",
+    )

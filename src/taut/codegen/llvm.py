@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable
 from typing import Final
@@ -9,11 +10,15 @@ from typing import Final
 from taut.base.graph import BOOLEAN_OPS, NONE, Op
 from taut.codegen.program import Program
 
-__all__ = ["EMITTER_VERSION", "LIBM", "declarations", "kernel"]
+__all__ = ["LIBM", "declarations", "kernel"]
 
-EMITTER_VERSION: Final = 1  # in the cache's key: raise it when the text changes
-
-FLAGS: Final = "nsz contract"
+FLAGS: Final = "nsz contract"  # a product and a sum may be rounded once, together
+EXACT: Final = "nsz"
+# What jumps, or ends, at a value of its argument. All that goes into it is computed as in Python, to the last bit:
+# fused, x x - y y of equal x and y is not zero but +-1e-17, and its square root NaN.
+_DECIDING: Final = frozenset(
+    {Op.SQRT, Op.LOG, Op.ASIN, Op.ACOS, Op.ATAN2, Op.FLOOR, Op.LT, Op.LE, Op.EQ},
+)
 LIBM: Final = ("asin", "acos", "atan2", "exp", "log", "tanh")
 
 _BINARY: Final = {Op.ADD: "fadd", Op.SUB: "fsub", Op.MUL: "fmul", Op.DIV: "fdiv"}
@@ -23,7 +28,9 @@ _INTRINSIC2: Final = {Op.MIN: "minimum", Op.MAX: "maximum"}
 _CALL: Final = {Op.ASIN: "asin", Op.ACOS: "acos", Op.EXP: "exp", Op.LOG: "log", Op.TANH: "tanh"}
 
 # Sine and cosine from + - * floor: Cody and Waite reduction by pi/2 in three parts, then fdlibm's kernels.
-# 1 ulp of the result for |x| < 1e6, 1 ulp of x beyond; faster than libm, the same everywhere, and in lanes.
+# 1 ulp of the result for |x| < 1e6, 1 ulp of x beyond, NaN beyond 2^50, where a double has lost the angle. Faster
+# than libm, the same everywhere, and in lanes.
+_FARTHEST: Final = 2.0**50
 _PI_HALF: Final = (1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
 _SIN: Final = (
     -1.66666666666666324348e-01,
@@ -71,7 +78,12 @@ def _sincos() -> str:
             f" %r{i} = fsub {FLAGS} double {before}, %k{i}",
         ]
         before = f"%r{i}"
-    lines += [f" %z = fmul {FLAGS} double %r2, %r2"]
+    lines += [
+        " %far = call double @llvm.fabs.f64(double %x)",
+        f" %near = fcmp olt double %far, {number(_FARTHEST)}",
+        f" %r = select i1 %near, double %r2, double {number(math.nan)}",
+        f" %z = fmul {FLAGS} double %r, %r",
+    ]
     for name, table in (("s", _SIN), ("c", _COS)):
         value = number(table[-1])
         for i in range(len(table) - 2, -1, -1):
@@ -81,9 +93,9 @@ def _sincos() -> str:
             ]
             value = f"%{name}a{i}"
     lines += [
-        f" %rz = fmul {FLAGS} double %r2, %z",
+        f" %rz = fmul {FLAGS} double %r, %z",
         f" %sp = fmul {FLAGS} double %rz, %sa0",
-        f" %sr = fadd {FLAGS} double %r2, %sp",
+        f" %sr = fadd {FLAGS} double %r, %sp",
         f" %zz = fmul {FLAGS} double %z, %z",
         f" %cp = fmul {FLAGS} double %zz, %ca0",
         f" %hz = fmul {FLAGS} double %z, {number(0.5)}",
@@ -136,6 +148,8 @@ class _Body:
         self._graph = program.graph
         self._out: list[str] = []
         self._paired: set[int] = set()  # arguments whose sine and cosine stand already
+        deciding = (i for i in program.live if program.graph.ops[i] in _DECIDING)
+        self._exact = frozenset(self._graph.live(x for i in deciding for x in self._graph.operands(i)))
 
     def lines(self) -> list[str]:
         graph = self._graph
@@ -176,8 +190,8 @@ class _Body:
 
     def _binary(self, word: str) -> Callable[[int, int], None]:
         def emit(i: int, a: int) -> None:
-            b = self._graph.b[i]
-            self._out.append(f" %v{i} = {word} {FLAGS} double {self._value(a)}, {self._value(b)}")
+            b, flags = self._graph.b[i], EXACT if i in self._exact else FLAGS
+            self._out.append(f" %v{i} = {word} {flags} double {self._value(a)}, {self._value(b)}")
 
         return emit
 

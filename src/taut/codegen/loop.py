@@ -17,18 +17,29 @@ __all__ = ["FloatLoop", "NativeLoop"]
 
 
 class FloatLoop:
-    """A step function and its substeps, run as plain Python: for debugging, and where llvmlite is missing."""
+    """A step function and its substeps, run as plain Python: for debugging, and where llvmlite is missing.
+
+    `example` has inputs, parameters and memory at which the step can be taken, to see what it records: zeros may be
+    values that a law cannot work with.
+    """
 
     operations = 0
 
     def __init__(
-        self, step: Function, substep: Function, repeats: int, inputs: Block, parameters: Block, memory: Block
+        self,
+        step: Function,
+        substep: Function,
+        repeats: int,
+        inputs: Block,
+        parameters: Block,
+        memory: Block,
+        example: tuple[Float64Array, Float64Array, Float64Array],
     ) -> None:
         self._step, self._substep, self._repeats = step, substep, repeats
         self._inputs, self._parameters, self._memory = inputs, parameters, memory
-        values = (block.views(block.zeros()) for block in (inputs, parameters, memory))
+        values = (block.views(flat) for block, flat in zip((inputs, parameters, memory), example, strict=True))
         with np.errstate(all="ignore"):
-            record, _ = step(*values)
+            record, _ = step(*(_copied(value) for value in values))
         self.outputs = Block.of({path: np.shape(value) for path, value in record.items()})
 
     def run(self, inputs: Float64Array, parameters: Float64Array, memory: Float64Array, outputs: Float64Array) -> int:

@@ -9,15 +9,18 @@ import importlib.util
 import itertools
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final
 
+from taut import __version__
 from taut.base.errors import TautError
 from taut.codegen import cache
-from taut.codegen.llvm import EMITTER_VERSION, LIBM
+from taut.codegen.llvm import LIBM
 
-__all__ = ["NativeModule", "available", "compiled"]
+__all__ = ["NativeModule", "available", "compiled", "warn_of_plain_python"]
 
 LEVEL: Final = 2  # of LLVM's code generator; 3 gives nothing, 1 is no faster to compile
 _LOCK: Final = threading.Lock()
@@ -26,6 +29,15 @@ _LOCK: Final = threading.Lock()
 def available() -> bool:
     """Whether native code can be made here: whether llvmlite is installed."""
     return importlib.util.find_spec("llvmlite") is not None
+
+
+def warn_of_plain_python() -> None:
+    """The one line about running without native code."""
+    warnings.warn(
+        "llvmlite is not installed, so laws run as plain Python, about 1000 times slower; pip install llvmlite",
+        RuntimeWarning,
+        stacklevel=4,  # the line that calls taut.compile or taut.native
+    )
 
 
 @dataclass(frozen=True)
@@ -74,6 +86,12 @@ def _libm_addresses() -> dict[str, int]:
 _LIBRARY_NUMBERS: Final = itertools.count()
 
 
+def _sources() -> bytes:
+    """A digest of this room's own code, so that what another version of it made is never taken for its own."""
+    files = sorted(Path(__file__).parent.glob("*.py"))
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).digest()
+
+
 @functools.cache
 def _platform_key() -> bytes:
     """What besides the program decides about the machine code."""
@@ -81,7 +99,8 @@ def _platform_key() -> bytes:
     import llvmlite.binding as llvm
 
     parts = (
-        EMITTER_VERSION,
+        __version__,
+        _sources(),
         LEVEL,
         llvmlite.__version__,
         llvm.llvm_version_info,

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
 from taut.base.array import traced_array
-from taut.base.errors import TautError, TraceError, user_location
+from taut.base.errors import TautError, TraceError, raised_location
 from taut.base.graph import NONE, Graph, Op
 from taut.base.scalar import Condition, Scalar, to_node, tracing
-from taut.base.types import Array
 from taut.codegen.layout import Block
 
-__all__ = ["Function", "Program", "Values", "trace"]
+__all__ = ["Function", "Program", "Values", "failure", "trace"]
 
 Values: TypeAlias = Mapping[str, Any]
 Function: TypeAlias = Callable[[Values, Values, Values], tuple[Values, Values]]
@@ -94,23 +94,45 @@ def trace(function: Function, inputs: Block, parameters: Block, memory: Block) -
     with tracing(graph):
         try:
             outputs, after = function(*blocks)
+            out_block = Block.of({path: np.shape(value) for path, value in outputs.items()})
         except TautError:
             raise
         except Exception as cause:
-            raise TraceError(
-                f"the law cannot be traced: {type(cause).__name__}: {cause} (at {_raised_at(cause)}). It runs on "
-                "plain numbers; use taut.math for arrays, branches and functions, and engine='float' to debug it"
-            ) from cause
-    out_block = Block.of({path: np.shape(value) for path, value in outputs.items()})
-    return Program(
-        graph=graph,
-        inputs=inputs,
-        parameters=parameters,
-        memory=memory,
-        outputs=out_block,
-        output_nodes=_nodes(graph, [outputs[field.path] for field in out_block.fields]),
-        memory_nodes=_nodes(graph, [after[field.path] for field in memory.fields]),
-    )
+            way_out = "; use taut.math for arrays, branches and functions; engine='float' runs it on plain numbers"
+            raise TraceError(f"this code cannot be traced: {failure(cause, way_out)}") from cause
+        program = Program(
+            graph=graph,
+            inputs=inputs,
+            parameters=parameters,
+            memory=memory,
+            outputs=out_block,
+            output_nodes=_nodes(graph, {path: outputs[path] for path in out_block.shapes}),
+            memory_nodes=_nodes(graph, {path: after[path] for path in memory.shapes}),
+        )
+    graph.check_closed(program.live)
+    return program
+
+
+def failure(cause: Exception, way_out: str = "") -> str:
+    """What went wrong in law code, where, and a way out: a better one than the given where it is known."""
+    text, place = f"{type(cause).__name__}: {cause}", raised_location(cause)
+    if isinstance(cause, ZeroDivisionError):
+        return f"it divides by a constant zero at {place}"
+    for words, what, known in _KNOWN_FAILURES:
+        if words in text:
+            return f"{what} at {place}; {known}"
+    return f"{text} at {place}{way_out}"
+
+
+_KNOWN_FAILURES: Final = (  # NumPy's words, and ours
+    ("used as indices", "a condition is used as an index", "write taut.math.where(condition, a, b)"),
+    ("read-only", "what a law is given is changed in place", "change a copy: q = x.q.copy()"),
+    (
+        "loop of ufunc does not support argument",
+        "a NumPy function is used on an array of numbers and traced values",
+        "make the array with taut.math.array",
+    ),
+)
 
 
 def _symbols(graph: Graph, block: Block) -> dict[str, Any]:
@@ -126,21 +148,11 @@ def _symbols(graph: Graph, block: Block) -> dict[str, Any]:
     return out
 
 
-def _nodes(graph: Graph, values: list[Any]) -> tuple[int, ...]:
+def _nodes(graph: Graph, values: Mapping[str, Any]) -> tuple[int, ...]:
     nodes: list[int] = []
-    for value in values:
-        flat: Array = np.asarray(value, dtype=object).ravel()
-        nodes += [to_node(graph, x.number() if isinstance(x, Condition) else x) for x in flat]
+    for path, value in values.items():
+        for k, x in enumerate(np.asarray(value, dtype=object).flat):
+            if isinstance(x, float) and math.isnan(x):
+                raise TraceError(f"{path}[{k}] is NaN whatever the law is given", name=path, rule="no NaN")
+            nodes.append(to_node(graph, x.number() if isinstance(x, Condition) else x))
     return tuple(nodes)
-
-
-def _raised_at(cause: BaseException) -> str:
-    """The innermost line of the caller's code in a traceback, else of ours."""
-    trace_ = cause.__traceback__
-    place = user_location()
-    while trace_ is not None:
-        file = trace_.tb_frame.f_code.co_filename
-        if "numpy" not in file and "/taut/base/" not in file.replace("\\", "/"):
-            place = f"{file}:{trace_.tb_lineno}"
-        trace_ = trace_.tb_next
-    return place

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from taut.arm.description import Arm
+from taut.arm.description import Arm, Payload
 from taut.base import math as tm
 from taut.base.checks import finite_scalar, require_at_least, vector
 from taut.base.errors import MatchError, ShapeError, unknown_name
@@ -243,7 +243,7 @@ def checked_payload_entry(path: str, value: ArrayLike) -> Float64Array:
         return mass
     if name == "com":
         return vector(path, value, 3, unit="m")
-    return vector(path, value, 6, unit="kg m^2")
+    return Payload(inertia=vector(path, value, 6, unit="kg m^2")).inertia
 
 
 def in_compiled_shape(path: str, value: Float64Array, shape: tuple[int, ...]) -> Float64Array:

@@ -234,6 +234,15 @@ def chunk(times: ArrayLike, targets: Sequence[Sample] | ArrayLike) -> Chunk:
         raise ShapeError(
             f"targets must have one sample per time; got {len(samples)} for {len(t)} times", name="targets"
         )
+    for k, sample in enumerate(samples):
+        for name in type(samples[0]).fields(1):
+            got, first = (np.shape(getattr(each, name, 0.0)) for each in (sample, samples[0]))
+            if got != first:
+                raise ShapeError(
+                    f"targets must be samples of one kind and size; targets[{k}].{name} has shape {got} and "
+                    f"targets[0].{name} {first}",
+                    name="targets",
+                )
     return Chunk(times=t, samples=samples)
 
 
@@ -274,25 +283,34 @@ def sample_rows(trajectory: Trajectory, times: Float64Array, kind: type[Sample],
         samples = [trajectory.at(float(t)) for t in times]
         for sample in samples:
             _check_kind(sample, kind)
+            for name, shape in kind.fields(n).items():
+                _check_shape(name, np.shape(getattr(sample, name)), shape)
         table = {name: np.stack([getattr(s, name) for s in samples]) for name in kind.fields(n)}
     for name, shape in kind.fields(n).items():
         if len(times) == 1 and table[name].ndim == 1:
             table[name] = table[name][np.newaxis]
-        if table[name].shape != (len(times), *shape):
+        _check_shape(name, table[name].shape[1:], shape)
+        if len(table[name]) != len(times):
             raise ShapeError(
-                f"ref.{name} must have shape {shape}; the reference gives {table[name].shape[1:]}",
+                f"rows(times) must give one row per time; it gives {len(table[name])} of ref.{name} for {len(times)} "
+                "times",
                 name=f"ref.{name}",
             )
         bad = ~np.isfinite(table[name])
         if bad.any():
             row, entry = np.argwhere(bad)[0]
             raise RangeError(
-                f"ref.{name}[{entry}] must be finite; the reference gives {table[name][row, entry]!r} "
+                f"ref.{name}[{entry}] must be finite; the reference gives {float(table[name][row, entry])!r} "
                 f"at t = {times[row]:g} s",
                 name=f"ref.{name}",
                 rule="finite",
             )
     return table
+
+
+def _check_shape(name: str, got: tuple[int, ...], shape: tuple[int, ...]) -> None:
+    if got != shape:
+        raise ShapeError(f"ref.{name} must have shape {shape}; the reference gives {got}", name=f"ref.{name}")
 
 
 def _check_kind(sample: object, kind: type[Sample]) -> None:

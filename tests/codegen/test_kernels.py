@@ -1,0 +1,218 @@
+"""Kernels: what the emitted code computes, and that the native loop and the plain one agree."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import taut
+from taut import math as tm
+from taut.base.types import Float64Array
+from taut.codegen.layout import Block
+from taut.codegen.llvm import declarations, kernel, number
+from taut.codegen.loop import FloatLoop, NativeLoop
+from taut.codegen.native import compiled
+from taut.codegen.program import Program, trace
+
+ULP = 2.0**-52
+SINE = 1.5 * ULP  # the reduction keeps 1e-16 of the angle for |x| < 1e6, the polynomials half a unit of the result
+FAR = 2.0  # ulps of the angle itself, beyond
+
+sine = taut.native(lambda x: tm.array([tm.sin(x), tm.cos(x)]), x=())
+
+
+def sines(x: Float64Array) -> tuple[Float64Array, Float64Array]:
+    both = np.array([sine(np.array(value)) for value in x])
+    return both[:, 0], both[:, 1]
+
+
+def true_sines(x: Float64Array) -> tuple[Float64Array, Float64Array]:
+    return np.array([math.sin(v) for v in x]), np.array([math.cos(v) for v in x])
+
+
+def largest_error(x: Float64Array) -> float:
+    return max(float(np.abs(got - true).max()) for got, true in zip(sines(x), true_sines(x), strict=True))
+
+
+def test_sine_and_cosine_on_many_turns() -> None:
+    assert largest_error(np.linspace(-50.0, 50.0, 20_001)) < SINE
+
+
+def test_sine_and_cosine_keep_their_relative_accuracy_at_their_zeros() -> None:
+    rng = np.random.default_rng(0)
+    quarters = np.arange(-2000, 2001) * (math.pi / 2)
+    for spread in (0.0, 1e-15, 1e-12, 1e-9, 1e-4):
+        x = quarters * (1.0 + spread * rng.standard_normal(len(quarters)))
+        for got, true in zip(sines(x), true_sines(x), strict=True):
+            assert np.abs(got - true).max() < SINE
+            assert np.all(np.abs(got - true) <= 2.0 * ULP * np.abs(true))
+
+
+def test_sine_and_cosine_up_to_a_million() -> None:
+    assert largest_error(np.random.default_rng(1).uniform(-1e6, 1e6, 20_000)) < SINE
+
+
+@pytest.mark.parametrize("size", [1e7, 1e9, 1e12, 1e15])
+def test_far_out_the_error_is_that_of_the_angle(size: float) -> None:
+    x = np.random.default_rng(2).uniform(-size, size, 2000)
+    assert largest_error(x) < FAR * ULP * size + SINE
+
+
+@pytest.mark.parametrize("x", [2.0**50, 1e22, -1e300, math.inf, -math.inf, math.nan])
+def test_where_a_double_has_lost_the_angle_there_is_no_sine(x: float) -> None:
+    assert np.isnan(sine(np.array(x))).all()
+
+
+def test_sine_of_small_numbers_is_the_number() -> None:
+    for x in (0.0, 1e-320, 1e-300, 1e-20, -1e-9):
+        assert sine(np.array(x)).tolist() == [x, 1.0]
+
+
+def test_a_number_is_written_exactly() -> None:
+    assert number(0.1) == "0x3FB999999999999A"
+    assert number(-0.0) == "0x8000000000000000"
+    assert number(math.inf) == "0x7FF0000000000000"
+    assert number(5e-324) == "0x0000000000000001"
+
+
+@pytest.mark.parametrize(
+    ("function", "x", "wanted"),
+    [
+        (lambda x: x * 2.0, 5e-324, 1e-323),
+        (lambda x: x / 2.0, 1e-320, 5e-321),
+        (lambda x: x * x, 1e200, math.inf),
+        (lambda x: x - x * 0.5, 1.7e308, 0.85e308),
+        (tm.sqrt, 1e-320, math.sqrt(1e-320)),
+        (tm.floor, -5e-324, -1.0),
+        (tm.floor, 1e300, 1e300),
+        (tm.abs, -1e-320, 1e-320),
+        (tm.exp, -800.0, 0.0),
+        (tm.log, 5e-324, math.log(5e-324)),
+        (tm.tanh, 1e300, 1.0),
+        (lambda x: tm.minimum(x, 1.0), 1e-320, 1e-320),
+        (lambda x: tm.atan2(x, -1.0), 1e-320, math.pi),
+        (lambda x: tm.where(x > 0.0, 1.0, 2.0), 5e-324, 1.0),
+    ],
+)
+def test_denormal_and_huge_numbers_are_numbers(function: Any, x: float, wanted: float) -> None:
+    assert taut.native(function, x=())(np.array(x)) == wanted
+
+
+def test_equal_squares_differ_by_nothing() -> None:
+    """Fused, x x - y y of equal numbers is the rounding of x x, and its root NaN half the time."""
+    root = taut.native(lambda x, y: tm.sqrt(x * x - y * y), x=(), y=())
+    for x in np.random.default_rng(0).uniform(0.1, 10.0, 200):
+        assert root(np.array(x), np.array(x)) == 0.0
+
+
+# -------------------------------------------------------------------- memory
+
+
+def swap(inputs: Any, parameters: Any, memory: Any) -> Any:
+    a, b = memory["a"], memory["b"]
+    return {"sum": parameters["k"] * (a + b) + inputs["u"]}, {"a": b, "b": a + inputs["u"]}
+
+
+BLOCKS = Block.of({"u": (2,)}), Block.of({"k": ()}), Block.of({"a": (2,), "b": (2,)})
+
+
+def test_new_memory_may_stand_where_the_old_one_stood() -> None:
+    program = trace(swap, *BLOCKS)
+    module = compiled(program.content, lambda: f"{declarations()}\n{kernel(program, 'kernel')}", ("kernel",))
+    run = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 5)(module["kernel"])
+    inputs, parameters, out = np.array([10.0, 20.0]), np.array([2.0]), np.zeros(2)
+    memory = np.array([1.0, 2.0, 3.0, 4.0])
+    run(*(x.ctypes.data for x in (inputs, parameters, memory, memory, out)))
+    assert out.tolist() == [18.0, 32.0]
+    assert memory.tolist() == [3.0, 4.0, 11.0, 22.0]
+
+
+def both_loops(
+    step: Any, substep: Any, repeats: int, *blocks: Block
+) -> tuple[NativeLoop | FloatLoop, NativeLoop | FloatLoop]:
+    inputs, parameters, memory = (block.zeros() for block in blocks)
+    plain = FloatLoop(step, substep, repeats, *blocks, example=(inputs, parameters, memory))
+    return NativeLoop(step, substep, repeats, *blocks), plain
+
+
+def double(inputs: Any, parameters: Any, memory: Any) -> Any:
+    return {}, {"a": memory["a"] * parameters["k"], "b": memory["b"]}
+
+
+@pytest.mark.parametrize("repeats", [0, 1, 3])
+def test_the_native_loop_is_the_plain_one(repeats: int) -> None:
+    rows = np.random.default_rng(0).standard_normal((50, 2))
+    results = []
+    for loop in both_loops(swap, double, repeats, *BLOCKS):
+        memory, outputs = np.array([1.0, -2.0, 0.5, 0.25]), np.zeros((50, loop.outputs.size))
+        assert loop.run(rows, np.array([0.9]), memory, outputs) == 50
+        results.append((memory, outputs))
+    for native, plain in zip(*results, strict=True):
+        np.testing.assert_allclose(native, plain, rtol=1e-13)  # 50 steps of a few roundings each
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=["native", "float"])
+def test_a_loop_stops_before_memory_that_is_not_finite(which: int) -> None:
+    def grow(inputs: Any, parameters: Any, memory: Any) -> Any:
+        return {"x": memory["x"]}, {"x": memory["x"] * 1e100}
+
+    loop = both_loops(grow, grow, 0, Block.of({"u": ()}), Block(), Block.of({"x": ()}))[which]
+    memory, outputs = np.array([1.0]), np.zeros((10, 1))
+    assert loop.run(np.zeros((10, 1)), np.zeros(0), memory, outputs) == 3
+    assert memory.tolist() == [1e300]
+    assert outputs[:4, 0].tolist() == [1.0, 1e100, 1e200, 1e300]
+
+
+def test_a_loop_over_no_rows_does_nothing() -> None:
+    loop = NativeLoop(swap, double, 0, *BLOCKS)
+    memory = np.array([1.0, 2.0, 3.0, 4.0])
+    assert loop.run(np.zeros((0, 2)), np.array([1.0]), memory, np.zeros((0, 2))) == 0
+    assert memory.tolist() == [1.0, 2.0, 3.0, 4.0]
+
+
+# -------------------------------------------------------------------- contents
+
+
+def program_of(function: Any) -> Program:
+    return trace(lambda i, p, m: ({"y": function(i["x"])}, {}), Block.of({"x": (2,)}), Block(), Block())
+
+
+def test_equal_programs_have_equal_content_however_they_were_traced() -> None:
+    one = program_of(lambda x: tm.sin(x[0]) * x[1] + 1.0)
+    other = program_of(lambda x: 0.0 * tm.cos(x[1]) + (1.0 + x[1] * tm.sin(x[0])))
+    assert one.content == other.content
+    assert one.operations == 3
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda x: tm.sin(x[0]) * x[1] + 1.0 + ULP,
+        lambda x: tm.sin(x[1]) * x[0] + 1.0,
+        lambda x: tm.cos(x[0]) * x[1] + 1.0,
+        lambda x: [tm.sin(x[0]) * x[1] + 1.0, 0.0],
+        lambda x: tm.sin(x[0]) * x[1] - 1.0,
+    ],
+    ids=["a constant", "inputs", "an operation", "outputs", "a sign"],
+)
+def test_other_programs_have_other_content(function: Any) -> None:
+    assert program_of(function).content != program_of(lambda x: tm.sin(x[0]) * x[1] + 1.0).content
+
+
+def test_blocks_lay_fields_one_behind_the_other() -> None:
+    block = Block.of({"a": (2,), "b": (), "c": (2, 2)})
+    assert block.size == 7
+    assert [field.offset for field in block.fields] == [0, 2, 3]
+    flat = block.pack({"a": [1, 2], "b": 3, "c": [[4, 5], [6, 7]]})
+    assert flat.tolist() == [1, 2, 3, 4, 5, 6, 7]
+    views = block.views(flat)
+    assert views["c"].tolist() == [[4, 5], [6, 7]]
+    views["b"][...] = 9.0
+    assert flat[2] == 9.0
+    rows = block.views(np.arange(14.0).reshape(2, 7))
+    assert rows["c"].shape == (2, 2, 2)
+    assert rows["b"].tolist() == [2.0, 9.0]
