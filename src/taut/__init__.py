@@ -63,7 +63,9 @@ if TYPE_CHECKING:
     from taut.plant.stages import Actuation as Actuation
     from taut.plant.stages import Environment as Environment
     from taut.plant.stages import Sensors as Sensors
+    from taut.record.metrics import Metrics as Metrics
     from taut.record.outcome import Outcome as Outcome
+    from taut.record.read_log import load_run as load_run
     from taut.record.run import Run as Run
     from taut.runtime.drivers.mujoco import MujocoPlant as MujocoPlant
     from taut.runtime.events import Event as Event
@@ -101,7 +103,9 @@ _HOME: Final = {
     "maths.snapshot": ("Snapshot", "snapshot"),
     "plant.rigid": ("RigidPlant",),
     "plant.stages": ("Actuation", "Environment", "Sensors"),
+    "record.metrics": ("Metrics",),
     "record.outcome": ("Outcome",),
+    "record.read_log": ("load_run",),
     "record.run": ("Run",),
     "runtime.drivers.mujoco": ("MujocoPlant",),
     "runtime.events": ("Event",),

@@ -5,17 +5,18 @@ This is what is fused into native code, swept, linearised and tuned. Every param
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Final, Protocol
+from collections.abc import Iterator, Mapping, MutableMapping
+from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 
-from taut.arm.description import Arm
-from taut.base.checks import finite_array, positive_scalar, require_at_least
+from taut.arm.description import Arm, Payload
+from taut.base.checks import finite_array, positive_scalar, read_only, require_at_least, require_positive
 from taut.base.errors import MatchError, ShapeError, UsageError, unknown_name
 from taut.base.paths import subtree
-from taut.base.types import Array, ArrayLike, Float64Array, Vector
-from taut.control.lawside import LawSide, checked_payload_entry, in_compiled_shape
+from taut.base.types import ArrayLike, Float64Array, Vector
+from taut.control.describe import title
+from taut.control.lawside import LawSide, checked_payload_entry
 from taut.control.reference import Hold, Reference, as_reference
 from taut.maths.adds import Adds
 
@@ -41,6 +42,7 @@ class AnyPlant(Protocol):
     def adds(self) -> Any: ...
 
 
+@runtime_checkable
 class ModelPlant(AnyPlant, Protocol):
     """A plant that is a pure function, so that it can be fused with a controller."""
 
@@ -49,12 +51,13 @@ class ModelPlant(AnyPlant, Protocol):
     @property
     def noise(self) -> dict[str, tuple[int, ...]]: ...
     def parameters(self) -> dict[str, Float64Array]: ...
-    def start(self, q: Vector, v: Vector, dt: float) -> dict[str, Any]: ...
+    def start(self, q: Vector, v: Vector, parameters: Values, dt: float) -> dict[str, Any]: ...
     def measure(self, memory: Values, noise: Values, parameters: Values) -> dict[str, Any]: ...
     def command(self, command: Vector, memory: Values, parameters: Values, t: Any, dt: Any) -> dict[str, Any]: ...
     def advance(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]: ...
 
 
+@runtime_checkable
 class HasLawSide(Protocol):
     """A controller, as far as a loop needs it."""
 
@@ -73,12 +76,20 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
         MatchError: Another kind of command; a quantity that is not measured, or compensated twice or not at all.
         ShapeError: Another number of joints.
     """
-    law, probe = type(side.law).__name__, side.probe
+    law, probe = title(side.law), side.probe
     if side.arm.n != plant.arm.n:
         raise ShapeError(
             f"plant '{plant.name}' has {plant.arm.n} joints and the controller's arm '{side.arm.name}' has "
-            f"{side.arm.n}"
+            f"{side.arm.n}; both must be the same arm, or the same subset of its joints"
         )
+    for i, (ours, theirs) in enumerate(zip(side.arm.units, plant.arm.units, strict=True)):
+        if ours != theirs:
+            raise MatchError(
+                f"joint {i} of plant '{plant.name}' ('{plant.arm.joint_names[i]}') moves in {theirs} and that of the "
+                f"controller's arm '{side.arm.name}' ('{side.arm.joint_names[i]}') in {ours}; the two must be the "
+                "same kind of arm",
+                name=plant.arm.joint_names[i],
+            )
     names = side.arm.joint_names, plant.arm.joint_names
     if names[0] != names[1] and sorted(names[0]) == sorted(names[1]):
         raise MatchError(
@@ -99,6 +110,7 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
                 name=name,
             )
     _check_adds(law, side.adds, probe.used, plant)
+    _check_start(side, plant)
 
 
 def _check_adds(law: str, left_out: Adds, used: frozenset[str], plant: AnyPlant) -> None:
@@ -117,12 +129,31 @@ def _check_adds(law: str, left_out: Adds, used: frozenset[str], plant: AnyPlant)
             "compile with adds=plant.adds",
             name=what,
         )
-    if left_out.gravity and added.gravity and "gravity" in used and left_out.load is not added.load:
+    if left_out.gravity and added.gravity and "gravity" in used and not _same(left_out.load, added.load):
         raise MatchError(
             f"plant '{plant.name}' compensates the gravity of another payload than the controller was told; "
             "compile with adds=plant.adds",
             name="gravity",
         )
+
+
+def _same(a: Payload | None, b: Payload | None) -> bool:
+    if a is None or b is None:
+        return a is b
+    return a.mass == b.mass and np.array_equal(a.com, b.com) and np.array_equal(a.inertia, b.inertia)
+
+
+def _check_start(side: LawSide, plant: AnyPlant) -> None:
+    """A torque-rate limit starts from the torque that holds the arm, which is none where the plant adds gravity."""
+    ours, theirs = side.adds.gravity, Adds.of(plant.adds).gravity
+    if "limits.tau_applied" not in side.probe.shapes or ours == theirs:
+        return
+    how = "adds gravity itself" if theirs else "does not add gravity"
+    raise MatchError(
+        f"plant '{plant.name}' {how}, and the torque that the controller starts from says otherwise; compile with "
+        "adds=plant.adds",
+        name="gravity",
+    )
 
 
 class Loop:
@@ -135,6 +166,7 @@ class Loop:
         duration: Length of the run [s].
 
     Raises:
+        UsageError: Not a controller, or not a model plant.
         MatchError: Controller and plant do not fit.
         RangeError: A duration that is not positive.
 
@@ -149,6 +181,14 @@ class Loop:
     """
 
     def __init__(self, ctrl: HasLawSide, plant: ModelPlant, ref: object = None, *, duration: float) -> None:
+        if not isinstance(ctrl, HasLawSide):  # callers without a type checker
+            raise UsageError(f"a Loop takes a controller from taut.compile; got {type(ctrl).__name__}", name="ctrl")
+        if not isinstance(plant, ModelPlant):
+            raise UsageError(
+                f"a Loop takes a model plant such as taut.RigidPlant(arm); got {type(plant).__name__}; taut.run "
+                "takes other plants too",
+                name="plant",
+            )
         self.side = ctrl.side
         self.engine = ctrl.engine
         self.plant = plant
@@ -156,7 +196,7 @@ class Loop:
         self.ref: Reference = Hold() if ref is None else as_reference(ref)
         self.duration = positive_scalar("duration", duration, unit="s")
         own = {f"{_prefix(path)}{path}": value for path, value in plant.parameters().items()}
-        self.parameters = LoopParameters(self.side, {**ctrl.parameters, **own})
+        self.parameters = LoopParameters(self.side, plant.arm, {**ctrl.parameters, **own})
 
     @property
     def dt(self) -> float:
@@ -185,17 +225,23 @@ class Loop:
 
     def start(self, q: Vector, v: Vector, inputs: Values, parameters: Values) -> dict[str, Any]:
         """Memory by path in the first tick: of the plant at its true state, and of the law side."""
-        memory = self.plant.start(q, v, self.dt)
-        own = _of_plant(parameters)
-        measured = {**self.plant.measure(memory, subtree(inputs, "noise"), own), "t": inputs["t"]}
-        law = self.side.start(measured, self._sample(inputs), parameters)
+        memory = self.plant_at_start(q, v, parameters)
+        law = self.side.start(self.measured(memory, inputs, parameters), self._sample(inputs), parameters)
         return {f"plant.{path}": value for path, value in memory.items()} | law
+
+    def plant_at_start(self, q: Vector, v: Vector, parameters: Values) -> dict[str, Any]:
+        """The plant's memory by path in the first tick, from its true state."""
+        return self.plant.start(q, v, _of_plant(parameters), self.dt)
+
+    def measured(self, plant: Values, inputs: Values, parameters: Values) -> dict[str, Any]:
+        """What the sensors give in a tick, from the plant's memory, and the time."""
+        return {**self.plant.measure(plant, subtree(inputs, "noise"), _of_plant(parameters)), "t": inputs["t"]}
 
     def step(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:
         """One control period: (what is recorded, memory after it)."""
         dt, own = parameters[DT], _of_plant(parameters)
         plant = subtree(memory, "plant")
-        measured = {**self.plant.measure(plant, subtree(inputs, "noise"), own), "t": inputs["t"]}
+        measured = self.measured(plant, inputs, parameters)
         law = {path: value for path, value in memory.items() if not path.startswith("plant.")}
         tick = self.side.tick(measured, self._sample(inputs), law, parameters, dt)
         plant = self.plant.command(tick.command, plant, own, inputs["t"], dt)
@@ -228,17 +274,21 @@ def _of_plant(parameters: Values) -> dict[str, Any]:
     return {**subtree(parameters, "plant"), **stages}
 
 
-class LoopParameters(dict[str, Float64Array]):
+class LoopParameters(MutableMapping[str, Float64Array]):
     """Parameters of a loop by path; a new value is checked like the first one."""
 
-    def __init__(self, side: LawSide, values: Mapping[str, Float64Array]) -> None:
-        super().__init__(values)
-        self._side = side
+    def __init__(self, side: LawSide, arm: Arm, values: Mapping[str, Float64Array]) -> None:
+        self._side, self._arm = side, arm
+        self._values = {path: read_only(value) for path, value in values.items()}
+
+    def __getitem__(self, path: str) -> Float64Array:
+        self._require(path)
+        return self._values[path]
 
     def __setitem__(self, path: str, value: ArrayLike) -> None:
-        super().__setitem__(path, self.checked(path, value))
+        self._values[path] = self.checked(path, value)
 
-    def checked(self, path: str, value: ArrayLike) -> Array:
+    def checked(self, path: str, value: ArrayLike) -> Float64Array:
         """A new value of a parameter, in the shape it has.
 
         Raises:
@@ -246,24 +296,37 @@ class LoopParameters(dict[str, Float64Array]):
             ShapeError: Another shape.
             RangeError: NaN, infinite or negative.
         """
-        if path not in self:
-            raise unknown_name("the loop", "parameter", path, self)
+        self._require(path)
         if path in self._side.parameters:
-            return self._side.checked_parameter(path, value)
-        shape = self[path].shape
+            return read_only(self._side.checked_parameter(path, value))
+        shape = self._values[path].shape
         if path.startswith("plant.payload."):
-            return in_compiled_shape(path, checked_payload_entry(path, value), shape)
-        new = in_compiled_shape(path, finite_array(path, value), shape)
-        if not path.startswith("environment."):
-            require_at_least(path, new, 0.0)
-        return new
+            return checked_payload_entry(path, value)
+        joints = self._arm.joint_names if shape == (self._arm.n,) else None
+        new = finite_array(path, value)
+        if new.shape not in ((), shape):
+            raise ShapeError(
+                f"{path} has shape {shape}; got shape {new.shape}; make the plant with a value of the new shape",
+                name=path,
+            )
+        if path == "actuation.bandwidth":
+            require_positive(path, new, unit="rad/s")
+        elif not path.startswith("environment."):
+            require_at_least(path, new, 0.0, joints=joints)
+        return read_only(np.broadcast_to(new, shape))
 
-    def update(self, *args: Any, **kwargs: Any) -> None:
-        for path, value in dict(*args, **kwargs).items():
-            self[path] = value
+    def _require(self, path: str) -> None:
+        if path not in self._values:
+            raise unknown_name("the loop", "parameter", path, self._values)
 
     def __delitem__(self, path: str) -> None:
         raise UsageError(f"parameter '{path}' cannot be removed; set it", name=path)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
 
 
 def state_at_start(arm: Arm, q0: ArrayLike | None, v0: ArrayLike | None) -> tuple[Float64Array, Float64Array]:

@@ -42,6 +42,8 @@ class Adds:
             return given
         if isinstance(given, str):
             raise UsageError(f"adds must be a tuple of names; got {given!r}; write ({given!r},)", name="adds")
+        if not isinstance(given, Iterable):  # callers without a type checker
+            raise UsageError(f"adds must be a tuple of names such as ('gravity',); got {given!r}", name="adds")
         names = list(given)
         for name in names:
             if name not in COMPONENTS:

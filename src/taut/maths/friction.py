@@ -12,11 +12,11 @@ from taut.base.types import Vector
 
 __all__ = ["SWEEPS", "dry_friction"]
 
-SWEEPS: Final = 10  # of projected Gauss-Seidel; started from the last tick's forces they converge along the way
+SWEEPS: Final = 10  # of projected Gauss-Seidel; started from the last step's forces they converge along the way
 
 
 def dry_friction(
-    factors: LTDL, v_free: Vector, limit: Vector, guess: Vector, dt: Any, sweeps: int = SWEEPS
+    factors: LTDL, v_free: Vector, limit: Vector, guess: Vector, stop: Vector, dt: Any, sweeps: int = SWEEPS
 ) -> tuple[Vector, Vector]:
     """(n,) velocities after dry friction, and (n,) the friction torques that give them.
 
@@ -25,19 +25,23 @@ def dry_friction(
 
         v = v_free + dt M^-1 f,   f_i = -mu_i sgn(v_i) where v_i != 0,   |f_i| <= mu_i where v_i = 0,
 
-    solved by a fixed number of projected Gauss-Seidel sweeps, so that it is straight-line code.
+    solved by a fixed number of projected Gauss-Seidel sweeps, so that it is straight-line code. Where friction can
+    stop every joint at once it does, exactly and from the first step on; else the sweeps start from the last step's
+    torques.
 
     Args:
         factors: Factors of the mass matrix (with implicit damping, if any).
         v_free: (n,) velocities that the step would give without dry friction.
         limit: (n,) dry friction [N m | N].
         guess: (n,) friction torques of the last step.
+        stop: (n,) friction torques that would stop every joint within this step.
         dt: Length of the step [s].
         sweeps: Number of sweeps.
     """
     n = len(limit)
     response = dt * factors.solve(np.eye(n))
-    f = [tm.clip(guess[i], -limit[i], limit[i]) for i in range(n)]
+    start = tm.where(np.all(tm.abs(stop) <= limit), stop, guess)
+    f = [tm.clip(start[i], -limit[i], limit[i]) for i in range(n)]
     v = v_free + response @ tm.array(f)
     for _ in range(sweeps):
         for i in range(n):

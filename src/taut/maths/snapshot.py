@@ -10,7 +10,7 @@ import numpy as np
 from taut.arm.description import Arm, Payload
 from taut.base import math as tm
 from taut.base.checks import one_of, vector
-from taut.base.errors import MatchError
+from taut.base.errors import MatchError, UsageError
 from taut.base.linalg import LTDL
 from taut.base.pose import Pose
 from taut.base.types import Array, ArrayLike, Matrix, Twist, Vector, Wrench
@@ -242,6 +242,7 @@ def snapshot(arm: Arm, q: ArrayLike, v: ArrayLike | None = None, payload: Payloa
     Raises:
         ShapeError: Wrong number of entries.
         RangeError: NaN or infinite entries.
+        UsageError: Not an arm, or not a payload.
 
     Example:
         >>> import taut
@@ -249,7 +250,11 @@ def snapshot(arm: Arm, q: ArrayLike, v: ArrayLike | None = None, payload: Payloa
         >>> x.g.round(3).tolist()
         [0.981]
     """
+    if not isinstance(arm, Arm):  # callers without a type checker
+        raise UsageError(f"a snapshot is of an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
     held = arm.payload if payload is None else payload
+    if not isinstance(held, Payload):
+        raise UsageError(f"payload must be taut.Payload(mass=...); got {type(held).__name__}", name="payload")
     return Snapshot(
         model_of(arm),
         q=vector("q", q, arm.n, joints=arm.joint_names),

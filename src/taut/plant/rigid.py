@@ -29,6 +29,7 @@ Integrator = Literal["semi-implicit-euler", "rk4"]
 INTEGRATORS: Final[tuple[Integrator, ...]] = ("semi-implicit-euler", "rk4")
 Values = Mapping[str, Any]
 MOST_SUBSTEPS: Final = 1000
+STAGES: Final = {"actuation": Actuation, "sensors": Sensors}
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +41,11 @@ class RigidPlant:
         semi-implicit Euler: v+ = v + dt a with b v taken at v+, q+ = q + dt v+; dry friction really sticks.
         rk4: fourth order in smooth motion; dry friction is refused.
 
+    Frames:
+        F_ext is the wrench of the environment on the arm, force first, in world axes at the tool's origin. Like the
+        joint torques, what the sensor gives in a tick is that of the last step of the integrator; a run records
+        what acted in the step that follows the tick.
+
     Args:
         arm: The true arm; make it differ from the controller's and there is a modelling error.
         friction: "arm" for the arm's own viscous and dry friction, None for none.
@@ -50,10 +56,12 @@ class RigidPlant:
         actuation: Bandwidth and delay of the drives.
         sensors: Resolution and noise; ideal if left out.
         environment: What touches the tool, if anything; then the wrench is measured too.
-        adds: What the plant adds to a torque command itself: "gravity", "coriolis", "friction".
+        adds: What the plant adds to a torque command itself: "gravity", "coriolis", and "friction", which cancels the
+            arm's own, so that none is left.
 
     Raises:
-        UsageError: Options that do not go together.
+        UsageError: Options that do not go together, or are of another kind.
+        ShapeError: Sensors for another number of joints.
     """
 
     arm: Arm
@@ -77,6 +85,17 @@ class RigidPlant:
             raise UsageError(f"substeps must be a whole number; got {self.substeps!r}", name="substeps")
         if not 1 <= self.substeps <= MOST_SUBSTEPS:
             raise RangeError(f"substeps must be between 1 and {MOST_SUBSTEPS}; got {self.substeps}", name="substeps")
+        for name, kind in STAGES.items():
+            if not isinstance(getattr(self, name), kind):
+                got = type(getattr(self, name)).__name__
+                raise UsageError(f"{name} must be taut.{kind.__name__}(...); got {got}", name=name)
+        self.sensors.check_size(self.arm)
+        if self.environment is not None and not isinstance(self.environment, Environment):
+            raise UsageError(
+                "environment must have parameters(), start(T_WE) and wrench(...), see taut.Environment; got "
+                f"{type(self.environment).__name__}",
+                name="environment",
+            )
         adds = Adds.of(self.adds)
         object.__setattr__(self, "adds", adds)
         if self.integrator == "rk4" and self._dry:
@@ -102,12 +121,17 @@ class RigidPlant:
                 )
 
     @property
+    def _left(self) -> bool:
+        """Whether any friction is left."""
+        return self.friction == "arm" and not Adds.of(self.adds).friction
+
+    @property
     def _dry(self) -> bool:
-        return self.friction == "arm" and bool(self.arm.coulomb.any())
+        return self._left and bool(self.arm.coulomb.any())
 
     @property
     def _viscous(self) -> bool:
-        return self.friction == "arm" and bool(self.arm.viscous.any())
+        return self._left and bool(self.arm.viscous.any())
 
     # ---------------------------------------------------------------- what it declares
 
@@ -149,21 +173,27 @@ class RigidPlant:
 
     # ---------------------------------------------------------------- the pure functions
 
-    def start(self, q: Vector, v: Vector, dt: float) -> dict[str, Any]:
-        """Memory by path at the start of a run, from the true state."""
+    def start(self, q: Vector, v: Vector, parameters: Values, dt: float) -> dict[str, Any]:
+        """Memory by path at the start of a run, from the true state.
+
+        The drives hold the arm against gravity until the first command arrives, as its brakes did before; that is
+        also what a limit of the torque rate starts from.
+        """
         n = self.arm.n
-        memory: dict[str, Any] = {"q": q, "v": v, "tau": tm.zeros(n), "held": tm.zeros(n)}
+        rest = np.zeros(n)
+        weight = dyn.gravity_torque(self.model, q, self._payload(parameters))
+        weight = weight - self._compensation(q, rest, parameters)
+        memory: dict[str, Any] = {"q": q, "v": v, "tau": weight, "held": weight}
         if self._dry:
             memory["friction"] = tm.zeros(n)
         taps = self.actuation.taps(dt)
         if taps:
-            rest = {"torque": np.zeros(n), "velocity": np.zeros(n), "position": q}[self.takes]
-            memory["delay"] = tm.stack([rest] * taps)
+            memory["delay"] = tm.stack([{"torque": weight, "velocity": rest, "position": q}[self.takes]] * taps)
         if self.environment is not None:
-            memory["t"] = 0.0
-            memory["F_ext"] = tm.zeros(6)
             touched = self.environment.start(dyn.pose(self.model, q))
             memory |= {f"environment.{name}": value for name, value in touched.items()}
+            memory["t"] = 0.0
+            memory["F_ext"], _ = self._touch(q, v, memory, parameters, 0.0, dt / self.substeps)
         return memory
 
     def measure(self, memory: Values, noise: Values, parameters: Values) -> dict[str, Any]:
@@ -212,6 +242,8 @@ class RigidPlant:
         tau = dyn.inverse_dynamics(self.model, q, v, a, self._payload(parameters))
         if self._viscous:
             tau = tau + parameters["friction.viscous"] * v
+        if self._dry:
+            tau = tau + parameters["friction.coulomb"] * tm.sign(v)
         return {**memory, "q": q_new, "v": v_new, "tau": tau}
 
     def _torque_step(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
@@ -219,14 +251,14 @@ class RigidPlant:
         payload = self._payload(parameters)
         out = dict(memory)
         out["tau"] = memory["held"]
-        tau = memory["held"] + self._compensation(q, v, parameters)
         if self.environment is not None:
             wrench, touched = self._touch(q, v, memory, parameters, t, dt)
             out["F_ext"], out["t"] = wrench, t + dt
             out |= {f"environment.{name}": value for name, value in touched.items()}
         if self.integrator == "rk4":
-            out["q"], out["v"] = self._rk4(q, v, tau, memory, parameters, t, dt)
+            out["q"], out["v"] = self._rk4(q, v, memory, parameters, t, dt)
             return out
+        tau = memory["held"] + self._compensation(q, v, parameters)
         if self.environment is not None:
             tau = tau + dyn.jacobian(self.model, q).T @ out["F_ext"]
         M = dyn.mass_matrix(self.model, q, payload)
@@ -239,14 +271,15 @@ class RigidPlant:
         factors = tm.factor_spd(M)
         v_new = v + dt * factors.solve(rhs)
         if self._dry:
+            stop = -(rhs + M @ v / dt)
             v_new, out["friction"] = dry_friction(
-                factors, v_new, parameters["friction.coulomb"], memory["friction"], dt
+                factors, v_new, parameters["friction.coulomb"], memory["friction"], stop, dt
             )
         out["v"], out["q"] = v_new, q + dt * v_new
         return out
 
     def _compensation(self, q: Vector, v: Vector, parameters: Values) -> Array:
-        """(n,) what the plant adds to a torque command itself."""
+        """(n,) what the plant adds to a torque command itself, friction apart."""
         adds = Adds.of(self.adds)
         total: Array = np.zeros(self.arm.n)
         if adds.gravity:
@@ -256,8 +289,6 @@ class RigidPlant:
             total = total + dyn.gravity_torque(self.model, q, load)
         if adds.coriolis:
             total = total + dyn.bias(self.model, q, v, self._payload(parameters), gravity=False)
-        if adds.friction and self._viscous:
-            total = total + parameters["friction.viscous"] * v
         return total
 
     def _payload(self, parameters: Values) -> PayloadValues:
@@ -277,12 +308,12 @@ class RigidPlant:
         )
 
     def _rk4(
-        self, q: Vector, v: Vector, tau: Vector, memory: Values, parameters: Values, t: Any, dt: Any
+        self, q: Vector, v: Vector, memory: Values, parameters: Values, t: Any, dt: Any
     ) -> tuple[Vector, Vector]:
         payload = self._payload(parameters)
 
         def rates(q: Vector, v: Vector, t: Any) -> tuple[Vector, Vector]:
-            force = tau
+            force = memory["held"] + self._compensation(q, v, parameters)
             if self._viscous:
                 force = force - parameters["friction.viscous"] * v
             if self.environment is not None:

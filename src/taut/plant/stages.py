@@ -11,6 +11,7 @@ from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 
+from taut.arm.description import Arm
 from taut.base import math as tm
 from taut.base.checks import finite_array, finite_scalar, require_at_least
 from taut.base.errors import RangeError
@@ -20,6 +21,7 @@ from taut.base.types import ArrayLike, Float64Array, Twist, Vector, Wrench
 __all__ = ["Actuation", "Environment", "Sensors"]
 
 Values = Mapping[str, Any]
+SENSOR_FIELDS: Final = ("resolution", "noise_q", "noise_v")
 
 
 @runtime_checkable
@@ -59,10 +61,21 @@ class Sensors:
     noise_v: ArrayLike = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("resolution", "noise_q", "noise_v"):
+        for name in SENSOR_FIELDS:
             values = finite_array(f"sensors.{name}", getattr(self, name))
             require_at_least(f"sensors.{name}", values, 0.0)
             object.__setattr__(self, name, values)
+
+    def check_size(self, arm: Arm) -> None:
+        """Each number must be a scalar or have one entry per joint.
+
+        Raises:
+            ShapeError: One has another size.
+        """
+        for name in SENSOR_FIELDS:
+            values = getattr(self, name)
+            if np.ndim(values):
+                finite_array(f"sensors.{name}", values, shape=(arm.n,), joints=arm.joint_names)
 
     @property
     def noisy(self) -> tuple[str, ...]:
@@ -84,7 +97,8 @@ class Sensors:
             v = v + parameters["noise_v"] * noise["v"]
         if "resolution" in parameters:
             step = parameters["resolution"]
-            q = step * tm.floor(q / step + 0.5)
+            some = tm.where(step > 0.0, step, 1.0)
+            q = tm.where(step > 0.0, some * tm.floor(q / some + 0.5), q)
         return q, v
 
 

@@ -16,7 +16,7 @@ __all__ = ["Event", "sorted_events"]
 
 @dataclass(frozen=True, kw_only=True)
 class Event:
-    """Parameters that take new values at time t, from the tick at or just after it.
+    """Parameters that take new values at time t, from the tick at or just after it, which must be one of the run.
 
     Args:
         t: [s].
@@ -45,11 +45,31 @@ def _plain(value: ArrayLike) -> Any:
     return value.tolist() if hasattr(value, "tolist") else value
 
 
-def sorted_events(events: Iterable[Event] | None, rate: float) -> list[tuple[int, Event]]:
-    """Events with the tick at which they act, in order."""
+def sorted_events(events: Iterable[Event] | None, rate: float, ticks: int) -> list[tuple[int, Event]]:
+    """Events with the tick at which they act, in order; those at the same tick in the order they were given.
+
+    Args:
+        events: The events.
+        rate: Ticks per second [Hz].
+        ticks: Number of ticks of the run.
+
+    Raises:
+        UsageError: Something that is no event.
+        RangeError: An event after the last tick.
+    """
+    if events is not None and not isinstance(events, Iterable):
+        raise UsageError(f"events must be a list of taut.Event(t=, set=); got {events!r}", name="events")
     out = []
     for event in events or ():
         if not isinstance(event, Event):
-            raise UsageError(f"events must be taut.Event(t=, set=); got {event!r}", name="events")
-        out.append((math.ceil(event.t * rate - 1e-9), event))
+            raise UsageError(f"events must be a list of taut.Event(t=, set=); got {event!r} in it", name="events")
+        tick = math.ceil(event.t * rate - 1e-9)
+        if tick >= ticks:
+            raise RangeError(
+                f"an event at t = {event.t:g} s would never act: the run ends at {(ticks - 1) / rate:g} s; leave it "
+                "out, or make the run longer",
+                name="events",
+                value=event.t,
+            )
+        out.append((tick, event))
     return sorted(out, key=lambda pair: pair[0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -9,9 +10,14 @@ import numpy as np
 
 from taut.base.errors import UsageError
 from taut.base.types import Float64Array
+from taut.control.lawside import LawSide
 from taut.control.reference import Chunk, Hold, Reference, Sample, Stream, sample_rows
+from taut.maths.model import PayloadValues
+from taut.maths.snapshot import MEASUREMENTS, Snapshot
 
-__all__ = ["ReferenceFeed"]
+__all__ = ["ReferenceFeed", "plain_snapshot"]
+
+NEAR = 1e-9  # of a tick: what a period that is meant to be whole may miss one by
 
 
 class ReferenceFeed:
@@ -40,18 +46,22 @@ class ReferenceFeed:
             raise UsageError(
                 f"the law follows {kind.__name__}; the reference is a {type(self._ref).__name__}", name="ref"
             )
-        if isinstance(ref, Stream):
-            if ref.source is None:
-                raise UsageError(
-                    "a stream in a simulation needs source=, a function that gives the next sample", name="ref"
-                )
-            self._every = max(1, round(ref.period / dt))
+        if isinstance(ref, Stream) and ref.source is None:
+            raise UsageError(
+                "a stream in a simulation needs source=, a function that gives the next sample", name="ref"
+            )
 
     def next_question(self, tick: int) -> int | None:
-        """The first tick after `tick` at which the source of a stream is asked; None if never."""
+        """The first tick after `tick` at which the source of a stream is asked; None if never.
+
+        Question j is asked in the first tick at or after j periods, so that a period that is no whole number of
+        ticks is kept on average.
+        """
         if not isinstance(self._ref, Stream):
             return None
-        return (tick // self._every + 1) * self._every
+        period = self._ref.period / self._dt  # [ticks]
+        j = math.floor(tick / period + NEAR) + 1
+        return max(tick + 1, math.ceil(j * period - NEAR))
 
     def fill(self, views: Mapping[str, Float64Array], first: int, state: Callable[[], Any]) -> None:
         """Write the reference of the ticks from `first` on into views (k, ...) by field.
@@ -65,18 +75,49 @@ class ReferenceFeed:
         times: Float64Array = (first + np.arange(count, dtype=np.float64)) * self._dt
         source = self._ref
         if isinstance(source, Stream):
-            if first % self._every == 0 and first != self._asked:
-                assert source.source is not None
-                self._asked = first
-                self._current, self._since = source.source(state()), first * self._dt
+            if first != self._asked and (first == 0 or self.next_question(first - 1) == first):
+                self._asked, self._since = first, first * self._dt
+                self._current = self._answer(source, state())
             source = self._current
             times = times - self._since
-        if isinstance(source, Chunk) or not isinstance(source, Sample):
-            table = sample_rows(source, times, self._kind, self._n)
-        else:
+        if isinstance(source, Sample):
             table = sample_rows(_Constant(source), times[:1], self._kind, self._n)
+        else:
+            table = sample_rows(source, times, self._kind, self._n)
         for name, view in views.items():
             view[...] = table[name]
+
+    def _answer(self, stream: Stream, x: Any) -> Sample | Chunk:
+        assert stream.source is not None
+        answer: object = stream.source(x)
+        if not isinstance(answer, (Sample, Chunk)):
+            raise UsageError(
+                f"the source of a stream must give a sample or a chunk; got {type(answer).__name__} at "
+                f"t = {self._since:g} s",
+                name="source",
+            )
+        return answer
+
+
+def plain_snapshot(side: LawSide, measured: Mapping[str, Any], payload: Mapping[str, Any], t: float) -> Snapshot:
+    """What a controller sees at one instant, as plain numbers: what the source of a stream is given.
+
+    Args:
+        side: The law side of the loop.
+        measured: What the sensors give; copied.
+        payload: The payload of the controller's model: mass, com, inertia.
+        t: [s].
+    """
+    kept = {name: np.array(value, dtype=np.float64) for name, value in measured.items()}
+    return Snapshot(
+        side.model,
+        q=kept["q"],
+        v=kept.get("v", np.zeros(side.arm.n)),
+        t=t,
+        payload=PayloadValues.of({name: np.array(value) for name, value in payload.items()}),
+        adds=side.adds,
+        measured={name: kept[name] for name in MEASUREMENTS if name in kept},
+    )
 
 
 class _Constant:

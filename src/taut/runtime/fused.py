@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -12,11 +13,10 @@ from taut.base.types import Float64Array
 from taut.codegen.layout import Block
 from taut.codegen.loop import FloatLoop, NativeLoop
 from taut.loop import DT, Loop
-from taut.maths.model import PayloadValues
 from taut.maths.snapshot import Snapshot
 from taut.record.outcome import Outcome
 from taut.runtime.events import Event
-from taut.runtime.feed import ReferenceFeed
+from taut.runtime.feed import ReferenceFeed, plain_snapshot
 from taut.runtime.tape import RowLog, Tape
 
 __all__ = ["FusedRun"]
@@ -47,32 +47,46 @@ class FusedRun:
     ) -> None:
         self._loop = loop
         side = loop.side
-        self._events = [
-            (tick, {path: loop.parameters.checked(path, value) for path, value in event.set.items()})
-            for tick, event in events
-        ]
+        self._events: dict[int, dict[str, Float64Array]] = {}
+        for tick, event in events:
+            new = {path: loop.parameters.checked(path, value) for path, value in event.set.items()}
+            self._events.setdefault(tick, {}).update(new)
+        self._stops = sorted(self._events)
         self._inputs, self._parameters = Block.of(loop.input_shapes()), Block.of(loop.parameter_shapes())
         self._values = self._parameters.pack({**loop.parameters, DT: loop.dt})
-        # One generator per measurement: how the run is cut into blocks does not change the numbers.
-        self._noise = {name: np.random.default_rng([seed, i]) for i, name in enumerate(sorted(loop.plant.noise))}
+        self._apply(0)
+        # One generator per measurement, by its name: neither how the run is cut into blocks nor what else is noisy
+        # changes the numbers.
+        self._noise = {name: np.random.default_rng([seed, *name.encode()]) for name in loop.plant.noise}
         at_rest = side.law.reference.at_rest(q)
         self._feed = ReferenceFeed(loop.ref, side.law.reference, side.arm.n, loop.dt, at_rest)
         first = np.zeros((1, self._inputs.size))
-        self._fill_row(first, lambda: self._plain_snapshot(q, v, 0.0))
-        memory = loop.start(q, v, self._inputs.views(first[0]), self._parameters.views(self._values))
+        memory = self._started(q, v, first)
         self._memory = Block.of({path: np.shape(value) for path, value in memory.items()})
         self._state = self._memory.pack(memory)
-        make = NativeLoop if loop.engine == "native" else FloatLoop
-        repeats = loop.plant.substeps - 1
-        self._run = make(loop.step, loop.substep, repeats, self._inputs, self._parameters, self._memory)
+        blocks = self._inputs, self._parameters, self._memory
+        self._run: NativeLoop | FloatLoop
+        if loop.engine == "native":
+            self._run = NativeLoop(loop.step, loop.substep, loop.plant.substeps - 1, *blocks)
+        else:
+            example = first[0], self._values, self._state
+            self._run = FloatLoop(loop.step, loop.substep, loop.plant.substeps - 1, *blocks, example)
         self.tape = Tape(side, loop.plant, loop.ticks, self._inputs, self._run.outputs, info)
         self.tape.input_rows[0] = first[0]
 
-    def _fill_row(self, rows: Float64Array, state: Callable[[], Snapshot]) -> None:
-        """Reference and noise of the first tick, which the start needs before there is a tape."""
-        views = self._inputs.views(rows)
-        self._feed.fill(subtree(views, "ref"), 0, state)
+    def _started(self, q: Float64Array, v: Float64Array, first: Float64Array) -> dict[str, Any]:
+        """Memory in the first tick, whose reference and noise (1, ...) are filled in here, before there is a tape."""
+        views, parameters = self._inputs.views(first), self._parameters.views(self._values)
         self._draw(views)
+        row, plant = self._inputs.views(first[0]), self._loop.plant_at_start(q, v, parameters)
+        self._feed.fill(subtree(views, "ref"), 0, lambda: self._seen(plant, row))
+        return self._loop.start(q, v, row, parameters)
+
+    def _apply(self, tick: int) -> None:
+        """Events that act at a tick."""
+        views = self._parameters.views(self._values)
+        for path, value in self._events.get(tick, {}).items():
+            views[path][...] = value
 
     def _draw(self, views: dict[str, Float64Array]) -> None:
         for name, column in subtree(views, "noise").items():
@@ -99,25 +113,22 @@ class FusedRun:
         return ticks, Outcome(kind="completed", message=message, tick=ticks - 1)
 
     def _end_of_block(self, k: int, ticks: int) -> int:
-        stops = [k + BLOCK, ticks, *(tick for tick, _ in self._events if tick > k)]
+        later = bisect_right(self._stops, k)
+        stops = [k + BLOCK, ticks, *self._stops[later : later + 1]]
         question = self._feed.next_question(k)
         return min(stops if question is None else [*stops, question])
 
     def _prepare(self, k: int, end: int) -> None:
-        """Events that act at tick k, then reference and noise of the block."""
-        for tick, values in self._events:
-            if tick == k:
-                for path, value in values.items():
-                    self._parameters.views(self._values)[path][...] = value
-        self._feed.fill(self.tape.reference(k, end), k, lambda: self._snapshot(k))
+        """Events that act at tick k, then noise and reference of the block."""
+        self._apply(k)
         first = max(k, 1)  # the noise of row 0 was drawn at the start
         self._draw({path: column[first:end] for path, column in self.tape.inputs.items()})
+        row = self._inputs.views(self.tape.input_rows[k])
+        plant = subtree(self._memory.views(self._state), "plant")
+        self._feed.fill(self.tape.reference(k, end), k, lambda: self._seen(plant, row))
 
-    def _snapshot(self, k: int) -> Snapshot:
-        memory = subtree(self._memory.views(self._state), "plant")
-        return self._plain_snapshot(memory["q"].copy(), memory["v"].copy(), k * self._loop.dt)
-
-    def _plain_snapshot(self, q: Float64Array, v: Float64Array, t: float) -> Snapshot:
-        parameters = self._parameters.views(self._values)
-        payload = PayloadValues.of(subtree(parameters, "model.payload"))
-        return Snapshot(self._loop.side.model, q=q, v=v, t=t, payload=payload)
+    def _seen(self, plant: Mapping[str, Any], inputs: Mapping[str, Any]) -> Snapshot:
+        """What the controller sees in a tick, for the source of a stream."""
+        parameters, side = self._parameters.views(self._values), self._loop.side
+        measured = self._loop.measured(plant, inputs, parameters)
+        return plain_snapshot(side, measured, subtree(parameters, "model.payload"), float(inputs["t"]))

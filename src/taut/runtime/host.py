@@ -19,6 +19,10 @@ class HostPlant(AnyPlant, Protocol):
         """Run-time parameters by path: plant.payload.mass, ..."""
         ...
 
+    def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:
+        """A new value of a parameter, checked, without giving it."""
+        ...
+
     def set_parameter(self, path: str, value: ArrayLike) -> None:
         """Give a parameter a new value, checked."""
         ...

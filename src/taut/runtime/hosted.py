@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
-from taut.base.errors import NumericalError, unknown_name
+from taut.base.errors import NumericalError, RangeError, unknown_name
 from taut.base.paths import subtree
-from taut.base.types import Float64Array
+from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.layout import Block
 from taut.control.reference import Reference
 from taut.controller import Controller
-from taut.maths.model import PayloadValues
 from taut.maths.snapshot import Snapshot
 from taut.record.outcome import Outcome
 from taut.runtime.events import Event
-from taut.runtime.feed import ReferenceFeed
+from taut.runtime.feed import ReferenceFeed, plain_snapshot
 from taut.runtime.host import HostPlant
 from taut.runtime.tape import RowLog, Tape
 
 __all__ = ["HostedRun"]
 
 LOG_EVERY = 512  # ticks between two writes of a log
+BLOCK = 4096  # ticks whose reference is asked for at once
 
 
 class HostedRun:
@@ -53,13 +53,17 @@ class HostedRun:
     ) -> None:
         side = ctrl.side
         self._plant, self._ticks, self._side = plant, ticks, side
-        self._events = list(events)
-        for _, event in self._events:
+        self._events: dict[int, dict[str, ArrayLike]] = {}
+        for tick, event in events:
+            self._events.setdefault(tick, {}).update(event.set)
             for path, value in event.set.items():
                 if path in side.parameters:
                     side.checked_parameter(path, value)
-                elif path not in plant.parameters:
+                elif path in plant.parameters:
+                    plant.checked_parameter(path, value)
+                else:
                     raise unknown_name("the run", "parameter", path, [*side.parameters, *plant.parameters])
+        self._before = dict(plant.parameters)  # events last as long as the run
         self._kernel = ctrl.recording_kernel()
         plant.reset(q, v, side.dt)
         n = side.arm.n
@@ -71,18 +75,33 @@ class HostedRun:
         self.tape = Tape(side, plant, ticks, Block.of({"t": (), **kept}), Block.of(shapes), info)
         self._feed = ReferenceFeed(ref, side.law.reference, n, side.dt, side.law.reference.at_rest(q))
         self._filled = 0
+        # Where each number goes from and to in every tick, found once.
+        inputs = self._kernel.blocks.views("inputs")
+        self._measured = [(path, view) for path, view in inputs.items() if path != "t" and path not in kept]
+        self._wanted = [(self.tape.inputs[path], inputs[path]) for path in kept]
+        outputs = self._kernel.blocks.views("outputs")
+        self._given = [(view, self.tape.outputs[path]) for path, view in outputs.items()]
+        self._command = outputs["command"]
 
     def go(self, advance: Callable[[int], None], log: RowLog | None) -> tuple[int, Outcome]:
         """Run to the end: (number of rows recorded, outcome)."""
+        try:
+            return self._go(advance, log)
+        finally:
+            for path in {path for values in self._events.values() for path in values if path in self._before}:
+                self._plant.set_parameter(path, self._before[path])
+
+    def _go(self, advance: Callable[[int], None], log: RowLog | None) -> tuple[int, Outcome]:
         running = Outcome(kind="stopped", message="the run is still going on", tick=0)
         written = 0
         for k in range(self._ticks):
             outcome = self._tick(k)
-            if log is not None and (k + 1 - written >= LOG_EVERY or outcome is not None or k + 1 == self._ticks):
-                log.write(self.tape.piece(written, k + 1, running))
-                written = k + 1
+            kept = k + 1 if outcome is None else outcome.tick + 1
+            if log is not None and (kept - written >= LOG_EVERY or outcome is not None or kept == self._ticks):
+                log.write(self.tape.piece(written, kept, running))
+                written = kept
             if outcome is not None:
-                return k + 1, outcome
+                return kept, outcome
             if k % LOG_EVERY == LOG_EVERY - 1:
                 advance(LOG_EVERY)
         message = f"completed: {self._ticks} ticks, {(self._ticks - 1) * self._side.dt:g} s"
@@ -90,27 +109,25 @@ class HostedRun:
 
     def _tick(self, k: int) -> Outcome | None:
         tape, plant, kernel = self.tape, self._plant, self._kernel
-        for tick, event in self._events:
-            if tick == k:
-                self._apply(event)
+        self._apply(self._events.get(k, {}))
         out = tape.outputs
         out["q"][k], out["v"][k] = plant.state()
         measured = plant.measure()
         self._reference(k, measured)
-        inputs = kernel.blocks.views("inputs")
-        for name, view in inputs.items():
-            if name != "t":
-                view[...] = tape.inputs[name][k] if name.startswith("ref.") else measured[name]
+        for path, view in self._measured:
+            view[...] = measured[path]
+        for rows, view in self._wanted:
+            view[...] = rows[k]
         try:
             if not kernel.ready:
                 kernel.start()
             kernel.tick()
-        except (NumericalError, ValueError) as error:
-            kept, outcome = tape.diverged(k)
-            return Outcome(kind="diverged", message=f"{outcome.message}; {error}", tick=kept, joint=outcome.joint)
-        for name, value in kernel.blocks.views("outputs").items():
-            out[name][k] = value
-        out["tau"][k] = plant.advance(out["command"][k])
+        except (NumericalError, RangeError) as error:  # a tick without a command: it is not recorded
+            _, outcome = tape.diverged(k)
+            return Outcome(kind="diverged", message=f"{outcome.message}; {error}", tick=k - 1, joint=outcome.joint)
+        for view, rows in self._given:
+            rows[k] = view
+        out["tau"][k] = plant.advance(self._command)
         for name, value in plant.extra().items():
             out[name][k] = value
         trouble = plant.trouble()
@@ -121,24 +138,24 @@ class HostedRun:
         where = f" at t = {tape.inputs['t'][k]:.6g} s (tick {k})" + (f", joint '{who}'" if who else "")
         return Outcome(kind="diverged", message=f"the simulation diverged{where}: {words}", tick=k, joint=who)
 
-    def _apply(self, event: Event) -> None:
-        for path, value in event.set.items():
+    def _apply(self, values: Mapping[str, ArrayLike]) -> None:
+        for path, value in values.items():
             if path in self._side.parameters:
                 self._kernel.blocks.views("parameters")[path][...] = self._side.checked_parameter(path, value)
             else:
                 self._plant.set_parameter(path, value)
 
     def _reference(self, k: int, measured: dict[str, Float64Array]) -> None:
-        """Fill the reference up to the next tick at which a stream is asked."""
+        """Fill the reference of the next ticks, at most up to where a stream is asked again."""
         if k < self._filled:
             return
         question = self._feed.next_question(k)
-        end = self._ticks if question is None else min(question, self._ticks)
+        stops = [k + BLOCK, self._ticks]
+        end = min(stops if question is None else [*stops, question])
 
         def state() -> Snapshot:
-            payload = PayloadValues.of(subtree(self._kernel.blocks.views("parameters"), "model.payload"))
-            v = measured.get("v", np.zeros(self._side.arm.n))
-            return Snapshot(self._side.model, q=measured["q"], v=v, t=k * self._side.dt, payload=payload)
+            payload = subtree(self._kernel.blocks.views("parameters"), "model.payload")
+            return plain_snapshot(self._side, measured, payload, k * self._side.dt)
 
         self._feed.fill(self.tape.reference(k, end), k, state)
         self._filled = end

@@ -75,7 +75,8 @@ def run(
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise RangeError(f"seed must be a whole number >= 0; got {seed!r}", name="seed")
     target, reference, length = _what_to_run(ctrl, plant, ref, duration)
-    due = sorted_events(events, ctrl.side.rate)
+    ticks = round(length * ctrl.side.rate) + 1
+    due = sorted_events(events, ctrl.side.rate, ticks)
     q, v = state_at_start(target.arm, q0, v0)
     info: dict[str, Any] = {
         "rate": ctrl.side.rate,
@@ -95,7 +96,6 @@ def run(
         assert isinstance(ctrl, Controller)
         both = {**ctrl.parameters, **target.parameters}
         info["parameters"] = {path: value.tolist() for path, value in both.items()}
-        ticks = round(length * ctrl.rate) + 1
         going = HostedRun(ctrl, target, reference, ticks, q, v, due, info)
     return _recorded(going, log, progress)
 

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from taut.base.errors import RangeError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
@@ -42,6 +43,9 @@ class Tape:
         inputs: Layout of the first table: t, ref.*, ...
         outputs: Layout of the second: q, v, tau, command, terms.*, and further columns.
         info: What is known of the run beforehand, as plain values.
+
+    Raises:
+        RangeError: More rows than memory has room for.
     """
 
     def __init__(
@@ -49,8 +53,16 @@ class Tape:
     ) -> None:
         self._side = side
         self._plant = plant
-        self.input_rows = np.zeros((ticks, inputs.size))
-        self.output_rows = np.zeros((ticks, outputs.size))
+        try:
+            self.input_rows = np.zeros((ticks, inputs.size))
+            self.output_rows = np.zeros((ticks, outputs.size))
+        except (MemoryError, ValueError, OverflowError) as cause:
+            size = 8e-9 * ticks * (inputs.size + outputs.size)
+            raise RangeError(
+                f"the record of {ticks:g} ticks needs {size:.3g} GB of memory; make duration= shorter, or the rate "
+                "lower",
+                name="duration",
+            ) from cause
         self.inputs = inputs.views(self.input_rows)
         self.outputs = outputs.views(self.output_rows)
         self.inputs["t"][...] = np.arange(ticks) * side.dt
@@ -93,4 +105,5 @@ class Tape:
             f"the simulation diverged at t = {t:.6g} s (tick {tick}): joint '{names[joint]}' was at "
             f"{speeds[joint]:.3g} {units[joint]}/s; try smaller gains, a higher rate or more substeps"
         )
-        return tick + int(finite), Outcome(kind="diverged", message=message, tick=tick, joint=names[joint])
+        kept = tick + int(finite)
+        return kept, Outcome(kind="diverged", message=message, tick=kept - 1, joint=names[joint])

@@ -1,0 +1,253 @@
+"""Snapshot: what a law sees, computed once, less what the plant adds, with a record of what was asked for."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+import taut
+from taut.base.types import Float64Array
+from taut.maths import dynamics as dyn
+from taut.maths.adds import Adds
+from taut.maths.model import PayloadValues, model_of
+
+ARM = taut.load_arm("panda").with_payload(1.3, com=[0.02, 0.0, 0.05], inertia=[2e-3, 3e-3, 4e-3, 0, 0, 0])
+MODEL = model_of(ARM)
+RNG = np.random.default_rng(0)
+Q, V = ARM.home + 0.2 * RNG.normal(size=7), RNG.normal(size=7)
+OWN = PayloadValues(mass=ARM.payload.mass, com=ARM.payload.com, inertia=ARM.payload.inertia)
+TOLD = taut.Payload(mass=0.4, com=[0.0, 0.0, 0.1])
+ROUNDING = 1e-13  # relative to the largest entry: the same formulas, added up in another order
+
+
+def seen(adds: Adds | None = None, **measured: Float64Array) -> taut.Snapshot:
+    return taut.Snapshot(MODEL, q=Q, v=V, t=1.5, payload=OWN, adds=adds, measured=measured)
+
+
+def assert_same(got: Float64Array, expected: Float64Array) -> None:
+    scale = max(float(np.abs(dyn.bias(MODEL, Q, V, OWN)).max()), float(np.abs(expected).max()))
+    assert np.abs(got - expected).max() <= ROUNDING * scale
+
+
+class TestQuantities:
+    def test_are_those_of_the_dynamics_with_the_payload(self) -> None:
+        x = seen()
+        pairs = [
+            (x.M, dyn.mass_matrix(MODEL, Q, OWN)),
+            (x.h, dyn.bias(MODEL, Q, V, OWN)),
+            (x.g, dyn.gravity_torque(MODEL, Q, OWN)),
+            (x.Cv, dyn.bias(MODEL, Q, V, OWN, gravity=False)),
+            (x.C, dyn.coriolis_matrix(MODEL, Q, V, OWN)),
+            (x.J(), dyn.jacobian(MODEL, Q)),
+            (x.J("panda_link4", axes="E"), dyn.jacobian(MODEL, Q, "panda_link4", "E")),
+            (x.Jdot_v("panda_link4"), dyn.jacobian_rate_v(MODEL, Q, V, "panda_link4")),
+            (x.twist(axes="E"), dyn.twist(MODEL, Q, V, axes="E")),
+            (x.T("panda_link4").p, dyn.pose(MODEL, Q, "panda_link4").p),
+        ]
+        for got, expected in pairs:
+            np.testing.assert_array_equal(got, expected)
+        np.testing.assert_allclose(taut.math.solve_spd(x.M_factors, x.h), np.linalg.solve(x.M, x.h), rtol=1e-10)
+        assert (x.n, x.t) == (7, 1.5)
+
+    @pytest.mark.parametrize(
+        "ask",
+        [
+            lambda x: x.M, lambda x: x.M_factors, lambda x: x.h, lambda x: x.g, lambda x: x.Cv, lambda x: x.C,
+            lambda x: x.T("panda_link3"), lambda x: x.J(), lambda x: x.J(axes="E"), lambda x: x.Jdot_v(axes="E"),
+        ],
+        ids=["M", "factors", "h", "g", "Cv", "C", "T", "J", "J_E", "Jdot_v"],
+    )  # fmt: skip
+    def test_are_computed_once(self, ask: object) -> None:
+        x = seen()
+        assert ask(x) is ask(x)  # type: ignore[operator]
+
+    def test_of_different_frames_and_axes_are_kept_apart(self) -> None:
+        x = seen()
+        J = [x.J(frame, axes) for frame in (None, "panda_link4", "panda_link6") for axes in ("W", "E")]
+        for a, b in itertools.combinations(J, 2):
+            assert np.abs(a - b).max() > 1e-3
+
+    def test_at_another_state_are_those_of_that_state(self) -> None:
+        x = seen()
+        assert x.g is x.g  # what is kept here must not turn up there
+        y = x.at(ARM.home, 2.0 * V)
+        np.testing.assert_array_equal(y.h, dyn.bias(MODEL, ARM.home, 2.0 * V, OWN))
+        np.testing.assert_array_equal(y.J(), dyn.jacobian(MODEL, ARM.home))
+        np.testing.assert_array_equal(x.h, dyn.bias(MODEL, Q, V, OWN))
+        assert y.t == x.t
+
+    def test_difference_goes_the_short_way_round_for_joints_that_wrap(self) -> None:
+        kinova = taut.load_arm("kinova")
+        q = np.array(kinova.home)
+        there = q + np.where(np.isin(np.arange(6), kinova.continuous), 2.0 * np.pi - 0.1, 0.3)
+        expected = np.where(np.isin(np.arange(6), kinova.continuous), -0.1, 0.3)
+        np.testing.assert_allclose(taut.snapshot(kinova, q).difference(there), expected, rtol=0.0, atol=1e-14)
+
+
+# -------------------------------------------------------------------- what the plant adds itself
+
+
+class TestWhatThePlantAddsIsLeftOut:
+    @pytest.mark.parametrize(
+        "names", [c for k in range(4) for c in itertools.combinations(("gravity", "coriolis", "friction"), k)]
+    )
+    @pytest.mark.parametrize("load", [None, TOLD], ids=["own load", "another load"])
+    def test_in_every_combination(self, names: tuple[str, ...], load: taut.Payload | None) -> None:
+        adds = Adds(**dict.fromkeys(names, True), load=load)
+        g, Cv = dyn.gravity_torque(MODEL, Q, OWN), dyn.bias(MODEL, Q, V, OWN, gravity=False)
+        if "gravity" in names:
+            known = OWN if load is None else PayloadValues(mass=load.mass, com=load.com, inertia=load.inertia)
+            g = g - dyn.gravity_torque(MODEL, Q, known)
+        if "coriolis" in names:
+            Cv = 0.0 * Cv
+        x = seen(adds)
+        assert_same(x.g, g)
+        assert_same(x.Cv, Cv)
+        assert_same(x.h, Cv + g)
+        assert_same(x.at(Q, V).h, Cv + g)
+        left = 0.0 if "friction" in names else 1.0
+        np.testing.assert_array_equal(x.viscous, left * ARM.viscous)
+        np.testing.assert_array_equal(x.coulomb, left * ARM.coulomb)
+        # The Christoffel matrix is the model's, whatever the plant adds: C v_ref is no torque that a plant knows.
+        np.testing.assert_array_equal(x.C, dyn.coriolis_matrix(MODEL, Q, V, OWN))
+
+    def test_a_wrong_load_leaves_the_difference_of_the_two_weights(self) -> None:
+        """One kilogram too little known to the plant, at 1 m: what is left is m g r."""
+        arm = taut.load_arm("one_joint").with_tool("tool", taut.Pose([0.9, 0.0, 0.0]), name="tip")
+        x = taut.Snapshot(
+            model_of(arm),
+            q=np.zeros(1),
+            v=np.zeros(1),
+            payload=PayloadValues(mass=3.0, com=np.zeros(3), inertia=np.zeros(6)),
+            adds=Adds.of({"gravity": taut.Payload(mass=2.0)}),
+        )
+        assert x.g[0] == pytest.approx(9.81)
+
+
+class TestAdds:
+    def test_come_from_names_a_mapping_or_another(self) -> None:
+        assert Adds.of(("gravity", "friction")) == Adds(gravity=True, friction=True)
+        assert Adds.of(()) == Adds()
+        assert Adds.of({"coriolis": None}).names == ("coriolis",)
+        told = Adds.of({"gravity": TOLD, "coriolis": None})
+        assert told.load is TOLD
+        assert told.names == ("gravity", "coriolis")
+        assert Adds.of(told) is told
+        assert str(told) == "{gravity, coriolis}"
+
+    @pytest.mark.parametrize(
+        ("given", "message"),
+        [
+            ("gravity", "adds must be a tuple of names; got 'gravity'; write ('gravity',)"),
+            (("gravty",), "what a plant adds has no component 'gravty'; did you mean 'gravity'?"),
+            ((1,), "what a plant adds has no component '1'; it has 'gravity', 'coriolis', 'friction'"),
+            (True, "adds must be a tuple of names such as ('gravity',); got True"),
+            ({"gravity": 1.0}, "adds['gravity'] must be None; only 'gravity' takes a taut.Payload; got 1.0"),
+        ],
+        ids=range(5),
+    )
+    def test_what_is_none_is_refused_in_words(self, given: object, message: str) -> None:
+        with pytest.raises(taut.TautError) as caught:
+            Adds.of(given)  # type: ignore[arg-type]
+        assert str(caught.value) == message
+
+    def test_a_payload_for_something_else_than_gravity_is_refused(self) -> None:
+        with pytest.raises(
+            taut.UsageError, match=r"adds\['friction'\] must be None; only 'gravity' takes a taut.Payload"
+        ):
+            Adds.of({"friction": TOLD})
+
+
+# -------------------------------------------------------------------- what was asked for
+
+
+class TestTheRecordOfWhatWasAskedFor:
+    @pytest.mark.parametrize(
+        ("ask", "used"),
+        [
+            (lambda x: (x.q, x.v, x.M, x.J(), x.T(), x.Jdot_v()), set()),
+            (lambda x: x.h, {"gravity", "coriolis"}),
+            (lambda x: x.g, {"gravity"}),
+            (lambda x: x.Cv, {"coriolis"}),
+            (lambda x: x.C, {"coriolis"}),
+            (lambda x: x.viscous, {"friction"}),
+            (lambda x: x.coulomb, {"friction"}),
+            (lambda x: x.tau_applied, {"tau_applied"}),
+            (lambda x: x.tau_cut, {"tau_cut"}),
+            (lambda x: x.at(x.q, x.v).g, {"gravity"}),
+            (lambda x: x.F_ext, {"F_ext"}),
+        ],
+        ids=range(11),
+    )
+    @pytest.mark.parametrize("adds", [None, Adds(gravity=True, coriolis=True, friction=True)], ids=["", "adds"])
+    def test_names_it(self, ask: object, used: set[str], adds: Adds | None) -> None:
+        x = seen(adds, F_ext=np.zeros(6))
+        ask(x)  # type: ignore[operator]
+        assert x.used == used
+
+    def test_a_twin_shares_the_numbers_and_has_a_record_of_its_own(self) -> None:
+        x = seen()
+        h = x.h
+        twin = x.with_own_record()
+        assert not twin.used
+        assert twin.h is h  # taken from what is kept, and noted all the same
+        assert twin.used == {"gravity", "coriolis"}
+        assert twin.at(Q, V).viscous is not None
+        assert twin.used == {"gravity", "coriolis", "friction"}
+        assert x.used == {"gravity", "coriolis"}
+        assert twin.M is x.M
+
+
+class TestMessages:
+    @pytest.mark.parametrize(
+        ("name", "message"),
+        [
+            (
+                "F_ext",
+                "the law asks for F_ext, which is not measured; it needs a wrist force-torque sensor: pass F_ext= or "
+                "F_app= to step, or use a plant that measures it",
+            ),
+            (
+                "tau_meas",
+                "the law asks for tau_meas, which is not measured; it needs joint torque sensors: pass tau_meas= to "
+                "step, or use a plant that measures it",
+            ),
+        ],
+    )
+    def test_what_is_not_measured(self, name: str, message: str) -> None:
+        x = seen()
+        with pytest.raises(taut.MatchError) as caught:
+            getattr(x, name)
+        assert str(caught.value) == message
+        assert caught.value.name == name
+        assert x.used == {name}
+
+    @pytest.mark.parametrize(
+        ("make", "message"),
+        [
+            (lambda: taut.snapshot(ARM, [0.0]), "q must have shape (7,) (7 joints); got shape (1,)"),
+            (lambda: taut.snapshot(ARM, Q, V[:3]), "v must have shape (7,) (7 joints); got shape (3,)"),
+            (lambda: taut.snapshot(ARM, [*Q[:6], np.nan]), "q[6] (joint 'panda_joint7') must be finite; got nan"),
+            (lambda: taut.snapshot("panda", Q), "a snapshot is of an Arm from taut.load_arm; got str"),
+            (lambda: taut.snapshot(ARM, Q, payload=1.0), "payload must be taut.Payload(mass=...); got float"),
+            (lambda: taut.snapshot(ARM, Q).J(axes="B"), "axes must be one of 'W', 'E'; got 'B'"),
+            (lambda: taut.snapshot(ARM, Q).Jdot_v(axes="w"), "axes must be one of 'W', 'E'; got 'w'"),
+            (
+                lambda: taut.snapshot(ARM, Q).T("panda_hand_tpc"),
+                "the arm has no frame 'panda_hand_tpc'; did you mean 'panda_hand_tcp' or 'panda_hand'? "
+                f"({len(ARM.frames)} frames: taut check MODEL lists them)",
+            ),
+        ],
+        ids=range(8),
+    )
+    def test_bad_input(self, make: object, message: str) -> None:
+        with pytest.raises(taut.TautError) as caught:
+            make()  # type: ignore[operator]
+        assert str(caught.value) == message
+
+    def test_a_plain_snapshot_is_at_rest_with_the_arms_own_payload_unless_told(self) -> None:
+        np.testing.assert_array_equal(taut.snapshot(ARM, Q).h, dyn.gravity_torque(MODEL, Q, OWN))
+        unloaded = taut.snapshot(ARM, Q, payload=taut.Payload())
+        np.testing.assert_array_equal(unloaded.g, dyn.gravity_torque(MODEL, Q))

@@ -1,0 +1,173 @@
+"""What a plant is made of is checked when it is made, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+import taut
+from taut.plant.stages import Actuation, Sensors
+
+ARM = taut.load_arm("planar2")
+DRY = ARM.with_joints(coulomb=[0.0, 0.3])
+
+
+class Touch:
+    """An environment that does nothing."""
+
+    def parameters(self) -> dict[str, object]:
+        return {}
+
+    def start(self, T_WE: object) -> dict[str, object]:
+        return {}
+
+    def wrench(self, *_: object) -> object:
+        return np.zeros(6), {}
+
+
+CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
+    (
+        lambda: taut.RigidPlant("planar2"),  # type: ignore[arg-type]
+        taut.UsageError,
+        "a plant takes an Arm from taut.load_arm; got str",
+    ),
+    (
+        lambda: taut.RigidPlant(ARM, "none"),  # type: ignore[arg-type]
+        taut.UsageError,
+        "friction must be 'arm' or None; got 'none'",
+    ),
+    (
+        lambda: taut.RigidPlant(ARM, integrator="euler"),  # type: ignore[arg-type]
+        taut.UsageError,
+        "integrator must be one of 'semi-implicit-euler', 'rk4'; got 'euler'",
+    ),
+    (
+        lambda: taut.RigidPlant(ARM, takes="torques"),  # type: ignore[arg-type]
+        taut.UsageError,
+        "takes must be one of 'torque', 'velocity', 'position'; got 'torques'",
+    ),
+    (lambda: taut.RigidPlant(ARM, substeps=0), taut.RangeError, "substeps must be between 1 and 1000; got 0"),
+    (lambda: taut.RigidPlant(ARM, substeps=1001), taut.RangeError, "substeps must be between 1 and 1000; got 1001"),
+    (
+        lambda: taut.RigidPlant(ARM, substeps=2.0),  # type: ignore[arg-type]
+        taut.UsageError,
+        "substeps must be a whole number; got 2.0",
+    ),
+    (lambda: taut.RigidPlant(ARM, substeps=True), taut.UsageError, "substeps must be a whole number; got True"),
+    (
+        lambda: taut.RigidPlant(DRY, integrator="rk4"),
+        taut.UsageError,
+        "rk4 needs smooth forces, and arm 'planar2' has dry friction; use semi-implicit-euler, or friction=None",
+    ),
+    (
+        lambda: taut.RigidPlant(ARM, takes="position"),
+        taut.UsageError,
+        "a plant that takes position needs the bandwidth of its drives: "
+        "actuation=taut.Actuation(bandwidth=50.0)  # rad/s",
+    ),
+    (
+        lambda: taut.RigidPlant(ARM, takes="velocity", actuation=Actuation(bandwidth=9.0), adds=("gravity",)),
+        taut.UsageError,
+        "adds is for torque commands; this plant takes velocity",
+    ),
+    (
+        lambda: taut.RigidPlant(ARM, takes="velocity", actuation=Actuation(bandwidth=9.0), environment=Touch()),  # type: ignore[arg-type]
+        taut.UsageError,
+        "a plant that takes velocity has stiff drives, which an environment cannot move; leave environment out",
+    ),
+    (
+        lambda: taut.RigidPlant(ARM, adds=("gravty",)),
+        taut.UnknownNameError,
+        "what a plant adds has no component 'gravty'; did you mean 'gravity'?",
+    ),
+    (
+        lambda: taut.RigidPlant(ARM, adds="gravity"),
+        taut.UsageError,
+        "adds must be a tuple of names; got 'gravity'; write ('gravity',)",
+    ),
+    (
+        lambda: taut.RigidPlant(ARM, actuation=50.0),  # type: ignore[arg-type]
+        taut.UsageError,
+        "actuation must be taut.Actuation(...); got float",
+    ),
+    (
+        lambda: taut.RigidPlant(ARM, sensors=None),  # type: ignore[arg-type]
+        taut.UsageError,
+        "sensors must be taut.Sensors(...); got NoneType",
+    ),
+    (
+        lambda: taut.RigidPlant(ARM, environment=3.0),  # type: ignore[arg-type]
+        taut.UsageError,
+        "environment must have parameters(), start(T_WE) and wrench(...), see taut.Environment; got float",
+    ),
+    (
+        lambda: taut.RigidPlant(ARM, sensors=Sensors(noise_q=[1e-3, 1e-3, 1e-3])),
+        taut.ShapeError,
+        "sensors.noise_q must have shape (2,) (2 joints); got shape (3,)",
+    ),
+    (
+        lambda: taut.RigidPlant(ARM, sensors=Sensors(resolution=np.zeros((2, 2)))),
+        taut.ShapeError,
+        "sensors.resolution must have shape (2,) (2 joints); got shape (2, 2)",
+    ),
+    (lambda: Sensors(noise_v=[0.0, -1e-3]), taut.RangeError, "sensors.noise_v[1] must be >= 0; got -0.001"),
+    (lambda: Sensors(resolution=np.nan), taut.RangeError, "sensors.resolution must be finite; got nan"),
+    (
+        lambda: Actuation(bandwidth=0.0),
+        taut.RangeError,
+        "actuation.bandwidth must be > 0 [rad/s]; got 0.0; for an ideal torque drive leave it out",
+    ),
+    (
+        lambda: Actuation(bandwidth="fast"),  # type: ignore[arg-type]
+        taut.ShapeError,
+        "actuation.bandwidth must be one number [rad/s]; got 'fast'",
+    ),
+    (lambda: Actuation(bandwidth=np.inf), taut.RangeError, "actuation.bandwidth must be finite [rad/s]; got inf"),
+    (lambda: Actuation(delay=-1e-3), taut.RangeError, "actuation.delay must be >= 0 [s]; got -0.001"),
+    (
+        lambda: Actuation(delay=0.0015).taps(1e-3),
+        taut.RangeError,
+        "actuation.delay must be a whole number of control periods of 0.001 s, at most 1000; got 0.0015 s",
+    ),
+    (
+        lambda: Actuation(delay=2.0).taps(1e-3),
+        taut.RangeError,
+        "actuation.delay must be a whole number of control periods of 0.001 s, at most 1000; got 2 s",
+    ),
+]
+
+
+@pytest.mark.parametrize(("make", "kind", "message"), CASES, ids=range(len(CASES)))
+def test_what_does_not_go_together_is_refused_in_words(
+    make: Callable[[], object], kind: type[taut.TautError], message: str
+) -> None:
+    with pytest.raises(kind) as caught:
+        make()
+    assert str(caught.value) == message
+
+
+class TestAPlantDeclares:
+    def test_what_it_takes_measures_and_adds(self) -> None:
+        plain = taut.RigidPlant(ARM)
+        assert (plain.name, plain.takes, plain.adds.names) == ("RigidPlant(planar2)", "torque", ())
+        assert plain.measures == {"v", "tau_meas"}
+        assert taut.RigidPlant(ARM, environment=Touch()).measures == {"v", "tau_meas", "F_ext"}  # type: ignore[arg-type]
+        assert taut.RigidPlant(ARM, adds=["coriolis", "gravity"]).adds.names == ("gravity", "coriolis")
+
+    def test_the_parameters_of_what_it_has(self) -> None:
+        assert set(taut.RigidPlant(ARM, friction=None).parameters()) == {
+            "payload.mass", "payload.com", "payload.inertia",
+        }  # fmt: skip
+        full = taut.RigidPlant(
+            DRY, actuation=Actuation(bandwidth=9.0), sensors=Sensors(resolution=1e-3, noise_q=1e-3, noise_v=1e-3)
+        )
+        assert set(full.parameters()) == {
+            "payload.mass", "payload.com", "payload.inertia", "friction.viscous", "friction.coulomb",
+            "actuation.bandwidth", "sensors.resolution", "sensors.noise_q", "sensors.noise_v",
+        }  # fmt: skip
+
+    def test_the_noise_that_it_needs(self) -> None:
+        assert taut.RigidPlant(ARM).noise == {}
+        assert taut.RigidPlant(ARM, sensors=Sensors(noise_v=[0.0, 1.0])).noise == {"v": (2,)}

@@ -1,0 +1,158 @@
+"""Parameters of a loop: one namespace of paths, each checked like the first value."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from runtime_laws import Spring
+
+import taut
+
+ARM = taut.load_arm("planar2").with_joints(coulomb=[0.2, 0.1])
+GOAL = taut.JointMotion(q=[0.4, 0.7])
+
+
+def loop_of(law: taut.Law | None = None, **plant: Any) -> taut.Loop:
+    law = law or taut.laws.PID(kp=[200.0, 100.0], kd=20.0, ki=np.eye(2))
+    ctrl = taut.compile(law, ARM, limits=taut.Limits(tau=100.0), engine="float")
+    return taut.Loop(ctrl, taut.RigidPlant(ARM, **plant), GOAL, duration=0.02)
+
+
+FULL: dict[str, Any] = {
+    "actuation": taut.Actuation(bandwidth=300.0),
+    "sensors": taut.Sensors(noise_q=[1e-3, 1e-3], resolution=1e-4),
+    "environment": Spring(),
+}
+
+
+def test_every_stage_has_its_paths() -> None:
+    assert list(loop_of(**FULL).parameters) == [
+        "law.kp", "law.kd", "law.ki", "limits.tau", "model.payload.mass", "model.payload.com", "model.payload.inertia",
+        "plant.payload.mass", "plant.payload.com", "plant.payload.inertia", "plant.friction.viscous",
+        "plant.friction.coulomb", "actuation.bandwidth", "sensors.noise_q", "sensors.resolution", "environment.k",
+        "environment.b",
+    ]  # fmt: skip
+
+
+def test_they_start_with_what_the_controller_and_the_plant_have() -> None:
+    ctrl = taut.compile(taut.laws.PID(kp=1.0), ARM, engine="float")
+    ctrl.parameters["law.kp"] = 7.0
+    loop = taut.Loop(ctrl, taut.RigidPlant(ARM.with_payload(2.0)), duration=1.0)
+    assert loop.parameters["law.kp"] == 7.0
+    assert loop.parameters["plant.payload.mass"] == 2.0
+    assert loop.parameters["model.payload.mass"] == 0.0
+    np.testing.assert_array_equal(loop.parameters["plant.friction.coulomb"], [0.2, 0.1])
+
+
+def test_each_of_them_changes_the_run() -> None:
+    """A path that is accepted and goes nowhere would be the worst of all."""
+    new: dict[str, Any] = {
+        "law.kp": 50.0, "law.kd": 1.0, "law.ki": np.eye(2) * 500.0, "limits.tau": 5.0, "plant.payload.mass": 2.0,
+        "plant.payload.com": [0.1, 0.0, 0.0], "plant.payload.inertia": [0.3, 0.3, 0.3, 0.0, 0.0, 0.0],
+        "plant.friction.viscous": 9.0, "plant.friction.coulomb": [9.0, 9.0], "actuation.bandwidth": 20.0,
+        "sensors.noise_q": 0.1, "sensors.resolution": 0.1, "environment.k": 3e4, "environment.b": 300.0,
+    }  # fmt: skip
+    plain = taut.run(loop_of(**FULL)).q
+    for path, value in new.items():
+        loop = loop_of(**FULL)
+        loop.parameters["plant.payload.mass"] = 1.0
+        if "model" not in path:
+            loop.parameters[path] = value
+        assert np.abs(taut.run(loop).q[-1] - plain[-1]).max() > 1e-9, path
+    loop = loop_of(taut.laws.GravityPID(kp=1.0, kd=1.0))
+    before = taut.run(loop).tau[0]
+    loop.parameters["model.payload.mass"] = 3.0
+    assert np.abs(taut.run(loop).tau[0] - before).min() > 1.0
+
+
+def test_a_scalar_serves_where_one_per_joint_or_a_matrix_stands() -> None:
+    loop = loop_of()
+    loop.parameters["law.kp"] = 3.0
+    loop.parameters["law.ki"] = [1.0, 2.0]
+    loop.parameters["plant.friction.viscous"] = 0.5
+    np.testing.assert_array_equal(loop.parameters["law.kp"], [3.0, 3.0])
+    np.testing.assert_array_equal(loop.parameters["law.ki"], np.diag([1.0, 2.0]))
+    np.testing.assert_array_equal(loop.parameters["plant.friction.viscous"], [0.5, 0.5])
+
+
+def test_there_is_no_way_round_the_checks() -> None:
+    loop = loop_of()
+    for write in (
+        lambda: loop.parameters.update({"law.kp": -1.0}),
+        lambda: loop.parameters["law.kp"].__setitem__(0, -1.0),
+        lambda: loop.parameters["plant.payload.mass"].__setitem__((), np.nan),
+        lambda: loop.parameters.setdefault("law.kpp", 1.0),
+        lambda: loop.parameters.pop("law.kp"),
+        lambda: loop.parameters.clear(),
+    ):  # fmt: skip
+        with pytest.raises((ValueError, LookupError, TypeError)):
+            write()
+    np.testing.assert_array_equal(loop.parameters["law.kp"], [200.0, 100.0])
+
+
+def test_a_number_that_is_kept_is_a_copy() -> None:
+    loop, kp = loop_of(), np.array([1.0, 2.0])
+    loop.parameters["law.kp"] = kp
+    kp[0] = np.nan
+    assert loop.parameters["law.kp"][0] == 1.0
+
+
+CASES: list[tuple[str, Any, type[taut.TautError], str]] = [
+    ("law.kpp", 1.0, taut.UnknownNameError, "the loop has no parameter 'law.kpp'; did you mean 'law.kp' or 'law.ki'?"),
+    ("plant.payload.maas", 1.0, taut.UnknownNameError, "the loop has no parameter 'plant.payload.maas'; did you mean 'plant.payload.mass' or 'plant.payload.com'?"),
+    ("law.kp", [1.0, -1.0], taut.RangeError, "law.kp[1] must be >= 0 [N m/rad]; got -1.0"),
+    ("law.kp", np.nan, taut.RangeError, "law.kp must be finite [N m/rad]; got nan"),
+    ("law.kd", [1.0, 2.0], taut.ShapeError, "law.kd was compiled with shape (); got shape (2,); compile the law with a value of the new shape"),
+    ("law.ki", [[1.0, 0.5], [0.0, 1.0]], taut.RangeError, "law.ki must be a symmetric matrix [N m/(rad s)]; it differs from its transpose by 0.5"),
+    ("limits.tau", 0.0, taut.RangeError, "limits.tau must be > 0 [N m | N]; got 0.0"),
+    ("plant.payload.mass", -1.0, taut.RangeError, "plant.payload.mass must be >= 0 [kg]; got -1.0"),
+    ("plant.payload.mass", [1.0, 2.0], taut.ShapeError, "plant.payload.mass must be one number [kg]; got [1.0, 2.0]"),
+    ("plant.payload.com", [0.1, 0.2], taut.ShapeError, "plant.payload.com must have shape (3,) [m]; got shape (2,)"),
+    ("plant.payload.inertia", 1.0, taut.ShapeError, "plant.payload.inertia must have shape (6,) [kg m^2]; got shape ()"),
+    ("plant.payload.inertia", [1.0, 0.1, 0.1, 0.0, 0.0, 0.0], taut.RangeError, "payload.inertia violates the triangle inequality: principal moments 1 > 0.1 + 0.1 [kg m^2]; it is about the centre of mass, in the order xx, yy, zz, xy, xz, yz"),
+    ("model.payload.inertia", [-1.0, -1.0, -1.0, 0.0, 0.0, 0.0], taut.RangeError, "payload.inertia must be positive semidefinite [kg m^2]; its smallest eigenvalue is -1"),
+    ("plant.friction.viscous", [0.1, -0.2], taut.RangeError, "plant.friction.viscous[1] (joint 'joint2') must be >= 0; got -0.2"),
+    ("plant.friction.coulomb", [1.0, 2.0, np.nan], taut.RangeError, "plant.friction.coulomb[2] must be finite; got nan"),
+    ("plant.friction.coulomb", [1.0, 2.0, 3.0], taut.ShapeError, "plant.friction.coulomb has shape (2,); got shape (3,); make the plant with a value of the new shape"),
+    ("actuation.bandwidth", 0.0, taut.RangeError, "actuation.bandwidth must be > 0 [rad/s]; got 0.0"),
+    ("sensors.resolution", -1e-3, taut.RangeError, "sensors.resolution must be >= 0; got -0.001"),
+    ("sensors.resolution", [0.1, 0.1], taut.ShapeError, "sensors.resolution has shape (); got shape (2,); make the plant with a value of the new shape"),
+    ("environment.k", np.inf, taut.RangeError, "environment.k must be finite; got inf"),
+    ("environment.k", "stiff", taut.ShapeError, "environment.k must be numbers; got 'stiff'"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("path", "value", "kind", "message"), CASES, ids=range(len(CASES)))
+def test_a_wrong_value_is_refused_in_words_and_nothing_changes(
+    path: str, value: Any, kind: type[taut.TautError], message: str
+) -> None:
+    loop = loop_of(**FULL)
+    before = {name: number.tolist() for name, number in loop.parameters.items()}
+    with pytest.raises(kind) as caught:
+        loop.parameters[path] = value
+    assert str(caught.value) == message
+    assert {name: number.tolist() for name, number in loop.parameters.items()} == before
+
+
+def test_an_environment_may_have_negative_numbers() -> None:
+    loop = loop_of(**FULL)
+    loop.parameters["environment.b"] = -1.0
+    assert loop.parameters["environment.b"] == -1.0
+
+
+def test_a_parameter_cannot_be_removed() -> None:
+    with pytest.raises(taut.UsageError, match=r"parameter 'law.kp' cannot be removed; set it"):
+        del loop_of().parameters["law.kp"]
+
+
+def test_a_loop_can_be_run_again_and_runs_the_same() -> None:
+    loop = loop_of(**FULL)
+    first = taut.run(loop, events=[taut.Event(t=0.01, set={"law.kp": 1.0})])
+    assert loop.parameters["law.kp"][0] == 200.0  # what an event sets lasts as long as the run
+    again = taut.run(loop, events=[taut.Event(t=0.01, set={"law.kp": 1.0})])
+    np.testing.assert_array_equal(first.q, again.q)
+    loop.parameters["law.kp"] = 1.0
+    assert np.abs(taut.run(loop).q - first.q).max() > 1e-6
+    np.testing.assert_array_equal(first.info["parameters"]["law.kp"], [200.0, 100.0])
