@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+WHOLE = bool(os.environ.get("TAUT_BARS"))  # `make bars`
+BAR = "bar: "  # begins the names of properties that stand in the table of `make bars`
+
+Bar = Callable[[str, object], None]
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -15,3 +22,33 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder.mkdir(mode=0o700, exist_ok=True)
     os.environ["TAUT_CACHE_DIR"] = str(folder)
     return folder
+
+
+@pytest.fixture(scope="session")
+def share() -> Callable[[int], int]:
+    """How many of n cases to take: all in `make bars`, else a tenth."""
+    return lambda n: n if WHOLE else max(1, n // 10)
+
+
+@pytest.fixture
+def bar(record_property: Callable[[str, object], None]) -> Bar:
+    """Writes a figure into the table of `make bars`: bar("what was counted", figure)."""
+    return lambda name, figure: record_property(BAR + name, figure)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """The table of `make bars`, also in out/bars.json."""
+    if not WHOLE:
+        return
+    found: dict[str, object] = {}
+    for report in terminalreporter.getreports("passed"):
+        for name, figure in report.user_properties:
+            if name.startswith(BAR):
+                found[name.removeprefix(BAR)] = figure
+    terminalreporter.write_sep("=", "bars")
+    for name, figure in sorted(found.items()):
+        terminalreporter.write_line(f"{name:<78}{figure}")
+    out = Path("out")
+    out.mkdir(exist_ok=True)
+    (out / "bars.json").write_text(json.dumps(dict(sorted(found.items())), indent=1), encoding="utf-8")
+    terminalreporter.write_line(f"figures in {out / 'bars.json'}")

@@ -7,6 +7,10 @@ first used, so that `import taut` is quick.
 from __future__ import annotations
 
 import importlib
+import importlib.machinery
+import os
+import sys
+import warnings
 from typing import TYPE_CHECKING, Any, Final
 
 __version__ = "0.1.0"
@@ -132,3 +136,24 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return __all__
+
+
+def _other_package_of_this_name() -> str | None:
+    """The file of another package called taut that Python could find: the package index has some."""
+    for entry in sys.path:
+        spec = importlib.machinery.PathFinder.find_spec("taut", [entry])
+        if spec is None or spec.origin is None:
+            continue
+        if os.path.realpath(spec.origin) != os.path.realpath(__file__):
+            return spec.origin
+    return None
+
+
+_other = _other_package_of_this_name()
+if _other is not None:
+    warnings.warn(
+        f"another package called taut is installed at {_other}, and the order of sys.path decides which of the two "
+        'is imported; pip uninstall taut, then pip install -e "." in the folder of this one',
+        RuntimeWarning,
+        stacklevel=2,
+    )

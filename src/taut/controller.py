@@ -8,6 +8,7 @@ from typing import Any, Final, Literal, NoReturn
 
 import numpy as np
 
+from taut.arm.angles import require_radians
 from taut.arm.description import Arm, Payload
 from taut.base.checks import finite_array, one_of, positive_scalar
 from taut.base.errors import NumericalError, RangeError, TautError, UsageError, unknown_name
@@ -301,6 +302,9 @@ class Controller:
 
     def _first(self) -> None:
         """A tick before memory has started: start it from the inputs, and from the torque that the plant holds."""
+        for path in ("q", "ref.q"):  # in the first tick alone: nothing must stop an arm that moves already
+            if path in self._inputs:
+                require_radians(path, self._inputs[path], self.arm)
         self._kernel.start()
         self.parameters.forget()
         if self._torque_at_start is not None:

@@ -10,6 +10,7 @@ from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 
+from taut.arm.angles import require_radians
 from taut.arm.description import Arm, Payload
 from taut.base.checks import finite_array, positive_scalar, read_only, require_at_least, require_positive
 from taut.base.errors import MatchError, ShapeError, UsageError, unknown_name
@@ -333,5 +334,6 @@ def state_at_start(arm: Arm, q0: ArrayLike | None, v0: ArrayLike | None) -> tupl
     """The true state at the start of a run, checked: home and at rest by default."""
     names = arm.joint_names
     q = arm.home if q0 is None else finite_array("q0", q0, shape=(arm.n,), joints=names, unit="rad | m")
+    require_radians("q0", q, arm)
     v = np.zeros(arm.n) if v0 is None else finite_array("v0", v0, shape=(arm.n,), joints=names, unit="rad/s | m/s")
     return q, v

@@ -58,7 +58,7 @@ BROKEN = {
     "a missing gain": (changed("kd = [8, 4]", ""), ": [laws.PD] GravityPID needs kd [N m s/rad]"),
     "a gain of another size": (
         changed("kd = [8, 4]", "kd = [8, 4, 2]"),
-        "kd must be a scalar, (2,) or (2, 2); got shape (3,)",
+        "kd must be a scalar, (2,) or (2, 2) for 2 joints; got shape (3,)",
     ),
     "an unknown law": (
         changed('"GravityPID"', '"GravityPDI"'),

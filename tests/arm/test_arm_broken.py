@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -54,6 +55,19 @@ def test_there_are_more_than_sixty_kinds_and_the_sound_models_are_accepted(tmp_p
     for text, name in ((DUO, "m.urdf"), (PAIR, "m.xml")):
         (tmp_path / name).write_text(text)
         assert load_arm(tmp_path / name).n == 2
+
+
+@pytest.mark.bars
+def test_broken_files_are_counted(tmp_path: Path, bar: Callable[[str, object], None]) -> None:
+    told = 0
+    for cases, sound, name in ((URDF, DUO, "m.urdf"), (MJCF, PAIR, "m.xml")):
+        for case in cases:
+            (tmp_path / name).write_text(case.written(sound), encoding="utf-8")
+            problems = refused(tmp_path / name).problems
+            told += all(problem.object and problem.line is not None for problem in problems)
+    count = len(URDF) + len(MJCF)
+    bar("row 20: broken URDF and MJCF files refused, naming object and line", f"{told} of {count}")
+    assert told >= 0.9 * count  # of MuJoCo's own refusals a few know no line
 
 
 def test_a_refused_file_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -163,40 +164,52 @@ def test_meshes_of_other_types_are_noted(tmp_path: Path) -> None:
     assert arm.notes == ("the mesh 'hand.dae' is not shown: it is not .stl or .obj",)
 
 
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        ("../secret.stl", "leads out of the model's folder"),
-        ("meshes/../../secret.stl", "leads out of the model's folder"),
-        ("/etc/secret.stl", "leads out of the model's folder"),
-        ("file:///etc/secret.stl", "is an address or an odd name, not a plain relative path"),
-        ("http://example.org/secret.stl", "is an address or an odd name, not a plain relative path"),
-        ("https://example.org/secret.obj", "is an address or an odd name, not a plain relative path"),
-        ("C:/secret.stl", "is an address or an odd name, not a plain relative path"),
-        ("..\\secret.stl", "is an address or an odd name, not a plain relative path"),
-        ("package://other/secret.stl", "belongs to a package that is not known here"),
-        ("package://duo/../secret.stl", "leads out of the model's folder"),
-        ("package://duo//etc/secret.stl", "leads out of the model's folder"),
-        ("link.stl", "is a link that leads out of the model's folder"),
-        ("folder/secret.stl", "is a link that leads out of the model's folder"),
-        ("loop.stl", "is no file name"),
-        ("gone.stl", "is not there"),
-        ("x" * 400 + ".stl", "is no file name"),
-    ],
-)
-def test_no_mesh_path_leads_out_of_its_folder(name: str, reason: str, tmp_path: Path) -> None:
+ESCAPES = [
+    ("../secret.stl", "leads out of the model's folder"),
+    ("meshes/../../secret.stl", "leads out of the model's folder"),
+    ("/etc/secret.stl", "leads out of the model's folder"),
+    ("file:///etc/secret.stl", "is an address or an odd name, not a plain relative path"),
+    ("http://example.org/secret.stl", "is an address or an odd name, not a plain relative path"),
+    ("https://example.org/secret.obj", "is an address or an odd name, not a plain relative path"),
+    ("C:/secret.stl", "is an address or an odd name, not a plain relative path"),
+    ("..\\secret.stl", "is an address or an odd name, not a plain relative path"),
+    ("package://other/secret.stl", "belongs to a package that is not known here"),
+    ("package://duo/../secret.stl", "leads out of the model's folder"),
+    ("package://duo//etc/secret.stl", "leads out of the model's folder"),
+    ("link.stl", "is a link that leads out of the model's folder"),
+    ("folder/secret.stl", "is a link that leads out of the model's folder"),
+    ("loop.stl", "is no file name"),
+    ("gone.stl", "is not there"),
+    ("x" * 400 + ".stl", "is no file name"),
+]
+
+
+def notes_of_a_model_that_shows(name: str, tmp_path: Path) -> tuple[str, ...]:
+    """The notes of a model whose mesh has this name, beside a file that must not be reached; nothing is shown."""
     (tmp_path / "secret.stl").write_bytes(b"secret")
     folder = tmp_path / "model"
-    folder.mkdir()
-    (folder / "link.stl").symlink_to(tmp_path / "secret.stl")
-    (folder / "folder").symlink_to(tmp_path)
-    (folder / "loop.stl").symlink_to(folder / "loop.stl")
+    folder.mkdir(exist_ok=True)
+    for link, target in (("link.stl", "../secret.stl"), ("folder", ".."), ("loop.stl", "loop.stl")):
+        (folder / link).unlink(missing_ok=True)
+        (folder / link).symlink_to(target)
     tree = read_urdf(written(folder, with_shape(mesh(name))), {"duo": folder})
     assert [visual for link in tree.links for visual in link.visuals] == []
     assert tree.problems == []
-    (note,) = tree.notes
+    return tuple(tree.notes)
+
+
+@pytest.mark.parametrize(("name", "reason"), ESCAPES)
+def test_no_mesh_path_leads_out_of_its_folder(name: str, reason: str, tmp_path: Path) -> None:
+    (note,) = notes_of_a_model_that_shows(name, tmp_path)
     assert note.startswith("the mesh '")
     assert note.endswith(f"' is not shown: it {reason}")
+
+
+@pytest.mark.bars
+def test_escapes_are_counted(tmp_path: Path, bar: Callable[[str, object], None]) -> None:
+    escapes = sum(not notes_of_a_model_that_shows(name, tmp_path) for name, _ in ESCAPES)
+    bar(f"row 23: mesh paths out of the model's folder, {len(ESCAPES)} kinds: escapes", escapes)
+    assert escapes == 0
 
 
 @pytest.mark.parametrize("name", ["a\0b.stl", "", "a\nb.stl"])

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -166,3 +169,45 @@ def test_empty_files_and_folders_are_file_errors(content: bytes, tmp_path: Path)
 def test_an_element_does_not_hold_what_it_was_not_given() -> None:
     element = Element("a", {}, 1, "f")
     assert element.all("b") == []
+
+
+@pytest.mark.bars
+def test_hostile_files_are_refused_quickly(tmp_path: Path, bar: Callable[[str, object], None]) -> None:
+    """What they cost is counted in a process of its own, whose peak of memory is its own."""
+    entities = ['<!ENTITY b0 "ha">', *(f'<!ENTITY b{i} "{f"&b{i - 1};" * 10}">' for i in range(1, 10))]
+    bomb = f"<!DOCTYPE r [{''.join(entities)}]><robot>&b9;</robot>"
+    links = "".join(f'<link name="l{i}"/>' for i in range(5000))
+    files = {
+        "bomb.urdf": bomb,
+        "bomb.xml": bomb.replace("robot", "mujoco"),
+        "deep.urdf": "<robot>" + "<link>" * 20_000,
+        "deep.xml": "<mujoco><worldbody>" + "<body>" * 20_000,
+        "links.urdf": f'<robot name="r">{links}</robot>',
+        "replicate.xml": '<mujoco><worldbody><replicate count="100000000"><body><geom size="1"/></body></replicate>'
+        "</worldbody></mujoco>",
+        "replicates.xml": "<mujoco><worldbody>" + '<replicate count="1000">' * 5 + "<body/>" + "</replicate>" * 5
+        + "</worldbody></mujoco>",
+        "include.xml": '<mujoco><include file="include.xml"/></mujoco>',
+    }  # fmt: skip
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    code = """if True:
+        import sys, time, taut
+        for name in sys.argv[1:]:
+            start = time.perf_counter()
+            try:
+                taut.load_arm(name)
+            except taut.TautError:
+                peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
+                print(time.perf_counter() - start, int(peak.split()[1]) / 1024)
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", code, *files], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    costs = [[float(x) for x in line.split()] for line in done.stdout.splitlines()]
+    seconds, megabytes = max(s for s, _ in costs), costs[-1][1]
+    bar("row 22: entity bombs, depth, counts: refused, slowest [s], peak [MB]",
+        f"{len(costs)} of {len(files)}, {seconds:.2f}, {megabytes:.0f}")  # fmt: skip
+    assert len(costs) == len(files)
+    assert seconds < 2.0
+    assert megabytes < 200.0

@@ -5,21 +5,22 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from taut.arm.description import BASE, Arm, Body
 from taut.arm.rules import check_inertia, value_problems
 from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeLink, TreeVisual, assemble, require_within_limits
-from taut.base.checks import entry_names, finite_array, finite_scalar, vector
+from taut.base.checks import entry_names, finite_array, finite_scalar, require_at_least, require_positive, vector
 from taut.base.errors import ModelError, Problem, RangeError, ShapeError, UsageError, unknown_name
 from taut.base.types import ArrayLike, Float64Array
 
 __all__ = ["body_replaced", "home_replaced", "joints_replaced", "locked_copy", "perturbed_copy"]
 
 ROOT = "<base>"
-JOINT_FIELDS = ("lower", "upper", "velocity", "effort", "viscous", "coulomb", "rotor_inertia")
+LIMITS: Final = ("lower", "upper", "velocity", "effort")  # which may be infinite
+JOINT_FIELDS: Final = (*LIMITS, "viscous", "coulomb", "rotor_inertia")
 
 
 def locked_copy(arm: Arm, joints: Iterable[str], q: ArrayLike | None) -> Arm:
@@ -130,7 +131,11 @@ def joints_replaced(arm: Arm, values: Mapping[str, ArrayLike | Mapping[str, floa
     for name, given in values.items():
         if name not in JOINT_FIELDS:
             raise unknown_name("a joint", "field", name, JOINT_FIELDS)
-        columns[name] = _column(arm, name, given)
+        columns[name] = column = _column(arm, name, given)
+        if name in ("velocity", "effort"):
+            require_positive(name, column, joints=arm.joint_names)
+        elif name not in LIMITS:
+            require_at_least(name, column, 0.0, joints=arm.joint_names)
     joints, problems = [], []
     for i, joint in enumerate(arm.joints):
         changed: dict[str, Any] = {name: float(column[i]) for name, column in columns.items()}
@@ -150,8 +155,8 @@ def _column(arm: Arm, name: str, given: ArrayLike | Mapping[str, float]) -> Floa
         column = [getattr(joint, name) for joint in arm.joints]
         for joint, value in given.items():
             column[arm.joint_index(joint)] = value
-        return vector(name, column, arm.n, joints=arm.joint_names, allow_infinite=True)
-    numbers = finite_array(name, given, allow_infinite=True, joints=arm.joint_names)
+        return vector(name, column, arm.n, joints=arm.joint_names, allow_infinite=name in LIMITS)
+    numbers = finite_array(name, given, allow_infinite=name in LIMITS, joints=arm.joint_names)
     if numbers.shape not in ((), (arm.n,)):
         raise ShapeError(f"{name} must be one number or {arm.n}, one per joint; got shape {numbers.shape}", name=name)
     return np.broadcast_to(numbers, (arm.n,))

@@ -28,7 +28,7 @@ from taut.arm.parts import (
     Visual,
 )
 from taut.base import math as tm
-from taut.base.checks import one_of, vector
+from taut.base.checks import finite_array, one_of, vector
 from taut.base.errors import UsageError, unknown_name
 from taut.base.pose import Pose
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
@@ -230,7 +230,11 @@ class Arm:
         inertia: ArrayLike = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     ) -> Arm:
         """A copy that carries a payload: mass [kg], centre of mass [m] and inertia in the tool frame."""
-        payload = Payload(mass=mass, com=np.asarray(com), inertia=np.asarray(inertia))
+        com, inertia = (
+            finite_array("payload.com", com, unit="m"),
+            finite_array("payload.inertia", inertia, unit="kg m^2"),
+        )
+        payload = Payload(mass=mass, com=com, inertia=inertia)
         return dataclasses.replace(self, payload=payload)
 
     def with_home(self, q: ArrayLike) -> Arm:

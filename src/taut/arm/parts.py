@@ -121,9 +121,9 @@ class Payload:
         mass = finite_scalar("payload.mass", self.mass, unit="kg")
         require_at_least("payload.mass", np.array(mass), 0.0, unit="kg")
         com = vector("payload.com", self.com, 3, unit="m")
-        given = np.asarray(self.inertia)
+        given = finite_array("payload.inertia", self.inertia, unit="kg m^2")
         if given.shape == (3, 3):
-            I = finite_array("payload.inertia", given, shape=(3, 3), unit="kg m^2")
+            I = given
             symmetric_psd("payload.inertia", I, unit="kg m^2")
             six = np.array([I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]])
         else:

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
+from typing import Final
 
 __all__ = [
     "FileError",
@@ -118,13 +119,18 @@ class Problem:
         return f"{self.message}{where}"
 
 
+MODEL_FILES: Final = (".urdf", ".xml", ".mjcf")
+
+
 class ModelError(TautError, ValueError):
     """A robot model breaks a rule; `problems` lists every one of them."""
 
     def __init__(self, source: str, problems: Sequence[Problem]) -> None:
         first = problems[0]
         more = len(problems) - 1
-        tail = "" if more == 0 else f" (and {more} more: taut check {source} lists them)"
+        file = Path(source).suffix in MODEL_FILES
+        where = f"taut check {source} lists them" if file else "in the error's attribute problems"
+        tail = "" if more == 0 else f" (and {more} more: {where})"
         super().__init__(f"{source}: {first}{tail}", name=first.object, rule=first.message, value=None)
         self.source = source
         self.problems = tuple(problems)

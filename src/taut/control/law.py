@@ -142,7 +142,9 @@ class Law:
         for path, values in self.parameters().items():
             if values.ndim and values.shape[0] != n:
                 raise ShapeError(
-                    f"{path} must be a scalar, ({n},) or ({n}, {n}); got shape {values.shape}", name=path
+                    f"{path} must be a scalar, ({n},) or ({n}, {n}) for {n} {'joint' if n == 1 else 'joints'}; got "
+                    f"shape {values.shape}",
+                    name=path,
                 )
 
     def __add__(self, other: Law) -> Law:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from taut.base.errors import unknown_name
 from taut.control.combine import Sum
 from taut.control.joint import (
     PID,
@@ -23,3 +24,7 @@ __all__ = [
     "VelocityPI",
     "Sum",
 ]
+
+
+def __getattr__(name: str) -> object:
+    raise AttributeError(str(unknown_name("taut.laws", "law", name, __all__)), name=name, obj=None)

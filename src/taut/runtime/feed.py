@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from taut.arm.angles import require_radians
+from taut.arm.description import Arm
 from taut.base.errors import UsageError
 from taut.base.types import Float64Array
 from taut.control.lawside import LawSide
@@ -26,7 +28,7 @@ class ReferenceFeed:
     Args:
         ref: The reference.
         kind: The kind of sample that the law follows.
-        n: Number of joints.
+        arm: The arm that follows it.
         dt: Control period [s].
         at_rest: The sample to hold where the reference names none: the first state.
 
@@ -34,8 +36,8 @@ class ReferenceFeed:
         UsageError: The reference gives another kind of sample, or a stream has no source.
     """
 
-    def __init__(self, ref: Reference, kind: type[Sample], n: int, dt: float, at_rest: Sample) -> None:
-        self._kind, self._n, self._dt = kind, n, dt
+    def __init__(self, ref: Reference, kind: type[Sample], arm: Arm, dt: float, at_rest: Sample) -> None:
+        self._kind, self._arm, self._dt = kind, arm, dt
         self._ref: Any = ref
         self._since = 0.0  # time at which a chunk started
         self._current: Any = None
@@ -81,9 +83,11 @@ class ReferenceFeed:
             source = self._current
             times = times - self._since
         if isinstance(source, Sample):
-            table = sample_rows(_Constant(source), times[:1], self._kind, self._n)
+            table = sample_rows(_Constant(source), times[:1], self._kind, self._arm.n)
         else:
-            table = sample_rows(source, times, self._kind, self._n)
+            table = sample_rows(source, times, self._kind, self._arm.n)
+        if "q" in table:
+            require_radians("ref.q", table["q"], self._arm)
         for name, view in views.items():
             view[...] = table[name]
 

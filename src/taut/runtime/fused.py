@@ -59,7 +59,7 @@ class FusedRun:
         # changes the numbers.
         self._noise = {name: np.random.default_rng([seed, *name.encode()]) for name in loop.plant.noise}
         at_rest = side.law.reference.at_rest(q)
-        self._feed = ReferenceFeed(loop.ref, side.law.reference, side.arm.n, loop.dt, at_rest)
+        self._feed = ReferenceFeed(loop.ref, side.law.reference, side.arm, loop.dt, at_rest)
         first = np.zeros((1, self._inputs.size))
         memory = self._started(q, v, first)
         self._memory = Block.of({path: np.shape(value) for path, value in memory.items()})
