@@ -143,7 +143,7 @@ def test_a_bound_kernel_is_the_same_controller(engine: Engine) -> None:
 @engines
 def test_forces_come_by_keywords_that_say_their_sign(engine: Engine) -> None:
     ctrl = taut.compile(Feels(gain=2.0), ARM, engine=engine)
-    assert ctrl.needs == ("v", "F_ext", "tau_meas")
+    assert ctrl.needs == ("F_ext", "tau_meas")
     F, tau_meas = np.array([1.0, -2.0, 0.5, 0.1, 0.2, -0.3]), np.array([0.5, 0.25])
     J = taut.snapshot(ARM, Q).J()
     wanted = J.T @ F + 2.0 * tau_meas
@@ -361,9 +361,9 @@ PARAMETERS: list[tuple[str, Any, type[TautError], str]] = [
     ("law.kq", 1.0, UnknownNameError, "the controller has no parameter 'law.kq'; did you mean 'law.kp' or 'law.ki'?"),
     ("kp", 1.0, UnknownNameError, "the controller has no parameter 'kp'; it has 'law.kp', 'law.kd', 'law.ki', "
      "'limits.tau', 'model.payload.mass', 'model.payload.com', 'model.payload.inertia'"),
-    ("law.kp", -1.0, RangeError, "law.kp must be >= 0 [N m/rad]; got -1.0"),
-    ("law.kp", math.nan, RangeError, "law.kp must be finite [N m/rad]; got nan"),
-    ("law.kp", "10", ShapeError, "law.kp must be numbers [N m/rad]; got '10'"),
+    ("law.kp", -1.0, RangeError, "law.kp must be >= 0 [N m/rad | N/m]; got -1.0"),
+    ("law.kp", math.nan, RangeError, "law.kp must be finite [N m/rad | N/m]; got nan"),
+    ("law.kp", "10", ShapeError, "law.kp must be numbers [N m/rad | N/m]; got '10'"),
     ("law.kp", [1.0, 2.0], ShapeError, "law.kp was compiled with shape (); got shape (2,); compile the law with a value of "
      "the new shape"),
     ("law.kd", np.eye(2), ShapeError, "law.kd was compiled with shape (2,); got shape (2, 2); compile the law with a value "
@@ -528,13 +528,15 @@ def test_the_explanation_tells_law_gains_and_cost(capsys: pytest.CaptureFixture[
         == f"""\
 GravityPID for arm 'planar2' (2 joints) at 500 Hz
   Law:         tau = kp e + ki int(e) + kd e_dot + g(q)   eq. 10.22
-  Closed loop: M a + C v = kp e - kd v, for a set-point, ki = 0 and an exact g   eq. 10.23
-               globally asymptotically stable: V = e kp e / 2 + v M v / 2 falls by v kd v
+  Closed loop: M a + C v = kp e - kd v, for a set-point, ki = 0, an exact g and no friction   eq. 10.23
+               V = e . kp e / 2 + v . M v / 2 falls at the rate v . kd v   eq. 10.25, 10.27
+               globally asymptotically stable for kp > 0 and kd > 0, where no joint wraps
+               viscous friction adds to kd; dry friction leaves an error of up to mu / kp
 
 parameters
-  law.kp                   [10., 20.]  [N m/rad]
-  law.kd                   1  [N m s/rad]
-  law.ki                   0  [N m/(rad s)]
+  law.kp                   [10., 20.]  [N m/rad | N/m]
+  law.kd                   1  [N m s/rad | N s/m]
+  law.ki                   0  [N m/(rad s) | N/(m s)]
   limits.tau               5  [N m | N]
   model.payload.mass       0  [kg]
   model.payload.com        [0., 0., 0.]  [m]
@@ -575,3 +577,13 @@ def test_two_controllers_of_one_law_share_nothing() -> None:
     one.step(Q, V, REF)
     one.parameters["law.kp"] = 50.0
     np.testing.assert_array_equal(other.step(Q, V, REF), first)
+
+
+@pytest.mark.parametrize("engine", ["native", "float"])
+def test_the_arrays_of_a_bound_kernel_are_written_into_and_not_replaced(engine: Engine) -> None:
+    k = taut.compile(taut.laws.PID(kp=1.0), ARM, engine=engine).bind()
+    for name in ("q", "ref", "command", "tick"):
+        with pytest.raises(
+            UsageError, match=rf"^{name} of a bound kernel .*; write into it: k\.{name}\[:\] = \.\.\.$"
+        ):
+            setattr(k, name, np.zeros(2))

@@ -21,7 +21,7 @@ from taut.codegen.layout import Block
 from taut.codegen.program import Program, Values, failure, trace
 from taut.control.describe import PARAMETER_UNITS, all_laws, gain_units, section, short, summary, title
 from taut.control.law import Law
-from taut.control.lawside import LawSide, Probe
+from taut.control.lawside import HELD, TOLD, LawSide, Probe
 from taut.control.limits import Limits
 from taut.control.reference import Sample, Trajectory
 from taut.control.sensing import Sensing
@@ -248,7 +248,7 @@ class Controller:
     def _arguments(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[dict[str, Any], Any]:
         known = ("q", "v", "ref", "F_ext", "F_app", "tau_meas")
         positional: tuple[str, ...] = known[:3]
-        if not self.side.sensing.needs_velocity and len(args) == 2 and isinstance(args[1], Sample):
+        if "v" not in self.needs and len(args) == 2 and isinstance(args[1], Sample):
             positional = ("q", "ref")
         if len(args) > len(positional):
             raise UsageError(f"step takes {', '.join(positional)}; got {len(args)} positional arguments")
@@ -269,12 +269,11 @@ class Controller:
 
     def _take(self, given: dict[str, Any], ref: Any) -> None:
         """Check everything, then write everything."""
-        needed = ("q", *self.needs)
-        for name in needed:
+        for name in ("q", *self.needs):
             if name not in given:
                 raise UsageError(f"step needs {name}{_WHY.get(name, '')}; got none", name=name)
         for name in given:
-            if name not in needed:
+            if name not in ("q", *self.side.takes):
                 raise UsageError(
                     f"step got {name}, which this controller does not use"
                     f"{'; its sensing differences positions' if name == 'v' else ''}; leave it out",
@@ -305,10 +304,12 @@ class Controller:
         for path in ("q", "ref.q"):  # in the first tick alone: nothing must stop an arm that moves already
             if path in self._inputs:
                 require_radians(path, self._inputs[path], self.arm)
+        if TOLD in self._inputs:
+            told = self._torque_at_start
+            self._inputs[TOLD][...] = told is not None
+            self._inputs[HELD][...] = 0.0 if told is None else told
         self._kernel.start()
         self.parameters.forget()
-        if self._torque_at_start is not None:
-            self._kernel.blocks.views("memory")["limits.tau_applied"][:] = self._torque_at_start
         try:
             self._kernel.tick()
         except TautError:
@@ -449,8 +450,9 @@ def _kernel_of(
     n, probe = side.arm.n, _probed(side)
     sizes = {"v": (n,), "F_ext": (6,), "tau_meas": (n,)}
     ref_fields = {f"ref.{name}": shape for name, shape in side.law.reference.fields(n).items()}
+    held = {TOLD: (), HELD: (n,)} if "limits.tau_applied" in probe.shapes else {}
     terms = {f"terms.{name}": (n,) for name in probe.terms} if record else {}
-    inputs = Block.of({"t": (), "q": (n,), **{name: sizes[name] for name in side.needs}, **ref_fields})
+    inputs = Block.of({"t": (), "q": (n,), **{name: sizes[name] for name in side.takes}, **ref_fields, **held})
     parameters = Block.of({path: value.shape for path, value in side.parameters.items()} | {DT: ()})
     memory = Block.of(probe.shapes)
     blocks = Blocks(inputs, parameters, memory, Block.of({"command": (n,), **terms}))
@@ -464,7 +466,7 @@ def _kernel_of(
     starter = trace(functions.start, inputs, parameters, Block())
     v = ("v",) if side.sensing.needs_velocity else ()
     # A law that needs a force gets it by keyword, on the slow path.
-    plain = slow is not None and len(side.needs) == len(v)
+    plain = slow is not None and side.takes == v
     arguments = [Argument((name,)) for name in ("q", *v)] + [Argument(tuple(ref_fields), is_object=True)]
     return NativeKernel(
         program,
@@ -478,7 +480,7 @@ def _kernel_of(
         slow=slow,
         first=first,
         failed=failed,
-        verify=verified(type(side.law).__name__, functions.tick, program, _random_samples(side, blocks)),
+        verify=verified(type(side.law).__name__, functions.tick, program, lambda: _random_samples(side, blocks)),
     )
 
 
@@ -593,3 +595,11 @@ class BoundKernel:
         self.ref: Any = reference.of(subtree(inputs, "ref"))
         self.command: Float64Array = kernel.blocks.views("outputs")["command"]
         self.tick = kernel.tick
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if name in self.__slots__ and hasattr(self, name):
+            raise UsageError(
+                f"{name} of a bound kernel is what the compiled code works on; write into it: k.{name}[:] = ...",
+                name=name,
+            )
+        super().__setattr__(name, value)

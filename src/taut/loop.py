@@ -12,12 +12,12 @@ import numpy as np
 
 from taut.arm.angles import require_radians
 from taut.arm.description import Arm, Payload
-from taut.base.checks import finite_array, positive_scalar, read_only, require_at_least, require_positive
+from taut.base.checks import finite_array, positive_scalar, read_only
 from taut.base.errors import MatchError, ShapeError, UsageError, unknown_name
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.control.describe import title
-from taut.control.lawside import LawSide, checked_payload_entry
+from taut.control.lawside import LawSide
 from taut.control.reference import Hold, Reference, as_reference
 from taut.maths.adds import Adds
 
@@ -25,7 +25,6 @@ __all__ = ["AnyPlant", "Loop", "ModelPlant", "check_fit"]
 
 Values = Mapping[str, Any]
 DT: Final = "dt"
-STAGES: Final = ("sensors", "actuation", "environment")  # their parameters keep their own names
 
 
 class AnyPlant(Protocol):
@@ -41,20 +40,25 @@ class AnyPlant(Protocol):
     def measures(self) -> frozenset[str]: ...
     @property
     def adds(self) -> Any: ...
+    @property
+    def parameters(self) -> Mapping[str, Float64Array]: ...
+    def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array: ...
 
 
 @runtime_checkable
 class ModelPlant(AnyPlant, Protocol):
-    """A plant that is a pure function, so that it can be fused with a controller."""
+    """A plant that is a pure function, so that it can be fused with a controller.
+
+    Its functions are given the loop's parameters by path, and pick their own.
+    """
 
     @property
     def substeps(self) -> int: ...
     @property
     def noise(self) -> dict[str, tuple[int, ...]]: ...
-    def parameters(self) -> dict[str, Float64Array]: ...
     def start(self, q: Vector, v: Vector, parameters: Values, dt: float) -> dict[str, Any]: ...
     def measure(self, memory: Values, noise: Values, parameters: Values) -> dict[str, Any]: ...
-    def command(self, command: Vector, memory: Values, parameters: Values, t: Any, dt: Any) -> dict[str, Any]: ...
+    def command(self, command: Vector, memory: Values, t: Any) -> dict[str, Any]: ...
     def advance(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]: ...
 
 
@@ -160,6 +164,9 @@ def _check_start(side: LawSide, plant: AnyPlant) -> None:
 class Loop:
     """A closed loop: a controller and a model plant that follow a reference for a while.
 
+    It starts with copies of the parameters that controller and plant have when it is made; `loop.parameters` changes
+    them from then on.
+
     Args:
         ctrl: A controller from `taut.compile`.
         plant: A model plant such as `taut.RigidPlant`.
@@ -196,8 +203,7 @@ class Loop:
         check_fit(self.side, plant)
         self.ref: Reference = Hold() if ref is None else as_reference(ref)
         self.duration = positive_scalar("duration", duration, unit="s")
-        own = {f"{_prefix(path)}{path}": value for path, value in plant.parameters().items()}
-        self.parameters = LoopParameters(self.side, plant.arm, {**ctrl.parameters, **own})
+        self.parameters = LoopParameters(self.side, plant, {**ctrl.parameters, **plant.parameters})
 
     @property
     def dt(self) -> float:
@@ -232,21 +238,20 @@ class Loop:
 
     def plant_at_start(self, q: Vector, v: Vector, parameters: Values) -> dict[str, Any]:
         """The plant's memory by path in the first tick, from its true state."""
-        return self.plant.start(q, v, _of_plant(parameters), self.dt)
+        return self.plant.start(q, v, parameters, self.dt)
 
     def measured(self, plant: Values, inputs: Values, parameters: Values) -> dict[str, Any]:
         """What the sensors give in a tick, from the plant's memory, and the time."""
-        return {**self.plant.measure(plant, subtree(inputs, "noise"), _of_plant(parameters)), "t": inputs["t"]}
+        return {**self.plant.measure(plant, subtree(inputs, "noise"), parameters), "t": inputs["t"]}
 
     def step(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:
         """One control period: (what is recorded, memory after it)."""
-        dt, own = parameters[DT], _of_plant(parameters)
-        plant = subtree(memory, "plant")
+        dt, plant = parameters[DT], subtree(memory, "plant")
         measured = self.measured(plant, inputs, parameters)
         law = {path: value for path, value in memory.items() if not path.startswith("plant.")}
         tick = self.side.tick(measured, self._sample(inputs), law, parameters, dt)
-        plant = self.plant.command(tick.command, plant, own, inputs["t"], dt)
-        plant = self.plant.advance(plant, own, dt / self.plant.substeps)
+        plant = self.plant.command(tick.command, plant, inputs["t"])
+        plant = self.plant.advance(plant, parameters, dt / self.plant.substeps)
         before = subtree(memory, "plant")
         record = {"q": before["q"], "v": before["v"], "command": tick.command, "tau": plant["tau"]}
         if "F_ext" in plant:
@@ -256,30 +261,18 @@ class Loop:
 
     def substep(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:  # noqa: ARG002
         """One further step of the integrator in the same control period."""
-        plant = self.plant.advance(
-            subtree(memory, "plant"), _of_plant(parameters), parameters[DT] / self.plant.substeps
-        )
+        plant = self.plant.advance(subtree(memory, "plant"), parameters, parameters[DT] / self.plant.substeps)
         return {}, {**memory, **{f"plant.{path}": value for path, value in plant.items()}}
 
     def _sample(self, inputs: Values) -> Any:
         return self.side.law.reference.of(subtree(inputs, "ref"))
 
 
-def _prefix(path: str) -> str:
-    return "" if path.partition(".")[0] in STAGES else "plant."
-
-
-def _of_plant(parameters: Values) -> dict[str, Any]:
-    """The plant's own parameters, with the names it knows them by."""
-    stages = {path: value for path, value in parameters.items() if path.partition(".")[0] in STAGES}
-    return {**subtree(parameters, "plant"), **stages}
-
-
 class LoopParameters(MutableMapping[str, Float64Array]):
     """Parameters of a loop by path; a new value is checked like the first one."""
 
-    def __init__(self, side: LawSide, arm: Arm, values: Mapping[str, Float64Array]) -> None:
-        self._side, self._arm = side, arm
+    def __init__(self, side: LawSide, plant: AnyPlant, values: Mapping[str, Float64Array]) -> None:
+        self._side, self._plant = side, plant
         self._values = {path: read_only(value) for path, value in values.items()}
 
     def __getitem__(self, path: str) -> Float64Array:
@@ -300,21 +293,7 @@ class LoopParameters(MutableMapping[str, Float64Array]):
         self._require(path)
         if path in self._side.parameters:
             return read_only(self._side.checked_parameter(path, value))
-        shape = self._values[path].shape
-        if path.startswith("plant.payload."):
-            return checked_payload_entry(path, value)
-        joints = self._arm.joint_names if shape == (self._arm.n,) else None
-        new = finite_array(path, value)
-        if new.shape not in ((), shape):
-            raise ShapeError(
-                f"{path} has shape {shape}; got shape {new.shape}; make the plant with a value of the new shape",
-                name=path,
-            )
-        if path == "actuation.bandwidth":
-            require_positive(path, new, unit="rad/s")
-        elif not path.startswith("environment."):
-            require_at_least(path, new, 0.0, joints=joints)
-        return read_only(np.broadcast_to(new, shape))
+        return read_only(self._plant.checked_parameter(path, value))
 
     def _require(self, path: str) -> None:
         if path not in self._values:

@@ -13,7 +13,8 @@ from arm_models import PAIR
 from arm_oracles import assert_same_as_mujoco
 
 from taut.arm.load import load_arm
-from taut.arm.mjcf import read_mjcf
+from taut.arm.mjcf import mjcf_tree
+from taut.arm.xml import read_xml
 from taut.base.errors import ModelError
 
 ASSETS = Path(str(metadata.distribution("franky-sim").locate_file("franky_sim/assets")))
@@ -290,7 +291,7 @@ def test_a_home_key_frame_out_of_the_limits_is_left_out_and_said(tmp_path: Path)
 def test_reading_alone_gives_a_tree_with_lines(tmp_path: Path) -> None:
     file = tmp_path / "m.xml"
     file.write_text(PAIR)
-    tree = read_mjcf(file)
+    tree = mjcf_tree(read_xml(file), file)
     assert [(joint.name, joint.line) for joint in tree.joints] == [("shoulder", 6), ("elbow", 10)]
     assert [(link.name, link.line) for link in tree.links] == [("world", None), ("upper", 4), ("fore", 8)]
 

@@ -665,3 +665,18 @@ def test_arrays_of_floats_stay_floats_outside_a_trace() -> None:
     with tracing(Graph()):
         assert isinstance(tm.zeros(2), Traced)
     assert not isinstance(tm.zeros(2), Traced)
+
+
+@pytest.mark.parametrize(
+    "compare", [lambda a, b: (a > 0.0) == b, lambda a, b: (a > 0.0) != b, lambda a, b: np.equal(a > 0.0, b)]
+)
+def test_a_condition_compares_with_a_number_as_in_numpy(compare: Callable[..., Any]) -> None:
+    a, b = np.array([1.0, -1.0, 2.0, -2.0]), np.array([1.0, 0.0, 0.0, 1.0])
+    for value in (b, 1.0, 0.0):
+        expected = np.where(compare(a, value), 1.0, -1.0)
+        got = traced_value(lambda a, b: tm.where(compare(a, b), 1.0, -1.0), a, np.asarray(value))
+        np.testing.assert_array_equal(got, expected)
+
+
+def test_one_to_a_traced_power_is_one() -> None:
+    np.testing.assert_array_equal(traced_value(lambda x: 1.0**x, np.asarray(0.7)), 1.0)

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from test_engines_agree import LAWS, loaded
+from law_oracles import LAWS, loaded
 
 import taut
 from taut import MissingExtraError, TraceError, UsageError
@@ -227,3 +227,34 @@ def test_without_casadi_the_command_that_installs_it_is_named(monkeypatch: pytes
         "the way to and from CasADi needs the package 'casadi', which is not installed; "
         'pip install -e ".[oracles]" installs it'
     )
+
+
+@pytest.mark.parametrize(
+    "build",
+    [
+        lambda x: ca.if_else(x, 1.0, 2.0),
+        lambda x: ca.logic_not(x),
+        lambda x: ca.logic_and(x, x - 3.0),
+        lambda x: ca.logic_or(x, x - 3.0),
+        lambda x: ca.logic_and(x > 0.0, ca.logic_not(x > 2.0)),
+    ],
+    ids=["if_else", "not", "and", "or", "of comparisons"],
+)
+def test_any_number_but_zero_is_true_as_in_casadi(build: Any) -> None:
+    x = ca.SX.sym("x")
+    f = ca.Function("f", [x], [build(x)])
+    ours = taut.native(taut.from_casadi(f), x=())
+    for value in (0.0, 1.0, 3.0, -1.0, 0.5, 5.0):
+        expected = float(f(value))
+        assert np.ravel(ours(np.array(value))).tolist() == [expected]
+        assert np.ravel(taut.from_casadi(f)(value)).tolist() == [expected]
+
+
+def test_what_is_no_number_is_nan_or_infinite_as_in_compiled_code() -> None:
+    x = ca.SX.sym("x")
+    f = ca.Function("f", [x], [ca.vertcat(x**2.5, 1.0 / x)])
+    ours = taut.native(taut.from_casadi(f), x=())
+    with np.errstate(all="ignore"):
+        for value in (-2.0, 0.0, 2.0):
+            np.testing.assert_allclose(ours(np.array(value)), np.array(f(value)).ravel(), rtol=1e-14)
+            np.testing.assert_allclose(taut.from_casadi(f)(value), np.array(f(value)).ravel(), rtol=1e-14)

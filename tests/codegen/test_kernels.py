@@ -135,8 +135,9 @@ def both_loops(
     step: Any, substep: Any, repeats: int, *blocks: Block
 ) -> tuple[NativeLoop | FloatLoop, NativeLoop | FloatLoop]:
     inputs, parameters, memory = (block.zeros() for block in blocks)
-    plain = FloatLoop(step, substep, repeats, *blocks, example=(inputs, parameters, memory))
-    return NativeLoop(step, substep, repeats, *blocks), plain
+    example = inputs, parameters, memory
+    native = NativeLoop(step, substep, repeats, *blocks, example=example)
+    return native, FloatLoop(step, substep, repeats, *blocks, example=example)
 
 
 def double(inputs: Any, parameters: Any, memory: Any) -> Any:
@@ -168,7 +169,7 @@ def test_a_loop_stops_before_memory_that_is_not_finite(which: int) -> None:
 
 
 def test_a_loop_over_no_rows_does_nothing() -> None:
-    loop = NativeLoop(swap, double, 0, *BLOCKS)
+    loop, _ = both_loops(swap, double, 0, *BLOCKS)
     memory = np.array([1.0, 2.0, 3.0, 4.0])
     assert loop.run(np.zeros((0, 2)), np.array([1.0]), memory, np.zeros((0, 2))) == 0
     assert memory.tolist() == [1.0, 2.0, 3.0, 4.0]

@@ -122,12 +122,31 @@ class TestSamples:
         np.testing.assert_array_equal(samples.q, self.q)
         np.testing.assert_array_equal(samples.at(0.5).v, [0.5, -0.5])
 
+    @pytest.mark.parametrize("rates", ["", "v", "a", "va"])
+    def test_a_csv_file_may_leave_out_either_rate(self, tmp_path: Path, rates: str) -> None:
+        given = {"v": np.array([[3.0, 4.0]] * 3), "a": np.array([[5.0, 6.0], [7.0, 8.0], [9.0, 0.0]])}
+        columns = ["t", *(f"{letter}{i}" for letter in f"q{rates}" for i in (1, 2))]
+        table = np.column_stack([self.times, self.q, *(given[letter] for letter in rates)])
+        np.savetxt(tmp_path / "path.csv", table, delimiter=",", header=",".join(columns), comments="")
+        samples = taut.Samples.from_csv(tmp_path / "path.csv")
+        np.testing.assert_array_equal(samples.q, self.q)
+        v = given["v"] if "v" in rates else np.gradient(self.q, self.times, axis=0)
+        np.testing.assert_array_equal(samples.v, v)
+        np.testing.assert_array_equal(samples.a, given["a"] if "a" in rates else np.gradient(v, self.times, axis=0))
+
     @pytest.mark.parametrize(
         ("text", "message"),
         [
             ("", "is empty"),
             ("q1,q2\n0,1\n", "the first line must name the columns t, q1, q2, ...; got ['q1', 'q2']"),
             ("t,q1,v2\n0,1,2\n", "the columns must be t, q1, v1; got t, q1, v2"),
+            ("t,q1,q1\n0,1,2\n", "the columns must be t, q1, q2; got t, q1, q1"),
+            ("t,q1,a1,v1\n0,1,2,3\n", "the columns must be t, q1, v1, a1; got t, q1, a1, v1"),
+            ("t,q1,q2,a1\n0,1,2,3\n", "the columns must be t, q1, q2, a1, a2; got t, q1, q2, a1"),
+            ("t,q1,tau1\n0,1,2\n", "the columns must be t, q1; got t, q1, tau1"),
+            ("t,q1,\n0,1,2\n", "the columns must be t, q1; got t, q1, "),
+            ("t,v1,a1\n0,1,2\n", "the columns must be t, q1, v1, a1; got t, v1, a1"),
+            ("t\n0\n", "the columns must be t, q1; got t"),
             ("t,q1\n0,x\n", "line 2: not a number"),
             ("t,q1\n0,1,2\n", "line 2: 2 numbers are needed; got 3"),
             ("t,q1\n", "there are no samples below the header"),
@@ -202,3 +221,31 @@ def test_a_chunk_blends_samples_and_then_holds() -> None:
     np.testing.assert_allclose(chunk.at(0.2).q, [2.0])
     np.testing.assert_allclose(chunk.at(5.0).q, [3.0])
     np.testing.assert_array_equal(chunk.at(5.0).v, [0.0])
+
+
+def test_a_chunk_rests_before_its_first_time_and_after_its_last() -> None:
+    chunk = taut.chunk([0.1, 0.2], [[0.0], [1.0]])
+    moving = taut.JointMotion(q=[1.0], v=[2.0], a=[3.0])
+    alone = taut.chunk([0.1], [moving])
+    for t, q in ((0.0, 0.0), (0.0999, 0.0), (0.2001, 1.0), (9.0, 1.0)):
+        np.testing.assert_array_equal(chunk.at(t).q, [q])
+        np.testing.assert_array_equal(chunk.at(t).v, [0.0])
+        np.testing.assert_array_equal(alone.at(t).q, [1.0])
+        np.testing.assert_array_equal([alone.at(t).v, alone.at(t).a], [[0.0], [0.0]])
+    np.testing.assert_allclose([chunk.at(t).v for t in (0.1, 0.15, 0.2)], [[10.0], [10.0], [10.0]])
+    np.testing.assert_array_equal([alone.at(0.1).v, alone.at(0.1).a], [[2.0], [3.0]])
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_every_trajectory_gives_one_row_for_each_time(count: int) -> None:
+    times = np.linspace(0.0, 1.0, count)
+    others = {
+        "chunk": taut.chunk([0.0, 1.0], [Q0, Q1]),
+        "sine": taut.Sine(center=Q0, amplitude=1.0, frequency=1.0),
+        "samples": taut.Samples(times=[0.0, 1.0], q=[Q0, Q1]),
+    }
+    for name, curve in (CURVES | others).items():
+        rows, one = curve.rows(times), curve.at(0.5)
+        for field in ("q", "v", "a"):
+            assert getattr(rows, field).shape == (count, 3), name
+            assert getattr(one, field).shape == (3,), name

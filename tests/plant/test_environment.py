@@ -176,3 +176,44 @@ def test_a_wrench_acts_at_the_tool_and_in_world_axes() -> None:
     x = taut.snapshot(arm, arm.home)
     expected = 1e-3 * np.linalg.solve(x.M, x.J().T @ [3.0, -2.0, 5.0, 0.1, 0.2, -0.3])
     np.testing.assert_allclose(out.v[1], expected, rtol=0.0, atol=1e-12)
+
+
+# -------------------------------------------------------------------- environments that are no pure functions
+
+
+@dataclass
+class Wrong:
+    """An environment with one fault."""
+
+    fault: str
+    calls: int = 0
+
+    def parameters(self) -> dict[str, Array]:
+        return {}
+
+    def start(self, T_WE: taut.Pose) -> dict[str, Any]:
+        return {"depth": 0.0}
+
+    def wrench(
+        self, T_WE: taut.Pose, twist: Array, t: Any, memory: Any, parameters: Any, dt: Any
+    ) -> tuple[Any, dict[str, Any]]:
+        self.calls += 1
+        force = {"counts": float(self.calls), "draws": np.random.default_rng().normal()}.get(self.fault, 1.0)
+        wrench = taut.math.array([force, *([0.0] * (2 if self.fault == "shape" else 5))])
+        return wrench, {} if self.fault == "memory" else dict(memory)
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("counts", "^the loop: two traces of the same code differ; a law must give the same at the same inputs"),
+        ("draws", "^the loop: two traces of the same code differ; a law must give the same at the same inputs"),
+        ("shape", r"^Wrong\.wrench must give shape \(6,\), force first; got shape \(3,\)$"),
+        ("memory", r"^Wrong\.wrench must give back the memory that Wrong\.start made, 'depth'; got none$"),
+    ],
+)
+def test_an_environment_with_a_fault_is_told(fault: str, words: str) -> None:
+    plant = taut.RigidPlant(GANTRY, environment=Wrong(fault))
+    ctrl = taut.compile(taut.laws.PID(kp=1.0), GANTRY)
+    with pytest.raises(taut.TautError, match=words):
+        taut.run(ctrl, plant, HOLD, duration=0.01)

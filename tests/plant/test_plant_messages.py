@@ -157,14 +157,14 @@ class TestAPlantDeclares:
         assert taut.RigidPlant(ARM, adds=["coriolis", "gravity"]).adds.names == ("gravity", "coriolis")
 
     def test_the_parameters_of_what_it_has(self) -> None:
-        assert set(taut.RigidPlant(ARM, friction=None).parameters()) == {
-            "payload.mass", "payload.com", "payload.inertia",
+        assert set(taut.RigidPlant(ARM, friction=None).parameters) == {
+            "plant.payload.mass", "plant.payload.com", "plant.payload.inertia",
         }  # fmt: skip
         full = taut.RigidPlant(
             DRY, actuation=Actuation(bandwidth=9.0), sensors=Sensors(resolution=1e-3, noise_q=1e-3, noise_v=1e-3)
         )
-        assert set(full.parameters()) == {
-            "payload.mass", "payload.com", "payload.inertia", "friction.viscous", "friction.coulomb",
+        assert set(full.parameters) == {
+            "plant.payload.mass", "plant.payload.com", "plant.payload.inertia", "plant.friction.viscous", "plant.friction.coulomb",
             "actuation.bandwidth", "sensors.resolution", "sensors.noise_q", "sensors.noise_v",
         }  # fmt: skip
 

@@ -13,7 +13,6 @@ from scipy.optimize import brentq
 import taut
 from taut.record.metrics import MEASURES
 from taut.record.step import step_response
-from taut.record.table import runs_table
 
 STEP = 1e-4  # of the step: what MATHS.md, section 5, asks of exact second-order responses
 ZETAS = [0.1, 0.3, 0.5, 0.78, 1.0, 1.5, 3.0]
@@ -249,8 +248,6 @@ def test_the_table_reads_as_it_should(make_run: Any) -> None:
         "joint2   1.291      2     -2          4       2        0       4",
         "overall  1.291      2      2          8       2        0       4",
     ]
-    side_by_side = runs_table({"first": run.metrics, "the second": run.metrics}).splitlines()
-    assert [line.split()[0] for line in side_by_side[3:]] == ["first", "the"]
 
 
 def test_metrics_keep_their_numbers_from_being_changed(panda_run: taut.Run) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -44,3 +45,20 @@ def test_a_stretch_without_ticks_is_refused(noisy_run: taut.Run, make_run: Any) 
         make_run([], np.zeros((0, 1))).between(0.0, 1.0)
     with pytest.raises(taut.RangeError, match="start must be finite"):
         noisy_run.between(np.nan, 1.0)
+
+
+def test_a_run_says_the_gains_that_it_was_run_with(tmp_path: Path) -> None:
+    """Not those that the law was compiled with: in the record, in the title of its plot, and in its log."""
+    arm = taut.load_arm("one_joint")
+    ctrl = taut.compile(taut.laws.GravityPID(kp=10.0, kd=1.0) + taut.laws.FrictionCompensation(), arm)
+    ctrl.parameters["law.GravityPID.kp"] = 900.0
+    loop = taut.Loop(ctrl, taut.RigidPlant(arm), taut.hold(), duration=0.1)
+    loop.parameters["law.GravityPID.kd"] = 30.0
+    plants = [taut.RigidPlant(arm), taut.MujocoPlant(arm)]
+    for run in [*(taut.run(ctrl, plant, taut.hold(), duration=0.1) for plant in plants), taut.run(loop)]:
+        kd = "30.0" if run.info["parameters"]["law.GravityPID.kd"] == 30.0 else "1.0"
+        words = f"GravityPID(kp=900.0, kd={kd}, ki=0.0) + FrictionCompensation(width=0.01)"
+        assert run.info["law"] == words
+        assert run.info["parameters"]["law.GravityPID.kp"] == 900.0
+        assert "GravityPID(kp=900, kd=" in run.plot().get_suptitle()
+        assert taut.load_run(run.save(tmp_path / "run.mcap")).info["law"] == words

@@ -216,7 +216,7 @@ class TestTheTorqueRateLimit:
         for name, held in (("gravity", None), ("nothing", np.zeros(6))):
             ctrl = taut.compile(self.LAW, arm, limits=limits)
             ctrl.reset(tau_applied=held)
-            own, lowest = plant.parameters(), 0.0
+            own, lowest = plant.parameters, 0.0
             memory = plant.start(np.array(arm.home), np.zeros(6), own, ctrl.dt)
             height = taut.snapshot(arm, arm.home).T().p[2]
             for k in range(400):
@@ -225,7 +225,7 @@ class TestTheTorqueRateLimit:
                 if k == 0:
                     first = np.zeros(6) if held is not None else taut.snapshot(arm, arm.home).g
                     assert np.abs(tau - first).max() <= 0.3 * (1.0 + 1e-9)
-                memory = plant.advance(plant.command(tau, memory, own, k * ctrl.dt, ctrl.dt), own, ctrl.dt)
+                memory = plant.advance(plant.command(tau, memory, k * ctrl.dt), own, ctrl.dt)
                 if k % 20 == 0:
                     lowest = min(lowest, taut.snapshot(arm, memory["q"]).T().p[2] - height)
             dropped[name] = -lowest

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from runtime_laws import Array, AtOnly, HandPlant, Seen, Spring, TorqueOf, seen
+from runtime_laws import TINY, Array, AtOnly, HandPlant, Seen, Spring, TorqueOf, seen
 
 import taut
 from taut.control.reference import Sample
@@ -328,3 +328,24 @@ def test_an_error_of_the_source_comes_through_as_it_is() -> None:
 
     with pytest.raises(ZeroDivisionError, match="mine"):
         run(taut.RigidPlant(ARM), taut.stream(period=0.01, source=source))
+
+
+class SeenV(taut.Law):
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+        return taut.Torque(wanted=ref.a, v=x.v * TINY)
+
+
+@pytest.mark.parametrize("plant", PLANTS.values(), ids=PLANTS)
+def test_a_source_sees_the_velocity_that_the_law_sees(plant: Callable[[], Any]) -> None:
+    """Differenced, where the controller differences: not what a sensor gives that nobody reads."""
+    asked: list[Array] = []
+
+    def source(x: taut.Snapshot) -> taut.JointMotion:
+        asked.append(np.array(x.v))
+        return taut.JointMotion(q=x.q, a=[1.0, -1.0])
+
+    made = plant()
+    ctrl = taut.compile(SeenV(), ARM, adds=made.adds, sensing=taut.Sensing(velocity="difference"))
+    out = taut.run(ctrl, made, taut.stream(period=0.001, source=source), duration=0.01, v0=[0.3, -0.2])
+    # What was asked for at a tick is in the snapshot of the law in that tick.
+    np.testing.assert_allclose(np.array(asked), seen(out, "v")[: len(asked)], rtol=1e-9, atol=1e-12)

@@ -27,7 +27,7 @@ def by_hand(
     ctrl: taut.Controller, plant: taut.RigidPlant, ref: Any, ticks: int, q0: Array, v0: Array
 ) -> dict[str, Array]:
     """The loop that a person would write, on plain floats."""
-    dt, own = ctrl.dt, plant.parameters()
+    dt, own = ctrl.dt, plant.parameters
     memory = plant.start(np.array(q0), np.array(v0), own, dt)
     rows: dict[str, list[Array]] = {name: [] for name in ("q", "v", "command", "tau")}
     for k in range(ticks):
@@ -35,7 +35,7 @@ def by_hand(
         forces = {name: measured[name] for name in ctrl.needs if name != "v"}
         v = (measured["v"],) if ctrl.side.sensing.needs_velocity else ()
         command = ctrl.step(measured["q"], *v, ref=ref.at(k * dt), **forces)
-        after = plant.command(command, memory, own, k * dt, dt)
+        after = plant.command(command, memory, k * dt)
         after = plant.advance(after, own, dt / plant.substeps)
         tau = after["tau"]
         for _ in range(plant.substeps - 1):
@@ -233,6 +233,43 @@ class TestLongRuns:
         }
         assert sum(owners.values()) * 10.0 < 0.75e9
         np.testing.assert_allclose(out.q[-1], out.reference.q[-1], atol=1e-3)
+
+
+class TestALoop:
+    def test_is_traced_once_however_often_it_runs(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        loop = taut.Loop(taut.compile(taut.laws.PID(kp=50.0), PLANAR), taut.RigidPlant(PLANAR), duration=0.05)
+        first = taut.run(loop)
+        loop.parameters["law.kp"] = 80.0
+        monkeypatch.setattr(fused, "NativeLoop", None)  # nothing may be made any more
+        second = taut.run(loop, v0=[0.1, 0.2])
+        other = taut.compile(taut.laws.PID(kp=80.0), PLANAR)
+        monkeypatch.undo()
+        again = taut.run(other, taut.RigidPlant(PLANAR), duration=0.05, v0=[0.1, 0.2])
+        np.testing.assert_array_equal(second.tau, again.tau)
+        assert not np.array_equal(first.tau, second.tau)
+
+    def test_tells_the_gains_that_it_ran_with(self) -> None:
+        ctrl = taut.compile(taut.laws.PID(kp=50.0), PLANAR)
+        ctrl.parameters["law.kp"] = 80.0
+        assert taut.run(ctrl, taut.RigidPlant(PLANAR), duration=0.01).info["law"] == "PID(kp=80.0, kd=0.0, ki=0.0)"
+
+
+class BreaksLater(taut.Law):
+    """From 20 ms on the torque of the second joint is no number."""
+
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+        wild = taut.math.sqrt(0.0205 - x.t)
+        return taut.Torque(P=taut.math.array([x.g[0], x.g[1] + 1e-9 * wild]))
+
+
+@pytest.mark.parametrize("engine", ["native", "float"])
+def test_a_law_that_gives_no_number_is_told_and_not_the_simulation(engine: Any) -> None:
+    for plant in (taut.RigidPlant(PLANAR), taut.MujocoPlant(PLANAR)):
+        ctrl = taut.compile(BreaksLater(), PLANAR, engine=engine)
+        out = taut.run(ctrl, plant, duration=0.1, v0=[3.0, 0.0])
+        assert (out.outcome.kind, out.outcome.joint, out.outcome.tick) == ("diverged", "joint2", 20)
+        assert "BreaksLater" in out.outcome.message or "the law gives nan for joint 'joint2'" in out.outcome.message
+        assert "smaller gains" not in out.outcome.message
 
 
 class TestDivergence:

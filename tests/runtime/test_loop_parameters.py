@@ -102,10 +102,10 @@ def test_a_number_that_is_kept_is_a_copy() -> None:
 CASES: list[tuple[str, Any, type[taut.TautError], str]] = [
     ("law.kpp", 1.0, taut.UnknownNameError, "the loop has no parameter 'law.kpp'; did you mean 'law.kp' or 'law.ki'?"),
     ("plant.payload.maas", 1.0, taut.UnknownNameError, "the loop has no parameter 'plant.payload.maas'; did you mean 'plant.payload.mass' or 'plant.payload.com'?"),
-    ("law.kp", [1.0, -1.0], taut.RangeError, "law.kp[1] must be >= 0 [N m/rad]; got -1.0"),
-    ("law.kp", np.nan, taut.RangeError, "law.kp must be finite [N m/rad]; got nan"),
+    ("law.kp", [1.0, -1.0], taut.RangeError, "law.kp[1] must be >= 0 [N m/rad | N/m]; got -1.0"),
+    ("law.kp", np.nan, taut.RangeError, "law.kp must be finite [N m/rad | N/m]; got nan"),
     ("law.kd", [1.0, 2.0], taut.ShapeError, "law.kd was compiled with shape (); got shape (2,); compile the law with a value of the new shape"),
-    ("law.ki", [[1.0, 0.5], [0.0, 1.0]], taut.RangeError, "law.ki must be a symmetric matrix [N m/(rad s)]; it differs from its transpose by 0.5"),
+    ("law.ki", [[1.0, 0.5], [0.0, 1.0]], taut.RangeError, "law.ki must be a symmetric matrix [N m/(rad s) | N/(m s)]; it differs from its transpose by 0.5"),
     ("limits.tau", 0.0, taut.RangeError, "limits.tau must be > 0 [N m | N]; got 0.0"),
     ("plant.payload.mass", -1.0, taut.RangeError, "plant.payload.mass must be >= 0 [kg]; got -1.0"),
     ("plant.payload.mass", [1.0, 2.0], taut.ShapeError, "plant.payload.mass must be one number [kg]; got [1.0, 2.0]"),

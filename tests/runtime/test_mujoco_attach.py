@@ -44,8 +44,8 @@ def test_an_attached_arm_runs_as_rigid_plant_does(tmp_path: Path, actuators: str
     assert np.abs(theirs.tau - theirs.command).max() < 1e-12
     assert not theirs.extra["tau_cut"].any()
     used = {plant.model.actuator(a).name for a in range(plant.model.nactuator)} & {"a", "b"}
-    applied = plant.data.qfrc_applied != 0.0
-    assert applied.sum() == 2 - len(used)  # joints without an actuator
+    driven = plant.data.qfrc_actuator[[int(plant.model.joint(f"left_{j}").dofadr[0]) for j in arm.joint_names]]
+    assert (driven != 0.0).sum() == len(used)  # the others get theirs through qfrc_applied
 
 
 @pytest.mark.parametrize("steps", [1, 4])
@@ -97,6 +97,41 @@ def test_everything_else_is_left_alone(tmp_path: Path) -> None:
         assert np.abs(data.joint(name).qpos - other.joint(name).qpos).max() == 0.0
     assert abs(data.joint("right_shoulder").qpos[0] - 0.3) < 0.3  # its own servo holds it
     assert data.joint("box").qpos[2] < 0.5  # the box falls
+
+
+@pytest.mark.parametrize(
+    ("actuators", "options"),
+    [
+        (MOTORS, {}),
+        (SERVOS, {"bridge": True}),
+        (MOTORS.replace('<motor name="b" joint="left_elbow" gear="-2"/>', ""), {}),
+    ],
+    ids=["motors", "servos", "one motor"],
+)
+def test_a_run_leaves_controls_and_applied_forces_as_they_were(
+    tmp_path: Path, actuators: str, options: dict[str, bool]
+) -> None:
+    arm = pair(tmp_path)
+    plant = attached(arm, cell(actuators), **options)
+    data = plant.data
+    data.ctrl[:] = 0.1 + np.arange(plant.model.nu)
+    data.qfrc_applied[:] = 0.01 * np.arange(plant.model.nv)
+    ctrl, applied = data.ctrl.copy(), data.qfrc_applied.copy()
+
+    def breaks_off(x: taut.Snapshot) -> taut.JointMotion:
+        if x.t > 0.05:
+            raise KeyboardInterrupt
+        return taut.JointMotion(q=x.q + 0.1)
+
+    assert reach(arm, plant).outcome.ok
+    assert np.array_equal(data.ctrl, ctrl)
+    assert np.array_equal(data.qfrc_applied, applied)
+    with pytest.raises(KeyboardInterrupt):
+        taut.run(taut.compile(LAW, arm), plant, taut.stream(period=0.01, source=breaks_off), duration=1.0)
+    wild = taut.run(taut.compile(taut.laws.PID(kp=1e7), arm), plant, taut.JointMotion(q=arm.home + 1.0), duration=1.0)
+    assert wild.outcome.kind == "diverged"
+    assert np.array_equal(data.ctrl, ctrl)
+    assert np.array_equal(data.qfrc_applied, applied)
 
 
 def test_a_run_starts_where_it_is_told_and_the_scene_goes_on(tmp_path: Path) -> None:

@@ -124,7 +124,8 @@ class BareLoop:
             _, after = loop.step(ins, values, state)
             return {}, after
 
-        self.native = NativeLoop(step, loop.substep, 0, inputs, parameters, self.memory)
+        example = at, self._values, self._start
+        self.native = NativeLoop(step, loop.substep, 0, inputs, parameters, self.memory, example)
         self._outputs = np.zeros((ticks, 0))
         self.ticks = ticks
 

@@ -1,19 +1,33 @@
-"""Angles in degrees, told from angles in radians by what a joint can reach."""
+"""Angles: the short way from one to another, and degrees told from radians by what a joint can reach."""
 
 from __future__ import annotations
 
 import math
-from typing import Final
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from taut.arm.description import Arm
+from taut.base import math as tm
 from taut.base.errors import RangeError
-from taut.base.types import Float64Array
+from taut.base.types import Array, Float64Array
 
-__all__ = ["require_radians"]
+if TYPE_CHECKING:
+    from taut.arm.description import Arm
+
+__all__ = ["require_radians", "short_way"]
 
 TURN: Final = 2.0 * math.pi
+
+
+def short_way(delta: Array, continuous: Sequence[int]) -> Array:
+    """Differences of joint positions (..., n); those of continuous joints wrap to [-pi, pi). Floats or symbols."""
+    if not continuous:
+        return delta
+    short, columns = tm.array(delta), list(continuous)
+    angle = short[..., columns]
+    short[..., columns] = angle - TURN * tm.floor((angle + math.pi) / TURN)
+    return short
 
 
 def require_radians(name: str, q: Float64Array, arm: Arm) -> None:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taut.arm.angles import short_way
 from taut.arm.parts import (
     BASE,
     COMMANDS,
@@ -27,8 +28,7 @@ from taut.arm.parts import (
     Shape,
     Visual,
 )
-from taut.base import math as tm
-from taut.base.checks import finite_array, one_of, vector
+from taut.base.checks import finite_array, one_of, read_only, vector
 from taut.base.errors import UsageError, unknown_name
 from taut.base.pose import Pose
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
@@ -78,6 +78,11 @@ class Arm:
     visuals: tuple[Visual, ...] = ()
     source: str = ""
     notes: tuple[str, ...] = ()  # what the loader supplied or left out, in words
+
+    def __post_init__(self) -> None:
+        kept = {"home": read_only(self.home), "gravity": read_only(self.gravity), "T_WB": self.T_WB.kept()}
+        for name, value in kept.items():
+            object.__setattr__(self, name, value)
 
     # ---------------------------------------------------------------- what it has
 
@@ -189,12 +194,7 @@ class Arm:
 
     def difference(self, q_to: Array, q_from: Array) -> Vector:
         """(n,) the shortest way q_to - q_from; continuous joints wrap to [-pi, pi). Floats or symbols."""
-        delta = q_to - q_from
-        if not self.continuous:
-            return delta
-        turn = 2.0 * np.pi
-        wrapped = delta - turn * tm.floor((delta + np.pi) / turn)
-        return tm.array([wrapped[i] if i in self.continuous else delta[i] for i in range(self.n)])
+        return short_way(q_to - q_from, self.continuous)
 
     # ---------------------------------------------------------------- changed copies
 

@@ -18,7 +18,7 @@ from taut.arm.mjcf_compile import Compiled, compiled
 from taut.arm.mjcf_source import prepare
 from taut.arm.mjcf_visuals import visuals_of
 from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink, Words
-from taut.arm.xml import Element, read_xml
+from taut.arm.xml import Element
 from taut.base.errors import ModelError, Problem, quoted_list
 from taut.base.pose import Pose, axis_angle
 from taut.base.types import Float64Array
@@ -26,7 +26,7 @@ from taut.base.types import Float64Array
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["mjcf_tree", "read_mjcf"]
+__all__ = ["mjcf_tree"]
 
 WORLD: Final = "world"
 WORDS: Final = Words(
@@ -34,18 +34,12 @@ WORDS: Final = Words(
 )
 
 
-def read_mjcf(path: Path) -> Tree:
-    """The links and joints of an MJCF file.
+def mjcf_tree(root: Element, path: Path) -> Tree:
+    """The links and joints of an MJCF document whose root element has been read already.
 
     Raises:
-        FileError: The file cannot be read.
         ModelError: What is wrong with its text, or what MuJoCo refuses; the rest is raised by `assemble`.
     """
-    return mjcf_tree(read_xml(path), path)
-
-
-def mjcf_tree(root: Element, path: Path) -> Tree:
-    """The links and joints of an MJCF document whose root element has been read already."""
     source = prepare(root, path)
     if source.problems:
         raise ModelError(str(path), source.problems)

@@ -17,6 +17,7 @@ from taut.arm.meshes import OutsideError, file_inside
 from taut.arm.rules import MAX_LINKS, check_inertia
 from taut.arm.xml import MAX_BYTES, MAX_DEPTH, MAX_ELEMENTS, BadNumberError, Element, is_not_finite, numbers, read_xml
 from taut.base.errors import FileError, ModelError, Problem
+from taut.base.inertia import inertia_matrix
 
 __all__ = ["MjcfSource", "prepare"]
 
@@ -276,8 +277,7 @@ def _inertia_problems(element: Element, values: dict[str, tuple[float, ...]]) ->
     if "diaginertia" in values:
         I = np.diag(values["diaginertia"])
     elif "fullinertia" in values:
-        xx, yy, zz, xy, xz, yz = values["fullinertia"]
-        I = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        I = inertia_matrix(values["fullinertia"])
     else:
         if not {"diaginertia", "fullinertia"} & set(element.attributes):
             yield "diaginertia", "<inertial> has no diaginertia or fullinertia; give it one"

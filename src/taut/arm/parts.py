@@ -7,8 +7,9 @@ from typing import Final, Literal
 
 import numpy as np
 
-from taut.base.checks import finite_array, finite_scalar, require_at_least, symmetric_psd, vector
+from taut.base.checks import finite_array, finite_scalar, read_only, require_at_least, symmetric_psd, vector
 from taut.base.errors import RangeError
+from taut.base.inertia import inertia_entries, inertia_matrix
 from taut.base.pose import Pose
 from taut.base.types import Float64Array
 
@@ -46,6 +47,9 @@ class Body:
     inertia: Float64Array  # (3, 3) [kg m^2]
     links: tuple[str, ...] = ()  # the links that were lumped into it
 
+    def __post_init__(self) -> None:
+        _keep(self, com=read_only(self.com), inertia=read_only(self.inertia))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Joint:
@@ -63,6 +67,9 @@ class Joint:
     viscous: float = 0.0  # friction per speed [N m s/rad | N s/m]
     coulomb: float = 0.0  # dry friction [N m | N]
     rotor_inertia: float = 0.0  # seen at the joint, G^2 I_motor [kg m^2 | kg]
+
+    def __post_init__(self) -> None:
+        _keep(self, placement=self.placement.kept(), axis=read_only(self.axis))
 
     @property
     def unit(self) -> str:
@@ -83,6 +90,9 @@ class Frame:
     body: int  # index of the joint that moves it; BASE where nothing does
     placement: Pose  # in the body's frame
 
+    def __post_init__(self) -> None:
+        _keep(self, placement=self.placement.kept())
+
 
 @dataclass(frozen=True, kw_only=True)
 class Visual:
@@ -94,6 +104,9 @@ class Visual:
     size: tuple[float, ...]  # mesh: scale xyz; box: edges xyz [m]; cylinder: radius, length; sphere: radius
     file: str = ""
     rgba: tuple[float, float, float, float] = (0.8, 0.8, 0.8, 1.0)
+
+    def __post_init__(self) -> None:
+        _keep(self, placement=self.placement.kept())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,26 +134,26 @@ class Payload:
         mass = finite_scalar("payload.mass", self.mass, unit="kg")
         require_at_least("payload.mass", np.array(mass), 0.0, unit="kg")
         com = vector("payload.com", self.com, 3, unit="m")
-        given = finite_array("payload.inertia", self.inertia, unit="kg m^2")
-        if given.shape == (3, 3):
-            I = given
-            symmetric_psd("payload.inertia", I, unit="kg m^2")
-            six = np.array([I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]])
-        else:
-            six = given
+        six = finite_array("payload.inertia", self.inertia, unit="kg m^2")
+        if six.shape == (3, 3):
+            symmetric_psd("payload.inertia", six, unit="kg m^2")
+            six = inertia_entries(six)
         inertia = vector("payload.inertia", six, 6, unit="kg m^2")
         _check_moments(inertia)
-        object.__setattr__(self, "mass", mass)
-        object.__setattr__(self, "com", com)
-        object.__setattr__(self, "inertia", inertia)
+        _keep(self, mass=mass, com=com, inertia=inertia)
+
+
+def _keep(part: Body | Joint | Frame | Visual | Payload, **values: object) -> None:
+    """Put values into a frozen part: its own copies, so that no caller's array changes it later."""
+    for name, value in values.items():
+        object.__setattr__(part, name, value)
 
 
 def _check_moments(six: Float64Array) -> None:
     """Zero, as of a point mass, or a possible body's."""
     if not six.any():
         return
-    xx, yy, zz, xy, xz, yz = six
-    I = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    I = inertia_matrix(six)
     symmetric_psd("payload.inertia", I, unit="kg m^2")
     small, middle, large = np.linalg.eigvalsh(I)
     if large > (small + middle) * (1.0 + 1e-6):

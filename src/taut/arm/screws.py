@@ -12,6 +12,7 @@ import numpy as np
 
 from taut.arm.description import Arm
 from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink, Words, assemble
+from taut.base import math as tm
 from taut.base.checks import SYMMETRY_TOLERANCE, finite_array
 from taut.base.errors import RangeError, ShapeError
 from taut.base.pose import Pose
@@ -103,7 +104,8 @@ def _inertia(name: str, G: Float64Array) -> LinkInertia:
     scale = max(float(np.abs(G).max()), np.finfo(float).tiny)
     m = float(np.trace(G[3:, 3:])) / 3.0
     mc = np.array([G[2, 4], G[0, 5], G[1, 3]])
-    expected = np.block([[G[:3, :3], _skew(mc)], [_skew(mc).T, m * np.eye(3)]])
+    mc_skew = tm.skew(mc)
+    expected = np.block([[G[:3, :3], mc_skew], [mc_skew.T, m * np.eye(3)]])
     if np.abs(G - expected).max() > SYMMETRY_TOLERANCE * scale or not np.allclose(
         G, G.T, rtol=0.0, atol=SYMMETRY_TOLERANCE * scale
     ):
@@ -115,9 +117,6 @@ def _inertia(name: str, G: Float64Array) -> LinkInertia:
             rule="a spatial inertia",
         )
     c = mc / m if m > 0.0 else mc
-    I = G[:3, :3] + m * _skew(c) @ _skew(c)
+    S = tm.skew(c)
+    I = G[:3, :3] + m * S @ S
     return LinkInertia(mass=m, com=c, inertia=0.5 * (I + I.T))
-
-
-def _skew(a: Float64Array) -> Float64Array:
-    return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])

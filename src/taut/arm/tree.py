@@ -18,7 +18,6 @@ from taut.arm.lump import Lumps
 from taut.arm.rules import (
     AXIS_TOLERANCE,
     OTHER_KINDS,
-    check_inertia,
     joint_problems,
     mass_problems,
     structure_problems,
@@ -36,7 +35,6 @@ __all__ = [
     "TreeVisual",
     "Words",
     "assemble",
-    "check_inertia",
     "require_within_limits",
     "rest_position",
 ]

@@ -16,6 +16,7 @@ from taut.arm.urdf_visuals import colours_of, visuals_of
 from taut.arm.urdf_words import INERTIA, slips
 from taut.arm.xml import BadNumberError, Element, numbers, read_xml
 from taut.base.errors import ModelError, Problem, quoted_list, unknown_name
+from taut.base.inertia import inertia_matrix
 from taut.base.pose import Pose
 
 __all__ = ["read_urdf", "urdf_tree"]
@@ -104,8 +105,7 @@ class _Reader:
         if len(self._tree.problems) > before:
             link.unreadable = True
             return link
-        xx, yy, zz, xy, xz, yz = six
-        I = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        I = inertia_matrix(six)
         link.inertia = LinkInertia(mass=m, com=origin.p, inertia=origin.R @ I @ origin.R.T)
         return link
 

@@ -254,16 +254,27 @@ def one_of(name: str, value: object, options: Sequence[T]) -> T:
 def readable_file(kind: str, path: str | os.PathLike[str]) -> Path:
     """A path to a file that exists, is no folder, is not empty and can be read."""
     file = Path(path)
-    if file.is_dir():
-        raise FileError(f"{kind} '{file}' is a folder; name a file in it", name=str(file))
-    if not file.exists():
-        near = sorted(p.name for p in file.parent.glob(f"*{file.suffix}"))[:5] if file.suffix else []
-        way_out = f"; '{file.parent}' has {', '.join(repr(n) for n in near)}" if near else ""
-        raise FileError(f"{kind} '{file}' does not exist{way_out}", name=str(file))
-    if not file.is_file():
-        raise FileError(f"{kind} '{file}' is not a regular file", name=str(file))
-    if not os.access(file, os.R_OK):
-        raise FileError(f"{kind} '{file}' cannot be read; check its permissions", name=str(file))
-    if file.stat().st_size == 0:
-        raise FileError(f"{kind} '{file}' is empty", name=str(file))
+    try:
+        if file.is_dir():
+            raise FileError(f"{kind} '{file}' is a folder; name a file in it", name=str(file))
+        if not file.exists():
+            raise FileError(f"{kind} '{file}' does not exist{_beside(file)}", name=str(file))
+        if not file.is_file():
+            raise FileError(f"{kind} '{file}' is not a regular file", name=str(file))
+        if not os.access(file, os.R_OK):
+            raise FileError(f"{kind} '{file}' cannot be read; check its permissions", name=str(file))
+        if file.stat().st_size == 0:
+            raise FileError(f"{kind} '{file}' is empty", name=str(file))
+    except FileError:
+        raise
+    except OSError as cause:  # a name that is too long, a folder that may not be searched
+        raise FileError(f"{kind} '{file}' cannot be opened: {cause.strerror}", name=str(file)) from cause
     return file
+
+
+def _beside(file: Path) -> str:
+    """The files of the same kind that lie where this one was looked for, for a message."""
+    if not file.suffix or not file.parent.is_dir():
+        return ""
+    near = sorted(other.name for other in file.parent.iterdir() if other.suffix == file.suffix)[:5]
+    return f"; '{file.parent}' has {', '.join(repr(name) for name in near)}" if near else ""

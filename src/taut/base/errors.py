@@ -14,7 +14,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Final
+from typing import Any, Final
 
 __all__ = [
     "FileError",
@@ -143,7 +143,7 @@ def quoted_list(names: Iterable[str], most: int = 12) -> str:
     return shown if len(names) <= most else f"{shown}, ... ({len(names)} in all)"
 
 
-def unknown_name(owner: str, kind: str, name: str, known: Iterable[str], hint: str = "") -> UnknownNameError:
+def unknown_name(owner: str, kind: str, name: Any, known: Iterable[str], hint: str = "") -> UnknownNameError:
     """The error for a name that does not exist, with the nearest that do.
 
     Example:
@@ -151,6 +151,8 @@ def unknown_name(owner: str, kind: str, name: str, known: Iterable[str], hint: s
         "the arm has no frame 'tolo0'; did you mean 'tool0'?"
     """
     known = list(known)
+    if not isinstance(name, str):  # callers without a type checker
+        return UnknownNameError(f"a {kind} of {owner} is named by a text; got {name!r}", name=repr(name), value=name)
     close = difflib.get_close_matches(name, known, n=2, cutoff=0.6)
     if not close:  # the same name in other letters: 'Panda' for 'panda'
         close = [other for other in known if other.lower() == name.lower()]

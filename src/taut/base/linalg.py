@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from taut.base.array import has_symbols, select_one, traced_array
-from taut.base.errors import NumericalError, ShapeError
+from taut.base.errors import NumericalError, ShapeError, user_location
 from taut.base.types import Array, Matrix
 
 __all__ = ["LTDL", "factor_spd", "solve_general"]
@@ -79,7 +79,10 @@ def _entries(x: Any) -> Array:
 
 def _nonzero(pivot: Any) -> Any:
     if isinstance(pivot, float) and pivot == 0.0:
-        raise NumericalError("the matrix is singular; a pivot of its factorisation is zero")
+        raise NumericalError(
+            f"a matrix is singular at {user_location()}: a pivot of its factorisation is zero; damp it, as in "
+            "A + 1e-6 * taut.math.eye(n), or stay away from that state"
+        )
     return pivot
 
 

@@ -231,7 +231,14 @@ def cross(a: Any, b: Any) -> Vector3:
     """a x b for two vectors of three."""
     a0, a1, a2 = _three("cross", a)
     b0, b1, b2 = _three("cross", b)
-    return array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
+    return _flat([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
+
+
+def _flat(entries: list[Any]) -> Vector3:
+    """A vector of numbers and symbols that are known to be such: `array` without its looks at nested lists."""
+    if any(isinstance(x, Symbol) for x in entries):
+        return traced_array(entries)
+    return np.array(entries, dtype=np.float64)
 
 
 def _three(what: str, a: Any) -> list[Any]:

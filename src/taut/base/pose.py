@@ -7,6 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from taut.base import math as tm
+from taut.base.array import traced_array
 from taut.base.checks import finite_array, read_only, vector
 from taut.base.errors import RangeError, UsageError
 from taut.base.types import Array, ArrayLike, Float64Array, Rotation, Vector3
@@ -87,9 +89,12 @@ class Pose:
 
     @classmethod
     def of(cls, R: Rotation, p: Vector3) -> Pose:
-        """A pose from a rotation and a position that are known to be valid; symbols too."""
+        """A pose from a rotation and a position that are known to be valid; symbols too.
+
+        They are not copied, and cannot be written to through the pose.
+        """
         pose = object.__new__(cls)
-        pose._set(p, R)
+        pose._set(_view(p), _view(R))
         return pose
 
     @classmethod
@@ -109,12 +114,16 @@ class Pose:
             )
         return cls(matrix[:3, 3], R=matrix[:3, :3])
 
+    def kept(self) -> Pose:
+        """The same pose on arrays of its own, for what outlives whoever made it."""
+        return _rebuilt(self.R, self.p)
+
     @property
     def matrix(self) -> Array:
         """(4, 4) homogeneous matrix."""
-        T: Array = np.zeros((4, 4), dtype=np.result_type(self.R.dtype, self.p.dtype))
+        T: Array = np.full((4, 4), 0.0, dtype=np.result_type(self.R.dtype, self.p.dtype))
         T[:3, :3], T[:3, 3], T[3, 3] = self.R, self.p, 1.0
-        return T
+        return traced_array(T) if T.dtype == object else T
 
     @property
     def wxyz(self) -> Float64Array:
@@ -165,15 +174,22 @@ class Pose:
         return f"Pose(p={p}, rpy={rpy})"
 
 
+def _view(array: Array) -> Array:
+    """The same numbers or symbols, as an array that nobody can write to."""
+    if array.flags.writeable:
+        array = array.view()
+        array.flags.writeable = False
+    return array
+
+
 def _rebuilt(R: Float64Array, p: Float64Array) -> Pose:
-    """A pose from a copy or a pickle, whose arrays are writeable."""
+    """A pose on copies, as of a pickle, whose arrays are writeable."""
     return Pose.of(read_only(R), read_only(p))
 
 
 def axis_angle(axis: Array, angle: float) -> Float64Array:
     """Rotation by `angle` [rad] about the unit vector `axis` (Rodrigues)."""
-    x, y, z = (float(a) for a in axis)
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    K = tm.skew([float(a) for a in axis])
     R: Float64Array = np.eye(3) + math.sin(angle) * K + (1.0 - math.cos(angle)) * (K @ K)
     return R
 

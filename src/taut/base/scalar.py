@@ -177,12 +177,12 @@ class Condition(Symbol):
     def __eq__(self, other: Any) -> Any:
         if isinstance(other, (bool, np.bool_, Condition)):
             return ~(self ^ other)
-        return NotImplemented if _foreign(other) else self.number() == other
+        return NotImplemented if not isinstance(other, Scalar) and _foreign(other) else self.number() == other
 
     def __ne__(self, other: Any) -> Any:
         if isinstance(other, (bool, np.bool_, Condition)):
             return self ^ other
-        return NotImplemented if _foreign(other) else self.number() != other
+        return NotImplemented if not isinstance(other, Scalar) and _foreign(other) else self.number() != other
 
     __hash__ = Symbol.__hash__
 
@@ -251,18 +251,34 @@ class Scalar(Symbol):
     __slots__ = ()
 
     def __add__(self, other: Any) -> Any:
-        if not isinstance(other, Symbol) and _foreign(other):
-            return NotImplemented
         g = self.graph
-        return to_symbol(g, g.add(self.node, _operand(g, other)))
+        if type(other) is Scalar and other.graph is g:  # nearly always
+            node = g.add(self.node, other.node)
+        elif type(other) is float:
+            if other == 0.0:
+                return self
+            node = g.add(self.node, g.const(other))
+        elif isinstance(other, Symbol) or not _foreign(other):
+            node = g.add(self.node, _operand(g, other))
+        else:
+            return NotImplemented
+        value = g.value[node]
+        return Scalar(g, node) if value is None else value
 
     __radd__ = __add__
 
     def __sub__(self, other: Any) -> Any:
-        if not isinstance(other, Symbol) and _foreign(other):
-            return NotImplemented
         g = self.graph
-        return to_symbol(g, g.sub(self.node, _operand(g, other)))
+        if type(other) is Scalar and other.graph is g:  # nearly always
+            node = g.sub(self.node, other.node)
+        elif type(other) is float:
+            node = g.sub(self.node, g.const(other))
+        elif isinstance(other, Symbol) or not _foreign(other):
+            node = g.sub(self.node, _operand(g, other))
+        else:
+            return NotImplemented
+        value = g.value[node]
+        return Scalar(g, node) if value is None else value
 
     def __rsub__(self, other: Any) -> Any:
         if _foreign(other):
@@ -271,18 +287,34 @@ class Scalar(Symbol):
         return to_symbol(g, g.sub(_operand(g, other), self.node))
 
     def __mul__(self, other: Any) -> Any:
-        if not isinstance(other, Symbol) and _foreign(other):
-            return NotImplemented
         g = self.graph
-        return to_symbol(g, g.mul(self.node, _operand(g, other)))
+        if type(other) is Scalar and other.graph is g:  # nearly always
+            node = g.mul(self.node, other.node)
+        elif type(other) is float:
+            if other == 0.0 or other == 1.0:  # a third of all in a mass matrix
+                return self if other else 0.0
+            node = g.mul(self.node, g.const(other))
+        elif isinstance(other, Symbol) or not _foreign(other):
+            node = g.mul(self.node, _operand(g, other))
+        else:
+            return NotImplemented
+        value = g.value[node]
+        return Scalar(g, node) if value is None else value
 
     __rmul__ = __mul__
 
     def __truediv__(self, other: Any) -> Any:
-        if not isinstance(other, Symbol) and _foreign(other):
-            return NotImplemented
         g = self.graph
-        return to_symbol(g, g.div(self.node, _operand(g, other)))
+        if type(other) is Scalar and other.graph is g:  # nearly always
+            node = g.div(self.node, other.node)
+        elif type(other) is float:
+            node = g.div(self.node, g.const(other))
+        elif isinstance(other, Symbol) or not _foreign(other):
+            node = g.div(self.node, _operand(g, other))
+        else:
+            return NotImplemented
+        value = g.value[node]
+        return Scalar(g, node) if value is None else value
 
     def __rtruediv__(self, other: Any) -> Any:
         if _foreign(other):
@@ -306,7 +338,8 @@ class Scalar(Symbol):
                 value=base,
                 rule="base > 0",
             )
-        return (self * math.log(base)).exp()
+        scaled = self * math.log(base)  # a plain zero where the base is 1
+        return scaled.exp() if isinstance(scaled, Scalar) else 1.0
 
     def __neg__(self) -> Any:
         return to_symbol(self.graph, self.graph.neg(self.node))

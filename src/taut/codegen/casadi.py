@@ -136,16 +136,19 @@ def from_casadi(function: Any) -> Callable[..., Any]:
 def _execute(ca: Any, function: Any, inputs: list[Any], outputs: list[Any]) -> None:
     """Run the instructions of an SX function on our numbers."""
     table = _from_operations(ca)
+    # NumPy's numbers divide by zero and take odd powers as the compiled code does, with NaN and infinity.
+    number: Callable[[Any], Any] = float if any(map(has_symbols, inputs)) else np.float64
     work: dict[int, Any] = {}
     for k in range(function.n_instructions()):
         op = function.instruction_id(k)
         i, o = function.instruction_input(k), function.instruction_output(k)
         if op == ca.OP_INPUT:
-            work[o[0]] = inputs[i[0]][i[1]]
+            given = inputs[i[0]][i[1]]
+            work[o[0]] = given if has_symbols(given) else number(given)
         elif op == ca.OP_OUTPUT:
             outputs[o[0]][o[1]] = work[i[0]]
         elif op == ca.OP_CONST:
-            work[o[0]] = float(function.instruction_constant(k))
+            work[o[0]] = number(function.instruction_constant(k))
         elif op in table:
             work[o[0]] = table[op](*(work[x] for x in i))
         else:
@@ -203,9 +206,9 @@ def _from_operations(ca: Any) -> dict[int, Callable[..., Any]]:
         ca.OP_LE: lambda a, b: truth(a <= b),
         ca.OP_EQ: lambda a, b: truth(a == b),
         ca.OP_NE: lambda a, b: truth(a != b),
-        ca.OP_NOT: lambda a: 1.0 - a,
-        ca.OP_AND: lambda a, b: a * b,
-        ca.OP_OR: tm.maximum,
+        ca.OP_NOT: lambda a: truth(a == 0.0),
+        ca.OP_AND: lambda a, b: truth((a != 0.0) & (b != 0.0)),
+        ca.OP_OR: lambda a, b: truth((a != 0.0) | (b != 0.0)),
         ca.OP_IF_ELSE_ZERO: lambda c, a: tm.where(c != 0.0, a, 0.0),
         ca.OP_ASSIGN: lambda a: a,
     }

@@ -89,7 +89,7 @@ class NativeFunction:
             slow=self._slow,
             first=_never,
             failed=_never,
-            verify=verified(name, of_blocks, program, samples),
+            verify=verified(name, of_blocks, program, lambda: samples),
         )
 
     def __call__(self, *args: Any) -> Float64Array:

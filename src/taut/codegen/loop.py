@@ -7,9 +7,10 @@ import ctypes
 import numpy as np
 
 from taut.base.types import Float64Array
+from taut.codegen.kernel import verified
 from taut.codegen.layout import Block
 from taut.codegen.llvm import declarations, kernel
-from taut.codegen.native import compiled
+from taut.codegen.native import NativeModule, compiled
 from taut.codegen.program import Function, Program, trace
 from taut.codegen.text import Writer
 
@@ -19,8 +20,8 @@ __all__ = ["FloatLoop", "NativeLoop"]
 class FloatLoop:
     """A step function and its substeps, run as plain Python: for debugging, and where llvmlite is missing.
 
-    `example` has inputs, parameters and memory at which the step can be taken, to see what it records: zeros may be
-    values that a law cannot work with.
+    `example` has inputs, parameters and memory, flat, at which the step can be taken, to see what it records: zeros
+    may be values that a law cannot work with.
     """
 
     operations = 0
@@ -64,17 +65,36 @@ def _copied(values: dict[str, Float64Array]) -> dict[str, Float64Array]:
 
 
 class NativeLoop:
-    """A step function and its substeps as one native loop."""
+    """A step function and its substeps as one native loop.
+
+    When it is compiled it is compared with the plain run at `example` (inputs, parameters, memory, flat) and near it.
+    """
 
     def __init__(
-        self, step: Function, substep: Function, repeats: int, inputs: Block, parameters: Block, memory: Block
+        self,
+        step: Function,
+        substep: Function,
+        repeats: int,
+        inputs: Block,
+        parameters: Block,
+        memory: Block,
+        example: tuple[Float64Array, Float64Array, Float64Array],
     ) -> None:
         program = trace(step, inputs, parameters, memory)
         inner = trace(substep, inputs, parameters, memory) if repeats else None
         self.outputs = program.outputs
         self.operations = program.operations + (inner.operations * repeats if inner else 0)
         content = b"loop" + program.content + (inner.content + repeats.to_bytes(8, "little") if inner else b"")
-        self.module = compiled(content, lambda: _module_text(program, inner, repeats), ("loop",))
+        checks = [verified("the loop", step, program, lambda: _samples(example))]
+        if inner is not None:
+            checks.append(verified("the plant", substep, inner, lambda: _samples(example), "substep"))
+
+        def verify(module: NativeModule) -> None:
+            for check in checks:
+                check(module)
+
+        names = ("loop", "kernel", *(("substep",) if inner is not None else ()))
+        self.module = compiled(content, lambda: _module_text(program, inner, repeats), names, verify)
         kinds = [ctypes.c_int64, ctypes.c_void_p, ctypes.c_int64, *[ctypes.c_void_p] * 3, ctypes.c_int64]
         self._loop = ctypes.CFUNCTYPE(ctypes.c_int64, *kinds)(self.module["loop"])
 
@@ -100,10 +120,20 @@ class NativeLoop:
         )
 
 
+def _samples(
+    example: tuple[Float64Array, Float64Array, Float64Array],
+) -> list[tuple[Float64Array, Float64Array, Float64Array]]:
+    """The example, and two states near it."""
+    rng = np.random.default_rng(0)
+    inputs, parameters, memory = example
+    near = [memory + 0.01 * rng.standard_normal(memory.shape) for _ in range(2)]
+    return [(inputs, parameters, m) for m in (memory, *near)]
+
+
 def _module_text(program: Program, inner: Program | None, repeats: int) -> str:
-    parts = [declarations(), kernel(program, "kernel", "internal")]
+    parts = [declarations(), kernel(program, "kernel")]
     if inner is not None:
-        parts.append(kernel(inner, "substep", "internal"))
+        parts.append(kernel(inner, "substep"))
     return "\n".join([*parts, loop_text(program.memory.size, repeats if inner is not None else 0)])
 
 

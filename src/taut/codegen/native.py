@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from taut import __version__
+from taut.base import graph
 from taut.base.errors import TautError
 from taut.codegen import cache
 from taut.codegen.llvm import LIBM
@@ -87,8 +88,8 @@ _LIBRARY_NUMBERS: Final = itertools.count()
 
 
 def _sources() -> bytes:
-    """A digest of this room's own code, so that what another version of it made is never taken for its own."""
-    files = sorted(Path(__file__).parent.glob("*.py"))
+    """A digest of the code that numbers and writes operations: another version's work is never taken for its own."""
+    files = [Path(graph.__file__), *sorted(Path(__file__).parent.glob("*.py"))]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).digest()
 
 

@@ -121,12 +121,15 @@ def failure(cause: Exception, way_out: str = "") -> str:
     for words, what, known in _KNOWN_FAILURES:
         if words in text:
             return f"{what} at {place}; {known}"
+    if isinstance(cause, AttributeError) and cause.name is not None and cause.obj is None:  # a sentence of ours
+        return f"{cause} at {place}"
     return f"{text} at {place}{way_out}"
 
 
 _KNOWN_FAILURES: Final = (  # NumPy's words, and ours
     ("used as indices", "a condition is used as an index", "write taut.math.where(condition, a, b)"),
     ("read-only", "what a law is given is changed in place", "change a copy: q = x.q.copy()"),
+    ("has no setter", "what a law is given is changed", "give the result a name of its own"),
     (
         "loop of ufunc does not support argument",
         "a NumPy function is used on an array of numbers and traced values",

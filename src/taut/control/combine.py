@@ -7,7 +7,7 @@ from typing import Any
 
 from taut.base.errors import MatchError, UsageError
 from taut.control.command import Command
-from taut.control.law import Law, MemoryView, call, initial_memory
+from taut.control.law import Law, MemoryView, call
 from taut.control.reference import Sample
 from taut.maths.snapshot import Snapshot
 
@@ -32,9 +32,6 @@ class Sum(Law):
 
     def with_children(self, children: Mapping[str, Law]) -> Law:
         return self._replaced({"parts": dict(children)})
-
-    def start(self, x: Snapshot, ref: Sample) -> dict[str, Any]:
-        return {name: initial_memory(law, x, ref) for name, law in self.parts.items()}
 
     def command(self, x: Snapshot, ref: Sample, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
         after: dict[str, Any] = {}

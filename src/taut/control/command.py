@@ -59,7 +59,7 @@ class Terms:
 
     def _plus(self, other: Any, sign: float) -> Terms:
         if not isinstance(other, Terms):
-            raise _unnamed(other)
+            raise _final(other) if isinstance(other, Command) else _unnamed(other)
 
         def parts() -> dict[str, Array]:
             out = dict(self.parts)
@@ -121,15 +121,32 @@ def _array(name: str, value: Any) -> Array:
         raise UsageError(f"term '{name}' is itself a named sum; add the two: Terms(...) + Terms(...)")
     if hasattr(value, "as_array"):
         value = value.as_array()
-    if isinstance(value, np.ndarray):
+    if isinstance(value, np.ndarray) and value.dtype != object:
         return value
-    return value if has_symbols(value) else np.asarray(value, dtype=np.float64)
+    if has_symbols(value):
+        return value  # type: ignore[no-any-return]  # a symbol, or an array of them
+    try:
+        return np.asarray(value, dtype=np.float64) if value is not None else _no_number(name, value)
+    except (TypeError, ValueError):
+        return _no_number(name, value)
+
+
+def _no_number(name: str, value: Any) -> Array:
+    raise UsageError(f"term '{name}' must be numbers at {user_location()}; got {value!r}", name=name)
 
 
 def _unnamed(value: Any) -> UsageError:
     return UsageError(
         f"an unnamed {type(value).__name__} is added to named terms at {user_location()}; "
         "give it a name: + Terms(friction=...)"
+    )
+
+
+def _final(value: Any) -> UsageError:
+    kind = type(value).__name__
+    return UsageError(
+        f"a {kind} is what a law returns, and is used in a formula at {user_location()}; add and map Terms, and make "
+        f"the {kind} last: {kind}(x.M @ Terms(P=...) + Terms(h=...))"
     )
 
 
@@ -155,6 +172,12 @@ class Command:
     def total(self) -> Array:
         """(n,) the command itself."""
         return self.terms.total
+
+    def _refuse(self, *_: Any, **__: Any) -> Any:
+        raise _final(self)
+
+    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __matmul__ = __rmatmul__ = __neg__ = _refuse
+    __array_ufunc__ = _refuse
 
 
 class Torque(Command):

@@ -54,12 +54,12 @@ def section(law: type[Law], head: str) -> list[str]:
     lines = (inspect.getdoc(law) or "").splitlines()
     for i, line in enumerate(lines):
         if line.startswith(f"{head}:"):
-            found = [re.sub(r"\s{3,}", "   ", line.partition(":")[2].strip())]
+            found = [line.partition(":")[2]]
             for follow in lines[i + 1 :]:
                 if not follow.startswith(" "):
                     break
-                found.append(follow.strip())
-            return found
+                found.append(follow)
+            return [re.sub(r"\s{3,}", "   ", text.strip()) for text in found]
     return []
 
 

@@ -61,6 +61,9 @@ class GainValue(np.lib.mixins.NDArrayOperatorsMixin):
     def __float__(self) -> float:
         return float(self._values[()])
 
+    def __bool__(self) -> bool:
+        return bool(self._values[()] if self.ndim == 0 else self._values)
+
     def __getitem__(self, index: Any) -> Any:
         return self._values[index]
 
@@ -109,7 +112,9 @@ class GainValue(np.lib.mixins.NDArrayOperatorsMixin):
         return self._values * x
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
-        if method != "__call__" or kwargs.get("out") is not None:
+        if method != "__call__" or not isinstance(kwargs.get("out", (self,))[0], GainValue):
+            return NotImplemented  # a gain as `out`, as in k *= 2, gives a new one
+        if any(hasattr(x, "mapped") for x in inputs):  # named terms
             return NotImplemented
         if ufunc is np.matmul:
             left, right = inputs
@@ -137,6 +142,13 @@ def _numeric(result: Any) -> bool:
     return getattr(result, "dtype", np.dtype(np.float64)) != np.bool_
 
 
+def _hashable(default: ArrayLike | None) -> Any:
+    """A default as a dataclass takes it: lists and arrays as tuples."""
+    if isinstance(default, np.ndarray):
+        default = default.tolist()
+    return tuple(_hashable(x) for x in default) if isinstance(default, (list, tuple)) else default
+
+
 class Gain:
     """A field of a law that holds a gain: a run-time parameter, given by name, checked, kept.
 
@@ -144,15 +156,17 @@ class Gain:
         default: Value where none is given; without it the gain must be given.
         minimum: The smallest allowed entry, 0 for a gain that must not be negative. A matrix must be symmetric
             positive semidefinite instead.
+        size: Number of entries of a vector; the number of joints if left out, 3 for a gain on positions of the tool.
 
-    Shape: scalar, (n,) one per joint, or (n, n). Applied with `@`.
+    Shape: scalar, (size,), or (size, size). Applied with `@`.
     """
 
-    __slots__ = ("_default", "minimum", "name", "owner")
+    __slots__ = ("_default", "minimum", "name", "owner", "size")
 
-    def __init__(self, default: ArrayLike | None = None, *, minimum: float = 0.0) -> None:
-        self._default = default
+    def __init__(self, default: ArrayLike | None = None, *, minimum: float = 0.0, size: int | None = None) -> None:
+        self._default = _hashable(default)
         self.minimum = minimum
+        self.size = size
         self.name = ""
         self.owner: type | None = None
 
@@ -209,7 +223,7 @@ class Memory:
     __slots__ = ("_initial", "name")
 
     def __init__(self, initial: ArrayLike = 0.0) -> None:
-        self._initial = initial
+        self._initial = _hashable(initial)
         self.name = ""
 
     def __set_name__(self, owner: type, name: str) -> None:

@@ -1,4 +1,8 @@
-"""Laws of joint motion: sections 10.2.1 and 10.2.2 of the chapter."""
+"""Laws of joint motion: sections 10.2.1 and 10.2.2 of the chapter.
+
+A closed loop is stated in continuous time, as the chapter states it; a sampled one tends to it as dt falls. `e` is
+desired minus actual, f(v) the friction of the plant: b v for viscous, mu sign(v) for dry friction.
+"""
 
 from __future__ import annotations
 
@@ -28,9 +32,10 @@ class PID(Law):
     """PID control, each joint on its own: the decentralised controller. P, PI and PD by the gains.
 
     Law:          tau = kp e + ki int(e) + kd e_dot                                     eq. 10.6, figure 10.8
-    Closed loop:  M e_ddot + (b + kd) e_dot + kp e + ki int(e) = tau_dist, one joint    eq. 10.12
-                  stable for 0 <= ki < (b + kd) kp / M; a constant disturbance leaves no error with ki > 0,
-                  and the error tau_dist / kp without
+    Closed loop:  M e_ddot + (b + kd) e_dot + kp e + ki int(e) = tau_dist, one joint at a set-point    eq. 10.12
+                  tau_dist is what it takes to hold the joint, such as gravity; a motion adds M a_des + b v_des
+                  stable for 0 <= ki < (b + kd) kp / M
+                  a constant disturbance then leaves no error with ki > 0, and the error tau_dist / kp without
 
     The integral includes this tick's error, as in the chapter's pseudocode.
 
@@ -38,10 +43,10 @@ class PID(Law):
         Section 10.2.1.1 PID control; section 10.2.2.1 decentralised multi-joint control.
     """
 
-    kp: Gain  # [N m/rad]
-    kd: Gain = Gain(0.0)  # [N m s/rad]
-    ki: Gain = Gain(0.0)  # [N m/(rad s)]
-    e_int: Memory = Memory(0.0)  # [rad s]
+    kp: Gain  # [N m/rad | N/m]
+    kd: Gain = Gain(0.0)  # [N m s/rad | N s/m]
+    ki: Gain = Gain(0.0)  # [N m/(rad s) | N/(m s)]
+    e_int: Memory = Memory(0.0)  # [rad s | m s]
     anti_windup: AntiWindup = "clamping"
 
     def __post_init__(self) -> None:
@@ -59,8 +64,10 @@ class FeedForward(Law):
     """Feedforward control: the model's torques along the desired motion. Use it with feedback: + PID(...).
 
     Law:          tau = M(q_des) a_des + h(q_des, v_des)                                eq. 10.16, figure 10.9
-    Closed loop:  none; with an exact model and no initial error the arm follows exactly, and errors of the
-                  model or the start stay
+    Closed loop:  M(q) e_ddot = (M(q) - M(q_des)) a_des + h(q, v) - h(q_des, v_des) + f(v), with an exact model
+                  near the motion M e_ddot + (dh/dv) e_dot + d(M a_des + h)/dq e = f(v)
+                  from an exact start it follows exactly, but for friction
+                  an error swings where the arm hangs, and grows where it stands upright
 
     References:
         Section 10.2.1.2 feedforward control.
@@ -75,8 +82,11 @@ class ComputedTorque(Law):
     """Joint-space feedback linearisation (computed torque).
 
     Law:          tau = M(q) (a_des + kp e + ki int(e) + kd e_dot) + h(q, v)            eq. 10.19, 10.21
-    Closed loop:  e_ddot + kd e_dot + kp e + ki int(e) = 0, with an exact model         eq. 10.17
-                  each joint alike: omega_n = sqrt(kp), zeta = kd / (2 sqrt(kp)) for ki = 0
+    Closed loop:  e_ddot + kd e_dot + kp e + ki int(e) = 0, with an exact model and no friction    eq. 10.17
+                  omega_n = sqrt(kp), zeta = kd / (2 sqrt(kp)) for ki = 0; stable for 0 <= ki < kd kp
+                  friction, which h has none of, puts M(q)^-1 f(v) on the right
+                  + FrictionCompensation(at="meas") takes it away, but for dry friction at rest
+                  a sampled loop tends to this as dt falls
 
     References:
         Section 10.2.1.3 feedforward plus feedback linearisation; section 10.2.2.2 centralised control.
@@ -85,7 +95,7 @@ class ComputedTorque(Law):
     kp: Gain  # [1/s^2]
     kd: Gain  # [1/s]
     ki: Gain = Gain(0.0)  # [1/s^3]
-    e_int: Memory = Memory(0.0)  # [rad s]
+    e_int: Memory = Memory(0.0)  # [rad s | m s]
     anti_windup: AntiWindup = "clamping"
 
     def __post_init__(self) -> None:
@@ -104,17 +114,19 @@ class GravityPID(Law):
     """PID control with gravity compensation (known elsewhere as joint impedance control).
 
     Law:          tau = kp e + ki int(e) + kd e_dot + g(q)                              eq. 10.22
-    Closed loop:  M a + C v = kp e - kd v, for a set-point, ki = 0 and an exact g       eq. 10.23
-                  globally asymptotically stable: V = e kp e / 2 + v M v / 2 falls by v kd v
+    Closed loop:  M a + C v = kp e - kd v, for a set-point, ki = 0, an exact g and no friction    eq. 10.23
+                  V = e . kp e / 2 + v . M v / 2 falls at the rate v . kd v                        eq. 10.25, 10.27
+                  globally asymptotically stable for kp > 0 and kd > 0, where no joint wraps
+                  viscous friction adds to kd; dry friction leaves an error of up to mu / kp
 
     References:
         Section 10.2.2.2 centralised multi-joint control, equations 10.22 to 10.27.
     """
 
-    kp: Gain  # [N m/rad]
-    kd: Gain  # [N m s/rad]
-    ki: Gain = Gain(0.0)  # [N m/(rad s)]
-    e_int: Memory = Memory(0.0)  # [rad s]
+    kp: Gain  # [N m/rad | N/m]
+    kd: Gain  # [N m s/rad | N s/m]
+    ki: Gain = Gain(0.0)  # [N m/(rad s) | N/(m s)]
+    e_int: Memory = Memory(0.0)  # [rad s | m s]
     anti_windup: AntiWindup = "clamping"
 
     def __post_init__(self) -> None:
@@ -132,14 +144,14 @@ class GravityPID(Law):
 class GravityCompensation(Law):
     """Gravity compensation with joint damping: hand guiding.
 
-    Law:          tau = g(q) - kd v                                                     eq. 10.22 with kp = ki = 0
-    Closed loop:  M a + C v + kd v = tau_ext: the arm floats, and follows a hand
+    Law:          tau = g(q) - kd v                              eq. 10.22 with kp = ki = 0 and v_des = 0
+    Closed loop:  M a + C v + kd v + f(v) = tau_ext, with an exact g: the arm floats, and follows a hand
 
     References:
         Section 10.2.2.2 centralised multi-joint control.
     """
 
-    kd: Gain = Gain(0.0)  # [N m s/rad]
+    kd: Gain = Gain(0.0)  # [N m s/rad | N s/m]
 
     def command(self, x: Snapshot, ref: JointMotion) -> Command:  # noqa: ARG002
         return Torque(gravity=x.g, D=-(self.kd @ x.v))
@@ -149,15 +161,16 @@ class FrictionCompensation(Law):
     """The model's joint friction as feedforward; add it to a law whose h is C v + g.
 
     Law:          tau = b v* + mu tanh(v* / width), v* the desired or the measured velocity
-    Closed loop:  with exact friction and v* = v_des the friction along the motion is cancelled; at="meas" cancels
-                  viscous friction everywhere, and with it the damping it gave
+    Closed loop:  friction that is known exactly leaves f(v) - b v* - mu tanh(v* / width) in the place of f(v)
+                  at="ref": of viscous friction -b e_dot, so that it damps errors and does not hold back the motion
+                  at="meas": none of it, and so no damping; of dry friction what is at rest, |v| < width
 
     References:
         Section 10.2.1.4 a closer look at friction; the chapter's h in figures 10.10 and 10.12 includes b v.
     """
 
     at: str = "ref"
-    width: Gain = Gain(0.01, minimum=1e-9)  # [rad/s]
+    width: Gain = Gain(0.01, minimum=1e-9)  # [rad/s | m/s]
 
     def __post_init__(self) -> None:
         one_of("at", self.at, FRICTION_POINTS)
@@ -186,7 +199,7 @@ class VelocityPI(Law):
 
     kp: Gain  # [1/s]
     ki: Gain = Gain(0.0)  # [1/s^2]
-    e_int: Memory = Memory(0.0)  # [rad s]
+    e_int: Memory = Memory(0.0)  # [rad s | m s]
 
     def command(
         self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float

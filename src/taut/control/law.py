@@ -17,8 +17,8 @@ from typing import Any, ClassVar, Final, dataclass_transform
 
 import numpy as np
 
-from taut.base.array import traced_array
-from taut.base.errors import ShapeError, TraceError, UsageError, unknown_name
+from taut.base.array import has_symbols, traced_array
+from taut.base.errors import ShapeError, TraceError, UsageError, unknown_name, user_location
 from taut.base.types import Float64Array
 from taut.control.command import Command
 from taut.control.gains import Gain, GainValue, Memory
@@ -32,7 +32,7 @@ LawMemory = Mapping[str, Any]
 
 
 class MemoryView:
-    """Memory as law code reads it: `memory.e_int`."""
+    """Memory as law code reads it: `memory.e_int`, and that of a law it holds: `memory.inner.e_int`."""
 
     __slots__ = ("_law", "_values")
 
@@ -43,10 +43,21 @@ class MemoryView:
     def __getattr__(self, name: str) -> Any:
         if name not in self._values:
             raise unknown_name(f"the memory of {self._law}", "entry", name, self._values)
-        return self._values[name]
+        value = self._values[name]
+        return MemoryView(value, f"{self._law}.{name}") if isinstance(value, Mapping) else value
 
     def __getitem__(self, name: str) -> Any:
         return self._values[name]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in self.__slots__:
+            object.__setattr__(self, name, value)
+            return
+        raise UsageError(
+            f"memory.{name} of {self._law} is set at {user_location()}; memory is not changed: return the new one "
+            f"with the command, {{'{name}': ...}}",
+            name=name,
+        )
 
 
 @dataclass_transform(kw_only_default=True, frozen_default=True)
@@ -61,7 +72,9 @@ class Law:
     * optionally `start(self, x, ref) -> dict`: memory that starts from the measured state;
     * `reference`, the kind of sample it follows (JointMotion unless said).
 
-    Laws add: `FeedForward() + PID(kp=..., kd=...)`. A law must not inherit from another one: wrap it.
+    Laws add: `FeedForward() + PID(kp=..., kd=...)`. A law must not inherit from another one: it holds it in a field.
+    A law that it holds in `inner: taut.Law` starts with it, and is called as
+    `self.inner.command(x, ref, memory.inner, dt)`; its new memory is returned under its name, {"inner": ...}.
     """
 
     reference: ClassVar[type[Sample]] = JointMotion
@@ -77,10 +90,31 @@ class Law:
             )
         for name, annotation in inspect.get_annotations(cls).items():
             word = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", "")
-            if word.rpartition(".")[2] == "Gain" and name not in cls.__dict__:
-                gain = Gain()
-                gain.__set_name__(cls, name)
-                setattr(cls, name, gain)
+            if name in RESERVED and "ClassVar" not in str(annotation):
+                raise UsageError(
+                    f"law {cls.__name__}: '{name}' is a word of taut.Law itself; give the field another name",
+                    name=name,
+                )
+            kind = FIELDS.get(word.rpartition(".")[2])
+            given = cls.__dict__.get(name)
+            if kind is not None and not isinstance(given, kind) and (given is not None or kind is Gain):
+                field = Gain() if given is None else kind(given)  # kp: Gain, kp: Gain = 5.0, e_int: Memory = 0.0
+                field.__set_name__(cls, name)
+                setattr(cls, name, field)
+            elif isinstance(given, (list, set, dict, np.ndarray)):
+                raise UsageError(
+                    f"law {cls.__name__}: the default of '{name}' is a {type(given).__name__}, which could be "
+                    "changed; write a tuple",
+                    name=name,
+                )
+        for name, given in vars(cls).items():
+            if isinstance(given, tuple(FIELDS.values())) and name not in inspect.get_annotations(cls):
+                kind_name = type(given).__name__
+                raise UsageError(
+                    f"law {cls.__name__}: '{name}' needs its type; write {name}: taut.{kind_name} = "
+                    f"taut.{kind_name}(...)",
+                    name=name,
+                )
         cls.uses_memory = _takes_memory(cls)
         dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)(cls)
         _check_arguments(cls)
@@ -140,10 +174,15 @@ class Law:
             ShapeError: A gain has another size.
         """
         for path, values in self.parameters().items():
-            if values.ndim and values.shape[0] != n:
+            declared = self.gain_field(path)[0].size
+            size = n if declared is None else declared
+            if values.ndim and values.shape[0] != size:
+                ours = type(self).__module__.startswith("taut.")
+                way_out = "" if ours or declared else "; a gain of another size is declared as taut.Gain(size=...)"
+                whose = f"for {n} {'joint' if n == 1 else 'joints'}" if declared is None else "as its law declares it"
                 raise ShapeError(
-                    f"{path} must be a scalar, ({n},) or ({n}, {n}) for {n} {'joint' if n == 1 else 'joints'}; got "
-                    f"shape {values.shape}",
+                    f"{path} must be a scalar, ({size},) or ({size}, {size}) {whose}; got shape {values.shape}"
+                    f"{way_out}",
                     name=path,
                 )
 
@@ -213,6 +252,11 @@ def _check_arguments(cls: type[Law]) -> None:
             named = ", ".join(f"{name}{f' [{units[name]}]' if name in units else ''}" for name in missing)
             raise UsageError(f"{cls.__name__} needs {named}", name=missing[0])
         generated(self, *args, **kwargs)
+        for name, value in list(vars(self).items()):
+            if isinstance(value, np.ndarray):  # a law never changes, and what is traced is kept
+                kept = value.copy()
+                kept.flags.writeable = False
+                self.__dict__[name] = kept
 
     cls.__init__ = checked  # type: ignore[assignment, method-assign]
 
@@ -259,15 +303,20 @@ def _commented_fields(source: str) -> Iterator[tuple[str, str]]:
 
 
 def initial_memory(law: Law, x: Snapshot, ref: Sample) -> dict[str, Any]:
-    """Memory at the first tick: the stated values, then what `start` makes of the measured state."""
+    """Memory at the first tick: stated values, that of laws it holds, what `start` makes of the measured state."""
     values: dict[str, Any] = {}
     for field in dataclasses.fields(law):  # type: ignore[arg-type]  # every law is a dataclass
         if isinstance(type(law).__dict__.get(field.name), Memory):
             values[field.name] = law.__dict__[field.name]
+    values |= {name: initial_memory(child, x, ref) for name, child in law.children().items()}
     start: Callable[[Snapshot, Sample], Mapping[str, Any]] | None = getattr(law, "start", None)
     if start is not None:
         values |= start(x, ref)
     return values
+
+
+FIELDS: Final[Mapping[str, type[Gain | Memory]]] = {"Gain": Gain, "Memory": Memory}
+RESERVED: Final = frozenset(name for name in vars(Law) if not name.startswith("_")) | {"command", "start"}
 
 
 def call(law: Law, x: Snapshot, ref: Sample, memory: LawMemory, dt: Any) -> tuple[Command, dict[str, Any]]:
@@ -288,6 +337,11 @@ def call(law: Law, x: Snapshot, ref: Sample, memory: LawMemory, dt: Any) -> tupl
             f"{' and a dict of memory' if law.uses_memory else ''}; got {_described(result)}",
             name=who,
         )
+    if not isinstance(after, Mapping):
+        raise UsageError(
+            f"{who}.command must return its memory as a dict by name, with the command; got {_described(after)}",
+            name=who,
+        )
     for name in after:
         if name not in memory:
             raise UsageError(
@@ -302,11 +356,13 @@ def call(law: Law, x: Snapshot, ref: Sample, memory: LawMemory, dt: Any) -> tupl
             "with the command, in every tick",
             name=missing[0],
         )
-    total = np.asanyarray(result.total)
-    if total.shape != (x.n,):
-        raise ShapeError(
-            f"{who}.command must give one entry per joint, shape ({x.n},); got shape {total.shape}", name=who
-        )
+    for name, term in result.terms.parts.items():
+        if np.shape(term) != (x.n,):
+            raise ShapeError(
+                f"{who}.command must give one entry per joint, shape ({x.n},); its term '{name}' has shape "
+                f"{np.shape(term)}",
+                name=who,
+            )
     return result, dict(after)
 
 
@@ -327,9 +383,11 @@ def as_array(value: Any, name: str) -> Any:
         TraceError: It is no number.
     """
     array = value.as_array() if hasattr(value, "as_array") else np.asanyarray(value)
-    if array.dtype == object:
+    if array.dtype == object and has_symbols(array):
         return traced_array(array)
     try:
+        if array.dtype == object and any(entry is None for entry in array.flat):  # of which NumPy makes NaN
+            raise TypeError
         return np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError) as cause:
-        raise TraceError(f"{name} must be numbers; got {value!r}", name=name) from cause
+        raise TraceError(f"{name} must be numbers in a rectangular array; got {value!r}", name=name) from cause

@@ -8,17 +8,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from taut.arm.description import Arm, Payload
 from taut.base import math as tm
 from taut.base.checks import finite_scalar, require_at_least, vector
-from taut.base.errors import MatchError, ShapeError, unknown_name
+from taut.base.errors import MatchError, NumericalError, ShapeError, UsageError, unknown_name
 from taut.base.paths import flatten, subtree, unflatten
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
-from taut.control.command import Terms, Torque
+from taut.control.command import Command, Terms, Torque
 from taut.control.law import Law, as_array, call, initial_memory
 from taut.control.limits import Limits, limited
 from taut.control.reference import Sample
@@ -27,8 +27,10 @@ from taut.maths.adds import Adds
 from taut.maths.model import Model, PayloadValues, model_of
 from taut.maths.snapshot import MEASUREMENTS, Snapshot
 
-__all__ = ["LawSide", "Tick"]
+__all__ = ["HELD", "TOLD", "LawSide", "Probe", "Tick"]
 
+TOLD: Final = "held.told"  # inputs of the first tick: whether the torque that the plant holds was told, and it
+HELD: Final = "held.tau_applied"
 Memory = Mapping[str, Any]
 """Memory of the law side by path: law.e_int, sensing.q_prev, limits.tau_applied."""
 
@@ -127,13 +129,10 @@ class LawSide:
         self.law.check_size(self.arm.n)
         if self.limits is not None:
             self.limits.check_size(self.arm)
-        measured = self.measurements_at_rest()
-        ref = self.law.reference.at_rest(self.arm.home)
-        x = self._snapshot(measured, self.arm.home * 0.0, self.parameters, {})
-        law = self.law.bound(subtree(self.parameters, "law"))
-        memory = initial_memory(law, x, ref)
-        command, after = call(law, x, ref, memory, self.dt)
-        command, after = call(law, x, ref, after, self.dt)
+        try:
+            x, command, after = self._first_run(self.arm.home)
+        except NumericalError:  # a law that inverts what is singular at home
+            x, command, after = self._first_run(self.arm.home + 0.1 * np.cos(np.arange(self.arm.n)))
         if self.limits is not None and not isinstance(command, Torque):
             raise MatchError(
                 f"limits cut torques, and {type(self.law).__name__} gives a {command.kind}; leave limits=None",
@@ -146,8 +145,23 @@ class LawSide:
             shapes["limits.tau_applied"] = n
         if self.limits is not None and "tau_cut" in x.used:
             shapes["limits.tau_cut"] = n
+        if self.limits is not None and "limits" in command.terms.parts:
+            raise UsageError(
+                f"{type(self.law).__name__} names a term 'limits', which is what the controller's limits cut off; "
+                "give it another name",
+                name="limits",
+            )
         names = [*command.terms.parts, *(["limits"] if self.limits is not None else [])]
         return Probe(kind=command.kind, used=frozenset(x.used), shapes=shapes, terms=tuple(names))
+
+    def _first_run(self, q: Float64Array) -> tuple[Snapshot, Command, dict[str, Any]]:
+        """Two ticks at rest at q: what was asked for, the command, the memory."""
+        measured, ref = {**self.measurements_at_rest(), "q": q}, self.law.reference.at_rest(q)
+        x = self._snapshot(measured, np.zeros(self.arm.n), self.parameters, {})
+        law = self.law.bound(subtree(self.parameters, "law"))
+        _, after = call(law, x, ref, initial_memory(law, x, ref), self.dt)
+        command, after = call(law, x, ref, after, self.dt)
+        return x, command, after
 
     def _remembers_torque(self, used: set[str]) -> bool:
         rate_limited = self.limits is not None and self.limits.tau_dot is not None
@@ -156,6 +170,11 @@ class LawSide:
     @property
     def needs(self) -> tuple[str, ...]:
         """What the law side asks to be measured, beyond positions."""
+        return tuple(name for name in self.takes if name in self.probe.used)
+
+    @property
+    def takes(self) -> tuple[str, ...]:
+        """What a tick is given, beyond positions: all that is needed, and velocities where sensing reads them."""
         velocity = ("v",) if self.sensing.needs_velocity else ()
         return (*velocity, *(name for name in MEASUREMENTS if name in self.probe.used))
 
@@ -167,16 +186,22 @@ class LawSide:
     # ---------------------------------------------------------------- the pure functions
 
     def start(self, measured: Mapping[str, Any], ref: Sample, parameters: Mapping[str, Any]) -> dict[str, Any]:
-        """Memory by path in the first tick, from what is measured then."""
-        q = measured["q"]
+        """Memory by path in the first tick, from what is measured then.
+
+        The torque of the last tick is what the plant holds: `measured[HELD]` where `measured[TOLD]` is 1, else the
+        torque that holds the model's weight.
+        """
+        q, shapes = measured["q"], self.probe.shapes
         sensing = self.sensing.start(q)
         v, _ = self.sensing.velocity_of(self.arm, q, measured["v"], sensing, self.dt)
         x = self._snapshot(measured, v, parameters, {})
-        law = self.law.bound(subtree(parameters, "law"))
-        memory = flatten({"law": initial_memory(law, x, ref), "sensing": sensing})
-        shapes = self.probe.shapes
+        held = {}
         if "limits.tau_applied" in shapes:
-            memory["limits.tau_applied"] = x.g
+            tau = tm.where(measured[TOLD] > 0.5, measured[HELD], x.g) if TOLD in measured else x.g
+            held = {"tau_applied": tau}
+            x = self._snapshot(measured, v, parameters, held)
+        law = self.law.bound(subtree(parameters, "law"))
+        memory = flatten({"law": initial_memory(law, x, ref), "sensing": sensing, "limits": held})
         if "limits.tau_cut" in shapes:
             memory["limits.tau_cut"] = tm.zeros(self.arm.n)
         return {path: _filled(as_array(memory[path], path), shape) for path, shape in shapes.items()}

@@ -8,7 +8,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, Self, TypeAlias, runtime_checkable
+from typing import Any, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
 
@@ -148,33 +148,36 @@ class Stream:
             raise UsageError(f"source must be a function of the snapshot; got {self.source!r}", name="source")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Chunk:
-    """A few future samples with their times, as a learned policy emits them; linear in between, then held."""
+    """A few future samples with their times, as a learned policy emits them; linear in between, else at rest.
+
+    Before its first time it rests at its first position, after its last time at its last.
+    """
 
     times: Float64Array  # (k,) [s] from the moment it starts
     samples: tuple[Sample, ...]
 
-    kind: ClassVar[str] = "chunk"
-
     def at(self, t: float) -> Sample:
-        return self._blend(np.array([t]))
+        """The sample at time t [s]."""
+        return type(self.samples[0]).of({name: rows[0] for name, rows in self._blend(np.array([t])).items()})
 
     def rows(self, times: Float64Array) -> Sample:
         """Samples at many times, as arrays (k, n)."""
-        return self._blend(times)
+        return type(self.samples[0]).of(self._blend(times))
 
-    def _blend(self, times: Float64Array) -> Sample:
-        cls = type(self.samples[0])
+    def _blend(self, times: Float64Array) -> dict[str, Float64Array]:
+        """Each field at many times (k, n)."""
+        rests = hasattr(self.samples[0], "q")  # a sample of positions has no other fields than rates
+        outside = (times < self.times[0]) | (times > self.times[-1])
         values = {}
-        for name in cls.fields(1):
+        for name in type(self.samples[0]).fields(1):
             table = np.stack([getattr(sample, name) for sample in self.samples])
             columns = [np.interp(times, self.times, table[:, i]) for i in range(table.shape[1])]
-            rows = np.stack(columns, axis=-1)
-            if name != "q" and hasattr(self.samples[0], "q"):
-                rows[times > self.times[-1]] = 0.0  # held at the last sample
-            values[name] = rows if len(times) > 1 else rows[0]
-        return cls.of(values)
+            values[name] = rows = np.stack(columns, axis=-1)
+            if rests and name != "q":
+                rows[outside] = 0.0
+        return values
 
 
 Reference: TypeAlias = Sample | Hold | Stream | Chunk | Trajectory

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
@@ -41,7 +42,7 @@ class Sensing:
         return {} if self.needs_velocity else {"q_prev": q}
 
     def velocity_of(
-        self, arm: Arm, q: Vector, v: Vector, memory: dict[str, Any], dt: Any
+        self, arm: Arm, q: Vector, v: Vector, memory: Mapping[str, Any], dt: Any
     ) -> tuple[Vector, dict[str, Any]]:
         """(n,) the velocity, and the new memory."""
         if self.needs_velocity:

@@ -452,10 +452,10 @@ def _read_csv(path: str | os.PathLike[str]) -> Samples:
             raise FileError(
                 f"{file}: the first line must name the columns t, q1, q2, ...; got {header}", name=str(file)
             )
-        groups = {letter: [w for w in header[1:] if w[:1] == letter] for letter in "qva"}
-        n = len(groups["q"])
-        expected = ["t", *(f"{letter}{i + 1}" for letter in "qva" if groups[letter] for i in range(n))]
-        if n == 0 or header != expected:
+        letters = ["q", *(letter for letter in "va" if any(word.startswith(letter) for word in header[1:]))]
+        n = max(1, sum(word.startswith("q") for word in header))
+        expected = ["t", *(f"{letter}{i + 1}" for letter in letters for i in range(n))]
+        if header != expected:
             raise FileError(
                 f"{file}: the columns must be {', '.join(expected)}; got {', '.join(header)}", name=str(file)
             )
@@ -475,5 +475,5 @@ def _read_csv(path: str | os.PathLike[str]) -> Samples:
     if not rows:
         raise FileError(f"{file}: there are no samples below the header", name=str(file))
     table = np.array(rows)
-    parts = {letter: table[:, 1 + k * n : 1 + (k + 1) * n] for k, letter in enumerate("qva") if groups[letter]}
+    parts = {letter: table[:, 1 + k * n : 1 + (k + 1) * n] for k, letter in enumerate(letters)}
     return Samples(times=table[:, 0], q=parts["q"], v=parts.get("v"), a=parts.get("a"))

@@ -16,7 +16,8 @@ import numpy as np
 
 from taut.arm.description import BASE, Arm
 from taut.base import math as tm
-from taut.base.pose import Pose, snapped
+from taut.base.inertia import inertia_matrix
+from taut.base.pose import snapped
 from taut.base.types import Array, Float64Array, Matrix, Vector3
 
 __all__ = ["Model", "PayloadValues", "RigidBody", "model_of"]
@@ -60,9 +61,8 @@ class PayloadValues:
 
     def body(self) -> RigidBody:
         """The payload as a rigid body, in the tool frame."""
-        xx, yy, zz, xy, xz, yz = self.inertia
         S = tm.skew(self.com)
-        I = tm.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - self.mass * (S @ S)
+        I = inertia_matrix(self.inertia) - self.mass * (S @ S)
         return RigidBody(m=self.mass, h=self.mass * self.com, I=I)
 
 
@@ -165,8 +165,3 @@ def _rounded(x: Float64Array) -> Float64Array:
     """x with entries that are zero but for rounding set to zero."""
     scale = float(np.abs(x).max(initial=0.0))
     return np.where(np.abs(x) <= TINY * scale, 0.0, x)
-
-
-def pose_of_base(model: Model) -> Pose:
-    """T_WB, with exact zeros and ones."""
-    return Pose.of(model.R_WB, model.p_WB)

@@ -10,7 +10,7 @@ import numpy as np
 from taut.arm.description import Arm, Payload
 from taut.base import math as tm
 from taut.base.checks import one_of, vector
-from taut.base.errors import MatchError, UsageError
+from taut.base.errors import MatchError, UsageError, unknown_name
 from taut.base.linalg import LTDL
 from taut.base.pose import Pose
 from taut.base.types import Array, ArrayLike, Matrix, Twist, Vector, Wrench
@@ -40,7 +40,7 @@ class Snapshot:
     of `x.g`, `x.h` and `x.Cv`, so that a law adds exactly what is missing.
     """
 
-    __slots__ = ("_adds", "_cache", "_measured", "_payload", "arm", "model", "q", "t", "used", "v")
+    __slots__ = ("_adds", "_cache", "_measured", "_payload", "_q", "_t", "_v", "arm", "elsewhere", "model", "used")
 
     def __init__(
         self,
@@ -53,18 +53,20 @@ class Snapshot:
         adds: Adds | None = None,
         measured: Mapping[str, Array] | None = None,
         used: set[str] | None = None,
+        elsewhere: bool = False,
     ) -> None:
         self.model = model
         self.arm = model.arm
-        self.q = q  # (n,) [rad | m]
-        self.v = v  # (n,) [rad/s | m/s]
-        self.t = t  # [s]
+        self._q = q
+        self._v = v
+        self._t = t
         self._payload = payload
         self._adds = adds or Adds()
         self._measured = dict(measured or {})
         self._cache: dict[Any, Any] = {}
         self.used = set() if used is None else used
         """Names of the measurements and compensations that were asked for."""
+        self.elsewhere = elsewhere  # at a state that is not the measured one
 
     @property
     def n(self) -> int:
@@ -73,11 +75,36 @@ class Snapshot:
 
     def _once(self, key: Any, compute: Callable[[], T]) -> T:
         if key not in self._cache:
-            self._cache[key] = compute()
+            self._cache[key] = made = compute()
+            if isinstance(made, np.ndarray):  # every law of a sum is given the same one
+                made.flags.writeable = False
         value: T = self._cache[key]
         return value
 
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        known = [word for word in dir(type(self)) if not word.startswith("_")]
+        raise AttributeError(str(unknown_name("the snapshot x", "quantity", name, known)), name=name, obj=None)
+
     # ---------------------------------------------------------------- measurements
+
+    @property
+    def q(self) -> Vector:
+        """(n,) measured positions [rad | m]."""
+        return self._q
+
+    @property
+    def t(self) -> Any:
+        """Time since the start [s]."""
+        return self._t
+
+    @property
+    def v(self) -> Vector:
+        """(n,) velocities, measured or as the controller's sensing makes them [rad/s | m/s]."""
+        if not self.elsewhere:
+            self.used.add("v")
+        return self._v
 
     def _measurement(self, name: str) -> Array:
         self.used.add(name)
@@ -125,12 +152,14 @@ class Snapshot:
     def h(self) -> Vector:
         """(n,) C v + g, less what the plant adds itself [N m | N]."""
         self.used |= {"gravity", "coriolis"}
+        if not self._adds.coriolis and not self.elsewhere:
+            self.used.add("v")
         return self._once("h", self._bias)
 
     def _bias(self) -> Vector:
         adds = self._adds
         if not adds.gravity and not adds.coriolis:
-            return dyn.bias(self.model, self.q, self.v, self._payload)
+            return dyn.bias(self.model, self.q, self._v, self._payload)
         if adds.gravity and adds.load is None:
             return self.Cv
         return self.Cv + self.g
@@ -158,17 +187,38 @@ class Snapshot:
         self.used.add("coriolis")
         if self._adds.coriolis:
             return tm.zeros(self.n)
-        return self._once("Cv", lambda: dyn.bias(self.model, self.q, self.v, self._payload, gravity=False))
+        v = self.v
+        return self._once("Cv", lambda: dyn.bias(self.model, self.q, v, self._payload, gravity=False))
 
     @property
     def C(self) -> Matrix:
         """(n, n) Christoffel matrix of the whole model: M-dot - 2 C is skew, so C v_ref can be written."""
         self.used.add("coriolis")
-        return self._once("C", lambda: dyn.coriolis_matrix(self.model, self.q, self.v, self._payload))
+        v = self.v
+        return self._once("C", lambda: dyn.coriolis_matrix(self.model, self.q, v, self._payload))
+
+    def forward_dynamics(self, tau: Vector) -> Vector:
+        """(n,) accelerations M^-1 (tau - C v - g) of the whole model, without friction [rad/s^2 | m/s^2]."""
+        return dyn.forward_dynamics(self.model, self.q, self.v, tau, self._payload)
+
+    def inverse_dynamics(self, a: Vector) -> Vector:
+        """(n,) torques M a + C v + g of the whole model, without friction, by one recursion [N m | N]."""
+        return dyn.inverse_dynamics(self.model, self.q, self.v, a, self._payload)
+
+    @property
+    def kinetic_energy(self) -> Any:
+        """Kinetic energy, rotors included [J]."""
+        v = self.v
+        return self._once("kinetic", lambda: dyn.kinetic_energy(self.model, self.q, v, self._payload))
+
+    @property
+    def potential_energy(self) -> Any:
+        """Potential energy of the weights [J]; zero at the world's origin."""
+        return self._once("potential", lambda: dyn.potential_energy(self.model, self.q, self._payload))
 
     @property
     def viscous(self) -> Vector:
-        """(n,) the model's viscous friction [N m s/rad], less what the plant adds itself."""
+        """(n,) the model's viscous friction [N m s/rad | N s/m], less what the plant adds itself."""
         self.used.add("friction")
         return np.zeros(self.n) if self._adds.friction else self.arm.viscous
 
@@ -192,10 +242,8 @@ class Snapshot:
     def Jdot_v(self, frame: str | None = None, axes: str = "W") -> Twist:
         """(6,) J-dot v of a frame [m/s^2, rad/s^2]."""
         one_of("axes", axes, AXES)
-        return self._once(
-            ("Jdot_v", frame, axes),
-            lambda: dyn.jacobian_rate_v(self.model, self.q, self.v, frame, axes),
-        )
+        v = self.v
+        return self._once(("Jdot_v", frame, axes), lambda: dyn.jacobian_rate_v(self.model, self.q, v, frame, axes))
 
     def twist(self, frame: str | None = None, axes: str = "W") -> Twist:
         """(6,) twist of a frame, linear part first [m/s, rad/s]."""
@@ -219,6 +267,7 @@ class Snapshot:
             adds=self._adds,
             measured=self._measured,
             used=self.used,
+            elsewhere=True,
         )
 
     def with_own_record(self) -> Snapshot:

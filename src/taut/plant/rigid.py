@@ -13,15 +13,16 @@ import numpy as np
 
 from taut.arm.description import COMMANDS, Arm, CommandKind, Payload
 from taut.base import math as tm
-from taut.base.checks import one_of
-from taut.base.errors import RangeError, UsageError
+from taut.base.checks import finite_array, one_of, require_at_least, require_positive
+from taut.base.errors import RangeError, ShapeError, UsageError, quoted_list, unknown_name
 from taut.base.paths import flatten, subtree
-from taut.base.types import Array, Float64Array, Vector
+from taut.base.types import Array, ArrayLike, Float64Array, Vector
+from taut.control.lawside import checked_payload_entry
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
 from taut.maths.friction import dry_friction
 from taut.maths.model import Model, PayloadValues, model_of
-from taut.plant.stages import Actuation, Environment, Sensors, delayed, lagged
+from taut.plant.stages import Actuation, Environment, Sensors, delayed, lagged, mean_lagged
 
 __all__ = ["RigidPlant"]
 
@@ -121,6 +122,10 @@ class RigidPlant:
                 )
 
     @property
+    def _lags(self) -> bool:
+        return self.takes == "torque" and self.actuation.bandwidth is not None
+
+    @property
     def _left(self) -> bool:
         """Whether any friction is left."""
         return self.friction == "arm" and not Adds.of(self.adds).friction
@@ -155,21 +160,47 @@ class RigidPlant:
         """The constants of the true arm."""
         return model_of(self.arm)
 
+    @property
     def parameters(self) -> dict[str, Float64Array]:
-        """Run-time parameters by path."""
-        payload = self.arm.payload
-        out: dict[str, Any] = {
-            "payload": {"mass": np.asarray(payload.mass), "com": payload.com, "inertia": payload.inertia}
-        }
+        """Run-time parameters by path: plant.payload.mass, actuation.bandwidth, ..."""
+        payload, friction = self.arm.payload, {}
         if self._viscous:
-            out["friction"] = {"viscous": self.arm.viscous}
+            friction["viscous"] = self.arm.viscous
         if self._dry:
-            out.setdefault("friction", {})["coulomb"] = self.arm.coulomb
+            friction["coulomb"] = self.arm.coulomb
+        load = {"mass": np.asarray(payload.mass), "com": payload.com, "inertia": payload.inertia}
+        out: dict[str, Any] = {"plant": {"payload": load, "friction": friction}}
         out["actuation"] = self.actuation.parameters()
         out["sensors"] = self.sensors.parameters()
         if self.environment is not None:
             out["environment"] = self.environment.parameters()
         return flatten(out)
+
+    def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:
+        """A new value of a parameter, checked like the first one and in its shape.
+
+        Raises:
+            UnknownNameError: There is no such parameter.
+            ShapeError: Another shape.
+            RangeError: NaN, infinite or negative.
+        """
+        known = self.parameters
+        if path not in known:
+            raise unknown_name(f"plant '{self.name}'", "parameter", path, known)
+        if path.startswith("plant.payload."):
+            return checked_payload_entry(path, value)
+        shape, new = known[path].shape, finite_array(path, value)
+        if new.shape not in ((), shape):
+            raise ShapeError(
+                f"{path} has shape {shape}; got shape {new.shape}; make the plant with a value of the new shape",
+                name=path,
+            )
+        if path == "actuation.bandwidth":
+            require_positive(path, new, unit="rad/s")
+        elif not path.startswith("environment."):
+            joints = self.arm.joint_names if shape == (self.arm.n,) else None
+            require_at_least(path, new, 0.0, joints=joints)
+        return np.broadcast_to(new, shape)
 
     # ---------------------------------------------------------------- the pure functions
 
@@ -184,6 +215,8 @@ class RigidPlant:
         weight = dyn.gravity_torque(self.model, q, self._payload(parameters))
         weight = weight - self._compensation(q, rest, parameters)
         memory: dict[str, Any] = {"q": q, "v": v, "tau": weight, "held": weight}
+        if self._lags:
+            memory["motor"] = weight
         if self._dry:
             memory["friction"] = tm.zeros(n)
         taps = self.actuation.taps(dt)
@@ -204,7 +237,7 @@ class RigidPlant:
             measured["F_ext"] = memory["F_ext"]
         return measured
 
-    def command(self, command: Vector, memory: Values, parameters: Values, t: Any, dt: Any) -> dict[str, Any]:
+    def command(self, command: Vector, memory: Values, t: Any) -> dict[str, Any]:
         """Memory after a command came in at time t: the delay line, and what stands at the drives until the next."""
         held, line = delayed(command, memory.get("delay"))
         out = dict(memory)
@@ -212,8 +245,6 @@ class RigidPlant:
             out["t"] = t
         if line is not None:
             out["delay"] = line
-        if self.takes == "torque" and self.actuation.bandwidth is not None:
-            held = lagged(held, memory["tau"], parameters["actuation.bandwidth"], dt)
         out["held"] = held
         return out
 
@@ -233,7 +264,8 @@ class RigidPlant:
             q_new = q + wanted * dt + (v - wanted) * ((1.0 - tm.exp(-omega * dt)) / omega)
         else:
             # Critically damped: e(t) = (e0 + (v + omega e0) t) exp(-omega t), exact over the step.
-            e = q - wanted
+            e = -self.arm.difference(wanted, q)  # a continuous joint goes the short way round
+            wanted = q - e
             rate = v + omega * e
             decay = tm.exp(-omega * dt)
             q_new = wanted + (e + rate * dt) * decay
@@ -241,30 +273,33 @@ class RigidPlant:
         a = (v_new - v) / dt
         tau = dyn.inverse_dynamics(self.model, q, v, a, self._payload(parameters))
         if self._viscous:
-            tau = tau + parameters["friction.viscous"] * v
+            tau = tau + parameters["plant.friction.viscous"] * v
         if self._dry:
-            tau = tau + parameters["friction.coulomb"] * tm.sign(v)
+            tau = tau + parameters["plant.friction.coulomb"] * tm.sign(v)
         return {**memory, "q": q_new, "v": v_new, "tau": tau}
 
     def _torque_step(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
         q, v, t = memory["q"], memory["v"], memory.get("t", 0.0)
         payload = self._payload(parameters)
         out = dict(memory)
-        out["tau"] = memory["held"]
+        tau = memory["held"]
+        if self._lags:
+            tau, out["motor"] = mean_lagged(tau, memory["motor"], parameters["actuation.bandwidth"], dt)
+        out["tau"] = tau
         if self.environment is not None:
             wrench, touched = self._touch(q, v, memory, parameters, t, dt)
             out["F_ext"], out["t"] = wrench, t + dt
             out |= {f"environment.{name}": value for name, value in touched.items()}
         if self.integrator == "rk4":
-            out["q"], out["v"] = self._rk4(q, v, memory, parameters, t, dt)
+            out["q"], out["v"] = self._rk4(q, v, tau, memory, parameters, t, dt)
             return out
-        tau = memory["held"] + self._compensation(q, v, parameters)
+        tau = tau + self._compensation(q, v, parameters)
         if self.environment is not None:
             tau = tau + dyn.jacobian(self.model, q).T @ out["F_ext"]
         M = dyn.mass_matrix(self.model, q, payload)
         rhs = tau - dyn.bias(self.model, q, v, payload)
         if self._viscous:
-            b = parameters["friction.viscous"]
+            b = parameters["plant.friction.viscous"]
             rhs = rhs - b * v
             for i in range(self.arm.n):
                 M[i, i] = M[i, i] + dt * b[i]
@@ -273,7 +308,7 @@ class RigidPlant:
         if self._dry:
             stop = -(rhs + M @ v / dt)
             v_new, out["friction"] = dry_friction(
-                factors, v_new, parameters["friction.coulomb"], memory["friction"], stop, dt
+                factors, v_new, parameters["plant.friction.coulomb"], memory["friction"], stop, dt
             )
         out["v"], out["q"] = v_new, q + dt * v_new
         return out
@@ -292,30 +327,43 @@ class RigidPlant:
         return total
 
     def _payload(self, parameters: Values) -> PayloadValues:
-        return PayloadValues.of(subtree(parameters, "payload"))
+        return PayloadValues.of(subtree(parameters, "plant.payload"))
 
     def _touch(
         self, q: Vector, v: Vector, memory: Values, parameters: Values, t: Any, dt: Any
     ) -> tuple[Array, dict[str, Any]]:
         assert self.environment is not None
-        return self.environment.wrench(
+        before = subtree(memory, "environment")
+        wrench, after = self.environment.wrench(
             dyn.pose(self.model, q),
             dyn.twist(self.model, q, v),
             t,
-            subtree(memory, "environment"),
+            before,
             subtree(parameters, "environment"),
             dt,
         )
+        who = type(self.environment).__name__
+        if np.shape(wrench) != (6,):
+            raise ShapeError(
+                f"{who}.wrench must give shape (6,), force first; got shape {np.shape(wrench)}", name=who
+            )
+        if set(after) != set(before):
+            raise UsageError(
+                f"{who}.wrench must give back the memory that {who}.start made, {quoted_list(sorted(before))}; got "
+                f"{quoted_list(sorted(after)) or 'none'}",
+                name=who,
+            )
+        return wrench, after
 
     def _rk4(
-        self, q: Vector, v: Vector, memory: Values, parameters: Values, t: Any, dt: Any
+        self, q: Vector, v: Vector, tau: Vector, memory: Values, parameters: Values, t: Any, dt: Any
     ) -> tuple[Vector, Vector]:
         payload = self._payload(parameters)
 
         def rates(q: Vector, v: Vector, t: Any) -> tuple[Vector, Vector]:
-            force = memory["held"] + self._compensation(q, v, parameters)
+            force = tau + self._compensation(q, v, parameters)
             if self._viscous:
-                force = force - parameters["friction.viscous"] * v
+                force = force - parameters["plant.friction.viscous"] * v
             if self.environment is not None:
                 wrench, _ = self._touch(q, v, memory, parameters, t, dt)
                 force = force + dyn.jacobian(self.model, q).T @ wrench

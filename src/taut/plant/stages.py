@@ -1,6 +1,7 @@
 """The stages around a rigid plant: sensors before the controller, actuation and environment behind it.
 
-Each is a pure function with parameters and memory, like a law: anything with these methods can take its place.
+Each is a pure function with parameters and memory, like a law. An environment may be a class of your own with the
+methods of `Environment`.
 """
 
 from __future__ import annotations
@@ -109,9 +110,9 @@ MOST_TAPS: Final = 1000
 class Actuation:
     """The drives between command and arm: a pure delay, then a bandwidth.
 
-    A torque command reaches the joint through a first-order lag. A velocity command is what the drive's own loop
-    follows as a first-order lag, a position command as a critically damped second-order one; these drives are stiff,
-    so that the arm's dynamics and its load do not show.
+    A torque command reaches the joint through a first-order lag, whose mean over a step of the integrator acts in
+    that step. A velocity command is what the drive's own loop follows as a first-order lag, a position command as a
+    critically damped second-order one; these drives are stiff, so that the arm's dynamics and its load do not show.
 
     Args:
         bandwidth: [rad/s] of the lag; None for none, which only a torque drive can have.
@@ -166,3 +167,11 @@ def lagged(command: Vector, output: Vector, bandwidth: Any, dt: Any) -> Vector:
     """(n,) output of a first-order lag after dt, exact for a command that is held."""
     moved: Vector = output + (1.0 - tm.exp(-bandwidth * dt)) * (command - output)
     return moved
+
+
+def mean_lagged(command: Vector, state: Vector, bandwidth: Any, dt: Any) -> tuple[Vector, Vector]:
+    """(n,) mean over dt of a first-order lag's output for a command that is held, exact; and the output after dt."""
+    left = tm.exp(-bandwidth * dt)
+    mean: Vector = command + (state - command) * ((1.0 - left) / (bandwidth * dt))
+    after: Vector = command + (state - command) * left
+    return mean, after

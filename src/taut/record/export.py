@@ -17,6 +17,7 @@ from taut.base.errors import MissingExtraError, UsageError
 from taut.base.paths import unflatten
 from taut.base.types import Float64Array
 from taut.record.files import checked_target, written_aside
+from taut.record.progress import Progress
 from taut.record.topics import columns_of
 
 if TYPE_CHECKING:
@@ -91,16 +92,18 @@ def to_pandas(run: Run) -> pd.DataFrame:
     return frame
 
 
-def to_csv(run: Run, path: str | os.PathLike[str]) -> Path:
+def to_csv(run: Run, path: str | os.PathLike[str], *, progress: bool | None = None) -> Path:
     """A table with one header line; every number has as many digits as it takes to read it back exactly."""
     target = checked_target("table", path, (".csv",))
     names, units, tables = _table(run)
     header = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)]
     with written_aside("table", target) as aside, aside.open("w", encoding="utf-8", newline="") as file:
         file.write(",".join(map(_quoted, header)) + "\n")
-        for first in range(0, len(run), ROWS):
-            rows = np.hstack([table[first : first + ROWS] for table in tables]).tolist()
-            file.writelines(",".join(map(repr, row)) + "\n" for row in rows)
+        with Progress(len(run), progress, "writing") as bar:
+            for first in range(0, len(run), ROWS):
+                rows = np.hstack([table[first : first + ROWS] for table in tables]).tolist()
+                file.writelines(",".join(map(repr, row)) + "\n" for row in rows)
+                bar.advance(len(rows))
     return target
 
 

@@ -7,6 +7,7 @@ start and again at the end, a record `taut.outcome` at the end, each a JSON text
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -19,6 +20,7 @@ from taut.base.types import Float64Array
 from taut.record.description import described, sealed
 from taut.record.files import cannot_write, checked_target, written_aside
 from taut.record.outcome import Outcome
+from taut.record.progress import Progress
 from taut.record.run import Run
 from taut.record.topics import Description, TickLayout, columns_of
 
@@ -49,8 +51,12 @@ class Log:
         self._writer: McapWriter | None = None
         self._ticks = 0
 
-    def write(self, rows: Run) -> None:
+    def write(self, rows: Run, advance: Callable[[int], None] | None = None) -> None:
         """Append the ticks of a piece of the run.
+
+        Args:
+            rows: The piece.
+            advance: Is told how many ticks more are written, block by block.
 
         Raises:
             FileError: The system refuses a write, or the log is closed.
@@ -62,9 +68,10 @@ class Log:
                 self._writer = self._begin(rows)
             columns = columns_of(rows)
             for first in range(0, len(rows), self._block):
-                self._append(
-                    self._writer, {name: column[first : first + self._block] for name, column in columns.items()}
-                )
+                block = {name: column[first : first + self._block] for name, column in columns.items()}
+                self._append(self._writer, block)
+                if advance is not None:
+                    advance(len(block["t"]))
         except OSError as cause:
             self._writer = None  # what has been written stays as it is
             raise cannot_write("log", self._path, cause) from cause
@@ -127,10 +134,11 @@ def open_log(path: str | os.PathLike[str]) -> Log:
     return Log(checked_target("log", path, SUFFIXES))
 
 
-def save(run: Run, path: str | os.PathLike[str]) -> Path:
+def save(run: Run, path: str | os.PathLike[str], *, progress: bool | None = None) -> Path:
     """Write a whole run as a log; what was there before stays if anything goes wrong."""
     target = checked_target("log", path, SUFFIXES)
     with written_aside("log", target) as aside, Log(target, to=aside) as log:
-        log.write(run)
+        with Progress(len(run), progress, "writing") as bar:
+            log.write(run, bar.advance)
         log.finish(run.outcome)
     return target

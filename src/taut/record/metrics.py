@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from taut.arm.angles import short_way
 from taut.base.checks import read_only
 from taut.base.types import Float64Array
-from taut.record.run import short_way
 from taut.record.step import StepResponse, step_response
 
 if TYPE_CHECKING:

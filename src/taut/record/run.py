@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from taut.arm.angles import short_way
 from taut.arm.description import Arm
 from taut.base.checks import finite_scalar
 from taut.base.errors import RangeError
@@ -150,6 +151,7 @@ class Run:
         size: tuple[int, int] = (640, 480),
         speed: float = 1.0,
         arm: Arm | None = None,
+        progress: bool | None = None,
     ) -> Path:
         """A film of the arm: rendered by MuJoCo where OpenGL works, else a schematic drawing, with a warning.
 
@@ -159,6 +161,7 @@ class Run:
             size: Width and height in pixels.
             speed: How fast the film plays; 2.0 is twice as fast as it was.
             arm: The arm to draw; the plant's by default. A run from a file needs it.
+            progress: Show progress; by default on a terminal when it takes a while.
 
         Returns:
             The path.
@@ -169,7 +172,7 @@ class Run:
         """
         from taut.record.video import film
 
-        return film(self, path, fps=fps, size=size, speed=speed, arm=arm)
+        return film(self, path, fps=fps, size=size, speed=speed, arm=arm, progress=progress)
 
     # ---------------------------------------------------------------- to keep
 
@@ -189,11 +192,16 @@ class Run:
 
         return to_pandas(self)
 
-    def to_csv(self, path: str | os.PathLike[str]) -> Path:
-        """Write a table (.csv): a header with names and units, then one line per tick that reads back exactly."""
+    def to_csv(self, path: str | os.PathLike[str], *, progress: bool | None = None) -> Path:
+        """Write a table (.csv): a header with names and units, then one line per tick that reads back exactly.
+
+        Args:
+            path: Where to.
+            progress: Show progress; by default on a terminal when it takes a while.
+        """
         from taut.record.export import to_csv
 
-        return to_csv(self, path)
+        return to_csv(self, path, progress=progress)
 
     def to_mat(self, path: str | os.PathLike[str]) -> Path:
         """Write a MATLAB file (.mat) with the struct `run`: t, q, ..., terms.P, reference.q, joint_names, units."""
@@ -207,11 +215,16 @@ class Run:
 
         return to_npz(self, path)
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write a log (.mcap) that common viewers open and `taut.load_run` reads back exactly."""
+    def save(self, path: str | os.PathLike[str], *, progress: bool | None = None) -> Path:
+        """Write a log (.mcap) that common viewers open and `taut.load_run` reads back exactly.
+
+        Args:
+            path: Where to.
+            progress: Show progress; by default on a terminal when it takes a while.
+        """
         from taut.record.log import save
 
-        return save(self, path)
+        return save(self, path, progress=progress)
 
     def __len__(self) -> int:
         return len(self.t)
@@ -219,14 +232,3 @@ class Run:
     def __repr__(self) -> str:
         end = float(self.t[-1]) if len(self) else 0.0
         return f"Run({len(self)} ticks, {end:g} s, {self.n} joints, {self.outcome.kind})"
-
-
-def short_way(delta: Float64Array, continuous: tuple[int, ...]) -> Float64Array:
-    """Differences of positions (..., n); those of joints that wrap go to [-pi, pi)."""
-    if not continuous:
-        return delta
-    delta = np.array(delta)
-    columns = list(continuous)
-    turn = 2.0 * np.pi
-    delta[..., columns] -= turn * np.floor((delta[..., columns] + np.pi) / turn)
-    return delta

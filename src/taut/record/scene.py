@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from taut.arm.description import BASE, Arm, Visual
+from taut.arm.mjspec import Meshes, add_links, add_shape, bones
+from taut.base.errors import FileError
 from taut.base.pose import Pose
 from taut.base.types import Float64Array
 from taut.record.skeleton import FIELD_OF_VIEW, View, upright
@@ -43,7 +45,7 @@ def scene(arm: Arm, view: View, size: tuple[int, int]) -> tuple[Any, Float64Arra
     problem = "" if len(shown) == len(arm.visuals) else "some of their files are not there"
     try:
         model = _spec(arm, shown, view, size).compile()
-    except ValueError as cause:  # a mesh that MuJoCo cannot read
+    except (ValueError, FileError) as cause:  # a mesh that MuJoCo, or nobody, can read
         problem = f"MuJoCo cannot show them: {str(cause).splitlines()[0]}"
         model = _spec(arm, [], view, size).compile()
     places = np.array([model.joint(_joint_name(i)).qposadr[0] for i in range(arm.n)])
@@ -60,22 +62,21 @@ def _spec(arm: Arm, visuals: list[Visual], view: View, size: tuple[int, int]) ->
     spec = mujoco.MjSpec()
     _look(spec, view, size)
     _surroundings(spec, view)
-    bodies = {BASE: spec.worldbody.add_body(name="base")}
-    _place(bodies[BASE], Pose.of(upright(arm) @ arm.T_WB.R, upright(arm) @ arm.T_WB.p))
-    for i, joint in enumerate(arm.joints):
-        body = bodies[i] = bodies[joint.parent].add_body(name=f"body {i}")
-        _place(body, joint.placement)
-        kind = mujoco.mjtJoint.mjJNT_SLIDE if joint.kind == "prismatic" else mujoco.mjtJoint.mjJNT_HINGE
-        body.add_joint(name=_joint_name(i), type=kind, axis=joint.axis)
-        body.explicitinertial, body.mass, body.inertia = True, 1.0, [0.01, 0.01, 0.01]  # nothing falls here
-    meshes: dict[tuple[str, tuple[float, ...]], str] = {}
+    T_base = Pose(R=upright(arm)) @ arm.T_WB
+    base = spec.worldbody.add_body(name="base", pos=T_base.p, quat=T_base.wxyz)
+    names = [(f"body {i}", _joint_name(i)) for i in range(arm.n)]
+    bodies = {BASE: base} | {i: body for i, (body, _) in enumerate(add_links(arm, base, Pose.identity(), names))}
+    meshes = Meshes()
     for visual in visuals:
-        _draw(spec, bodies[visual.body], visual, meshes)
+        geom = add_shape(spec, bodies[visual.body], visual.placement, visual, meshes)
+        geom.rgba = LINK if visual.rgba == BARE else visual.rgba
     drawn = {visual.body for visual in visuals}
     radius = THICKNESS * view.radius
-    for i in bodies:
+    for i, body in bodies.items():
+        if i != BASE:
+            body.explicitinertial, body.mass, body.inertia = True, 1.0, [0.01, 0.01, 0.01]  # nothing falls here
         if i not in drawn and (i != BASE or not drawn):
-            _draw_bones(arm, i, bodies[i], radius)
+            _draw_bones(arm, i, body, radius)
     tool = arm.frame()
     _geom(bodies[tool.body], "SPHERE", pos=tool.placement.p, size=[0.8 * radius, 0.0, 0.0], rgba=TOOL)
     return spec
@@ -112,10 +113,6 @@ def _surroundings(spec: mujoco.MjSpec, view: View) -> None:
     light.diffuse, light.specular, light.castshadow = [0.42, 0.42, 0.42], [0.1, 0.1, 0.1], True
 
 
-def _place(body: Any, pose: Pose) -> None:
-    body.pos, body.quat = pose.p, pose.wxyz
-
-
 def _geom(body: Any, shape: str, **values: Any) -> Any:
     """Something to see, which touches nothing."""
     import mujoco
@@ -123,32 +120,10 @@ def _geom(body: Any, shape: str, **values: Any) -> Any:
     return body.add_geom(type=getattr(mujoco.mjtGeom, f"mjGEOM_{shape}"), contype=0, conaffinity=0, **values)
 
 
-def _draw(spec: mujoco.MjSpec, body: Any, visual: Visual, meshes: dict[tuple[str, tuple[float, ...]], str]) -> None:
-    """A visual as it is described."""
-    rgba = LINK if visual.rgba == BARE else visual.rgba
-    if visual.shape == "mesh":
-        key = (visual.file, visual.size)
-        if key not in meshes:
-            meshes[key] = f"mesh {len(meshes)}"
-            spec.add_mesh(name=meshes[key], file=str(Path(visual.file).resolve()), scale=visual.size)
-        geom = _geom(body, "MESH", meshname=meshes[key], rgba=rgba)
-    elif visual.shape == "box":
-        geom = _geom(body, "BOX", size=0.5 * np.array(visual.size), rgba=rgba)
-    elif visual.shape == "cylinder":
-        radius, length = visual.size
-        geom = _geom(body, "CYLINDER", size=[radius, 0.5 * length, 0.0], rgba=rgba)
-    else:
-        geom = _geom(body, "SPHERE", size=[visual.size[0], 0.0, 0.0], rgba=rgba)
-    _place(geom, visual.placement)
-
-
 def _draw_bones(arm: Arm, i: int, body: Any, radius: float) -> None:
     """Capsules from a body's origin to the joints it carries and to the tool, and a short drum for its own joint."""
-    ends = [joint.placement.p for joint in arm.joints if joint.parent == i]
-    if arm.frame().body == i:
-        ends.append(arm.frame().placement.p)
-    for end in ends:
-        if np.linalg.norm(end) > 0.5 * radius:
+    for holder, _, end in bones(arm):
+        if holder == i and np.linalg.norm(end) > 0.5 * radius:
             _geom(body, "CAPSULE", fromto=[0.0, 0.0, 0.0, *end], size=[0.7 * radius, 0.0, 0.0], rgba=LINK)
     if i == BASE:
         return

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from taut.arm.description import BASE, Arm
+from taut.base.pose import axis_angle
 from taut.base.types import Float64Array, Rotation
 from taut.maths import dynamics
 from taut.maths.model import model_of
@@ -114,7 +115,4 @@ def upright(arm: Arm) -> Rotation:
     sine = float(np.linalg.norm(axis))
     if sine < PARALLEL:
         return np.eye(3) if up[2] > 0.0 else np.diag([1.0, -1.0, -1.0])
-    x, y, z = axis / sine
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    R: Float64Array = np.eye(3) + sine * K + (1.0 - up[2]) * (K @ K)
-    return R
+    return axis_angle(axis / sine, math.atan2(sine, up[2]))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from taut.record.metrics import MEASURES
@@ -11,7 +10,7 @@ from taut.record.metrics import MEASURES
 if TYPE_CHECKING:
     from taut.record.metrics import Metrics
 
-__all__ = ["metrics_table", "number_text", "runs_table"]
+__all__ = ["metrics_table", "number_text"]
 
 
 def metrics_table(metrics: Metrics) -> str:
@@ -24,23 +23,6 @@ def metrics_table(metrics: Metrics) -> str:
         columns.append([*_heading(MEASURES[name].title), metrics.unit(name), *numbers, *last])
     side = ["", "", "", *metrics.joint_names, *(["overall"] if len(metrics.joint_names) > 1 else [])]
     return _aligned(side, columns)
-
-
-def runs_table(metrics: Mapping[str, Metrics]) -> str:
-    """Several runs side by side: one line per run, with the overall numbers.
-
-    Example:
-        >>> print(runs_table({}))
-        <BLANKLINE>
-    """
-    names = [name for name in MEASURES if any(not math.isnan(m.overall[name]) for m in metrics.values())]
-    columns = []
-    for name in names:
-        units = " | ".join(dict.fromkeys(m.unit(name) for m in metrics.values()))
-        columns.append(
-            [*_heading(MEASURES[name].title), units, *(number_text(m.overall[name]) for m in metrics.values())]
-        )
-    return _aligned(["", "", "", *metrics], columns).rstrip() if columns else ""
 
 
 def _heading(title: str) -> tuple[str, str]:

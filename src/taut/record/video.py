@@ -22,6 +22,7 @@ from taut.base.errors import FileError, MatchError, RangeError, UsageError
 from taut.base.types import Float64Array
 from taut.record import painter, render, scene, sketch
 from taut.record.files import checked_target, written_aside
+from taut.record.progress import Progress
 from taut.record.skeleton import Skeleton, View
 
 if TYPE_CHECKING:
@@ -40,7 +41,14 @@ FAR: Final = 1e6  # [rad | m] positions beyond this are not drawn: the run had d
 
 
 def film(
-    run: Run, path: str | os.PathLike[str], *, fps: int, size: tuple[int, int], speed: float, arm: Arm | None
+    run: Run,
+    path: str | os.PathLike[str],
+    *,
+    fps: int,
+    size: tuple[int, int],
+    speed: float,
+    arm: Arm | None,
+    progress: bool | None,
 ) -> Path:
     """Write a film of a run; see `Run.video`."""
     target = checked_target("video", path, SUFFIXES)
@@ -55,7 +63,8 @@ def film(
         pictures, remark = _pictures(stack, run.q[ticks], skeleton, wanted, size)
         if remark:
             warnings.warn(f"video '{target}' {remark}", RuntimeWarning, stacklevel=3)
-        images = _captioned(pictures, run.t[ticks])
+        bar = stack.enter_context(Progress(len(ticks), progress, "drawing"))
+        images = bar.over(_captioned(pictures, run.t[ticks]))
         try:
             if ffmpeg is None:
                 _write_gif(aside, images, fps)

@@ -103,20 +103,30 @@ class ReferenceFeed:
         return answer
 
 
-def plain_snapshot(side: LawSide, measured: Mapping[str, Any], payload: Mapping[str, Any], t: float) -> Snapshot:
+def plain_snapshot(
+    side: LawSide,
+    measured: Mapping[str, Any],
+    sensing: Mapping[str, Any] | None,
+    payload: Mapping[str, Any],
+    t: float,
+) -> Snapshot:
     """What a controller sees at one instant, as plain numbers: what the source of a stream is given.
 
     Args:
         side: The law side of the loop.
         measured: What the sensors give; copied.
+        sensing: Memory of the controller's sensing; None before the first tick.
         payload: The payload of the controller's model: mass, com, inertia.
         t: [s].
     """
     kept = {name: np.array(value, dtype=np.float64) for name, value in measured.items()}
+    v = kept.get("v", np.zeros(side.arm.n))
+    before = side.sensing.start(kept["q"]) if sensing is None else sensing
+    v, _ = side.sensing.velocity_of(side.arm, kept["q"], v, before, side.dt)
     return Snapshot(
         side.model,
         q=kept["q"],
-        v=kept.get("v", np.zeros(side.arm.n)),
+        v=v,
         t=t,
         payload=PayloadValues.of({name: np.array(value) for name, value in payload.items()}),
         adds=side.adds,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -22,6 +23,9 @@ from taut.runtime.tape import RowLog, Tape
 __all__ = ["FusedRun"]
 
 BLOCK: Final = 4096  # ticks between two visits of Python
+
+# A loop keeps its code, so that it is traced once however often it runs.
+_COMPILED: Final[WeakKeyDictionary[Loop, NativeLoop | FloatLoop]] = WeakKeyDictionary()
 
 
 class FusedRun:
@@ -65,12 +69,11 @@ class FusedRun:
         self._memory = Block.of({path: np.shape(value) for path, value in memory.items()})
         self._state = self._memory.pack(memory)
         blocks = self._inputs, self._parameters, self._memory
-        self._run: NativeLoop | FloatLoop
-        if loop.engine == "native":
-            self._run = NativeLoop(loop.step, loop.substep, loop.plant.substeps - 1, *blocks)
-        else:
+        if loop not in _COMPILED:
+            kind = NativeLoop if loop.engine == "native" else FloatLoop
             example = first[0], self._values, self._state
-            self._run = FloatLoop(loop.step, loop.substep, loop.plant.substeps - 1, *blocks, example)
+            _COMPILED[loop] = kind(loop.step, loop.substep, loop.plant.substeps - 1, *blocks, example)
+        self._run = _COMPILED[loop]
         self.tape = Tape(side, loop.plant, loop.ticks, self._inputs, self._run.outputs, info)
         self.tape.input_rows[0] = first[0]
 
@@ -79,7 +82,7 @@ class FusedRun:
         views, parameters = self._inputs.views(first), self._parameters.views(self._values)
         self._draw(views)
         row, plant = self._inputs.views(first[0]), self._loop.plant_at_start(q, v, parameters)
-        self._feed.fill(subtree(views, "ref"), 0, lambda: self._seen(plant, row))
+        self._feed.fill(subtree(views, "ref"), 0, lambda: self._seen(plant, None, row))
         return self._loop.start(q, v, row, parameters)
 
     def _apply(self, tick: int) -> None:
@@ -109,8 +112,7 @@ class FusedRun:
                 log.write(tape.piece(k, end, running))
             advance(end - k)
             k = end
-        message = f"completed: {ticks} ticks, {self._loop.duration:g} s"
-        return ticks, Outcome(kind="completed", message=message, tick=ticks - 1)
+        return ticks, self.tape.completed()
 
     def _end_of_block(self, k: int, ticks: int) -> int:
         later = bisect_right(self._stops, k)
@@ -124,11 +126,14 @@ class FusedRun:
         first = max(k, 1)  # the noise of row 0 was drawn at the start
         self._draw({path: column[first:end] for path, column in self.tape.inputs.items()})
         row = self._inputs.views(self.tape.input_rows[k])
-        plant = subtree(self._memory.views(self._state), "plant")
-        self._feed.fill(self.tape.reference(k, end), k, lambda: self._seen(plant, row))
+        memory = self._memory.views(self._state)
+        plant, sensing = subtree(memory, "plant"), subtree(memory, "sensing")
+        self._feed.fill(self.tape.reference(k, end), k, lambda: self._seen(plant, sensing, row))
 
-    def _seen(self, plant: Mapping[str, Any], inputs: Mapping[str, Any]) -> Snapshot:
+    def _seen(
+        self, plant: Mapping[str, Any], sensing: Mapping[str, Any] | None, inputs: Mapping[str, Any]
+    ) -> Snapshot:
         """What the controller sees in a tick, for the source of a stream."""
         parameters, side = self._parameters.views(self._values), self._loop.side
         measured = self._loop.measured(plant, inputs, parameters)
-        return plain_snapshot(side, measured, subtree(parameters, "model.payload"), float(inputs["t"]))
+        return plain_snapshot(side, measured, sensing, subtree(parameters, "model.payload"), float(inputs["t"]))

@@ -77,7 +77,7 @@ class HostedRun:
         self._filled = 0
         # Where each number goes from and to in every tick, found once.
         inputs = self._kernel.blocks.views("inputs")
-        self._measured = [(path, view) for path, view in inputs.items() if path != "t" and path not in kept]
+        self._measured = [(path, inputs[path]) for path in ("q", *side.takes) if path in ("q", *plant.measures)]
         self._wanted = [(self.tape.inputs[path], inputs[path]) for path in kept]
         outputs = self._kernel.blocks.views("outputs")
         self._given = [(view, self.tape.outputs[path]) for path, view in outputs.items()]
@@ -104,8 +104,7 @@ class HostedRun:
                 return kept, outcome
             if k % LOG_EVERY == LOG_EVERY - 1:
                 advance(LOG_EVERY)
-        message = f"completed: {self._ticks} ticks, {(self._ticks - 1) * self._side.dt:g} s"
-        return self._ticks, Outcome(kind="completed", message=message, tick=self._ticks - 1)
+        return self._ticks, self.tape.completed()
 
     def _tick(self, k: int) -> Outcome | None:
         tape, plant, kernel = self.tape, self._plant, self._kernel
@@ -123,6 +122,9 @@ class HostedRun:
                 kernel.start()
             kernel.tick()
         except (NumericalError, RangeError) as error:  # a tick without a command: it is not recorded
+            if tape.is_sane(k):
+                message = f"{error} (t = {tape.inputs['t'][k]:.6g} s, tick {k})"
+                return Outcome(kind="diverged", message=message, tick=k - 1, joint=error.joint)
             _, outcome = tape.diverged(k)
             return Outcome(kind="diverged", message=f"{outcome.message}; {error}", tick=k - 1, joint=outcome.joint)
         for view, rows in self._given:
@@ -155,7 +157,8 @@ class HostedRun:
 
         def state() -> Snapshot:
             payload = subtree(self._kernel.blocks.views("parameters"), "model.payload")
-            return plain_snapshot(self._side, measured, payload, k * self._side.dt)
+            sensing = subtree(self._kernel.blocks.views("memory"), "sensing") if self._kernel.ready else None
+            return plain_snapshot(self._side, measured, sensing, payload, k * self._side.dt)
 
         self._feed.fill(self.tape.reference(k, end), k, state)
         self._filled = end

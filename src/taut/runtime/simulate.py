@@ -10,21 +10,21 @@ import numpy as np
 
 from taut.base.checks import positive_scalar
 from taut.base.errors import RangeError, UsageError
+from taut.base.paths import subtree
 from taut.base.types import ArrayLike
 from taut.control.reference import Hold, Reference, as_reference
 from taut.controller import Controller
-from taut.loop import Loop, check_fit, state_at_start
-from taut.plant.rigid import RigidPlant
+from taut.loop import Loop, ModelPlant, check_fit, state_at_start
+from taut.record.progress import Progress
 from taut.record.run import Run
 from taut.runtime.events import Event, sorted_events
 from taut.runtime.fused import FusedRun
 from taut.runtime.host import HostPlant
 from taut.runtime.hosted import HostedRun
-from taut.runtime.progress import Progress
 
 __all__ = ["run"]
 
-Plant: TypeAlias = RigidPlant | HostPlant
+Plant: TypeAlias = ModelPlant | HostPlant
 
 
 def run(
@@ -78,17 +78,18 @@ def run(
     ticks = round(length * ctrl.side.rate) + 1
     due = sorted_events(events, ctrl.side.rate, ticks)
     q, v = state_at_start(target.arm, q0, v0)
+    law = ctrl.side.law.bound(subtree(ctrl.parameters, "law"))  # with the gains of this run
     info: dict[str, Any] = {
         "rate": ctrl.side.rate,
         "duration": length,
         "seed": int(seed),
-        "law": repr(ctrl.side.law),
+        "law": repr(law),
         "arm": ctrl.side.arm.name,
         "plant": target.name,
         "events": [event.json() for _, event in due],
     }
     going: FusedRun | HostedRun
-    if isinstance(target, RigidPlant):
+    if isinstance(target, ModelPlant):
         loop = ctrl if isinstance(ctrl, Loop) else Loop(ctrl, target, reference, duration=length)
         info["parameters"] = {path: value.tolist() for path, value in loop.parameters.items()}
         going = FusedRun(loop, q, v, int(seed), due, info)
@@ -121,10 +122,6 @@ def _what_to_run(
     if isinstance(ctrl, Loop):
         if plant is not None or ref is not None or duration is not None:
             raise UsageError("a Loop has its plant, reference and duration already; pass run(loop) alone")
-        if not isinstance(ctrl.plant, RigidPlant):
-            raise UsageError(
-                f"a Loop runs a model plant such as taut.RigidPlant; got {ctrl.plant.name}", name="plant"
-            )
         return ctrl.plant, ctrl.ref, ctrl.duration
     if not isinstance(ctrl, Controller):
         raise UsageError(f"run takes a controller from taut.compile, or a taut.Loop; got {type(ctrl).__name__}")

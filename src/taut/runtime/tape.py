@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -19,6 +19,10 @@ from taut.record.run import Run
 __all__ = ["RowLog", "Tape"]
 
 COLUMNS = ("q", "v", "tau", "command")
+
+
+SANE: Final = 1e6  # [rad/s | m/s]
+BEYOND: Final = 1e-6  # [rad | m] beyond a limit that is rounding and no more
 
 
 class RowLog(Protocol):
@@ -94,16 +98,41 @@ class Tape:
             arm=self._plant.arm,
         )
 
+    def completed(self) -> Outcome:
+        """The outcome of a run that came to its end; it says where the arm went that a real one cannot go."""
+        ticks, arm = len(self.output_rows), self._plant.arm
+        message = f"completed: {ticks} ticks, {(ticks - 1) * self._side.dt:g} s"
+        beyond = np.maximum(arm.lower - self.outputs["q"].min(axis=0), self.outputs["q"].max(axis=0) - arm.upper)
+        if (beyond > BEYOND).any():
+            joint = int(np.argmax(beyond))
+            message += (
+                f"; joint '{arm.joint_names[joint]}' went {beyond[joint]:.3g} {arm.units[joint]} beyond its limits, "
+                "where a real one meets its stop"
+            )
+        return Outcome(kind="completed", message=message, tick=ticks - 1)
+
+    def is_sane(self, tick: int) -> bool:
+        """Whether the arm's motion in a row is one that an arm can have: then what is wrong is the law."""
+        return bool((np.abs(self.outputs["v"][tick]) < SANE).all())
+
     def diverged(self, tick: int) -> tuple[int, Outcome]:
         """Number of rows to keep, and the outcome, when the step after row `tick` did not give finite numbers."""
         names, units = self._side.arm.joint_names, self._side.arm.units
         finite = np.isfinite(self.output_rows[tick]).all()
+        kept = tick + int(finite)
+        t = self.inputs["t"][tick]
+        wild = ~np.isfinite(self.outputs["command"][tick])
+        if wild.any() and self.is_sane(tick):
+            joint = int(np.argmax(wild))
+            message = (
+                f"the law gives {self.outputs['command'][tick, joint]} for joint '{names[joint]}' at t = {t:.6g} s "
+                f"(tick {tick}), where the arm moves as an arm can; ctrl.step at that state shows where it comes from"
+            )
+            return kept, Outcome(kind="diverged", message=message, tick=kept - 1, joint=names[joint])
         speeds = np.abs(self.outputs["v"][tick])
         joint = int(np.argmax(np.where(np.isfinite(speeds), speeds, np.inf)))
-        t = self.inputs["t"][tick]
         message = (
             f"the simulation diverged at t = {t:.6g} s (tick {tick}): joint '{names[joint]}' was at "
             f"{speeds[joint]:.3g} {units[joint]}/s; try smaller gains, a higher rate or more substeps"
         )
-        kept = tick + int(finite)
         return kept, Outcome(kind="diverged", message=message, tick=kept - 1, joint=names[joint])

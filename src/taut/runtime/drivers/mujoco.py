@@ -147,10 +147,10 @@ class MujocoPlant:
         """Drive an arm inside a simulation of your own.
 
         Joints are found by name, prefix + the Arm's. Each takes its torque through its actuator if it has one, else
-        through data.qfrc_applied. Everything else is left alone: other joints and actuators, time, options,
-        callbacks. Friction and joint limits are the model's. A run moves the arm to q0 (`plant.state()[0]` is where
-        it stands) and steps the whole scene on from there. What an actuator's own limits cut off is the run's column
-        tau_cut, and a warning when it first happens.
+        through data.qfrc_applied; both have the user's values again after each control period. Everything else is
+        left alone: other joints and actuators, time, options, callbacks. Friction and joint limits are the model's. A
+        run moves the arm to q0 (`plant.state()[0]` is where it stands) and steps the whole scene on from there. What
+        an actuator's own limits cut off is the run's column tau_cut, and a warning when it first happens.
 
         Frames:
             As above. F_ext counts all that the tool's joint carries, fingers too; parts of those that press on each
@@ -309,16 +309,20 @@ class MujocoPlant:
     def advance(self, command: Float64Array) -> Float64Array:
         """One control period under a torque command (n,); (n,) the torque that acted on the joints."""
         model, data, drives = self._rig.model, self._rig.data, self._drives
-        with self._guard:
-            if self._compensation is None and not drives.per_step:
-                drives.write(command)
-                self._mj_step(model, data, self._substeps)
-            else:
-                for _ in range(self._substeps):
-                    self._compensate()
+        drives.take()
+        try:
+            with self._guard:
+                if self._compensation is None and not drives.per_step:
                     drives.write(command)
-                    self._mj_step(model, data)
-        self._tau = drives.acted()
+                    self._mj_step(model, data, self._substeps)
+                else:
+                    for _ in range(self._substeps):
+                        self._compensate()
+                        drives.write(command)
+                        self._mj_step(model, data)
+            self._tau = drives.acted()
+        finally:
+            drives.release()
         self._F_ext = self._wrench.of_environment()
         if self._settings is None:
             self._cut = cut_off(command, self._tau)

@@ -8,6 +8,7 @@ import numpy as np
 
 from taut.arm.description import BASE, Arm
 from taut.base.errors import MatchError, quoted_list
+from taut.base.inertia import inertia_entries
 from taut.base.pose import Pose
 from taut.base.types import Float64Array
 from taut.maths import dynamics as dyn
@@ -166,7 +167,7 @@ def _compare_body(arm: Arm, i: int, names: list[str], found: RigidBody, expected
         what, there, here = "centre of mass (world, home pose)", f"{_numbers(com)} m", f"{_numbers(com_arm)} m"
     elif np.abs(I - I_arm).max() > HEAVIER * np.trace(I_arm) + 1e-9:
         what = "inertia (xx, yy, zz, xy, xz, yz; world axes, home pose)"
-        there, here = (f"{_numbers(J[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])} kg m^2" for J in (I, I_arm))
+        there, here = (f"{_numbers(inertia_entries(J))} kg m^2" for J in (I, I_arm))
     else:
         return
     raise MatchError(

@@ -42,7 +42,15 @@ class Drives(Protocol):
         ...
 
     def prepare(self) -> None:
-        """No torque, and ready for a run."""
+        """See that torques reach the arm, before a run."""
+        ...
+
+    def take(self) -> None:
+        """Before the steps of a period: remember what belongs to somebody else."""
+        ...
+
+    def release(self) -> None:
+        """After the steps: put that back."""
         ...
 
 
@@ -67,6 +75,12 @@ class Motors:
 
     def prepare(self) -> None:
         self._ctrl[self._at] = 0.0
+
+    def take(self) -> None:
+        """Nobody else has a say in a model that we built."""
+
+    def release(self) -> None:
+        """So the command stays, for a viewer to show."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +107,11 @@ class Actuator:
 
 
 class UserDrives:
-    """The actuators of the user's model; joints without one get their torque through qfrc_applied."""
+    """The actuators of the user's model; joints without one get their torque through qfrc_applied.
+
+    Controls and applied forces are the user's: they have the run's values during the steps of a period only, so that
+    nothing goes on pushing the arm after a run, however it ends.
+    """
 
     def __init__(self, rig: Rig, actuators: list[Actuator]) -> None:
         data = rig.data
@@ -117,6 +135,7 @@ class UserDrives:
         self.per_step = not all(a.is_motor for a in actuators)
         limits = [_joint_limit(rig.model, rig.joints[a.joint]) for a in actuators]
         self._limits = np.array(limits, dtype=np.float64).reshape(-1, 2).T
+        self.take()
 
     def write(self, tau: Float64Array) -> None:
         if self._free.size:
@@ -137,8 +156,12 @@ class UserDrives:
 
     def prepare(self) -> None:
         _check_enabled(self._model, self._actuators)
-        self._ctrl[self._at] = 0.0
-        self._applied[self._free_dofs] = 0.0
+
+    def take(self) -> None:
+        self._users = self._ctrl[self._at], self._applied[self._free_dofs]  # copies
+
+    def release(self) -> None:
+        self._ctrl[self._at], self._applied[self._free_dofs] = self._users
 
 
 def cut_off(command: Float64Array, acted: Float64Array) -> Float64Array:

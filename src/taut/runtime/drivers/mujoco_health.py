@@ -115,9 +115,10 @@ class Health:
         return f"'{name}' is not of the arm, and its" if name else "a body of the scene went wrong: its"
 
     def _commanded(self) -> int | None:
-        """The joint of the arm whose motor has the largest command."""
-        model, ctrl = self._rig.model, self._rig.data.ctrl
-        worst = int(np.argmax(np.where(np.isfinite(ctrl), np.abs(ctrl), np.inf)))
-        actuator = int(np.flatnonzero(model.actuator_ctrladr <= worst)[-1])
+        """The joint of the arm whose motor had the command that MuJoCo did not take."""
+        import mujoco
+
+        model, warning = self._rig.model, self._rig.data.warning[mujoco.mjtWarning.mjWARN_BADCTRL]
+        actuator = int(np.flatnonzero(model.actuator_ctrladr <= warning.lastinfo)[-1])
         driven = int(model.actuator_trnid[actuator, 0])
         return self._rig.joints.index(driven) if driven in self._rig.joints else None

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
-from taut.arm.description import BASE, Arm, Joint, Payload
+from taut.arm.description import BASE, Arm, Payload
+from taut.arm.mjspec import add_links
+from taut.base.inertia import inertia_matrix
 from taut.base.pose import Pose
 from taut.base.types import Float64Array
 from taut.maths.adds import Adds
@@ -91,8 +93,7 @@ def put_payload(model: mujoco.MjModel, scratch: mujoco.MjData, body: int, payloa
     """Give the payload's body other inertia, and let MuJoCo compute what depends on it; scratch data is lost."""
     import mujoco
 
-    xx, yy, zz, xy, xz, yz = payload.inertia
-    moments, T_axes = _principal(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), payload.com)
+    moments, T_axes = _principal(inertia_matrix(payload.inertia), payload.com)
     model.body_mass[body] = payload.mass
     model.body_inertia[body] = moments
     model.body_ipos[body] = T_axes.p
@@ -144,9 +145,14 @@ class _Builder:
         if options.friction == "arm" and arm.coulomb.any():
             option.noslip_iterations, option.noslip_tolerance = NOSLIP_ITERATIONS, NOSLIP_TOLERANCE
         self._names = {"world"}
-        self.bodies: list[mujoco.MjsBody] = []
-        for i, joint in enumerate(arm.joints):
-            self.bodies.append(self._body(i, joint))
+        names = [
+            (self._unique(body.links[0] if body.links else joint.name), joint.name)
+            for joint, body in zip(arm.joints, arm.bodies, strict=True)
+        ]
+        links = add_links(arm, spec.worldbody, arm.T_WB, names)
+        self.bodies = [body for body, _ in links]
+        for i, (body, joint) in enumerate(links):
+            self._fill(i, body, joint)
         self.payload = self._tool()
         for joint in arm.joints:
             spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT).set_to_motor()
@@ -163,21 +169,16 @@ class _Builder:
             return self.spec.worldbody, self._arm.T_WB
         return self.bodies[body], Pose.identity()
 
-    def _body(self, i: int, joint: Joint) -> mujoco.MjsBody:
+    def _fill(self, i: int, body: mujoco.MjsBody, made: mujoco.MjsJoint) -> None:
+        """Mass, rotor inertia, friction and limits."""
         import mujoco
 
-        inertial = self._arm.bodies[i]
-        holder, T_holder = self._holder(joint.parent)
-        T = T_holder @ joint.placement
-        name = self._unique(inertial.links[0] if inertial.links else joint.name)
+        joint, inertial = self._arm.joints[i], self._arm.bodies[i]
         moments, T_axes = _principal(inertial.inertia, inertial.com)
-        body = holder.add_body(name=name, pos=T.p, quat=T.wxyz)
         body.mass, body.inertia, body.ipos, body.iquat = inertial.mass, moments, T_axes.p, T_axes.wxyz
         body.explicitinertial = True
         body.simple = 0  # no shortcut that would rest on the payload having no mass
-        made = body.add_joint(name=joint.name, axis=joint.axis, armature=joint.rotor_inertia)
-        slide = joint.kind == "prismatic"
-        made.type = mujoco.mjtJoint.mjJNT_SLIDE if slide else mujoco.mjtJoint.mjJNT_HINGE
+        made.armature = joint.rotor_inertia
         if self._options.friction == "arm":
             made.damping = [joint.viscous, 0.0, 0.0]
             made.frictionloss = joint.coulomb
@@ -185,7 +186,6 @@ class _Builder:
         made.limited = mujoco.mjtLimited.mjLIMITED_TRUE if limited else mujoco.mjtLimited.mjLIMITED_FALSE
         if limited:
             made.range = np.clip([joint.lower, joint.upper], -1e8, 1e8)
-        return body
 
     def _tool(self) -> str:
         """A body at the tool that is the payload, with the site, and the sensors of what the arm exerts on it."""

@@ -49,7 +49,6 @@ NAMES: Final = frozenset(  # attributes that are names, not numbers; the same wi
     | {"tendon", "actuator", "target", "objname", "refname", "refsite", "jointinparent", "camera", "file"}
     | {"cranksite", "slidersite", "sidesite", "subtree", "sensor"}
 )
-NAMED: Final = frozenset({"body", "joint", "site", "actuator", "sensor"})
 COUNTS: Final = frozenset(  # what MuJoCo makes room for
     {"nrow", "ncol", "width", "height", "dim", "num", "nsample", "actdim", "resolution", "gridsize"}
 )

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from taut.arm.description import BASE, Arm, Visual
-from taut.base.checks import readable_file
-from taut.base.types import Float64Array
+from taut.arm.description import BASE, Arm
+from taut.arm.mjspec import Bone, Meshes, add_shape, bones
 
 if TYPE_CHECKING:
     import mujoco
@@ -20,7 +19,6 @@ Touch = Literal["tool", "links"]
 TOUCHES: Final[tuple[Touch, ...]] = ("tool", "links")
 Looks = Literal["plain", "meshes"]
 LOOKS: Final[tuple[Looks, ...]] = ("plain", "meshes")
-Bone: TypeAlias = tuple[int, Float64Array, Float64Array]  # body, start and end [m] in its frame
 
 BONE: Final = 0.02  # [m] radius of a link that has no shape to show
 GREY: Final = (0.7, 0.7, 0.7, 1.0)
@@ -54,24 +52,22 @@ class Shapes:
 
     def show(self, looks: Looks) -> None:
         """The arm's own shapes, and bones for bodies that have none; nothing touches them."""
-        seen = {BASE}
-        for k, visual in enumerate(self._arm.visuals):
-            if visual.shape != "mesh" or looks == "meshes":
-                _make_shown(self._shape(visual, f"visual{k}"), visual.rgba)
-                seen.add(visual.body)
+        seen, meshes = {BASE}, Meshes()
+        for visual in self._arm.visuals:
+            if visual.shape == "mesh" and looks != "meshes":
+                continue
+            body, T = self._spec.worldbody, self._arm.T_WB @ visual.placement
+            if visual.body != BASE:
+                body, T = self._bodies[visual.body], visual.placement
+            _make_shown(add_shape(self._spec, body, T, visual, meshes), visual.rgba)
+            seen.add(visual.body)
         for bone in self._bones():
             if bone[0] not in seen:
                 _make_shown(self._capsule(bone, BONE), GREY)
 
     def _bones(self) -> Iterator[Bone]:
-        """Straight lines from each joint to the joints and the tool that its body carries."""
-        origin = np.zeros(3)
-        for joint in self._arm.joints:
-            if joint.parent != BASE:
-                yield joint.parent, origin, joint.placement.p
-        frame = self._arm.frame()
-        if frame.body != BASE:
-            yield frame.body, origin, frame.placement.p
+        """Those of the links that move."""
+        return (bone for bone in bones(self._arm) if bone[0] != BASE)
 
     def _capsule(self, bone: Bone, radius: float) -> mujoco.MjsGeom:
         """A capsule along a bone; a sphere where it has no length."""
@@ -81,26 +77,6 @@ class Shapes:
             return self._bodies[body].add_geom(type=self._kinds.mjGEOM_SPHERE, size=[radius, 0.0, 0.0], pos=start)
         geom = self._bodies[body].add_geom(type=self._kinds.mjGEOM_CAPSULE, size=[radius, 0.0, 0.0])
         geom.fromto = [*start, *end]
-        return geom
-
-    def _shape(self, visual: Visual, name: str) -> mujoco.MjsGeom:
-        kinds, size = self._kinds, visual.size
-        holder, T = self._spec.worldbody, self._arm.T_WB @ visual.placement
-        if visual.body != BASE:
-            holder, T = self._bodies[visual.body], visual.placement
-        geom = holder.add_geom(pos=T.p, quat=T.wxyz)
-        if visual.shape == "mesh":
-            path = readable_file("mesh", visual.file)
-            file = f"{name}{path.suffix}"
-            self._spec.assets = {**self._spec.assets, file: path.read_bytes()}
-            self._spec.add_mesh(name=name, file=file, scale=list(size))
-            geom.type, geom.meshname = kinds.mjGEOM_MESH, name
-        elif visual.shape == "box":
-            geom.type, geom.size = kinds.mjGEOM_BOX, [0.5 * edge for edge in size]
-        elif visual.shape == "cylinder":
-            geom.type, geom.size = kinds.mjGEOM_CYLINDER, [size[0], 0.5 * size[1], 0.0]
-        else:
-            geom.type, geom.size = kinds.mjGEOM_SPHERE, [size[0], 0.0, 0.0]
         return geom
 
 

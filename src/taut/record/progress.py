@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterable, Iterator
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final, Self, TypeVar
 
 __all__ = ["Progress"]
 
 PATIENCE: Final = 1.0  # [s] before anything is shown
+
+T = TypeVar("T")
 
 
 class Progress:
@@ -23,7 +26,7 @@ class Progress:
 
     def __init__(self, total: int, show: bool | None, what: str = "simulating") -> None:
         self._total = total
-        self._show = sys.stderr.isatty() if show is None else show
+        self._show = (sys.stderr is not None and sys.stderr.isatty()) if show is None else show
         self._what = what
         self._bar: Any = None
         self._task: Any = None
@@ -46,6 +49,12 @@ class Progress:
             self._bar.start()
             self._task = self._bar.add_task(self._what, total=self._total)
         self._bar.update(self._task, completed=self._done)
+
+    def over(self, items: Iterable[T]) -> Iterator[T]:
+        """The items; each is a step that is done when the next one is asked for."""
+        for item in items:
+            yield item
+            self.advance(1)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
