@@ -342,3 +342,19 @@ def test_a_round_trip_of_the_panda_keeps_its_dynamics(tmp_path: Path) -> None:
     again = load_arm(tmp_path / "p.urdf", tool=arm.tool)
     M = [pin.crba(model, model.createData(), arm.home) for model in map(pinocchio_of, (arm, again))]
     np.testing.assert_allclose(M[0], M[1], atol=1e-12)
+
+
+def test_a_home_that_new_limits_exclude_is_moved_into_them_and_that_is_noted() -> None:
+    arm = load_arm("planar3")
+    made = arm.with_joints(lower={"joint1": 2.5}, upper={"joint1": 3.0})
+    assert made.home[0] == 2.5
+    np.testing.assert_array_equal(made.home[1:], arm.home[1:])
+    assert made.notes[-1] == "home of 'joint1' was moved into the new limits"
+    assert arm.with_joints(viscous=1.0).notes == arm.notes
+
+
+def test_a_tool_is_named_by_a_text() -> None:
+    with pytest.raises(UsageError, match=r"^with_tool takes the name of a frame; got None$"):
+        load_arm("planar2").with_tool(None)  # type: ignore[arg-type]
+    with pytest.raises(UnknownNameError, match=r"^a joint of .* is named by a text; got 0$"):
+        load_arm("planar2").subset([0])  # type: ignore[list-item]

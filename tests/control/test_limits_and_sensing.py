@@ -141,3 +141,8 @@ def test_clamping_holds_the_integral_while_limits_cut_and_the_error_pushes_on() 
             ctrl.step(np.array([-1.0, 0.0]), REST, REF)
     assert clamped.terms["I"][0] < 0.2
     assert winding.terms["I"][0] == pytest.approx(100.0 * 0.5, rel=0.01)
+
+
+def test_the_limits_of_something_else_are_refused() -> None:
+    with pytest.raises(taut.UsageError, match=r"^Limits\.of takes an Arm from taut\.load_arm; got str$"):
+        taut.Limits.of("panda")  # type: ignore[arg-type]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -249,3 +250,13 @@ def test_every_trajectory_gives_one_row_for_each_time(count: int) -> None:
         for field in ("q", "v", "a"):
             assert getattr(rows, field).shape == (count, 3), name
             assert getattr(one, field).shape == (3,), name
+
+
+@pytest.mark.parametrize("t", ["a", [0.0, 0.5], np.nan, None])
+def test_a_time_that_is_none_is_refused(t: Any) -> None:
+    for motion in (
+        taut.Cubic(q0=[0.0], q1=[1.0], duration=1.0),
+        taut.Sine(center=0.0, amplitude=[1.0], frequency=1.0),
+    ):
+        with pytest.raises(taut.TautError, match=r"^t must be"):
+            motion.at(t)

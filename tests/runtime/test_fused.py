@@ -362,3 +362,15 @@ def test_these_tests_see_a_tick_that_is_off_by_one(engine: str, monkeypatch: pyt
     out = taut.run(ctrl, late, wave(arm), duration=0.1)
     hand = by_hand(ctrl, taut.RigidPlant(arm, **options), wave(arm), len(out), arm.home, np.zeros(arm.n))
     assert np.abs(out.q - hand["q"]).max() > 1e-4
+
+
+def test_an_arm_that_leaves_its_limits_is_told() -> None:
+    arm = PLANAR.with_joints(lower=-0.1, upper=2.0)
+    goal = taut.JointMotion(q=[2.5, 0.5])
+    ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)
+    free, stopped = (
+        taut.run(ctrl, plant, goal, duration=2.0) for plant in (taut.RigidPlant(arm), taut.MujocoPlant(arm))
+    )
+    assert free.outcome.ok
+    assert "; joint 'joint1' went 0.5 rad beyond its limits, where a real one meets its stop" in free.outcome.message
+    assert stopped.outcome.message == "completed: 2001 ticks, 2 s"

@@ -13,7 +13,7 @@ from taut.arm.description import BASE, Arm, Body
 from taut.arm.rules import check_inertia, value_problems
 from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeLink, TreeVisual, assemble, require_within_limits
 from taut.base.checks import entry_names, finite_array, finite_scalar, require_at_least, require_positive, vector
-from taut.base.errors import ModelError, Problem, RangeError, ShapeError, UsageError, unknown_name
+from taut.base.errors import ModelError, Problem, RangeError, ShapeError, UsageError, quoted_list, unknown_name
 from taut.base.types import ArrayLike, Float64Array
 
 __all__ = ["body_replaced", "home_replaced", "joints_replaced", "locked_copy", "perturbed_copy"]
@@ -146,7 +146,13 @@ def joints_replaced(arm: Arm, values: Mapping[str, ArrayLike | Mapping[str, floa
         ]
     if problems:
         raise ModelError(arm.name, problems)
-    return dataclasses.replace(arm, joints=tuple(joints))
+    made = dataclasses.replace(arm, joints=tuple(joints))
+    home = np.clip(arm.home, made.lower, made.upper)
+    moved = [arm.joint_names[i] for i in np.flatnonzero(home != arm.home)]
+    if not moved:
+        return made
+    note = f"home of {quoted_list(moved)} was moved into the new limits"
+    return dataclasses.replace(made, home=home, notes=(*arm.notes, note))
 
 
 def _column(arm: Arm, name: str, given: ArrayLike | Mapping[str, float]) -> Float64Array:

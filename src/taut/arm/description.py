@@ -205,6 +205,8 @@ class Arm:
             UnknownNameError: The arm has no such frame.
             UsageError: The new name is taken.
         """
+        if not isinstance(frame, str):  # callers without a type checker
+            raise UsageError(f"with_tool takes the name of a frame; got {frame!r}", name="frame")
         base = self.frame(frame)
         if T_FE is None:
             return dataclasses.replace(self, tool=frame)

@@ -60,6 +60,8 @@ class Limits:
         Raises:
             ModelError: The arm states no effort limit at all.
         """
+        if not isinstance(arm, Arm):  # callers without a type checker
+            raise UsageError(f"Limits.of takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
         if np.isinf(arm.effort).all():
             problem = Problem(
                 object=arm.name,

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from taut.base.checks import finite_array, positive_scalar, read_only, readable_file, require_positive
+from taut.base.checks import finite_array, finite_scalar, positive_scalar, read_only, readable_file, require_positive
 from taut.base.errors import FileError, NumericalError, RangeError, ShapeError, missing_extra
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.reference import JointMotion
@@ -45,6 +45,11 @@ def _points(**named: ArrayLike) -> list[Float64Array]:
     return [read_only(np.broadcast_to(array, shape)) for array in arrays.values()]
 
 
+def _instant(t: float) -> Float64Array:
+    """(1,) one time, checked."""
+    return np.array([finite_scalar("t", t, unit="s")])
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sine:
     """q(t) = center + amplitude sin(2 pi frequency t + phase), each joint on its own.
@@ -72,7 +77,7 @@ class Sine:
 
     def at(self, t: float) -> JointMotion:
         """The sample at time t [s]."""
-        return self._at(np.array([t]), True)
+        return self._at(_instant(t), True)
 
     def rows(self, times: Float64Array) -> JointMotion:
         """Samples at many times, as arrays (k, n)."""
@@ -127,7 +132,7 @@ class Cubic:
 
     def at(self, t: float) -> JointMotion:
         """The sample at time t [s]."""
-        return _straight(self.q0, self.q1, self._scaling(np.array([t])), True)
+        return _straight(self.q0, self.q1, self._scaling(_instant(t)), True)
 
     def rows(self, times: Float64Array) -> JointMotion:
         """Samples at many times, as arrays (k, n)."""
@@ -160,7 +165,7 @@ class Quintic:
 
     def at(self, t: float) -> JointMotion:
         """The sample at time t [s]."""
-        return _straight(self.q0, self.q1, self._scaling(np.array([t])), True)
+        return _straight(self.q0, self.q1, self._scaling(_instant(t)), True)
 
     def rows(self, times: Float64Array) -> JointMotion:
         """Samples at many times, as arrays (k, n)."""
@@ -220,7 +225,7 @@ class Trapezoidal:
 
     def at(self, t: float) -> JointMotion:
         """The sample at time t [s]."""
-        return _straight(self.q0, self.q1, self._scaling(np.array([t])), True)
+        return _straight(self.q0, self.q1, self._scaling(_instant(t)), True)
 
     def rows(self, times: Float64Array) -> JointMotion:
         """Samples at many times, as arrays (k, n)."""
@@ -301,7 +306,7 @@ class JerkLimited:
 
     def at(self, t: float) -> JointMotion:
         """The sample at time t [s]."""
-        return self._at(np.array([t]), True)
+        return self._at(_instant(t), True)
 
     def rows(self, times: Float64Array) -> JointMotion:
         """Samples at many times, as arrays (k, n)."""
@@ -347,7 +352,7 @@ class Spline:
 
     def at(self, t: float) -> JointMotion:
         """The sample at time t [s]."""
-        return self._at(np.array([t]), True)
+        return self._at(_instant(t), True)
 
     def rows(self, times: Float64Array) -> JointMotion:
         """Samples at many times, as arrays (k, n)."""
@@ -410,7 +415,7 @@ class Samples:
 
     def at(self, t: float) -> JointMotion:
         """The sample at time t [s]."""
-        return self._at(np.array([t]), True)
+        return self._at(_instant(t), True)
 
     def rows(self, times: Float64Array) -> JointMotion:
         """Samples at many times, as arrays (k, n)."""

@@ -155,6 +155,8 @@ class Run:
     ) -> Path:
         """A film of the arm: rendered by MuJoCo where OpenGL works, else a schematic drawing, with a warning.
 
+        It shows the arm alone: not what else stands in a MuJoCo scene, nor an environment.
+
         Args:
             path: Where to: .gif, or .mp4 where ffmpeg is installed.
             fps: Frames per second of the film.

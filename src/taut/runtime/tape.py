@@ -22,7 +22,7 @@ COLUMNS = ("q", "v", "tau", "command")
 
 
 SANE: Final = 1e6  # [rad/s | m/s]
-BEYOND: Final = 1e-6  # [rad | m] beyond a limit that is rounding and no more
+BEYOND: Final = 0.01  # [rad | m] beyond a limit: more than an engine's soft stop gives way
 
 
 class RowLog(Protocol):
