@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
 
-from taut.apps.cli import main
+from taut.apps.cli import _parser, main
+from taut.apps.scenario import built_in_scenarios
 
 LAW = '''
 import taut
@@ -26,6 +28,16 @@ class Spring(taut.Law):
 
     def command(self, x, ref):
         return taut.Torque(spring=self.k @ (ref.q - x.q))
+
+
+class Fails(taut.Law):
+    def command(self, x, ref):
+        raise ValueError("no")
+
+
+class Moves(taut.Law):
+    def command(self, x, ref):
+        return taut.Velocity(hold=0.0 * x.q)
 
 
 broken = 1
@@ -75,6 +87,14 @@ def test_check_exits_with_two_when_something_is_refused(tmp_path: Path, capsys: 
         (["run", "one_joint_pid", "--law", "law.txt:Law"], "taut: --law takes FILE.py:CLASS; got 'law.txt:Law'"),
         (["run", "one_joint_pid", "--law", "gone.py:Law"], "taut: law file 'gone.py' does not exist"),
         (["bench", "panda2"], "taut: taut has no arm 'panda2'; did you mean 'panda'"),
+        (["run", "a" * 5000], "taut: taut has no scenario 'aaaa"),
+        (["run", "a" * 5000 + ".toml"], "taut: scenario 'aaaa"),
+        (["run", "a/" + "b" * 5000], "taut: scenario 'a/bbbb"),
+        (["run", "tests\0/a.toml"], r"taut: scenario 'tests\x00/a.toml' does not exist"),
+        (["run", "nothing/here.**"], "taut: scenario 'nothing/here.**' does not exist"),
+        (["run", "."], "taut: taut has no scenario '.'"),
+        (["run", "./"], "taut: scenario '.' is a folder; name a file in it"),
+        (["run", "one_joint_pid", "--law", ""], "taut: --law takes FILE.py:CLASS; got ''"),
     ],
 )
 def test_a_wrong_request_is_one_sentence_and_exit_status_two(
@@ -103,12 +123,19 @@ class TestALawOfTheUsersOwn:
         ("name", "gains", "message"),
         [
             ("Sprin", ["k=1"], "has no law 'Sprin'; did you mean 'Spring'?"),
-            ("broken", ["k=1"], "has no law 'broken'; it has 'Spring'"),
+            ("broken", ["k=1"], "has no law 'broken'; it has 'Spring', 'Fails', 'Moves'"),
             ("Spring", ["k"], "--gain takes NAME=VALUE such as kp=100 or kp=[100,50]; got 'k'"),
             ("Spring", ["k=-1"], "k must be >= 0 [N m/rad]; got -1.0"),
             ("Spring", ["j=1"], "Spring has no gain 'j'"),
             ("Spring", [], "Spring needs k [N m/rad]"),
             ("Spring", ["k=soft"], "k must be numbers [N m/rad]; got 'soft'"),
+            ("Spring", ["k=1", "k=2"], "--gain must be given once for each gain; got 'k' twice"),
+            ("Spring", ["k=" + "[" * 5000], "k must be numbers [N m/rad]; got '[[[["),
+            ("Spring", ["k=" + "9" * 5000], "k must be numbers [N m/rad]; got '9999"),
+            ("Spring", ["k=1", "self=2"], "of '{file}' cannot be made: TypeError: "),
+            ("Spring", ["k=[1, 2, 3]"], "taut: --law {file}:Spring: k must be a scalar, (1,) or (1, 1) for 1 joint"),
+            ("Fails", [], "taut: --law {file}:Fails: Fails fails on plain numbers, at rest at home: ValueError: no"),
+            ("Moves", [], "[plant] takes: Moves gives a velocity and plant 'RigidPlant(one_joint)' takes a torque"),
         ],
     )
     def test_what_does_not_fit_is_refused(
@@ -118,7 +145,57 @@ class TestALawOfTheUsersOwn:
         file.write_text(LAW)
         flags = [flag for gain in gains for flag in ("--gain", gain)]
         assert main(["run", "one_joint_pid", "--law", f"{file}:{name}", *flags, "--out", str(tmp_path / "o")]) == 2
-        assert message in capsys.readouterr().err
+        said = capsys.readouterr()
+        assert message.replace("{file}", str(file)) in said.err
+        assert said.err.count("\n") == 1
+        assert said.out == ""
+        assert not (tmp_path / "o").exists()
+
+    @pytest.mark.parametrize(
+        ("code", "words"),
+        [
+            ("raise SystemExit(3)", "fails: SystemExit: 3"),
+            ("import sys; sys.exit()", "fails: SystemExit"),
+            ("raise GeneratorExit", "fails: GeneratorExit"),
+            ("raise ValueError('two\\nlines')", "fails: ValueError: two lines"),
+            ("def f(:", "fails: SyntaxError: invalid syntax"),
+            ("import taut\n\nclass A(taut.Law):\n    pass", "law A has no command(self, x, ref)"),
+        ],
+    )
+    def test_a_file_that_ends_the_process_or_fails_is_one_sentence(
+        self, code: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        file = tmp_path / "my_law.py"
+        file.write_text(code)
+        assert main(["run", "one_joint_pid", "--law", f"{file}:Law"]) == 2
+        said = capsys.readouterr().err
+        assert words in said
+        assert f"law file '{file}'" in said
+        assert said.count("\n") == 1
+
+    def test_an_interrupt_while_a_file_is_read_stays_one(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        file = tmp_path / "my_law.py"
+        file.write_text("raise KeyboardInterrupt")
+        assert main(["run", "one_joint_pid", "--law", f"{file}:Law"]) == 1
+        assert capsys.readouterr().err == "taut: interrupted\n"
+
+    def test_its_scenario_must_be_right_all_the_same(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        file = tmp_path / "my_law.py"
+        file.write_text(LAW)
+        text = built_in_scenarios()["one_joint_pid"].read_text()
+        for old, new, message in (
+            ('shown = "PID"', 'shown = "x"', "[outputs] shown must be one of the laws 'PD', 'PID'; got 'x'"),
+            ('law = "PD"', 'law = "x"', "[pass 2] law must be one of 'PD', 'PID'; got 'x'"),
+            ('metric = "final_error"', 'metric = "x"', "[pass 1] metric: a run has no metric 'x'"),
+        ):
+            case = tmp_path / "case.toml"
+            case.write_text(text.replace(old, new))
+            assert main(["run", str(case), "--law", f"{file}:Spring", "--gain", "k=1"]) == 2
+            assert message in capsys.readouterr().err
 
     def test_a_file_that_fails_is_named_with_its_error(
         self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -127,6 +204,51 @@ class TestALawOfTheUsersOwn:
         file.write_text("import nothing_at_all\n")
         assert main(["run", "one_joint_pid", "--law", f"{file}:Law"]) == 2
         assert "fails: ModuleNotFoundError: No module named 'nothing_at_all'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["run", "scenarios", "arms", "laws", "check", "bench"])
+def test_help_names_the_commands_flags_and_exit_statuses(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (["--help"], [command, "--help"]):
+        with pytest.raises(SystemExit) as ended:
+            main(words)
+        assert ended.value.code == 0
+        said = capsys.readouterr().out
+        assert "0  done" in said
+        assert "2  the request was wrong" in said
+        assert command in said
+        assert max(map(len, said.splitlines())) <= 100
+    assert "--json" in said
+
+
+def test_every_command_that_prints_a_result_takes_json() -> None:
+    """As DESIGN says; what `run` gives is looked at with the scenarios."""
+    actions = [action for action in _parser()._actions if isinstance(action.choices, dict)]
+    commands = actions[0].choices
+    assert set(commands) == {"run", "scenarios", "arms", "laws", "check", "bench"}
+    assert all("--json" in command._option_string_actions for command in commands.values())
+
+
+def test_a_name_that_is_a_file_here_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.toml").write_text("title = 'mine'")
+    assert main(["run", "mine"]) == 2
+    assert capsys.readouterr().err.endswith("(or mean the file mine.toml)\n")
+
+
+def test_a_warning_is_one_line_without_our_code(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def warn(arguments: object) -> int:
+        warnings.warn("this may take\nlong", RuntimeWarning, stacklevel=2)
+        return 0
+
+    monkeypatch.setattr("taut.apps.cli._arms", warn)
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        assert main(["arms"]) == 0
+    assert capsys.readouterr().err == "taut: this may take\\nlong\n"
 
 
 def test_the_installed_command_and_the_module_are_the_same() -> None:

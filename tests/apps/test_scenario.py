@@ -1,9 +1,11 @@
-"""Scenarios: every key that is wrong is refused with file, section, key and way out, before anything is written."""
+"""Scenarios that can run: what they make, and how they end."""
 
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,111 +39,20 @@ metric = "peak_error"
 max = 3.0
 """
 
+MIXED = """<robot name="mixed">
+<link name="base"/>
+<link name="upper"><inertial><mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="slide"><inertial><mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="turn" type="continuous"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/></joint>
+<joint name="push" type="prismatic"><parent link="upper"/><child link="slide"/><axis xyz="1 0 0"/>
+<limit lower="-1" upper="1" effort="50" velocity="1"/></joint>
+</robot>
+"""
+
 
 def changed(old: str, new: str) -> str:
     assert old in GOOD
     return GOOD.replace(old, new)
-
-
-BROKEN = {
-    "a misspelt section": (changed("[control]", "[contrl]"), " has no key 'contrl'; did you mean 'control'?"),
-    "a misspelt key": (changed("rate = 500", "rat = 500"), ": [control] has no key 'rat'; did you mean 'rate'?"),
-    "a gain that the law does not have": (
-        changed("kd = [8, 4]", "kd = 1\nkpp = 3"),
-        ": [laws.PD] has no key 'kpp'; did you mean 'kp'?",
-    ),
-    "a negative gain": (changed("kp = 50", "kp = -50"), ": [laws.PD] kp must be >= 0 [N m/rad]; got -50.0"),
-    "a gain that is no number": (
-        changed("kp = 50", "kp = true"),
-        ": [laws.PD] kp must be real numbers [N m/rad]; got an array of bool",
-    ),
-    "a missing gain": (changed("kd = [8, 4]", ""), ": [laws.PD] GravityPID needs kd [N m s/rad]"),
-    "a gain of another size": (
-        changed("kd = [8, 4]", "kd = [8, 4, 2]"),
-        "kd must be a scalar, (2,) or (2, 2) for 2 joints; got shape (3,)",
-    ),
-    "an unknown law": (
-        changed('"GravityPID"', '"GravityPDI"'),
-        ": [laws.PD] taut.laws has no law 'GravityPDI'; did you mean 'GravityPID'?",
-    ),
-    "an unknown arm": (
-        changed('"planar2"', '"planer2"'),
-        ": [arm] taut has no arm 'planer2'; did you mean 'planar2' or 'planar3'? (taut arms lists them; a file is "
-        "named with its suffix, .urdf or .xml)",
-    ),
-    "a rate of zero": (changed("rate = 500", "rate = 0"), "rate must be > 0 [Hz]; got 0"),
-    "a rate that is text": (changed("rate = 500", 'rate = "fast"'), ": [control] rate must be a number; got 'fast'"),
-    "a rate that is not finite": (changed("rate = 500", "rate = inf"), ": [control] rate must be finite; got inf"),
-    "another kind of plant": (
-        changed('"rigid"', '"soft"'),
-        ": [plant] kind must be one of 'rigid', 'mujoco'; got 'soft'",
-    ),
-    "another kind of reference": (
-        changed('"set-point"', '"circle"'),
-        ": [reference] kind must be one of 'hold', 'set-point', 'cubic', 'jerk-limited', 'quintic', 'samples', "
-        "'sine', 'spline', 'trapezoidal'; got 'circle'",
-    ),
-    "a reference for other joints": (
-        changed("q = [0.2, 0.3]", "q = [0.2]"),
-        "ref.q must have shape (2,); the reference gives (1,)",
-    ),
-    "a reference with NaN": (
-        changed("q = [0.2, 0.3]", "q = [0.2, nan]"),
-        ": [reference] ref.q[1] must be finite [rad | m]; got nan",
-    ),
-    "a missing duration": (changed("duration = 0.2", ""), ": [run] needs the key 'duration'"),
-    "a negative duration": (changed("duration = 0.2", "duration = -1"), "duration must be > 0 [s]; got -1.0"),
-    "no laws": (changed('[laws.PD]\nlaw = "GravityPID"\nkp = 50\nkd = [8, 4]', "[laws]"), ": [laws] needs one law"),
-    "no plant": (changed('[plant]\nkind = "rigid"', ""), " needs the key 'plant'"),
-    "a section that is no table": (changed("[control]\nrate = 500", "control = 500"), ""),
-    "a file name that leaves the folder": (
-        changed('"x.png"', '"../x.png"'),
-        ": [outputs] plot must be a file name ending in .png or .pdf or .svg; got '../x.png'",
-    ),
-    "another file type": (
-        changed('plot = "x.png"', 'video = "x.avi"'),
-        ": [outputs] video must be a file name ending in .gif or .mp4; got 'x.avi'",
-    ),
-    "a law that is not there in a pass figure": (
-        changed('[[pass]]\nlaw = "PD"', '[[pass]]\nlaw = "PID"'),
-        ": [pass 1] law must be one of 'PD'; got 'PID'",
-    ),
-    "an unknown metric": (
-        changed('"peak_error"', '"peak_eror"'),
-        "a run has no metric 'peak_eror'; did you mean 'peak_error'",
-    ),
-    "a pass figure without a bound": (changed("max = 3.0", ""), ": [pass 1] needs min, max or both"),
-    "an event on an unknown parameter": (
-        GOOD + '[[event]]\nt = 0.1\nset = { "law.kq" = 1.0 }\n',
-        "the loop has no parameter 'law.kq'; did you mean 'law.kp'",
-    ),
-    "no TOML": ("title = 'open", " is no valid TOML: "),
-    "an empty file": ("", " is empty"),
-    "deep brackets": ("x = " + "[" * 5000, "is no valid TOML"),
-}
-
-
-@pytest.mark.parametrize("name", list(BROKEN))
-def test_a_broken_scenario_is_refused_in_one_sentence(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    text, message = BROKEN[name]
-    file, out = tmp_path / "case.toml", tmp_path / "out"
-    file.write_text(text)
-    assert main(["run", str(file), "--out", str(out)]) == 2
-    said = capsys.readouterr()
-    assert message in said.err
-    assert said.err.startswith("taut: ")
-    assert said.err.count("\n") == 1
-    assert said.out == ""
-    assert not list(out.glob("*")) if out.exists() else True
-
-
-def test_a_file_that_is_no_text_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = tmp_path / "case.toml"
-    file.write_bytes(b"title = '\xff\xfe'")
-    assert main(["run", str(file)]) == 2
-    assert "is no UTF-8 text" in capsys.readouterr().err
 
 
 def test_a_good_scenario_runs_and_makes_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -171,6 +82,249 @@ def test_a_run_that_diverges_exits_with_one_and_says_why(tmp_path: Path, capsys:
     assert "PD: the simulation diverged at t = " in capsys.readouterr().out
 
 
+class TestALawThatFailsInTheFirstTick:
+    """There is nothing to draw and nothing to film, but how it ended must be heard."""
+
+    ENDLESS = changed("kp = 50", "kp = 1e300").replace("q = [0.2, 0.3]", "q = [3e8, 3e8]")
+    LAW = """
+import taut
+
+
+class Endless(taut.Law):
+    kp: taut.Gain
+
+    def command(self, x, ref):
+        return taut.Torque(P=self.kp @ (ref.q - x.q) / x.t)
+"""
+
+    def scenario(self, tmp_path: Path, outputs: str) -> list[str]:
+        file = tmp_path / "case.toml"
+        file.write_text(self.ENDLESS.replace('plot = "x.png"', outputs))
+        return ["run", str(file), "--out", str(tmp_path / "out")]
+
+    def test_it_exits_with_one_and_says_how_it_ended_and_what_was_not_made(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        outputs = 'plot = "x.png"\nvideo = "x.gif"\nlog = "x.mcap"\ncsv = "x.csv"'
+        assert main(self.scenario(tmp_path, outputs)) == 1
+        said = capsys.readouterr()
+        assert said.err == ""
+        assert "PD: the law gives " in said.out
+        assert "at t = 0 s (tick 0)" in said.out
+        assert "no plot: there is nothing to plot: no law got through its first tick" in said.out
+        assert "no video: there is nothing to film: the law did not get through its first tick" in said.out
+        assert "missed: PD: peak_error has no meaning in this run" in said.out
+        assert {path.name for path in (tmp_path / "out").iterdir()} == {"x.mcap", "x.csv", "case.json"}
+
+    def test_it_says_the_same_as_json(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main([*self.scenario(tmp_path, 'plot = "x.png"'), "--json"]) == 1
+        result = json.loads(capsys.readouterr().out)
+        assert result["ok"] is False
+        assert result["outcomes"]["PD"]["kind"] == "diverged"
+        assert list(result["skipped"]) == ["plot"]
+        assert list(result["outputs"]) == ["metrics"]
+
+    def test_the_laws_that_ran_are_drawn_without_it(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        words = self.scenario(tmp_path, 'plot = "x.png"')
+        file = tmp_path / "case.toml"
+        file.write_text(file.read_text() + '[laws.good]\nlaw = "GravityPID"\nkp = 0\nkd = 0\n')
+        assert main(words) == 1
+        assert (tmp_path / "out" / "x.png").stat().st_size > 0
+        assert "PD: the law gives " in capsys.readouterr().out
+
+    def test_a_law_of_the_users_own_too(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        (tmp_path / "case.toml").write_text(GOOD)
+        (tmp_path / "endless.py").write_text(self.LAW)
+        place = f"{tmp_path / 'endless.py'}:Endless"
+        words = ["run", str(tmp_path / "case.toml"), "--out", str(tmp_path / "out"), "--law", place, "--gain", "kp=1"]
+        assert main(words) == 1
+        assert "t = 0 s (tick 0)" in capsys.readouterr().out
+
+
+class TestFilesAreWholeOrNotThere:
+    def run(self, tmp_path: Path, *flags: str) -> int:
+        (tmp_path / "case.toml").write_text(
+            GOOD.replace('plot = "x.png"', 'plot = "x.png"\nlog = "x.mcap"\ncsv = "x.csv"\nvideo = "x.gif"')
+        )
+        return main(["run", str(tmp_path / "case.toml"), "--out", str(tmp_path / "out"), *flags])
+
+    @pytest.mark.parametrize("name", ["x.png", "x.gif", "x.mcap", "x.csv", "case.json"])
+    def test_a_name_that_a_folder_has_is_refused_before_the_run(
+        self, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        (tmp_path / "out" / name).mkdir(parents=True)
+        assert self.run(tmp_path) == 2
+        said = capsys.readouterr()
+        assert said.err.endswith(f"'{tmp_path / 'out' / name}' is a folder; name a file in it\n")
+        assert said.err.count("\n") == 1
+        assert [path.name for path in (tmp_path / "out").iterdir()] == [name]
+
+    def test_a_folder_that_is_a_file_is_refused_before_the_run(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        (tmp_path / "out").write_text("mine")
+        for folder in (tmp_path / "out", tmp_path / "out" / "below"):
+            assert self.run(tmp_path, "--out", str(folder)) == 2
+            said = f"taut: the folder '{folder}' cannot be made: '{tmp_path / 'out'}' is a file\n"
+            assert capsys.readouterr().err == said
+        assert (tmp_path / "out").read_text() == "mine"
+
+    def test_a_folder_with_a_name_of_5000_letters_is_refused(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert self.run(tmp_path, "--out", "a" * 5000) == 2
+        assert "File name too long" in capsys.readouterr().err
+
+    def test_a_folder_that_takes_no_files_is_refused(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("os.access", lambda place, mode: str(place) != str(tmp_path) or mode != os.W_OK)
+        assert self.run(tmp_path) == 2
+        assert f"cannot be written; '{tmp_path}' is read-only for you" in capsys.readouterr().err
+        assert not (tmp_path / "out").exists()
+
+    @pytest.mark.parametrize(("kind", "name"), [("plot", "x.png"), ("log", "x.mcap"), ("csv", "x.csv")])
+    def test_a_full_disk_leaves_what_was_there_and_the_result_is_told(
+        self,
+        kind: str,
+        name: str,
+        tmp_path: Path,
+        capsys: pytest.CaptureFixture[str],
+        monkeypatch: pytest.MonkeyPatch,
+    ) -> None:
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out" / name).write_text("before")
+        replace = Path.replace
+
+        def full(self: Path, target: Path) -> Path:
+            if Path(target).name == name:
+                raise OSError(28, "No space left on device")
+            return replace(self, target)
+
+        monkeypatch.setattr(Path, "replace", full)
+        assert self.run(tmp_path) == 1
+        said = capsys.readouterr()
+        file = tmp_path / "out" / name
+        assert (
+            f"no {kind}: {kind if kind != 'csv' else 'table'} '{file}' cannot be written: No space left" in said.out
+        )
+        assert "completed" in said.out
+        assert file.read_text() == "before"
+        names = {"x.png", "x.gif", "x.mcap", "x.csv", "case.json"}
+        assert {path.name for path in (tmp_path / "out").iterdir()} == names
+
+    def test_without_outputs_the_command_says_where_the_metrics_went(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        Path("case.toml").write_text(changed('[outputs]\nplot = "x.png"', ""))
+        assert main(["run", "case.toml"]) == 0
+        assert f"metrics  {Path('out/case/case.json')}" in capsys.readouterr().out
+        assert json.loads(Path("out/case/case.json").read_text())["PD"]["peak_error"]["overall"] < 3.0
+
+    def test_a_plot_of_joints_in_rad_and_m_is_refused_before_the_run(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        arm = tmp_path / "mixed.urdf"
+        arm.write_text(MIXED)
+        text = GOOD.replace('"planar2"', f"'{arm}'") + '[laws.second]\nlaw = "PID"\nkp = 1\n'
+        (tmp_path / "case.toml").write_text(text)
+        assert main(["run", str(tmp_path / "case.toml"), "--out", str(tmp_path / "out")]) == 2
+        assert ": [outputs] plot compares laws by the norm of the error, which" in capsys.readouterr().err
+        (tmp_path / "case.toml").write_text(text.replace('plot = "x.png"', "").replace("peak_error", "energy"))
+        assert main(["run", str(tmp_path / "case.toml"), "--out", str(tmp_path / "out")]) == 0
+
+    def test_a_film_that_needs_ffmpeg_is_refused_before_the_run(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setenv("PATH", str(tmp_path))
+        (tmp_path / "case.toml").write_text(changed('plot = "x.png"', 'video = "x.mp4"'))
+        assert main(["run", str(tmp_path / "case.toml"), "--out", str(tmp_path / "out")]) == 2
+        assert ": [outputs] video 'x.mp4' needs the program ffmpeg" in capsys.readouterr().err
+
+
+class TestNamesThatMeanSomethingElsewhere:
+    def test_a_title_and_a_label_are_text_for_the_table_and_the_plot(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        file = tmp_path / "case.toml"
+        file.write_text(
+            changed('title = "a test"', 'title = "[/b] and [bold]"')
+            .replace("[laws.PD]", "[laws.'$\\frac{$ [/b]']")
+            .replace('law = "PD"', "law = '$\\frac{$ [/b]'")
+            + '[laws."$x^$\\n"]\nlaw = "PID"\nkp = 1\n'
+        )
+        assert main(["run", str(file), "--out", str(tmp_path / "out")]) == 0
+        said = capsys.readouterr().out
+        assert "[/b] and [bold]" in said
+        assert "$\\frac{$ [/b]" in said
+
+    def test_a_label_with_a_line_end_stays_in_one_line_of_a_message(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        file = tmp_path / "case.toml"
+        file.write_text(GOOD.replace("[laws.PD]", '[laws."a\\nb\\u001b[31m"]').replace("kp = 50", "kp = -1"))
+        assert main(["run", str(file), "--out", str(tmp_path / "out")]) == 2
+        said = capsys.readouterr().err
+        assert r"[laws.a\nb\x1b[31m] kp must be >= 0" in said
+        assert said.count("\n") == 1
+
+    def test_an_editors_mark_at_the_start_is_no_part_of_the_text(self, tmp_path: Path) -> None:
+        file = tmp_path / "case.toml"
+        file.write_bytes(b"\xef\xbb\xbf" + GOOD.replace("\n", "\r\n").encode())
+        assert load_scenario(str(file)).title == "a test"
+
+
+class TestFromHome:
+    """relative_to_home moves a reference by the home pose of the plant's arm, and changes nothing else."""
+
+    def reference(self, tmp_path: Path, text: str) -> Any:
+        old = '[reference]\nkind = "set-point"\nq = [0.2, 0.3]\n'
+        file = tmp_path / "case.toml"
+        file.write_text(changed(old, f"[reference]\n{text}\n"))
+        scenario = load_scenario(str(file))
+        return scenario.reference, scenario.plant.arm.home
+
+    def test_a_set_point(self, tmp_path: Path) -> None:
+        reference, home = self.reference(
+            tmp_path, 'kind = "set-point"\nq = [0.2, 0.3]\nv = [1, 2]\nrelative_to_home = true'
+        )
+        np.testing.assert_allclose(reference.q - home, [0.2, 0.3], rtol=1e-12)
+        np.testing.assert_array_equal(reference.v, [1.0, 2.0])
+
+    def test_home_itself(self, tmp_path: Path) -> None:
+        for relative in ("true", "false"):
+            text = f'kind = "cubic"\nq0 = "home"\nq1 = [1, 1]\nduration = 1\nrelative_to_home = {relative}'
+            reference, home = self.reference(tmp_path, text)
+            np.testing.assert_array_equal(reference.q0, home)
+            np.testing.assert_array_equal(reference.q1, home * (relative == "true") + 1.0)
+
+    def test_a_scalar_that_stands_for_all_joints(self, tmp_path: Path) -> None:
+        text = 'kind = "sine"\ncenter = 0.1\namplitude = [1, 1]\nfrequency = 1\nrelative_to_home = true'
+        reference, home = self.reference(tmp_path, text)
+        np.testing.assert_array_equal(reference.center, home + 0.1)
+        np.testing.assert_array_equal(reference.amplitude, [1.0, 1.0])
+
+    def test_a_file_of_samples(self, tmp_path: Path) -> None:
+        (tmp_path / "s.csv").write_text("t,q1,q2\n0,0,0\n1,0.1,0.2\n")
+        reference, home = self.reference(tmp_path, 'kind = "samples"\nfile = "s.csv"\nrelative_to_home = true')
+        np.testing.assert_allclose(reference.q - home, [[0.0, 0.0], [0.1, 0.2]], rtol=1e-12)
+        np.testing.assert_allclose(reference.v, [[0.1, 0.2]] * 2, rtol=1e-12)
+
+
+def test_a_link_with_other_numbers_keeps_what_else_is_said_of_the_arm(tmp_path: Path) -> None:
+    file = tmp_path / "case.toml"
+    file.write_text(
+        '[arm]\nmodel = "one_joint"\nlink = { r = 0.05 }\nhome = [0.3]\ngravity = [0, 0, -1.6]\nT_WB = { p = [0, 0, 2] }\n'
+        '[laws.PD]\nlaw = "PID"\nkp = 1\n[plant]\n[run]\nduration = 0.1\n'
+    )
+    arm = load_scenario(str(file)).arm
+    assert arm.bodies[0].com.tolist() == [0.05, 0.0, 0.0]
+    assert arm.home.tolist() == [0.3]
+    assert arm.gravity.tolist() == [0.0, 0.0, -1.6]
+    assert arm.T_WB.p.tolist() == [0.0, 0.0, 2.0]
+
+
 def test_the_state_events_and_changes_of_the_true_arm_reach_the_run(tmp_path: Path) -> None:
     file = tmp_path / "case.toml"
     file.write_text(
@@ -180,7 +334,7 @@ def test_the_state_events_and_changes_of_the_true_arm_reach_the_run(tmp_path: Pa
         + '[[event]]\nt = 0.1\nset = { "plant.payload.mass" = 0.5 }\n'
     )
     scenario = load_scenario(str(file))
-    plant = scenario.make_plant()
+    plant = scenario.plant
     assert isinstance(plant, taut.RigidPlant)
     assert plant.arm.payload.mass == 2.0
     assert plant.friction is None

@@ -6,6 +6,7 @@ import argparse
 import dataclasses
 import json
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, NoReturn
@@ -19,6 +20,29 @@ __all__ = ["main"]
 
 DONE, FAILED, WRONG = 0, 1, 2
 ENGINES: Final = ("auto", "native", "float")
+
+
+STATUS: Final = """exit status:
+  0  done
+  1  the run failed, or missed a pass figure
+  2  the request was wrong
+"""
+RUN: Final = f"""examples:
+  taut run one_joint_pid
+  taut run my_scenario.toml --out results
+  taut run one_joint_pid --law my_law.py:Spring --gain k=2.0
+
+The metrics are printed as a table; below it stands each file that was made.
+
+{STATUS}"""
+
+
+class _Help(argparse.RawDescriptionHelpFormatter):
+    """Help with the names of the commands in one column."""
+
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog, max_help_position=32)
+        self._action_max_length = len("scenarios") + 4  # argparse forgets that commands are indented
 
 
 class _Parser(argparse.ArgumentParser):
@@ -40,37 +64,75 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         arguments = _parser().parse_args(argv)
         command: Callable[[argparse.Namespace], int] = arguments.command
-        return command(arguments)
+        with warnings.catch_warnings():
+            warnings.showwarning = _show_warning
+            return command(arguments)
     except TautError as wrong:
-        print(f"taut: {wrong}", file=sys.stderr)
+        _tell(str(wrong))
         return WRONG
     except BrokenPipeError:  # the reader of a pipe went away
         sys.stderr.close()
         return DONE
     except KeyboardInterrupt:
-        print("taut: interrupted", file=sys.stderr)
+        _tell("interrupted")
         return FAILED
+
+
+def _one_line(text: str) -> str:
+    """A sentence in one line, whatever the names of files, keys and laws in it hold."""
+    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
+
+
+def _tell(text: str) -> None:
+    """A sentence on standard error."""
+    print(f"taut: {_one_line(text)}", file=sys.stderr)
+
+
+def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
+    """A warning is a sentence for people; where in the code it was raised is not."""
+    _tell(str(message))
 
 
 def _parser() -> argparse.ArgumentParser:
     from taut import __version__
 
-    parser = _Parser(prog="taut", description="Control laws for robot arms, written once and run everywhere.")
+    parser = _Parser(
+        prog="taut",
+        description="Control laws for robot arms, written once and run everywhere.",
+        epilog=f"taut COMMAND --help says more about a command.\n\n{STATUS}",
+        formatter_class=_Help,
+    )
     parser.add_argument("--version", action="version", version=f"taut {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
 
     def add(name: str, run: Callable[[argparse.Namespace], int], help_: str) -> argparse.ArgumentParser:
-        command = commands.add_parser(name, help=help_, description=help_)
+        command = commands.add_parser(name, help=help_, description=help_, epilog=STATUS, formatter_class=_Help)
         command.set_defaults(command=run)
         command.add_argument("--json", action="store_true", help="print the result as JSON")
         return command
 
     scenario = add("run", _run, "Run a scenario: a built-in one by its name, or a .toml file.")
-    scenario.add_argument("scenario", metavar="SCENARIO", help="name or path")
+    scenario.epilog = RUN
+    scenario.add_argument("scenario", metavar="SCENARIO", help="a name that `taut scenarios` lists, or a path")
     scenario.add_argument("--out", type=Path, metavar="DIR", help="folder for the files (default: out/SCENARIO)")
-    scenario.add_argument("--law", metavar="FILE.py:CLASS", help="a law of your own instead of the scenario's laws")
-    scenario.add_argument("--gain", action="append", default=[], metavar="NAME=VALUE", help="a gain of that law")
-    scenario.add_argument("--engine", choices=ENGINES, default="auto", help="engine of the controllers")
+    scenario.add_argument(
+        "--law",
+        metavar="FILE.py:CLASS",
+        help="a law of your own instead of the scenario's laws, whose pass figures then do not count",
+    )
+    scenario.add_argument(
+        "--gain",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="a gain of that law, such as kp=100 or kp=[100,50]; once for each gain",
+    )
+    scenario.add_argument(
+        "--engine",
+        choices=ENGINES,
+        default="auto",
+        help="native: machine code; float: plain Python, slow; auto: the first that is there (default)",
+    )
     add("scenarios", _scenarios, "List the built-in scenarios.")
     add("arms", _arms, "List the arms that taut knows by name.")
     add("laws", _laws, "List the laws with their equations and what they need measured.")
@@ -99,9 +161,9 @@ def _run(arguments: argparse.Namespace) -> int:
     from taut.apps.scenario import load_scenario
     from taut.apps.user_law import load_law
 
-    if arguments.gain and not arguments.law:
+    if arguments.gain and arguments.law is None:
         raise UsageError("--gain is for a law of your own: --law FILE.py:CLASS --gain kp=100")
-    own = {arguments.law: load_law(arguments.law, arguments.gain)} if arguments.law else None
+    own = None if arguments.law is None else {arguments.law: load_law(arguments.law, arguments.gain)}
     scenario = load_scenario(arguments.scenario, own)
     folder = arguments.out or Path("out") / scenario.name
 
@@ -117,11 +179,13 @@ def _run(arguments: argparse.Namespace) -> int:
         console.print(result.table())
         for kind, path in result.outputs.items():
             print(f"{kind:8} {path}")
+        for kind, reason in result.skipped.items():
+            print(_one_line(f"no {kind}: {reason}"))
         for label, one in result.runs.items():
             if not one.outcome.ok:
-                print(f"{label}: {one.outcome}")
+                print(_one_line(f"{label}: {one.outcome}"))
         for text in result.missed:
-            print(f"missed: {text}")
+            print(_one_line(f"missed: {text}"))
     return DONE if result.ok else FAILED
 
 

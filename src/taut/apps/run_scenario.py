@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from rich.markup import escape
 from rich.table import Table
 
-from taut.apps.scenario import PassFigure, Scenario
-from taut.base.errors import FileError, ScenarioError, unknown_name
+from taut.apps.scenario import SUFFIXES, PassFigure, Scenario
+from taut.base.errors import FileError, ScenarioError, TautError, UsageError
 from taut.controller import compile
+from taut.record.files import cannot_write, checked_target, written_aside
 from taut.record.metrics import MEASURES
 from taut.record.plot import compare
 from taut.record.run import Run
@@ -23,6 +25,7 @@ from taut.runtime.simulate import run
 
 __all__ = ["ScenarioResult", "run_scenario"]
 
+SECTIONS: Final = {"duration": "run", "ref": "reference"}  # which an error of a run is about, by its name
 COLUMNS = (
     "rms_error",
     "peak_error",
@@ -43,12 +46,13 @@ class ScenarioResult:
     scenario: Scenario
     runs: Mapping[str, Run]
     outputs: Mapping[str, Path]
+    skipped: Mapping[str, str]  # outputs that could not be made, and why
     missed: tuple[str, ...]  # pass figures that were not reached, in words
 
     @property
     def ok(self) -> bool:
-        """Whether every run went to its end and every pass figure was reached."""
-        return not self.missed and all(one.outcome.ok for one in self.runs.values())
+        """Whether every run went to its end, every pass figure was reached and every file was made."""
+        return not self.missed and not self.skipped and all(one.outcome.ok for one in self.runs.values())
 
     def json(self) -> dict[str, Any]:
         """As plain values."""
@@ -57,6 +61,7 @@ class ScenarioResult:
             "metrics": {label: one.metrics.json() for label, one in self.runs.items()},
             "outcomes": {label: one.outcome.json() for label, one in self.runs.items()},
             "outputs": {kind: str(path) for kind, path in self.outputs.items()},
+            "skipped": dict(self.skipped),
             "ok": self.ok,
             "missed": list(self.missed),
         }
@@ -67,7 +72,7 @@ class ScenarioResult:
         names = [name for name in COLUMNS if any(not math.isnan(m.overall[name]) for m in metrics.values())]
         unit = {name: next(iter(metrics.values())).unit(name) for name in names}
         heads = [escape(f"{MEASURES[name].title}\n[{unit[name]}]") for name in names]
-        table = Table("law", *heads, "outcome", title=self.scenario.title)
+        table = Table("law", *heads, "outcome", title=escape(self.scenario.title))
         for label, one in self.runs.items():
             cells = [number_text(metrics[label].overall[name]) for name in names]
             table.add_row(escape(label), *cells, one.outcome.kind)
@@ -85,26 +90,35 @@ def run_scenario(
         say: Takes a line of progress.
         engine: Engine of the controllers.
 
+    Returns:
+        What happened, files that could not be made included.
+
     Raises:
-        TautError: A law and the plant do not fit, or a file cannot be written.
+        FileError: Something stands where the folder or a file should be; nothing has run yet.
+        ScenarioError: A law that cannot be compiled, a run that cannot begin.
     """
-    _check_metrics(scenario)
-    runs: dict[str, Run] = {}
-    for label, law in scenario.laws.items():
-        plant = scenario.make_plant()
+    files = _targets(scenario, folder)
+    runs = {label: _one_run(scenario, label, say, engine) for label in scenario.laws}
+    outputs, skipped = _written(scenario, runs, files, say)
+    missed = tuple(text for figure in scenario.figures if (text := _missed(figure, runs)) is not None)
+    return ScenarioResult(scenario=scenario, runs=runs, outputs=outputs, skipped=skipped, missed=missed)
+
+
+def _one_run(scenario: Scenario, label: str, say: Callable[[str], None], engine: str) -> Run:
+    try:
         ctrl = compile(
-            law,
+            scenario.laws[label],
             scenario.arm,
             rate=scenario.rate,
             sensing=scenario.sensing,
             limits=scenario.limits,
-            adds=plant.adds,
+            adds=scenario.plant.adds,
             engine=engine,  # type: ignore[arg-type]  # the command line checks the word
         )
         say(f"running {label} ...")
-        runs[label] = run(
+        return run(
             ctrl,
-            plant,
+            scenario.plant,
             scenario.reference,
             duration=scenario.duration,
             q0=scenario.q0,
@@ -112,49 +126,98 @@ def run_scenario(
             seed=scenario.seed,
             events=scenario.events,
         )
-    outputs = _written(scenario, runs, folder, say)
-    missed = tuple(text for figure in scenario.figures if (text := _missed(figure, runs)) is not None)
-    return ScenarioResult(scenario=scenario, runs=runs, outputs=outputs, missed=missed)
+    except TautError as cause:  # what loading could not see: code that cannot be traced, memory that is full
+        section = SECTIONS.get((cause.name or "").partition(".")[0])
+        place = f"[{section}]" if section else f"law '{label}':"
+        raise ScenarioError(f"{scenario.source}: {place} {cause}") from cause
+
+
+# -------------------------------------------------------------------- files
+
+
+def _targets(scenario: Scenario, folder: Path) -> dict[str, Path]:
+    """The files to write, by kind. What can be known to stand in their way is refused before the run.
+
+    Raises:
+        FileError: The folder cannot be made, or takes no files; a folder has the name of a file.
+    """
+    wanted = {kind: getattr(scenario.outputs, kind) for kind in SUFFIXES}
+    files = {kind: folder / name for kind, name in wanted.items() if name is not None}
+    files["metrics"] = folder / f"{scenario.name}.json"
+    try:
+        there = next((place for place in (folder, *folder.parents) if place.exists()), Path())
+        if not there.is_dir():
+            raise FileError(f"the folder '{folder}' cannot be made: '{there}' is a file", name=str(folder))
+        if not os.access(there, os.W_OK):
+            raise FileError(
+                f"the folder '{folder}' cannot be written; '{there}' is read-only for you", name=str(folder)
+            )
+        if there == folder:
+            for kind, path in files.items():
+                checked_target(kind, path, (path.suffix,))
+    except FileError:
+        raise
+    except OSError as cause:  # such as a name that is too long
+        raise cannot_write("output", folder, cause) from cause
+    return files
 
 
 def _written(
-    scenario: Scenario, runs: Mapping[str, Run], folder: Path, say: Callable[[str], None]
-) -> dict[str, Path]:
-    wanted, shown = scenario.outputs, runs[scenario.outputs.shown]
+    scenario: Scenario, runs: Mapping[str, Run], files: Mapping[str, Path], say: Callable[[str], None]
+) -> tuple[dict[str, Path], dict[str, str]]:
+    """The files that were made, and why others were not: what happened in the runs must not be lost with them."""
+    shown = runs[scenario.outputs.shown]
+    writers: dict[str, Callable[[Path], object]] = {
+        "plot": lambda path: _save_plot(runs, path),
+        "video": lambda path: _film(shown, path),
+        "log": shown.save,
+        "csv": shown.to_csv,
+        "metrics": lambda path: _save_metrics(runs, path),
+    }
+    made: dict[str, Path] = {}
+    skipped: dict[str, str] = {}
+    for kind, path in files.items():
+        say(f"writing {path} ...")
+        try:
+            _make_folder(path.parent)
+            writers[kind](path)
+        except TautError as cause:
+            skipped[kind] = str(cause)
+        else:
+            made[kind] = path
+    return made, skipped
+
+
+def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as cause:
         raise FileError(f"the folder '{folder}' cannot be made: {cause.strerror}", name=str(folder)) from cause
-    made: dict[str, Path] = {}
-    if wanted.plot is not None:
-        say("drawing ...")
-        figure = compare(runs) if len(runs) > 1 else shown.plot()
-        made["plot"] = folder / wanted.plot
-        figure.savefig(made["plot"], dpi=150)
-    if wanted.video is not None:
-        say(f"filming {wanted.shown} ...")
-        made["video"] = shown.video(folder / wanted.video)
-    if wanted.log is not None:
-        made["log"] = folder / wanted.log
-        shown.save(made["log"])
-    if wanted.csv is not None:
-        made["csv"] = folder / wanted.csv
-        shown.to_csv(made["csv"])
-    made["metrics"] = folder / f"{scenario.name}.json"
+
+
+def _save_plot(runs: Mapping[str, Run], path: Path) -> None:
+    # A law is called after its section, whatever is in its name; matplotlib takes a pair of $ for mathematics.
+    drawn = {label.replace("$", r"\$"): one for label, one in runs.items() if len(one)}
+    if not drawn:
+        raise UsageError("there is nothing to plot: no law got through its first tick", name="plot")
+    figure = compare(drawn) if len(runs) > 1 else next(iter(drawn.values())).plot()
+    with written_aside("plot", path) as aside:
+        figure.savefig(aside, dpi=150)
+
+
+def _film(shown: Run, path: Path) -> None:
+    if not len(shown):
+        raise UsageError("there is nothing to film: the law did not get through its first tick", name="video")
+    shown.video(path)
+
+
+def _save_metrics(runs: Mapping[str, Run], path: Path) -> None:
     metrics = {label: one.metrics.json() for label, one in runs.items()}
-    made["metrics"].write_text(json.dumps(metrics, indent=1) + "\n", encoding="utf-8")
-    return made
+    with written_aside("metrics", path) as aside:
+        aside.write_text(json.dumps(metrics, indent=1) + "\n", encoding="utf-8")
 
 
 # -------------------------------------------------------------------- pass figures
-
-
-def _check_metrics(scenario: Scenario) -> None:
-    for figure in scenario.figures:
-        if figure.metric not in MEASURES:
-            raise ScenarioError(
-                f"{scenario.name}: [[pass]] {unknown_name('a run', 'metric', figure.metric, MEASURES)}"
-            )
 
 
 def _missed(figure: PassFigure, runs: Mapping[str, Run]) -> str | None:
@@ -162,6 +225,8 @@ def _missed(figure: PassFigure, runs: Mapping[str, Run]) -> str | None:
     if figure.law not in runs:
         return None
     value = runs[figure.law].metrics.overall[figure.metric]
+    if math.isnan(value):
+        return f"{figure.law}: {figure.metric} has no meaning in this run, so that no bound on it is reached"
     if figure.least <= value <= figure.most:
         return None
     bound = f"<= {figure.most:g}" if not value <= figure.most else f">= {figure.least:g}"

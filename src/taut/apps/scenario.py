@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -11,37 +10,36 @@ from typing import Any, Final
 
 import numpy as np
 
+from taut.apps.fit import Places, refuse_misfits
+from taut.apps.read_arm import read_arm
+from taut.apps.read_laws import read_law, read_limits
+from taut.apps.read_plant import Plant, read_plant
+from taut.apps.read_reference import read_reference
 from taut.apps.toml import Section, read_toml
-from taut.arm.builtin import one_joint
 from taut.arm.description import Arm
-from taut.arm.load import load_arm
-from taut.base.errors import unknown_name
-from taut.base.pose import Pose
+from taut.base.checks import positive_scalar
+from taut.base.errors import quoted_list, unknown_name
 from taut.base.types import ArrayLike
-from taut.control import laws as all_laws
-from taut.control.gains import Memory
 from taut.control.law import Law
 from taut.control.limits import Limits
-from taut.control.reference import Hold, JointMotion, Reference
+from taut.control.reference import Reference
 from taut.control.sensing import VELOCITIES, Sensing
-from taut.control.trajectory import Cubic, JerkLimited, Quintic, Samples, Sine, Spline, Trapezoidal
-from taut.plant.rigid import RigidPlant
-from taut.plant.stages import Actuation, Sensors
+from taut.record.metrics import MEASURES
 from taut.runtime.events import Event
-from taut.runtime.host import HostPlant
 
 __all__ = ["Outputs", "PassFigure", "Scenario", "built_in_scenarios", "load_scenario"]
 
-TRAJECTORIES: Final = {
-    "cubic": Cubic,
-    "jerk-limited": JerkLimited,
-    "quintic": Quintic,
-    "samples": Samples,
-    "sine": Sine,
-    "spline": Spline,
-    "trapezoidal": Trapezoidal,
+SECTIONS: Final = (
+    "title", "arm", "laws", "control", "plant", "reference", "run", "event", "outputs", "pass",
+)  # fmt: skip
+SUFFIXES: Final = {
+    "plot": (".png", ".pdf", ".svg"),
+    "video": (".gif", ".mp4"),
+    "log": (".mcap",),
+    "csv": (".csv",),
 }
-POSITIONS: Final = ("q", "q0", "q1", "center", "points")  # fields that may be given relative to home
+RATES: Final = (1e-3, 1e6)  # [Hz] of any controller that there is
+MOST_BYTES: Final = 200  # of a file's name; systems take 255, and a file is written under a longer one first
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,15 +68,16 @@ class Scenario:
     """An experiment: laws for one arm, against one plant, along one reference."""
 
     name: str
+    source: str  # what messages call it
     title: str
     arm: Arm
     laws: Mapping[str, Law]
-    rate: float
+    rate: float  # [Hz]
     sensing: Sensing
     limits: Limits | None
-    make_plant: Callable[[], RigidPlant | HostPlant]
+    plant: Plant
     reference: Reference
-    duration: float
+    duration: float  # [s]
     q0: ArrayLike | None
     v0: ArrayLike | None
     seed: int
@@ -94,319 +93,167 @@ def built_in_scenarios() -> dict[str, Path]:
     return {path.stem: path for path in sorted(found)}
 
 
-def load_scenario(name: str, replace_laws: Mapping[str, Law] | None = None) -> Scenario:
+def load_scenario(name: str, own_laws: Mapping[str, Law] | None = None) -> Scenario:
     """A scenario by the name of a built-in one, or by the path of a file.
 
     Args:
         name: Name or path.
-        replace_laws: Laws that take the place of the scenario's own.
+        own_laws: Laws that take the place of the scenario's own, by the place that they were loaded from.
 
     Raises:
-        ScenarioError: The file breaks the schema; the message names file, section and key.
+        ScenarioError: The file breaks the schema, or its parts do not fit; the message names file, section and key.
         FileError: It cannot be read.
         UnknownNameError: There is no such scenario.
     """
-    known = built_in_scenarios()
-    if name in known:
-        path = known[name]
-    elif name.endswith(".toml") or "/" in name or "\\" in name:
-        path = Path(name)
-    else:
-        raise unknown_name("taut", "scenario", name, known, hint="or give the path of a .toml file")
-    root = read_toml(path, f"scenario '{name}'")
+    path = _found(name)
+    source = f"scenario '{name}'"
+    root = read_toml(path, source)
+    root.only(*SECTIONS)
     title = root.text("title", path.stem)
-    arm = _arm(root.section("arm", required=True))
-    laws = dict(replace_laws) if replace_laws else _laws(root.section("laws", required=True))
-    if replace_laws:
-        root.take("laws", None)
-    control = root.section("control")
-    rate = control.number("rate", 1000.0)
-    sensing = Sensing(velocity=control.word("velocity", VELOCITIES, "measured"))
-    limits = _limits(control, arm)
-    control.done()
-    make_plant, plant_arm = _plant(root.section("plant", required=True), arm, path.parent)
-    reference = _reference(root.section("reference"), plant_arm, path.parent)
-    run = root.section("run", required=True)
-    duration, seed = run.number("duration"), run.whole("seed", 0)
-    q0, v0 = _state(run, "q0", plant_arm), _state(run, "v0", plant_arm)
-    run.done()
-    events = tuple(_event(section) for section in root.sections("event"))
-    outputs = _outputs(root.section("outputs"), laws)
-    figures = tuple(_figure(section, laws, replaced=bool(replace_laws)) for section in root.sections("pass"))
-    root.done()
-    return Scenario(
+    arm = read_arm(root.section("arm", required=True))
+    laws_section = root.section("laws", required=own_laws is None)
+    labels = laws_section.left
+    if own_laws is None:
+        law_places = _law_sections(laws_section)
+        laws = {label: read_law(section) for label, section in law_places.items()}
+    else:
+        law_places = {label: Section(f"--law {label}:", "", {}) for label in own_laws}
+        laws = dict(own_laws)
+    control, plant_section = root.section("control"), root.section("plant", required=True)
+    reference_section, run = root.section("reference"), root.section("run", required=True)
+    outputs, events = root.section("outputs"), root.sections("event")
+    rate, sensing, limits = _control(control, arm)
+    plant = read_plant(plant_section, arm, rate, path.parent)
+    reference = read_reference(reference_section, arm, plant.arm.home, path.parent)
+    scenario = Scenario(
         name=path.stem,
+        source=source,
         title=title,
         arm=arm,
         laws=laws,
         rate=rate,
         sensing=sensing,
         limits=limits,
-        make_plant=make_plant,
+        plant=plant,
         reference=reference,
-        duration=duration,
-        q0=q0,
-        v0=v0,
-        seed=seed,
+        events=tuple(_event(section) for section in events),
+        outputs=_outputs(outputs, list(laws), labels),
+        figures=tuple(_figure(section, labels or list(laws)) for section in root.sections("pass")),
+        **_run(run, plant.arm),
+    )
+    places = Places(
+        laws=law_places,
+        control=control,
+        plant=plant_section,
+        reference=reference_section,
+        run=run,
         events=events,
         outputs=outputs,
-        figures=figures,
     )
+    refuse_misfits(scenario, places)
+    return scenario
 
 
-# -------------------------------------------------------------------- arm
+def _found(name: str) -> Path:
+    """The file of a scenario."""
+    known = built_in_scenarios()
+    if name in known:
+        return known[name]
+    if name.endswith(".toml") or "/" in name or "\\" in name:
+        return Path(name)
+    hint = "or give the path of a .toml file"
+    try:
+        if Path(f"{name}.toml").is_file():
+            hint = f"or mean the file {name}.toml"
+    except OSError:  # a name that is too long for a file
+        pass
+    raise unknown_name("taut", "scenario", name, known, hint=hint)
 
 
-def _arm(section: Section, base: Arm | None = None) -> Arm:
-    """[arm], or the part of [plant] that says how the true arm differs."""
-    with section.blamed():
-        if base is None:
-            model = section.text("model")
-            arm = load_arm(
-                model,
-                tool=section.text("tool", None),
-                T_WB=_pose(section.section("T_WB")) if "T_WB" in section else None,
-                locked=section.take("locked", None),
-                joints=section.take("joints", None),
-                home=section.take("home", None),
-                gravity=section.numbers("gravity", None),
-            )
-            if "link" in section:
-                arm = _one_joint(section, model)
-        else:
-            arm = load_arm(section.text("model")) if "model" in section else base
-        arm = _changed(section, arm)
-        if base is None:
-            section.done()
-        return arm
-
-
-def _one_joint(section: Section, model: str) -> Arm:
-    """The chapter's link with other numbers: link = { M, m, r, b }."""
-    if model != "one_joint":
-        raise section.error(f"link is for the model 'one_joint'; got model '{model}'")
-    numbers = section.section("link")
-    arm = one_joint(**{word: numbers.number(word) for word in ("M", "m", "r", "b") if word in numbers})
-    numbers.done()
-    return arm
-
-
-def _changed(section: Section, arm: Arm) -> Arm:
-    """The arm with the changes that a section states."""
-    if "bodies" in section:
-        bodies = section.section("bodies")
-        for joint in bodies.left:
-            body = bodies.section(joint)
-            arm = arm.with_body(
-                joint,
-                mass=body.number("mass", None),
-                com=body.numbers("com", None),
-                inertia=body.numbers("inertia", None),
-            )
-            body.done()
-    if "perturbed" in section:
-        change = section.section("perturbed")
-        arm = arm.perturbed(
-            seed=change.whole("seed"),
-            **{word: change.number(word, 0.0) for word in ("mass", "com", "inertia", "friction")},
-        )
-        change.done()
-    if "joint_values" in section:
-        values = section.section("joint_values")
-        arm = arm.with_joints(**{key: values.take(key) for key in values.left})
-    if "payload" in section:
-        load = section.section("payload")
-        arm = arm.with_payload(
-            load.number("mass"), load.numbers("com", [0.0, 0.0, 0.0]), load.numbers("inertia", [0.0] * 6)
-        )
-        load.done()
-    return arm
-
-
-def _pose(section: Section) -> Pose:
-    with section.blamed():
-        rotation = {word: section.numbers(word) for word in ("xyzw", "wxyz", "rpy", "R") if word in section}
-        pose = Pose(section.numbers("p", [0.0, 0.0, 0.0]), **rotation)
-        section.done()
-        return pose
-
-
-# -------------------------------------------------------------------- laws and control
-
-
-def _laws(section: Section) -> dict[str, Law]:
-    labels = section.left
-    if not labels:
-        raise section.error("needs one law at least: [laws.PID] with law = 'PID' and its gains")
-    return {label: _law(section.section(label)) for label in labels}
-
-
-def _law(section: Section) -> Law:
-    """law = "PID" with its gains, or law = ["FeedForward", "PID"] with a table of gains for each."""
-    name = section.take("law")
-    names = name if isinstance(name, list) else [name]
-    total: Law | None = None
-    for part in names:
-        gains = section.section(part) if isinstance(name, list) else section
-        with gains.blamed():
-            law = _one_law(gains, part)
-        total = law if total is None else total + law
-        gains.done()
-    section.done()
-    if total is None:
-        raise section.error("law must name one law at least; got an empty array")
-    return total
-
-
-def _one_law(section: Section, name: object) -> Law:
-    known = [word for word in all_laws.__all__ if word != "Sum"]
-    if not isinstance(name, str) or name not in known:
-        raise section.error(str(unknown_name("taut.laws", "law", str(name), known)))
-    cls = getattr(all_laws, name)
-    fields = [f.name for f in dataclasses.fields(cls) if not isinstance(cls.__dict__.get(f.name), Memory)]
-    values = {word: section.take(word) for word in fields if word in section}
-    for word in fields:
-        section.take(word, None)  # known, so that a misspelt one is compared with it
-    law: Law = cls(**values)
-    return law
-
-
-def _limits(section: Section, arm: Arm) -> Limits | None:
-    """limits = "arm", "arm with rate", "none", or a table { tau, tau_dot }."""
-    with section.blamed():
-        if section.is_table("limits"):
-            table = section.section("limits")
-            made = Limits(tau=table.numbers("tau", None), tau_dot=table.numbers("tau_dot", None))
-            table.done()
-            return made
-        word = section.word("limits", ("none", "arm", "arm with rate"), "none")
-        return None if word == "none" else Limits.of(arm, rate=word == "arm with rate")
-
-
-# -------------------------------------------------------------------- plant
-
-
-def _plant(section: Section, arm: Arm, folder: Path) -> tuple[Callable[[], RigidPlant | HostPlant], Arm]:
-    kind = section.word("kind", ("rigid", "mujoco"), "rigid")
-    true_arm = _arm(section, arm)
-    friction = None if section.word("friction", ("arm", "none"), "arm") == "none" else "arm"
-    options: dict[str, Any] = {"friction": friction, "adds": tuple(section.take("adds", []))}
-    with section.blamed():
-        if kind == "rigid":
-            options |= {word: section.text(word) for word in ("integrator", "takes") if word in section}
-            if "substeps" in section:
-                options["substeps"] = section.whole("substeps")
-            for word, cls in (("sensors", Sensors), ("actuation", Actuation)):
-                if word in section:
-                    options[word] = _made(section.section(word), cls)
-            plant = RigidPlant(true_arm, **options)
-            section.done()
-            return lambda: plant, true_arm
-        from taut.runtime.drivers.mujoco import MujocoPlant
-
-        if "timestep" in section:
-            options["timestep"] = section.number("timestep")
-        if "scene" in section:
-            options["scene"] = folder / section.text("scene")
-        section.done()
-        return lambda: MujocoPlant(true_arm, **options), true_arm
-
-
-def _made(section: Section, cls: Any) -> Any:
-    """An object of a dataclass from the keys of a section."""
-    with section.blamed():
-        names = [field.name for field in dataclasses.fields(cls)]
-        values = {name: section.take(name) for name in names if name in section}
-        for name in names:
-            section.take(name, None)
-        section.done()
-        return cls(**values)
-
-
-# -------------------------------------------------------------------- reference, state, events
-
-
-def _reference(section: Section, arm: Arm, folder: Path) -> Reference:
-    """A set-point, a hold, or a trajectory."""
+def _law_sections(section: Section) -> dict[str, Section]:
     if not section.left:
-        return Hold()
-    kind = section.word("kind", ("hold", "set-point", *TRAJECTORIES))
-    relative = section.flag("relative_to_home", False)
+        raise section.error("needs one law at least: [laws.PID] with law = 'PID' and its gains")
+    return {label: section.section(label) for label in section.left}
+
+
+def _control(section: Section, arm: Arm) -> tuple[float, Sensing, Limits | None]:
+    """Rate [Hz], sensing and limits."""
+    rate = section.number("rate", 1000.0)
+    sensing = Sensing(velocity=section.word("velocity", VELOCITIES, "measured"))
+    limits = read_limits(section, arm)
+    section.done()
     with section.blamed():
-        if kind == "hold":
-            section.done()
-            return Hold()
-        if kind == "samples" and "file" in section:
-            made: Any = Samples.from_csv(folder / section.text("file"))
-            section.done()
-            return made  # type: ignore[no-any-return]  # a trajectory
-        cls: Any = JointMotion if kind == "set-point" else TRAJECTORIES[kind]
-        names = ("q", "v", "a") if kind == "set-point" else [field.name for field in dataclasses.fields(cls)]
-        values: dict[str, Any] = {}
-        for name in names:
-            if name not in section:
-                section.take(name, None)
-                continue
-            value = section.take(name)
-            if value == "home":
-                value = arm.home
-            elif name in POSITIONS and relative:
-                value = arm.home + np.asarray(value, dtype=np.float64)
-            values[name] = value
-        section.done()
-        try:
-            return cls(**values)  # type: ignore[no-any-return]  # a sample or a trajectory
-        except TypeError as cause:
-            raise section.error(f"{kind}: {cause}") from cause
+        rate = positive_scalar("rate", rate, unit="Hz")
+    if not RATES[0] <= rate <= RATES[1]:
+        raise section.error(f"rate must be between {RATES[0]:g} and {RATES[1]:g} [Hz]; got {rate:g}")
+    return rate, sensing, limits
 
 
-def _state(section: Section, key: str, arm: Arm) -> ArrayLike | None:
-    value = section.take(key, None)
-    return arm.home if value == "home" else value
+def _run(section: Section, arm: Arm) -> dict[str, Any]:
+    """The fields of a scenario that [run] states."""
+    duration, seed = section.number("duration"), section.whole("seed", 0)
+    q0, v0 = section.take("q0", None), section.numbers("v0", None)
+    section.done()
+    with section.blamed():
+        duration = positive_scalar("duration", duration, unit="s")
+    if isinstance(q0, str) and q0 != "home":
+        raise section.error(f'q0 must be numbers, one per joint, or "home"; got {q0!r}')
+    if seed < 0:
+        raise section.error(f"seed must be a whole number >= 0; got {seed}")
+    return {"duration": duration, "seed": seed, "q0": arm.home if q0 == "home" else q0, "v0": v0}
 
 
 def _event(section: Section) -> Event:
+    t, values = section.number("t"), section.take("set")
+    section.done()
+    example = '{ "law.kp" = 150.0 }'
+    if not isinstance(values, dict) or not values:
+        raise section.error(f"set must be a table such as {example}; got {values!r}")
+    for path, value in values.items():
+        if isinstance(value, dict):
+            raise section.error(f"set must have each path in quotes, such as {example}; got a table '{path}'")
     with section.blamed():
-        event = Event(t=section.number("t"), set=section.take("set"))
-        section.done()
-        return event
+        return Event(t=t, set=values)
 
 
 # -------------------------------------------------------------------- outputs and pass figures
 
 
-def _outputs(section: Section, laws: Mapping[str, Law]) -> Outputs:
-    shown = section.text("shown", list(laws)[-1])
-    if shown not in laws and len(laws) > 1:
-        raise section.error(
-            f"shown must be one of the laws {', '.join(repr(label) for label in laws)}; got {shown!r}"
-        )
+def _outputs(section: Section, laws: list[str], labels: list[str]) -> Outputs:
+    """File names, and the law that is shown.
+
+    Args:
+        section: [outputs].
+        laws: Labels of the laws that run.
+        labels: Labels of the laws in the file, which are others where a law of the user's own runs.
+    """
+    shown = section.text("shown", None)
+    if shown is not None and shown not in (labels or laws):
+        raise section.error(f"shown must be one of the laws {quoted_list(labels or laws)}; got {shown!r}")
     files = {}
-    for word, suffixes in (
-        ("plot", (".png", ".pdf", ".svg")),
-        ("video", (".gif", ".mp4")),
-        ("log", (".mcap",)),
-        ("csv", (".csv",)),
-    ):
-        name = section.text(word, None)
-        if name is not None and (Path(name).name != name or not name.endswith(suffixes)):
+    for word, suffixes in SUFFIXES.items():
+        name = files[word] = section.text(word, None)
+        if name is None:
+            continue
+        if Path(name).name != name or Path(name).suffix not in suffixes or not name.isprintable():
             raise section.error(f"{word} must be a file name ending in {' or '.join(suffixes)}; got {name!r}")
-        files[word] = name
+        if len(name.encode()) > MOST_BYTES:
+            raise section.error(f"{word} must be a file name of at most {MOST_BYTES} bytes; got {len(name.encode())}")
     section.done()
-    return Outputs(shown=shown if shown in laws else next(iter(laws)), **files)
+    return Outputs(shown=shown if shown in laws else laws[-1], **files)
 
 
-def _figure(section: Section, laws: Mapping[str, Law], *, replaced: bool) -> PassFigure:
-    label = section.text("law")
-    if label not in laws and not replaced:
-        raise section.error(f"law must be one of {', '.join(repr(name) for name in laws)}; got {label!r}")
-    figure = PassFigure(
-        law=label,
-        metric=section.text("metric"),
-        least=float(section.number("min", -np.inf)),
-        most=float(section.number("max", np.inf)),
-    )
-    if np.isinf(figure.least) and np.isinf(figure.most):
+def _figure(section: Section, labels: list[str]) -> PassFigure:
+    label, metric = section.text("law"), section.text("metric")
+    least, most = section.number("min", -np.inf), section.number("max", np.inf)
+    section.done()
+    if label not in labels:
+        raise section.error(f"law must be one of {quoted_list(labels)}; got {label!r}")
+    with section.blamed("metric"):
+        if metric not in MEASURES:
+            raise unknown_name("a run", "metric", metric, MEASURES)
+    if np.isinf(least) and np.isinf(most):
         raise section.error("needs min, max or both")
-    section.done()
-    return figure
+    if least > most:
+        raise section.error(f"min must be <= max, which is {most:g}; got {least:g}")
+    return PassFigure(law=label, metric=metric, least=float(least), most=float(most))

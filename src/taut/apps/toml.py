@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 import math
+import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -17,6 +18,8 @@ __all__ = ["REQUIRED", "Section", "read_toml"]
 
 REQUIRED: Final = object()
 MOST_BYTES: Final = 1_000_000
+DEEPEST: Final = 16  # tables within tables; a scenario has five
+LONGEST: Final = 100  # letters of a value in a message
 
 
 def read_toml(path: Path, label: str = "") -> Section:
@@ -28,18 +31,35 @@ def read_toml(path: Path, label: str = "") -> Section:
 
     Raises:
         FileError: It cannot be read.
-        ScenarioError: It is no TOML.
+        ScenarioError: It is no TOML, or none that a scenario could be.
     """
     file = readable_file("scenario", path)
     if file.stat().st_size > MOST_BYTES:
         raise ScenarioError(f"scenario '{file}' is larger than {MOST_BYTES} bytes; a scenario is a page of text")
     try:
-        table = tomllib.loads(file.read_text(encoding="utf-8"))
+        table = tomllib.loads(file.read_text(encoding="utf-8-sig"))  # editors on Windows begin a file with a mark
     except UnicodeDecodeError as cause:
         raise ScenarioError(f"scenario '{file}' is no UTF-8 text ({cause.reason} at byte {cause.start})") from cause
-    except (tomllib.TOMLDecodeError, RecursionError) as cause:
+    except (ValueError, RecursionError) as cause:  # TOML that is wrong, a number with thousands of digits
         raise ScenarioError(f"scenario '{file}' is no valid TOML: {cause}") from cause
-    return Section(label or str(file), "", table)
+    root = Section(label or str(file), "", table)
+    _refuse_monsters(root, table)
+    return root
+
+
+def _refuse_monsters(root: Section, table: Mapping[str, Any]) -> None:
+    """What no scenario has, and what would not fit into any message."""
+    waiting: list[tuple[tuple[str, ...], Any]] = [((), table)]
+    while waiting:
+        path, value = waiting.pop()
+        place = f"has at '{'.'.join(path)[:LONGEST]}'"
+        if isinstance(value, (dict, list)):
+            if len(path) == DEEPEST:
+                raise root.error(f"{place} more than {DEEPEST} tables or arrays in each other; no key takes that")
+            inside = value.items() if isinstance(value, dict) else enumerate(value)
+            waiting += [((*path, str(key)), each) for key, each in inside]
+        elif isinstance(value, int) and not -(2**63) <= value < 2**63:
+            raise root.error(f"{place} a whole number beyond the 64 bits of TOML; write it as 1e20")
 
 
 class Section:
@@ -61,14 +81,30 @@ class Section:
         return ScenarioError(f"{self.where} {text}")
 
     @contextlib.contextmanager
-    def blamed(self) -> Iterator[None]:
-        """Errors of what is made from this section name it."""
+    def blamed(self, key: str | None = None) -> Iterator[None]:
+        """Errors of what is made from this section name it, and the key that they are about.
+
+        Args:
+            key: The key to name where an error does not say itself which argument it is about.
+        """
         try:
             yield
         except ScenarioError:
             raise
         except TautError as cause:
-            raise self.error(f"{cause}") from cause
+            raise self.error(self._with_key(cause, key)) from cause
+        except OverflowError as cause:  # of a period, a delay, a time that no float holds
+            raise self.error(f"{key or 'a number'} is too large: {cause}") from cause
+
+    def _with_key(self, cause: TautError, key: str | None) -> str:
+        """The text of an error, which calls a key as this section does: q, not ref.q."""
+        text, name = str(cause), cause.name or ""
+        first, last = name.partition(".")[0], name.rpartition(".")[2]
+        if first in self._known:
+            return text if re.search(rf"(?<!\w){re.escape(first)}(?!\w)", text) else f"{first}: {text}"
+        if last in self._known:
+            return text.replace(name, last, 1)
+        return text if key is None or re.match(rf"{re.escape(key)}(?!\w)", text) else f"{key}: {text}"
 
     # ---------------------------------------------------------------- values
 
@@ -81,15 +117,25 @@ class Section:
         if key in self._table:
             return self._table.pop(key)
         if default is REQUIRED:
-            raise self.error(f"needs the key '{key}'")
+            close = difflib.get_close_matches(key, self._table, n=1)
+            raise self.error(f"needs the key '{key}'" + (f"; is '{close[0]}' meant for it?" if close else ""))
         return default
+
+    def peek(self, key: str) -> Any:
+        """The value of a key, which stays; None if it is not there."""
+        return self._table.get(key)
+
+    def fields(self, names: Sequence[str], required: Sequence[str] = ()) -> dict[str, Any]:
+        """The values of all keys that are there, which are the fields of something and nothing else."""
+        self.only(*names)
+        return {name: self.take(name) for name in names if name in self or name in required}
 
     def _typed(self, key: str, default: Any, kinds: tuple[type, ...], rule: str) -> Any:
         value = self.take(key, default)
         if value is default:
             return value
         if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
-            raise self.error(f"{key} must be {rule}; got {value!r}")
+            raise self.error(f"{key} must be {rule}; got {_shown(value)}")
         return value
 
     def number(self, key: str, default: Any = REQUIRED) -> Any:
@@ -107,6 +153,14 @@ class Section:
         """A text."""
         return self._typed(key, default, (str,), "a text in quotes")
 
+    def texts(self, key: str, default: Any = REQUIRED, *, example: str) -> Any:
+        """An array of texts, such as the example."""
+        rule = f"an array of texts such as {example}"
+        value = self._typed(key, default, (list,), rule)
+        if value is not default and not all(isinstance(item, str) for item in value):
+            raise self.error(f"{key} must be {rule}; got {_shown(value)}")
+        return value
+
     def flag(self, key: str, default: Any = REQUIRED) -> Any:
         """True or false."""
         return self._typed(key, default, (bool,), "true or false")
@@ -119,7 +173,7 @@ class Section:
         """One of a few words."""
         value = self.take(key, default)
         if value is not default and value not in options:
-            raise self.error(f"{key} must be one of {quoted_list(options)}; got {value!r}")
+            raise self.error(f"{key} must be one of {quoted_list(options)}; got {_shown(value)}")
         return value
 
     def section(self, key: str, *, required: bool = False) -> Section:
@@ -131,7 +185,7 @@ class Section:
         """An array of tables: [[key]]."""
         value = self._typed(key, [], (list,), f"an array of tables: [[{self._below(key)}]]")
         if not all(isinstance(item, dict) for item in value):
-            raise self.error(f"{key} must be an array of tables: [[{self._below(key)}]]; got {value!r}")
+            raise self.error(f"{key} must be an array of tables: [[{self._below(key)}]]; got {_shown(value)}")
         return [Section(self._file, f"{self._below(key)} {i + 1}", item) for i, item in enumerate(value)]
 
     def _below(self, key: str) -> str:
@@ -142,9 +196,19 @@ class Section:
         """The keys that were not taken yet, in the order of the file."""
         return list(self._table)
 
-    def is_table(self, key: str) -> bool:
-        """Whether a key holds a table."""
-        return isinstance(self._table.get(key), dict)
+    def only(self, *keys: str) -> None:
+        """Nothing but these keys may be there, and what was taken already.
+
+        Raises:
+            ScenarioError: There is another key.
+        """
+        self._known += keys
+        for key in self._table:
+            if key in self._known:
+                continue
+            close = difflib.get_close_matches(key, self._known, n=1)
+            way_out = f"did you mean '{close[0]}'?" if close else f"it takes {quoted_list(sorted(set(self._known)))}"
+            raise self.error(f"has no key '{key}'; {way_out}")
 
     def done(self) -> None:
         """Nothing may be left.
@@ -152,7 +216,10 @@ class Section:
         Raises:
             ScenarioError: There is a key that nobody asked for.
         """
-        for key in self._table:
-            close = difflib.get_close_matches(key, self._known, n=1)
-            way_out = f"did you mean '{close[0]}'?" if close else f"it takes {quoted_list(sorted(set(self._known)))}"
-            raise self.error(f"has no key '{key}'; {way_out}")
+        self.only()
+
+
+def _shown(value: object) -> str:
+    """A value in a message: a long one is cut."""
+    text = repr(value)
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from taut.base.checks import readable_file
@@ -23,8 +24,8 @@ def load_law(place: str, gains: Sequence[str]) -> Law:
         gains: Values as numbers or JSON arrays: kp=100, kd=[10, 5].
 
     Raises:
-        UsageError: No such form, a gain that is no number.
-        FileError: The file cannot be read, or fails when it is imported.
+        UsageError: No such form, a gain that is no number or is given twice.
+        FileError: The file cannot be read, fails when it is imported, or makes no law of these gains.
         UnknownNameError: The file has no such law.
     """
     path, colon, name = place.rpartition(":")
@@ -37,24 +38,41 @@ def load_law(place: str, gains: Sequence[str]) -> Law:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[module_name] = module  # so that units can be read from the class's source
-    try:
+    with _blamed(f"law file '{file}' fails", str(file)):
         spec.loader.exec_module(module)
-    except TautError:
-        raise
-    except Exception as cause:
-        raise FileError(f"law file '{file}' fails: {type(cause).__name__}: {cause}", name=str(file)) from cause
     found = {key: value for key, value in vars(module).items() if isinstance(value, type) and issubclass(value, Law)}
     own = {key: value for key, value in found.items() if value.__module__ == module_name}
     if name not in own:
         raise unknown_name(f"law file '{file}'", "law", name, own)
-    return own[name](**dict(_gain(text) for text in gains))
+    given: dict[str, Any] = {}
+    for text in gains:
+        gain, value = _gain(text)
+        if gain in given:
+            raise UsageError(f"--gain must be given once for each gain; got {gain!r} twice", name="gain")
+        given[gain] = value
+    with _blamed(f"law '{name}' of '{file}' cannot be made", str(file)):
+        return own[name](**given)
+
+
+@contextlib.contextmanager
+def _blamed(what: str, file: str) -> Iterator[None]:
+    """What a user's code raises, were it the end of the process, becomes a sentence; only Ctrl-C stays what it is."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise
+    except TautError as cause:
+        raise FileError(f"{what}: {cause}", name=file) from cause
+    except BaseException as cause:
+        words = " ".join(f"{type(cause).__name__}: {cause}".split()).rstrip(":")
+        raise FileError(f"{what}: {words}", name=file) from cause
 
 
 def _gain(text: str) -> tuple[str, Any]:
     name, equals, value = text.partition("=")
     try:
         number = json.loads(value)
-    except json.JSONDecodeError:
+    except (ValueError, RecursionError):  # no JSON, or a number with thousands of digits
         number = value
     if not equals or isinstance(number, (bool, dict, type(None))):
         raise UsageError(f"--gain takes NAME=VALUE such as kp=100 or kp=[100,50]; got {text!r}", name="gain")

@@ -1,0 +1,138 @@
+"""What is right in each section of a scenario and does not fit together is refused before anything runs."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from taut.apps.toml import Section
+from taut.arm.angles import require_radians
+from taut.base.errors import TautError, unknown_name
+from taut.control.law import Law
+from taut.control.lawside import LawSide
+from taut.control.reference import JointMotion, Trajectory, sample_rows
+from taut.controller import compile
+from taut.loop import check_fit, state_at_start
+from taut.plant.rigid import RigidPlant
+from taut.runtime.events import Event, sorted_events
+
+if TYPE_CHECKING:
+    from taut.apps.read_plant import Plant
+    from taut.apps.scenario import Scenario
+
+__all__ = ["Places", "refuse_misfits"]
+
+MOST_TICKS: Final = 10_000_000  # of a run, which keeps every one: gigabytes
+MOST_RUNS: Final = 8  # in one figure
+GLANCES: Final = 200  # at a trajectory
+
+
+@dataclass(frozen=True, kw_only=True)
+class Places:
+    """The sections that a scenario came from, to name them in messages."""
+
+    laws: Mapping[str, Section]
+    control: Section
+    plant: Section
+    reference: Section
+    run: Section
+    events: Sequence[Section]
+    outputs: Section
+
+
+def refuse_misfits(scenario: Scenario, places: Places) -> None:
+    """Check what concerns more than one section.
+
+    Raises:
+        ScenarioError: The message names file, section and key.
+    """
+    longest = MOST_TICKS / scenario.rate
+    if scenario.duration > longest:
+        raise places.run.error(
+            f"duration must be <= {longest:g} [s] at {scenario.rate:g} Hz, as a run keeps every tick; got "
+            f"{scenario.duration:g}"
+        )
+    with places.run.blamed():
+        state_at_start(scenario.plant.arm, scenario.q0, scenario.v0)
+    with places.reference.blamed():
+        _look_at_reference(scenario)
+    for label, law in scenario.laws.items():
+        side = _law_side(scenario, law, places.laws[label], places.control)
+        with places.plant.blamed(_key_of_plant(side, scenario.plant)):
+            check_fit(side, scenario.plant)
+        for event, section in zip(scenario.events, places.events, strict=True):
+            _check_event(scenario, event, side, section, label)
+    _check_files(scenario, places.outputs)
+
+
+def _look_at_reference(scenario: Scenario) -> None:
+    """A trajectory may be right at its points and wrong in between: too fast for a float, say."""
+    reference, arm = scenario.reference, scenario.arm
+    if isinstance(reference, JointMotion):
+        require_radians("q", np.asarray(reference.q), arm)
+    elif isinstance(reference, Trajectory):
+        times = np.linspace(0.0, scenario.duration, GLANCES)
+        with np.errstate(all="ignore"):
+            rows = sample_rows(reference, times, JointMotion, arm.n)
+        require_radians("q", rows["q"], arm)
+
+
+def _law_side(scenario: Scenario, law: Law, place: Section, control: Section) -> LawSide:
+    """The law with what surrounds it, tried once on plain numbers."""
+    try:
+        return compile(
+            law,
+            scenario.arm,
+            rate=scenario.rate,
+            sensing=scenario.sensing,
+            limits=scenario.limits,
+            adds=scenario.plant.adds,
+            engine="float",
+        ).side
+    except TautError as cause:
+        of_limits = cause.name == "limits"  # a torque limit for a command that is no torque
+        with (control if of_limits else place).blamed("limits" if of_limits else None):
+            raise
+
+
+def _key_of_plant(side: LawSide, plant: Plant) -> str:
+    """The key to blame if a law and the plant do not fit."""
+    if side.arm.units != plant.arm.units or side.arm.joint_names != plant.arm.joint_names:
+        return "model"
+    return "takes" if isinstance(plant, RigidPlant) and side.probe.kind != plant.takes else "kind"
+
+
+def _check_event(scenario: Scenario, event: Event, side: LawSide, section: Section, label: str) -> None:
+    """An event acts during the run, on parameters that there are with each of the laws."""
+    with section.blamed("t"):
+        sorted_events([event], scenario.rate, round(scenario.duration * scenario.rate) + 1)
+    plant = scenario.plant
+    for path, value in event.set.items():
+        with section.blamed("set"):
+            if path in side.parameters:
+                side.checked_parameter(path, value)
+            elif path in plant.parameters:
+                plant.checked_parameter(path, value)
+            else:
+                whose = "the loop" if len(scenario.laws) == 1 else f"the loop of the law '{label}'"
+                raise unknown_name(whose, "parameter", path, [*side.parameters, *plant.parameters])
+
+
+def _check_files(scenario: Scenario, section: Section) -> None:
+    """Files that could not be made after the run."""
+    wanted, runs = scenario.outputs, len(scenario.laws)
+    if wanted.plot is not None and runs > MOST_RUNS:
+        raise section.error(f"plot draws at most {MOST_RUNS} laws; got {runs}; leave it out, or some of the laws")
+    if wanted.plot is not None and runs > 1 and len(set(scenario.arm.units)) > 1:
+        raise section.error(
+            "plot compares laws by the norm of the error, which joints in rad and joints in m together do not have; "
+            "leave it out, or keep one law"
+        )
+    if wanted.video is not None and wanted.video.endswith(".mp4") and shutil.which("ffmpeg") is None:
+        raise section.error(
+            f"video '{wanted.video}' needs the program ffmpeg, which is not on the PATH; install it, or write a .gif"
+        )

@@ -1,0 +1,68 @@
+"""The controllers of a scenario: [laws.LABEL] and [control]."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from taut.apps.toml import Section
+from taut.arm.description import Arm
+from taut.base.errors import unknown_name
+from taut.control import laws as all_laws
+from taut.control.gains import Memory
+from taut.control.law import Law
+from taut.control.limits import Limits
+
+__all__ = ["read_law", "read_limits"]
+
+
+def read_law(section: Section) -> Law:
+    """law = "PID" with its gains, or law = ["FeedForward", "PID"] with a table of gains for each."""
+    if isinstance(section.peek("law"), list):
+        return _sum(section)
+    name = section.text("law")
+    return _one_law(section, section, name)
+
+
+def _sum(section: Section) -> Law:
+    names = section.texts("law", example='["FeedForward", "PID"]')
+    if not names:
+        raise section.error("law must name one law at least; got an empty array")
+    total: Law | None = None
+    for name in names:
+        if names.count(name) > 1:
+            raise section.error(f"law must name each law once; got '{name}' {names.count(name)} times")
+        law = _one_law(section, section.section(name), name)
+        with section.blamed("law"):
+            total = law if total is None else total + law
+    section.done()
+    assert total is not None
+    return total
+
+
+def _one_law(section: Section, gains: Section, name: str) -> Law:
+    """The law of that name; `section` names it, and `gains` has its gains."""
+    known = [word for word in all_laws.__all__ if word != "Sum"]
+    with section.blamed("law"):
+        if name not in known:
+            raise unknown_name("taut.laws", "law", name, known)
+    cls = getattr(all_laws, name)
+    fields = [f.name for f in dataclasses.fields(cls) if not isinstance(cls.__dict__.get(f.name), Memory)]
+    values = gains.fields(fields)
+    with gains.blamed():
+        law: Law = cls(**values)
+        return law
+
+
+def read_limits(section: Section, arm: Arm) -> Limits | None:
+    """limits = "arm", "arm with rate", "none", or a table { tau, tau_dot }."""
+    if not isinstance(section.peek("limits"), dict):
+        word = section.word("limits", ("none", "arm", "arm with rate"), "none")
+        with section.blamed("limits"):
+            return None if word == "none" else Limits.of(arm, rate=word == "arm with rate")
+    table = section.section("limits")
+    tau, tau_dot = table.numbers("tau", None), table.numbers("tau_dot", None)
+    table.done()
+    with table.blamed():
+        made = Limits(tau=tau, tau_dot=tau_dot)
+        made.check_size(arm)
+        return made

@@ -1,0 +1,83 @@
+"""The plant of a scenario: [plant], what is true."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+
+from taut.apps.read_arm import read_true_arm
+from taut.apps.toml import Section
+from taut.arm.description import Arm
+from taut.maths.adds import Adds
+from taut.plant.rigid import RigidPlant
+from taut.plant.stages import Actuation, Sensors
+from taut.runtime.host import HostPlant
+
+__all__ = ["Plant", "read_plant"]
+
+MOST_STEPS: Final = 1000  # of MuJoCo in a control period, as of the other plant
+
+Plant: TypeAlias = RigidPlant | HostPlant
+
+
+def read_plant(section: Section, believed: Arm, rate: float, folder: Path) -> Plant:
+    """A rigid plant or one in MuJoCo.
+
+    Args:
+        section: [plant].
+        believed: The controllers' arm, from which the true one is made.
+        rate: Commands per second [Hz].
+        folder: Where a scene lies.
+    """
+    kind = section.word("kind", ("rigid", "mujoco"), "rigid")
+    arm = read_true_arm(section, believed)
+    if arm.n != believed.n:
+        raise section.error(
+            f"model must have as many joints as that of [arm], the {believed.n} of '{believed.name}'; got the "
+            f"{arm.n} of '{arm.name}'"
+        )
+    friction = None if section.word("friction", ("arm", "none"), "arm") == "none" else "arm"
+    adds = section.texts("adds", [], example='["gravity"]')
+    with section.blamed("adds"):
+        options: dict[str, Any] = {"friction": friction, "adds": Adds.of(adds)}
+    if kind == "mujoco":
+        return _in_mujoco(section, arm, options, rate, folder)
+    options |= {word: section.text(word) for word in ("integrator", "takes") if word in section}
+    if "substeps" in section:
+        options["substeps"] = section.whole("substeps")
+    for word, cls in (("sensors", Sensors), ("actuation", Actuation)):
+        if word in section:
+            options[word] = _made(section.section(word), cls)
+    section.only("integrator", "takes", "substeps", "sensors", "actuation")
+    with section.blamed():
+        plant = RigidPlant(arm, **options)
+    with section.blamed("actuation.delay"):
+        plant.actuation.taps(1.0 / rate)
+    return plant
+
+
+def _in_mujoco(section: Section, arm: Arm, options: dict[str, Any], rate: float, folder: Path) -> Plant:
+    from taut.runtime.drivers.mujoco import MujocoPlant
+
+    timestep, scene = section.number("timestep", None), section.text("scene", None)
+    section.done()
+    if timestep is not None and 0.0 < timestep * rate * MOST_STEPS < 1.0:
+        raise section.error(
+            f"timestep must be >= {1.0 / (rate * MOST_STEPS):g} [s], {MOST_STEPS} of which make a control period; "
+            f"got {timestep:g}"
+        )
+    with section.blamed("scene" if scene is not None else "kind"):
+        plant = MujocoPlant(arm, scene=None if scene is None else folder / scene, timestep=timestep, **options)
+    with section.blamed("timestep"):
+        plant.reset(arm.home, np.zeros(arm.n), 1.0 / rate)
+    return plant
+
+
+def _made(section: Section, cls: Any) -> Any:
+    """An object of a dataclass from the keys of a section."""
+    values = section.fields([field.name for field in dataclasses.fields(cls)])
+    with section.blamed():
+        return cls(**values)

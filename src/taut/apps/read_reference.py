@@ -1,0 +1,100 @@
+"""The reference of a scenario: [reference], what the arm is to do."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from taut.apps.toml import Section
+from taut.arm.angles import require_radians
+from taut.arm.description import Arm
+from taut.base.checks import finite_array
+from taut.base.types import Float64Array
+from taut.control.reference import Hold, JointMotion, Reference
+from taut.control.trajectory import Cubic, JerkLimited, Quintic, Samples, Sine, Spline, Trapezoidal
+
+__all__ = ["read_reference"]
+
+KINDS: Final = {
+    "set-point": JointMotion,
+    "cubic": Cubic,
+    "jerk-limited": JerkLimited,
+    "quintic": Quintic,
+    "samples": Samples,
+    "sine": Sine,
+    "spline": Spline,
+    "trapezoidal": Trapezoidal,
+}
+POSITIONS: Final = ("q", "q0", "q1", "center", "points")  # which "home" and relative_to_home are for
+
+
+def read_reference(section: Section, arm: Arm, home: Float64Array, folder: Path) -> Reference:
+    """A hold, a set-point or a trajectory.
+
+    Args:
+        section: [reference]; a hold of the first state if it is empty.
+        arm: The arm that follows it.
+        home: (n,) what "home" and relative_to_home mean [rad | m].
+        folder: Where a file of samples lies.
+    """
+    if not section.left:
+        return Hold()
+    kind = section.word("kind", ("hold", *KINDS))
+    if kind == "hold":
+        section.done()
+        return Hold()
+    relative = section.flag("relative_to_home", False)
+    origin = np.zeros(arm.n) if relative else home
+    file = section.text("file", None) if kind == "samples" else None
+    if file is None:
+        made = _made(section, KINDS[kind], arm, origin)
+    else:
+        section.done()
+        with section.blamed("file"):
+            made = Samples.from_csv(folder / file)
+    given = [name for name in POSITIONS if hasattr(made, name)]
+    for name in given:
+        _check_size(section, name, getattr(made, name), arm)
+    if relative:
+        made = _moved(made, {name: home + getattr(made, name) for name in given})
+    with section.blamed("kind"):
+        for name in given:
+            require_radians(name, getattr(made, name), arm)
+    return made  # type: ignore[no-any-return]  # a sample or a trajectory
+
+
+def _made(section: Section, cls: Any, arm: Arm, home: Float64Array) -> Any:
+    """A sample or a trajectory from the keys of a section."""
+    required = [field.name for field in dataclasses.fields(cls) if field.default is dataclasses.MISSING]
+    optional = [field.name for field in dataclasses.fields(cls) if field.name not in required]
+    if cls is JointMotion:  # it makes its own __init__
+        required, optional = ["q"], ["v", "a"]
+    values = section.fields([*required, *optional], required)
+    for name in POSITIONS:
+        value = values.get(name)
+        if isinstance(value, str):
+            if value != "home":
+                raise section.error(f'{name} must be numbers, one per joint, or "home"; got {value!r}')
+            values[name] = home
+        elif isinstance(value, list):
+            with section.blamed():
+                _check_size(section, name, finite_array(name, value, unit="rad | m"), arm)
+    with section.blamed("kind"):
+        return cls(**values)
+
+
+def _check_size(section: Section, name: str, value: Float64Array, arm: Arm) -> None:
+    count = np.shape(value)[-1]
+    if count != arm.n:
+        raise section.error(f"{name} must have one entry for each of the {arm.n} joints; got {count}")
+
+
+def _moved(made: Any, positions: Mapping[str, Any]) -> Any:
+    """The same motion elsewhere."""
+    if isinstance(made, JointMotion):
+        return JointMotion(**positions, v=made.v, a=made.a)
+    return dataclasses.replace(made, **positions)

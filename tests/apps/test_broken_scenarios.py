@@ -1,0 +1,414 @@
+"""Every value that a scenario cannot have is refused in one line that names file, section and key; nothing is written."""
+
+from __future__ import annotations
+
+import copy
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from taut.apps.cli import main
+
+GOOD: dict[str, Any] = {
+    "title": "t",
+    "arm": {"model": "planar2"},
+    "laws": {"PD": {"law": "PID", "kp": 10, "kd": [1, 1]}},
+    "control": {"rate": 1000},
+    "plant": {"kind": "rigid"},
+    "reference": {"kind": "set-point", "q": [0.1, 0.2]},
+    "run": {"duration": 0.05},
+}
+GONE = object()
+CUBIC = {"kind": "cubic", "q0": "home", "q1": [0.1, 0.2], "duration": 1.0}
+SPLINE = {"kind": "spline", "times": [0.0, 1.0], "points": [[0.0, 0.0], [0.1, 0.1]]}
+JERK = {"kind": "jerk-limited", "q0": [0, 0], "q1": [1, 1], "velocity": 1, "acceleration": 1}
+PASS = {"law": "PD", "metric": "rms_error", "max": 1}
+VELOCITY = {"takes": "velocity", "actuation": {"bandwidth": 50.0}}
+NAN, INF = float("nan"), float("inf")
+
+# What is changed, by dotted path; where the message says it is; how it goes on.
+CASES: dict[str, tuple[dict[str, Any], str, str]] = {
+    # the file as a whole
+    "a misspelt section": ({"control": GONE, "contrl": {}}, "", " has no key 'contrl'; did you mean 'control'?"),
+    "a section that is no table": ({"control": 500}, "", " control must be a table: [control]; got 500"),
+    "no plant": ({"plant": GONE}, "", " needs the key 'plant'"),
+    "no run": ({"run": GONE}, "", " needs the key 'run'"),
+    "a title that is a number": ({"title": 3}, "", " title must be a text in quotes; got 3"),
+    "events that are a table": ({"event": {"t": 1}}, "", " event must be an array of tables: [[event]]; got {'t': 1}"),
+    # [arm]
+    "no model": ({"arm": {}}, "arm", "needs the key 'model'"),
+    "an unknown arm": ({"arm.model": "planer2"}, "arm", "model: taut has no arm 'planer2'; did you mean 'planar2'"),
+    "an arm that is a file elsewhere": ({"arm.model": "no/such.urdf"}, "arm", "model 'no/such.urdf' does not exist"),
+    "a model with a name of 5000 letters": ({"arm.model": "/" + "a" * 5000 + ".urdf"}, "arm", "model '/aaaa"),
+    "an unknown tool": ({"arm.tool": "tol"}, "arm", "tool: model 'planar2' has no frame 'tol'; did you mean 'tool'?"),
+    "a pose with two angles": ({"arm.T_WB": {"rpy": [1, 2]}}, "arm.T_WB", "rpy must have shape (3,) [rad]"),
+    "a pose with two rotations": (
+        {"arm.T_WB": {"rpy": [0, 0, 0], "xyzw": [0, 0, 0, 1]}},
+        "arm.T_WB",
+        "a pose takes one rotation; got xyzw and rpy; keep one",
+    ),
+    "a pose that is an array": ({"arm.T_WB": [1, 2, 3]}, "arm", "T_WB must be a table: [arm.T_WB]; got [1, 2, 3]"),
+    "gravity in a plane": ({"arm.gravity": [0, 0]}, "arm", "gravity must have shape (3,) [m/s^2]; got shape (2,)"),
+    "a home pose in words": ({"arm.home": "up"}, "arm", "home must be numbers; got 'up'"),
+    "locked joints in words": ({"arm.locked": "joint1"}, "arm", "locked must be joint names with positions"),
+    "an unknown joint to lock": ({"arm.locked": {"joint9": 0}}, "arm", "locked: model 'planar2' has no joint 'joint9'"),
+    "an unknown joint to keep": ({"arm.joints": ["joint9"]}, "arm", "joints: model 'planar2' has no joint 'joint9'"),
+    "joints that are a number": ({"arm.joints": 3}, "arm", "joints must name joints; got 3"),
+    "an unknown body": (
+        {"arm.bodies": {"joint9": {"mass": 1}}},
+        "arm.bodies.joint9",
+        "arm 'planar2' has no joint 'joint9'; did you mean 'joint2' or 'joint1'?",
+    ),
+    "a body without a mass": ({"arm.bodies": {"joint1": {"mass": "x"}}}, "arm.bodies.joint1", "mass must be a number"),
+    "an unknown joint value": (
+        {"arm.joint_values": {"viscus": [1, 2]}},
+        "arm.joint_values",
+        "a joint has no field 'viscus'; did you mean 'viscous'?",
+    ),
+    "a joint value called self": ({"arm.joint_values": {"self": 1}}, "arm.joint_values", "a joint has no field 'self'"),
+    "a payload without a mass": ({"arm.payload": {"com": [0, 0, 0]}}, "arm.payload", "needs the key 'mass'"),
+    "a payload of negative mass": ({"arm.payload": {"mass": -1}}, "arm.payload", "mass must be >= 0 [kg]; got -1.0"),
+    "a link for another arm": ({"arm.link": {"r": 0.1}}, "arm", "link is for the model 'one_joint'; got model 'planar2'"),
+    "a misspelt number of the link": (
+        {"arm": {"model": "one_joint", "link": {"R": 0.1}}},
+        "arm.link",
+        "has no key 'R'; it takes 'M', 'b', 'm', 'r'",
+    ),
+    # [laws]
+    "no laws": ({"laws": {}}, "laws", "needs one law at least"),
+    "a law that is a number": ({"laws.PD": 3}, "laws", "PD must be a table: [laws.PD]; got 3"),
+    "an unknown law": (
+        {"laws.PD.law": "PDI"},
+        "laws.PD",
+        "law: taut.laws has no law 'PDI'; did you mean 'PID'",
+    ),
+    "a law's name that is a number": ({"laws.PD.law": 3}, "laws.PD", "law must be a text in quotes; got 3"),
+    "a sum with a number": ({"laws.PD.law": [3]}, "laws.PD", 'law must be an array of texts such as ["FeedForward", "PID"]'),
+    "a sum of nothing": ({"laws.PD.law": []}, "laws.PD", "law must name one law at least; got an empty array"),
+    "a sum with a law twice": (
+        {"laws.PD": {"law": ["PID", "PID"], "PID": {"kp": 1}}},
+        "laws.PD",
+        "law must name each law once; got 'PID' 2 times",
+    ),
+    "a sum that adds gravity twice": (
+        {"laws.PD": {"law": ["GravityPID", "GravityCompensation"], "GravityPID": {"kp": 1, "kd": 1}}},
+        "laws.PD",
+        "GravityPID + GravityCompensation: both compensate gravity",
+    ),
+    "a sum without gains": ({"laws.PD": {"law": ["FeedForward", "PID"]}}, "laws.PD.PID", "PID needs kp"),
+    "a misspelt gain": ({"laws.PD.kdd": 1}, "laws.PD", "has no key 'kdd'; did you mean 'kd'?"),
+    "a negative gain": ({"laws.PD.kp": -1}, "laws.PD", "kp must be >= 0"),
+    "a gain that is NaN": ({"laws.PD.kp": NAN}, "laws.PD", "kp must be finite"),
+    "a gain that is true": ({"laws.PD.kp": True}, "laws.PD", "kp must be real numbers"),
+    "a gain of another size": ({"laws.PD.kp": [1, 2, 3]}, "laws.PD", "kp must be a scalar, (2,) or (2, 2) for 2 joints"),
+    # [control]
+    "a rate of zero": ({"control.rate": 0}, "control", "rate must be > 0 [Hz]; got 0.0"),
+    "an endless rate": ({"control.rate": INF}, "control", "rate must be finite; got inf"),
+    "a rate that is text": ({"control.rate": "fast"}, "control", "rate must be a number; got 'fast'"),
+    "a rate that no controller has": ({"control.rate": 1e9}, "control", "rate must be between 0.001 and 1e+06 [Hz]; got 1e+09"),
+    "another velocity": ({"control.velocity": "diff"}, "control", "velocity must be one of 'measured', 'difference'"),
+    "limits of an arm that states none": ({"control.limits": "arm"}, "control", "limits: planar2: arm 'planar2' states no"),
+    "limits of another size": ({"control.limits": {"tau": [1, 2, 3]}}, "control.limits", "tau must have shape (2,)"),
+    "negative limits": ({"control.limits": {"tau": -1}}, "control.limits", "tau must be > 0"),
+    "limits of a velocity": (
+        {"control.limits": {"tau": 1}, "laws.PD": {"law": "VelocityPI", "kp": 1}, "plant": VELOCITY},
+        "control",
+        "limits cut torques, and VelocityPI gives a velocity",
+    ),
+    # [plant]
+    "another kind of plant": ({"plant.kind": "soft"}, "plant", "kind must be one of 'rigid', 'mujoco'; got 'soft'"),
+    "a plant with other joints": (
+        {"plant.model": "planar3"},
+        "plant",
+        "model must have as many joints as that of [arm], the 2 of 'planar2'; got the 3 of 'planar3'",
+    ),
+    "an unknown plant": ({"plant.model": "planar33"}, "plant", "model: taut has no arm 'planar33'"),
+    "adds that is a number": ({"plant.adds": 3}, "plant", 'adds must be an array of texts such as ["gravity"]; got 3'),
+    "adds that is a text": ({"plant.adds": "gravity"}, "plant", "adds must be an array of texts such as [\"gravity\"]; got 'gravity'"),
+    "adds with a number": ({"plant.adds": [1]}, "plant", 'adds must be an array of texts such as ["gravity"]; got [1]'),
+    "an unknown thing to add": ({"plant.adds": ["weight"]}, "plant", "adds: what a plant adds has no component 'weight'"),
+    "an unknown integrator": ({"plant.integrator": "euler"}, "plant", "integrator must be one of"),
+    "no substeps": ({"plant.substeps": 0}, "plant", "substeps must be between 1 and 1000; got 0"),
+    "half a substep": ({"plant.substeps": 0.5}, "plant", "substeps must be a whole number; got 0.5"),
+    "another command": ({"plant.takes": "power"}, "plant", "takes must be one of"),
+    "a command that the law does not give": ({"plant": VELOCITY}, "plant", "takes: PID gives a torque and plant"),
+    "drives without a bandwidth": ({"plant.takes": "velocity"}, "plant", "a plant that takes velocity needs the bandwidth"),
+    "a delay between ticks": (
+        {"plant.actuation": {"delay": 0.0015}},
+        "plant",
+        "actuation.delay must be a whole number of control periods of 0.001 s",
+    ),
+    "a delay that no number holds": ({"plant.actuation": {"delay": 1e306}}, "plant", "actuation.delay is too large"),
+    "a misspelt delay": ({"plant.actuation": {"dely": 1}}, "plant.actuation", "has no key 'dely'; did you mean 'delay'?"),
+    "noise for other joints": ({"plant.sensors": {"noise_q": [1, 2, 3]}}, "plant", "sensors.noise_q must have shape (2,)"),
+    "noise in words": ({"plant.sensors": {"noise_q": "a"}}, "plant.sensors", "noise_q must be numbers; got 'a'"),
+    "a perturbed arm without a seed": ({"plant.perturbed": {"mass": 0.1}}, "plant.perturbed", "needs the key 'seed'"),
+    "a perturbed arm with a negative seed": ({"plant.perturbed": {"seed": -1}}, "plant.perturbed", "seed must be"),
+    "a key of another plant": ({"plant.timestep": 0.001}, "plant", "has no key 'timestep'"),
+    "a scene that is not there": ({"plant": {"kind": "mujoco", "scene": "no.xml"}}, "plant", "scene 'no.xml' does not exist"),
+    "a time step that does not fit": (
+        {"plant": {"kind": "mujoco", "timestep": 0.0007}},
+        "plant",
+        "plant 'MujocoPlant(planar2)': the control period must be a whole number of time steps",
+    ),
+    "a time step of zero": ({"plant": {"kind": "mujoco", "timestep": 0.0}}, "plant", "timestep must be > 0 [s]"),
+    "a time step for years": (
+        {"plant": {"kind": "mujoco", "timestep": 1e-9}},
+        "plant",
+        "timestep must be >= 1e-06 [s], 1000 of which make a control period; got 1e-09",
+    ),
+    # [reference]
+    "another kind of reference": ({"reference.kind": "circle"}, "reference", "kind must be one of 'hold', 'set-point'"),
+    "a reference without a kind": ({"reference": {"q": [0, 0]}}, "reference", "needs the key 'kind'"),
+    "a reference for other joints": ({"reference.q": [0.1]}, "reference", "q must have one entry for each of the 2 joints; got 1"),
+    "the same from home": (
+        {"reference": {"kind": "set-point", "q": [0.1], "relative_to_home": True}},
+        "reference",
+        "q must have one entry for each of the 2 joints; got 1",
+    ),
+    "a reference that is a number": ({"reference.q": 0.1}, "reference", "q must be a vector (n,); got shape ()"),
+    "the same number from home": (
+        {"reference": {"kind": "set-point", "q": 0.1, "relative_to_home": True}},
+        "reference",
+        "q must be a vector (n,); got shape ()",
+    ),
+    "a reference in words": ({"reference.q": "hom"}, "reference", "q must be numbers, one per joint, or \"home\"; got 'hom'"),
+    "words from home": (
+        {"reference": {"kind": "set-point", "q": "a", "relative_to_home": True}},
+        "reference",
+        "q must be numbers, one per joint, or \"home\"; got 'a'",
+    ),
+    "a ragged reference from home": (
+        {"reference": {"kind": "set-point", "q": [[1], [2, 3]], "relative_to_home": True}},
+        "reference",
+        "q must be numbers [rad | m] in a rectangular array",
+    ),
+    "a reference with NaN": ({"reference.q": [0.2, NAN]}, "reference", "q[1] must be finite [rad | m]; got nan"),
+    "a hold from home": ({"reference": {"kind": "hold", "relative_to_home": True}}, "reference", "has no key 'relative_to_home'"),
+    "a start for other joints": ({"reference": {**CUBIC, "q0": [1, 2, 3]}}, "reference", "q0 must have one entry for each of the 2"),
+    "scalars for all joints": ({"reference": {**CUBIC, "q0": 0, "q1": 1}}, "reference", "q0 must have one entry for each of the 2"),
+    "a motion that takes no time": ({"reference": {**CUBIC, "duration": 0}}, "reference", "duration must be > 0 [s]; got 0.0"),
+    "a motion that is faster than numbers": ({"reference": {**CUBIC, "duration": 1e-300}}, "reference", "ref.a[0] must be finite"),
+    "a missing limit": ({"reference": JERK}, "reference", "needs the key 'jerk'"),
+    "a misspelt limit": (
+        {"reference": {**JERK, "jrk": 1}},
+        "reference",
+        "has no key 'jrk'; did you mean 'jerk'?",
+    ),
+    "a key of another trajectory": ({"reference": {**CUBIC, "velocity": 1}}, "reference", "has no key 'velocity'"),
+    "times that go back": ({"reference": {**SPLINE, "times": [1.0, 0.0]}}, "reference", "times must increase"),
+    "points for other joints": (
+        {"reference": {**SPLINE, "points": [[0.0], [1.0]]}},
+        "reference",
+        "points must have one entry for each of the 2 joints; got 1",
+    ),
+    "samples that are not there": ({"reference": {"kind": "samples", "file": "no.csv"}}, "reference", "file: CSV file 'no.csv' does not exist"),
+    # [run]
+    "a missing duration": ({"run": {}}, "run", "needs the key 'duration'"),
+    "a misspelt duration": ({"run": {"duraton": 1}}, "run", "needs the key 'duration'; is 'duraton' meant for it?"),
+    "a negative duration": ({"run.duration": -1}, "run", "duration must be > 0 [s]; got -1.0"),
+    "a duration of zero": ({"run.duration": 0}, "run", "duration must be > 0 [s]; got 0.0"),
+    "a duration of ages": (
+        {"run.duration": 1e12},
+        "run",
+        "duration must be <= 10000 [s] at 1000 Hz, as a run keeps every tick; got 1e+12",
+    ),
+    "an endless duration": ({"run.duration": INF}, "run", "duration must be finite; got inf"),
+    "a duration in words": ({"run.duration": "x"}, "run", "duration must be a number; got 'x'"),
+    "a start in words": ({"run.q0": "hom"}, "run", "q0 must be numbers, one per joint, or \"home\"; got 'hom'"),
+    "a start with other joints": ({"run.q0": [1, 2, 3]}, "run", "q0 must have shape (2,) (2 joints) [rad | m]; got shape (3,)"),
+    "a start with NaN": ({"run.v0": [NAN, 0]}, "run", "v0[0] (joint 'joint1') must be finite [rad/s | m/s]; got nan"),
+    "a speed called home": ({"run.v0": "home"}, "run", "v0 must be a number or an array of numbers; got 'home'"),
+    "a negative seed": ({"run.seed": -1}, "run", "seed must be a whole number >= 0; got -1"),
+    "a seed with a comma": ({"run.seed": 0.5}, "run", "seed must be a whole number; got 0.5"),
+    # [[event]]
+    "an event without a time": ({"event": [{"set": {"law.kp": 1}}]}, "event 1", "needs the key 't'"),
+    "an event before the start": ({"event": [{"t": -1, "set": {"law.kp": 1}}]}, "event 1", "t must be >= 0 [s]; got -1"),
+    "an event after the end": (
+        {"event": [{"t": 1.0, "set": {"law.kp": 1}}]},
+        "event 1",
+        "t: an event at t = 1 s would never act: the run ends at 0.05 s",
+    ),
+    "an event after all ends": ({"event": [{"t": 1e306, "set": {"law.kp": 1}}]}, "event 1", "t is too large"),
+    "an event that sets a number": ({"event": [{"t": 0, "set": 3}]}, "event 1", "set must be a table such as { \"law.kp\" = 150.0 }; got 3"),
+    "an event that sets nothing": ({"event": [{"t": 0, "set": {}}]}, "event 1", "set must be a table such as"),
+    "an event without quotes": (
+        {"event": [{"t": 0, "set": {"law": {"kp": 3}}}]},
+        "event 1",
+        "set must have each path in quotes, such as { \"law.kp\" = 150.0 }; got a table 'law'",
+    ),
+    "the second event on an unknown parameter": (
+        {"event": [{"t": 0, "set": {"law.kp": 1}}, {"t": 0, "set": {"law.PD.kp": 1}}]},
+        "event 2",
+        "set: the loop has no parameter 'law.PD.kp'; did you mean 'law.kp'",
+    ),
+    "an event that one of the laws does not know": (
+        {"laws.FF": {"law": "FeedForward"}, "event": [{"t": 0, "set": {"law.kp": 1}}]},
+        "event 1",
+        "set: the loop of the law 'FF' has no parameter 'law.kp'",
+    ),
+    "an event that sets a word": ({"event": [{"t": 0, "set": {"law.kp": "abc"}}]}, "event 1", "set: law.kp must be numbers"),
+    "an event that sets a negative mass": (
+        {"event": [{"t": 0, "set": {"plant.payload.mass": -1}}]},
+        "event 1",
+        "set: plant.payload.mass must be >= 0",
+    ),
+    "the same in MuJoCo": (
+        {"plant.kind": "mujoco", "event": [{"t": 0, "set": {"plant.payload.mass": -1}}]},
+        "event 1",
+        "set: plant.payload.mass must be >= 0",
+    ),
+    # [outputs]
+    "an unknown law to show": ({"outputs": {"shown": "x"}}, "outputs", "shown must be one of the laws 'PD'; got 'x'"),
+    "a file that leaves the folder": ({"outputs": {"plot": "../x.png"}}, "outputs", "plot must be a file name ending in .png or .pdf or .svg"),
+    "a file of another kind": ({"outputs": {"video": "x.avi"}}, "outputs", "video must be a file name ending in .gif or .mp4"),
+    "a file without a name": ({"outputs": {"log": ".mcap"}}, "outputs", "log must be a file name ending in .mcap; got '.mcap'"),
+    "a file with a name of 5000 letters": ({"outputs": {"csv": "a" * 5000 + ".csv"}}, "outputs", "csv must be a file name of at most 200 bytes; got 5004"),
+    "a file with a zero in its name": ({"outputs": {"csv": "a\0.csv"}}, "outputs", "csv must be a file name ending in .csv"),
+    "a plot of nine laws": (
+        {"laws": {f"law {i}": {"law": "PID", "kp": 1} for i in range(9)}, "outputs": {"plot": "x.png"}},
+        "outputs",
+        "plot draws at most 8 laws; got 9",
+    ),
+    # [[pass]]
+    "an unknown law to pass": ({"pass": [{**PASS, "law": "PID"}]}, "pass 1", "law must be one of 'PD'; got 'PID'"),
+    "an unknown metric": ({"pass": [PASS, {**PASS, "metric": "rms"}]}, "pass 2", "metric: a run has no metric 'rms'; it has"),
+    "a pass figure without a bound": ({"pass": [{"law": "PD", "metric": "rms_error"}]}, "pass 1", "needs min, max or both"),
+    "bounds that nothing reaches": ({"pass": [{**PASS, "min": 2}]}, "pass 1", "min must be <= max, which is 1; got 2"),
+}  # fmt: skip
+
+
+def toml(value: Any) -> str:
+    """A value as inline TOML."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{json.dumps(key)} = {toml(each)}" for key, each in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(toml, value)) + "]"
+    if isinstance(value, (str, bool)):
+        return json.dumps(value)
+    return repr(value)
+
+
+def scenario(changes: dict[str, Any]) -> str:
+    """The good scenario with some values changed."""
+    table = copy.deepcopy(GOOD)
+    for path, value in changes.items():
+        *sections, key = path.split(".")
+        at = table
+        for name in sections:
+            at = at[name]
+        if value is GONE:
+            del at[key]
+        else:
+            at[key] = value
+    return "\n".join(f"{key} = {toml(value)}" for key, value in table.items())
+
+
+def test_what_the_cases_change_is_a_good_scenario(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("case.toml").write_text(scenario({}))
+    assert main(["run", "case.toml"]) == 0
+
+
+@pytest.mark.parametrize("name", list(CASES))
+def test_a_value_that_cannot_be_is_refused_with_file_section_and_key(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    changes, section, words = CASES[name]
+    Path("case.toml").write_text(scenario(changes), encoding="utf-8")
+    assert main(["run", "case.toml"]) == 2
+    said = capsys.readouterr()
+    assert said.err.startswith(f"taut: scenario 'case.toml'{f': [{section}] ' if section else ''}{words}")
+    assert said.err.count("\n") == 1
+    assert said.out == ""
+    assert [path.name for path in tmp_path.iterdir()] == ["case.toml"]
+
+
+NO_SCENARIO: dict[str, tuple[bytes, str]] = {
+    "an empty file": (b"", "taut: scenario 'case.toml' is empty"),
+    "no TOML": (b"title = 'open", "taut: scenario 'case.toml' is no valid TOML: "),
+    "control characters": (b"\x00\x01", "taut: scenario 'case.toml' is no valid TOML: "),
+    "no text": (b"title = '\xff\xfe'", "taut: scenario 'case.toml' is no UTF-8 text"),
+    "deep brackets": (b"x = " + b"[" * 5000, "taut: scenario 'case.toml' is no valid TOML"),
+    "deep tables": (
+        b"title" + b".a" * 5000 + b" = 1",
+        "taut: scenario 'case.toml' has at 'title.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a' more than 16 tables",
+    ),
+    "a number of 5000 digits": (b"title = " + b"9" * 5000, "taut: scenario 'case.toml' is no valid TOML: Exceeds the limit"),
+    "a number of 5000 hexadecimal digits": (
+        b"[run]\nduration = 0x" + b"f" * 5000,
+        "taut: scenario 'case.toml' has at 'run.duration' a whole number beyond the 64 bits of TOML; write it as 1e20",
+    ),
+    "more than a page": (b"#" * 1_000_001, "taut: scenario 'case.toml' is larger than 1000000 bytes"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", list(NO_SCENARIO))
+def test_a_file_that_is_no_scenario_is_refused(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    data, words = NO_SCENARIO[name]
+    Path("case.toml").write_bytes(data)
+    assert main(["run", "case.toml"]) == 2
+    said = capsys.readouterr()
+    assert said.err.startswith(words)
+    assert said.err.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["case.toml"]
+
+
+NASTY: tuple[Any, ...] = (
+    "x",
+    "",
+    "a\nb\x1b[31m",
+    -1,
+    0,
+    1e300,
+    NAN,
+    INF,
+    True,
+    [],
+    [[]],
+    {},
+    {"self": 1},
+    [[1], [2, 3]],
+    [NAN, 0.0],
+)
+
+
+@pytest.mark.parametrize("value", NASTY, ids=repr)
+def test_whatever_stands_behind_a_key_ends_in_one_line_or_in_a_run(
+    value: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    whole = {
+        "arm.home": [0.1, 0.2], "arm.gravity": [0, 0, -9.81], "arm.payload": {"mass": 1.0, "com": [0, 0, 0.1]},
+        "arm.joint_values": {"viscous": 0.1}, "control.limits": {"tau": 50.0, "tau_dot": 1e3}, "plant.adds": ["gravity"],
+        "plant.substeps": 2, "plant.sensors": {"noise_q": 1e-5}, "plant.actuation": {"delay": 0.002},
+        "reference": {**CUBIC, "relative_to_home": True}, "run.q0": [0.0, 0.0], "run.seed": 1,
+        "event": [{"t": 0.01, "set": {"plant.payload.mass": 2.0}}], "pass": [PASS],
+    }  # fmt: skip
+    for path in [
+        *whole,
+        "title",
+        "laws.PD.kp",
+        "laws.PD.law",
+        "control.rate",
+        "plant.kind",
+        "run.duration",
+        "run",
+        "arm",
+    ]:
+        if value == 1e300 and path in ("laws.PD.kp", "arm.joint_values"):
+            continue  # a run, which diverges
+        Path("case.toml").write_text(scenario({**whole, path: value}), encoding="utf-8")
+        status = main(["run", "case.toml", "--engine", "float"])
+        said = capsys.readouterr()
+        if status == 2:
+            assert said.err.startswith("taut: scenario 'case.toml'"), path
+            assert said.err.count("\n") == 1, path
+        else:
+            assert said.err == "", path
