@@ -294,7 +294,10 @@ class JerkLimited:
         task.max_acceleration = list(np.asarray(self.acceleration))
         task.max_jerk = list(np.asarray(self.jerk))
         plan = ruckig.Trajectory(n)
-        result = ruckig.Ruckig(n).calculate(task, plan)
+        try:
+            result = ruckig.Ruckig(n).calculate(task, plan)
+        except ruckig.RuckigError as cause:  # numbers that it cannot work with, such as limits of 1e-300
+            raise NumericalError(f"Ruckig found no jerk-limited trajectory: {cause}; relax the limits") from cause
         if result not in (ruckig.Result.Working, ruckig.Result.Finished):
             raise NumericalError(f"Ruckig found no jerk-limited trajectory ({result}); relax the limits")
         return plan
