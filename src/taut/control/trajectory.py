@@ -297,7 +297,11 @@ class JerkLimited:
         try:
             result = ruckig.Ruckig(n).calculate(task, plan)
         except ruckig.RuckigError as cause:  # numbers that it cannot work with, such as limits of 1e-300
-            raise NumericalError(f"Ruckig found no jerk-limited trajectory: {cause}; relax the limits") from cause
+            raise NumericalError(
+                "Ruckig cannot work with numbers as large or small as these; give positions and limits in rad or m and "
+                "seconds",
+                name="JerkLimited",
+            ) from cause
         if result not in (ruckig.Result.Working, ruckig.Result.Finished):
             raise NumericalError(f"Ruckig found no jerk-limited trajectory ({result}); relax the limits")
         return plan
