@@ -298,8 +298,8 @@ class JerkLimited:
             result = ruckig.Ruckig(n).calculate(task, plan)
         except ruckig.RuckigError as cause:  # numbers that it cannot work with, such as limits of 1e-300
             raise NumericalError(
-                "Ruckig cannot work with numbers as large or small as these; give positions and limits in rad or m and "
-                "seconds",
+                "Ruckig cannot work with numbers as large or small as these; give positions and limits in rad or m "
+                "and seconds",
                 name="JerkLimited",
             ) from cause
         if result not in (ruckig.Result.Working, ruckig.Result.Finished):
