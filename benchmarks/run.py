@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -28,7 +29,7 @@ TICKS = 2000
 def main() -> int:
     """Measure everything, print it, and say which bars are missed."""
     console = Console(width=110)
-    figures = {**tick_figures(), **loop_figures(), **start_figures()}
+    figures = {**tick_figures(), **loop_figures(), **start_figures(), **long_run_figures()}
     table = Table("figure", "measured", "bar", title="taut against NumPy + Pinocchio and MuJoCo, Panda, one core")
     missed = []
     for name, figure in figures.items():
@@ -199,6 +200,33 @@ def start_figures() -> dict[str, dict]:
         "compile from the cache": {"value": 1e3 * cached.median, "unit": "ms", "bar": 30.0, "better": "less"},
         "import taut": {"value": float(np.median(imports)), "unit": "s", "bar": 0.3, "better": "less"},
     }
+
+
+LONG_RUN = """
+import resource, sys, taut
+arm = taut.load_arm("panda")
+ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0, ki=10.0), arm)
+ref = taut.Sine(center=arm.home, amplitude=0.1, frequency=0.3)
+run = taut.run(ctrl, taut.RigidPlant(arm), ref, duration=600.0, log=sys.argv[1] or None, progress=False)
+assert run.outcome.ok and len(run) == 600_001
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20)
+"""
+
+
+def long_run_figures() -> dict[str, dict]:
+    """Ten minutes at 1 kHz with all terms, alone and with a log that is written meanwhile: peak of memory, time."""
+    figures = {}
+    for name, file in (("10-minute run", ""), ("10-minute run with log=", "run.mcap")):
+        with tempfile.TemporaryDirectory() as folder:
+            start = time.perf_counter()
+            done = subprocess.run(
+                [sys.executable, "-c", LONG_RUN, file], cwd=folder, capture_output=True, check=True, text=True
+            )
+            seconds = time.perf_counter() - start
+            size = sum(path.stat().st_size for path in Path(folder).iterdir()) / 1e6
+        note = f"({seconds:.1f} s" + (f", a log of {size:.0f} MB)" if file else ")")
+        figures[name] = {"value": float(done.stdout), "unit": "GB", "bar": 1.5, "better": "less", "note": note}
+    return figures
 
 
 def size_figures() -> list[list[float]]:
