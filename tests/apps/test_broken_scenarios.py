@@ -40,8 +40,9 @@ CASES: dict[str, tuple[dict[str, Any], str, str]] = {
     # [arm]
     "no model": ({"arm": {}}, "arm", "needs the key 'model'"),
     "an unknown arm": ({"arm.model": "planer2"}, "arm", "model: taut has no arm 'planer2'; did you mean 'planar2'"),
-    "an arm that is a file elsewhere": ({"arm.model": "no/such.urdf"}, "arm", "model 'no/such.urdf' does not exist"),
+    "an arm that is a file elsewhere": ({"arm.model": "no/such.urdf"}, "arm", "model '{folder}/no/such.urdf' does not exist (paths begin at the scenario's own folder)"),
     "a model with a name of 5000 letters": ({"arm.model": "/" + "a" * 5000 + ".urdf"}, "arm", "model '/aaaa"),
+    "a model without a name": ({"arm.model": ""}, "arm", "model must be a name or a path; got ''"),
     "an unknown tool": ({"arm.tool": "tol"}, "arm", "tool: model 'planar2' has no frame 'tol'; did you mean 'tool'?"),
     "a pose with two angles": ({"arm.T_WB": {"rpy": [1, 2]}}, "arm.T_WB", "rpy must have shape (3,) [rad]"),
     "a pose with two rotations": (
@@ -69,6 +70,7 @@ CASES: dict[str, tuple[dict[str, Any], str, str]] = {
     ),
     "a joint value called self": ({"arm.joint_values": {"self": 1}}, "arm.joint_values", "a joint has no field 'self'"),
     "a payload without a mass": ({"arm.payload": {"com": [0, 0, 0]}}, "arm.payload", "needs the key 'mass'"),
+    "a misspelt mass": ({"arm.payload": {"mas": 1}}, "arm.payload", "has no key 'mas'; did you mean 'mass'?"),
     "a payload of negative mass": ({"arm.payload": {"mass": -1}}, "arm.payload", "mass must be >= 0 [kg]; got -1.0"),
     "a link for another arm": ({"arm.link": {"r": 0.1}}, "arm", "link is for the model 'one_joint'; got model 'planar2'"),
     "a misspelt number of the link": (
@@ -86,7 +88,7 @@ CASES: dict[str, tuple[dict[str, Any], str, str]] = {
     ),
     "a law's name that is a number": ({"laws.PD.law": 3}, "laws.PD", "law must be a text in quotes; got 3"),
     "a sum with a number": ({"laws.PD.law": [3]}, "laws.PD", 'law must be an array of texts such as ["FeedForward", "PID"]'),
-    "a sum of nothing": ({"laws.PD.law": []}, "laws.PD", "law must name one law at least; got an empty array"),
+    "a sum of nothing": ({"laws.PD.law": []}, "laws.PD", "law must be the name of a law, or an array of one at least; got []"),
     "a sum with a law twice": (
         {"laws.PD": {"law": ["PID", "PID"], "PID": {"kp": 1}}},
         "laws.PD",
@@ -98,6 +100,11 @@ CASES: dict[str, tuple[dict[str, Any], str, str]] = {
         "GravityPID + GravityCompensation: both compensate gravity",
     ),
     "a sum without gains": ({"laws.PD": {"law": ["FeedForward", "PID"]}}, "laws.PD.PID", "PID needs kp"),
+    "a misspelt gain that must be there": (
+        {"laws.PD": {"law": "PID", "kpp": 1}},
+        "laws.PD",
+        "has no key 'kpp'; did you mean 'kp'?",
+    ),
     "a misspelt gain": ({"laws.PD.kdd": 1}, "laws.PD", "has no key 'kdd'; did you mean 'kd'?"),
     "a negative gain": ({"laws.PD.kp": -1}, "laws.PD", "kp must be >= 0"),
     "a gain that is NaN": ({"laws.PD.kp": NAN}, "laws.PD", "kp must be finite"),
@@ -110,6 +117,17 @@ CASES: dict[str, tuple[dict[str, Any], str, str]] = {
     "a rate that no controller has": ({"control.rate": 1e9}, "control", "rate must be between 0.001 and 1e+06 [Hz]; got 1e+09"),
     "another velocity": ({"control.velocity": "diff"}, "control", "velocity must be one of 'measured', 'difference'"),
     "limits of an arm that states none": ({"control.limits": "arm"}, "control", "limits: planar2: arm 'planar2' states no"),
+    "the way out of it": (
+        {"control.limits": "arm"},
+        "control",
+        "limits: planar2: arm 'planar2' states no effort limits; write limits = { tau = [...] }\n",
+    ),
+    "misspelt limits": ({"control.limits": {"taus": 1}}, "control.limits", "has no key 'taus'; did you mean 'tau'?"),
+    "limits of nothing": (
+        {"control.limits": {}},
+        "control.limits",
+        "needs tau, tau_dot or both; for no limits write limits = \"none\"\n",
+    ),
     "limits of another size": ({"control.limits": {"tau": [1, 2, 3]}}, "control.limits", "tau must have shape (2,)"),
     "negative limits": ({"control.limits": {"tau": -1}}, "control.limits", "tau must be > 0"),
     "limits of a velocity": (
@@ -134,7 +152,7 @@ CASES: dict[str, tuple[dict[str, Any], str, str]] = {
     "half a substep": ({"plant.substeps": 0.5}, "plant", "substeps must be a whole number; got 0.5"),
     "another command": ({"plant.takes": "power"}, "plant", "takes must be one of"),
     "a command that the law does not give": ({"plant": VELOCITY}, "plant", "takes: PID gives a torque and plant"),
-    "drives without a bandwidth": ({"plant.takes": "velocity"}, "plant", "a plant that takes velocity needs the bandwidth"),
+    "drives without a bandwidth": ({"plant.takes": "velocity"}, "plant", "a plant that takes velocity needs the bandwidth of its drives: actuation = { bandwidth = 50.0 } [rad/s]\n"),
     "a delay between ticks": (
         {"plant.actuation": {"delay": 0.0015}},
         "plant",
@@ -146,8 +164,37 @@ CASES: dict[str, tuple[dict[str, Any], str, str]] = {
     "noise in words": ({"plant.sensors": {"noise_q": "a"}}, "plant.sensors", "noise_q must be numbers; got 'a'"),
     "a perturbed arm without a seed": ({"plant.perturbed": {"mass": 0.1}}, "plant.perturbed", "needs the key 'seed'"),
     "a perturbed arm with a negative seed": ({"plant.perturbed": {"seed": -1}}, "plant.perturbed", "seed must be"),
-    "a key of another plant": ({"plant.timestep": 0.001}, "plant", "has no key 'timestep'"),
-    "a scene that is not there": ({"plant": {"kind": "mujoco", "scene": "no.xml"}}, "plant", "scene 'no.xml' does not exist"),
+    "a key of MuJoCo": (
+        {"plant.timestep": 0.001},
+        "plant",
+        "has no key 'timestep', which is for kind = \"mujoco\"; it takes 'actuation', 'adds', 'bodies', 'friction', 'integrator', "
+        "'joint_values', 'kind', 'model', 'payload', 'perturbed', 'sensors', 'substeps', 'takes'\n",
+    ),
+    "a key of a rigid plant": (
+        {"plant": {"kind": "mujoco", "substeps": 2}},
+        "plant",
+        "has no key 'substeps', which is for kind = \"rigid\"; it takes 'adds', 'bodies', 'friction', ",
+    ),
+    "a smooth integrator with dry friction": (
+        {"plant": {"integrator": "rk4", "joint_values": {"coulomb": [1, 1]}}},
+        "plant",
+        "integrator: rk4 needs smooth forces, and arm 'planar2' has dry friction; use semi-implicit-euler, or friction = \"none\"\n",
+    ),
+    "a plant that is a file elsewhere": (
+        {"plant.model": "no.urdf"},
+        "plant",
+        "model '{folder}/no.urdf' does not exist (paths begin at the scenario's own folder)",
+    ),
+    "a scene that is not there": (
+        {"plant": {"kind": "mujoco", "scene": "no.xml"}},
+        "plant",
+        "scene '{folder}/no.xml' does not exist (paths begin at the scenario's own folder)",
+    ),
+    "a scene that is not there, with its whole path": (
+        {"plant": {"kind": "mujoco", "scene": "/no/such.xml"}},
+        "plant",
+        "scene '/no/such.xml' does not exist\n",
+    ),
     "a time step that does not fit": (
         {"plant": {"kind": "mujoco", "timestep": 0.0007}},
         "plant",
@@ -204,7 +251,7 @@ CASES: dict[str, tuple[dict[str, Any], str, str]] = {
         "reference",
         "points must have one entry for each of the 2 joints; got 1",
     ),
-    "samples that are not there": ({"reference": {"kind": "samples", "file": "no.csv"}}, "reference", "file: CSV file 'no.csv' does not exist"),
+    "samples that are not there": ({"reference": {"kind": "samples", "file": "no.csv"}}, "reference", "file: CSV file '{folder}/no.csv' does not exist (paths begin at the scenario's own folder)"),
     # [run]
     "a missing duration": ({"run": {}}, "run", "needs the key 'duration'"),
     "a misspelt duration": ({"run": {"duraton": 1}}, "run", "needs the key 'duration'; is 'duraton' meant for it?"),
@@ -276,6 +323,22 @@ CASES: dict[str, tuple[dict[str, Any], str, str]] = {
     "an unknown law to pass": ({"pass": [{**PASS, "law": "PID"}]}, "pass 1", "law must be one of 'PD'; got 'PID'"),
     "an unknown metric": ({"pass": [PASS, {**PASS, "metric": "rms"}]}, "pass 2", "metric: a run has no metric 'rms'; it has"),
     "a pass figure without a bound": ({"pass": [{"law": "PD", "metric": "rms_error"}]}, "pass 1", "needs min, max or both"),
+    "an unknown joint to pass": (
+        {"pass": [{**PASS, "joint": "join1"}]},
+        "pass 1",
+        "joint: arm 'planar2' has no joint 'join1'; did you mean 'joint1'",
+    ),
+    "a joint that is a number": ({"pass": [{**PASS, "joint": 1}]}, "pass 1", "joint must be a text in quotes; got 1"),
+    "a settling time of a motion": (
+        {"reference": CUBIC, "pass": [{**PASS, "metric": "settling_time"}]},
+        "pass 1",
+        "metric 'settling_time' is for a set-point, and the [reference] moves; take one of 'rms_error', 'peak_error', ",
+    ),
+    "the overshoot of a set-point with a speed": (
+        {"reference.v": [0.1, 0], "pass": [{**PASS, "metric": "overshoot"}]},
+        "pass 1",
+        "metric 'overshoot' is for a set-point, and the [reference] moves",
+    ),
     "bounds that nothing reaches": ({"pass": [{**PASS, "min": 2}]}, "pass 1", "min must be <= max, which is 1; got 2"),
 }  # fmt: skip
 
@@ -321,7 +384,9 @@ def test_a_value_that_cannot_be_is_refused_with_file_section_and_key(
     Path("case.toml").write_text(scenario(changes), encoding="utf-8")
     assert main(["run", "case.toml"]) == 2
     said = capsys.readouterr()
-    assert said.err.startswith(f"taut: scenario 'case.toml'{f': [{section}] ' if section else ''}{words}")
+    assert said.err.startswith(
+        f"taut: scenario 'case.toml'{f': [{section}] ' if section else ''}{words.replace('{folder}', str(tmp_path))}"
+    )
     assert said.err.count("\n") == 1
     assert said.out == ""
     assert [path.name for path in tmp_path.iterdir()] == ["case.toml"]

@@ -74,15 +74,15 @@ def test_check_exits_with_two_when_something_is_refused(tmp_path: Path, capsys: 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["rnu"], "taut: taut: argument COMMAND: invalid choice: 'rnu'"),
-        ([], "taut: taut: the following arguments are required: COMMAND"),
-        (["run"], "taut: taut run: the following arguments are required: SCENARIO"),
+        (["rnu"], "taut: argument COMMAND: invalid choice: 'rnu'"),
+        ([], "taut: the following arguments are required: COMMAND; taut --help lists what it takes\n"),
+        (["run"], "taut: the following arguments are required: SCENARIO; taut run --help lists what it takes\n"),
         (
             ["run", "panda_paylod"],
             "taut: taut has no scenario 'panda_paylod'; did you mean 'panda_payload'? (or give the path of a .toml file)",
         ),
         (["run", "nothing/here.toml"], "taut: scenario 'nothing/here.toml' does not exist"),
-        (["run", "one_joint_pid", "--engine", "fast"], "taut: taut run: argument --engine: invalid choice: 'fast'"),
+        (["run", "one_joint_pid", "--engine", "fast"], "taut: argument --engine: invalid choice: 'fast'"),
         (["run", "one_joint_pid", "--gain", "kp=1"], "taut: --gain is for a law of your own"),
         (["run", "one_joint_pid", "--law", "law.txt:Law"], "taut: --law takes FILE.py:CLASS; got 'law.txt:Law'"),
         (["run", "one_joint_pid", "--law", "gone.py:Law"], "taut: law file 'gone.py' does not exist"),
@@ -92,8 +92,12 @@ def test_check_exits_with_two_when_something_is_refused(tmp_path: Path, capsys: 
         (["run", "a/" + "b" * 5000], "taut: scenario 'a/bbbb"),
         (["run", "tests\0/a.toml"], r"taut: scenario 'tests\x00/a.toml' does not exist"),
         (["run", "nothing/here.**"], "taut: scenario 'nothing/here.**' does not exist"),
-        (["run", "."], "taut: taut has no scenario '.'"),
-        (["run", "./"], "taut: scenario '.' is a folder; name a file in it"),
+        (["run", "."], "taut: '.' is a folder; name a scenario in it, a .toml file\n"),
+        (["run", "./"], "taut: '.' is a folder; name a scenario in it, a .toml file\n"),
+        (["run", __file__], f"taut: '{__file__}' is no scenario; a scenario is a .toml file\n"),
+        (["check", "planer2"], "taut: taut has no arm 'planer2'; did you mean 'planar2'"),
+        (["check", "no/such.urdf"], "taut: model 'no/such.urdf' does not exist"),
+        (["check", __file__], f"taut: model '{__file__}' is no .urdf and no MJCF .xml file"),
         (["run", "one_joint_pid", "--law", ""], "taut: --law takes FILE.py:CLASS; got ''"),
     ],
 )
@@ -105,6 +109,50 @@ def test_a_wrong_request_is_one_sentence_and_exit_status_two(
     assert said.err.startswith(message)
     assert said.err.count("\n") == 1
     assert said.out == ""
+
+
+def test_a_robot_model_is_told_which_command_reads_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("scara.urdf").write_text("<robot/>")
+    for name in ("scara.urdf", "./scara.urdf"):
+        assert main(["run", name]) == 2
+        said = capsys.readouterr()
+        assert said.err == "taut: 'scara.urdf' is a robot model, which taut check reads; a scenario is a .toml file\n"
+
+
+def test_a_report_on_a_broken_model_is_on_standard_output(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for text in ("<robot name='x'><link name='a'/><link name='a'/></robot>", "<robot", "<sdf/>"):
+        file = tmp_path / "x.urdf"
+        file.write_text(text)
+        assert main(["check", str(file)]) == 2
+        said = capsys.readouterr()
+        assert "problem" in said.out
+        assert said.err == ""
+
+
+def test_check_keeps_json_on_standard_output(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "nope", "--json"]) == 2
+    said = capsys.readouterr()
+    assert "taut has no arm 'nope'" in json.loads(said.out)["problems"][0]["message"]
+    assert said.err == ""
+
+
+@pytest.mark.parametrize("width", [60, 80, 100])
+def test_the_laws_are_running_text_as_wide_as_the_terminal(
+    width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    assert main(["laws"]) == 0
+    text = capsys.readouterr().out
+    lines = text.splitlines()
+    assert width - 10 < max(map(len, lines)) <= width
+    told = " ".join(text.split())
+    assert "kd e_dot (eq. 10.6, figure 10.8)" in told
+    assert 'puts M(q)^-1 f(v) on the right; + FrictionCompensation(at="meas") takes it away' in told
+    assert "gains kp [1/s^2], kd [1/s], ki [1/s^3]" in told
+    assert "follows JointMotion; gives a torque; needs q, v" in told
 
 
 class TestALawOfTheUsersOwn:

@@ -222,18 +222,6 @@ class TestFilesAreWholeOrNotThere:
         assert f"metrics  {Path('out/case/case.json')}" in capsys.readouterr().out
         assert json.loads(Path("out/case/case.json").read_text())["PD"]["peak_error"]["overall"] < 3.0
 
-    def test_a_plot_of_joints_in_rad_and_m_is_refused_before_the_run(
-        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        arm = tmp_path / "mixed.urdf"
-        arm.write_text(MIXED)
-        text = GOOD.replace('"planar2"', f"'{arm}'") + '[laws.second]\nlaw = "PID"\nkp = 1\n'
-        (tmp_path / "case.toml").write_text(text)
-        assert main(["run", str(tmp_path / "case.toml"), "--out", str(tmp_path / "out")]) == 2
-        assert ": [outputs] plot compares laws by the norm of the error, which" in capsys.readouterr().err
-        (tmp_path / "case.toml").write_text(text.replace('plot = "x.png"', "").replace("peak_error", "energy"))
-        assert main(["run", str(tmp_path / "case.toml"), "--out", str(tmp_path / "out")]) == 0
-
     def test_a_film_that_needs_ffmpeg_is_refused_before_the_run(
         self, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -241,6 +229,123 @@ class TestFilesAreWholeOrNotThere:
         (tmp_path / "case.toml").write_text(changed('plot = "x.png"', 'video = "x.mp4"'))
         assert main(["run", str(tmp_path / "case.toml"), "--out", str(tmp_path / "out")]) == 2
         assert ": [outputs] video 'x.mp4' needs the program ffmpeg" in capsys.readouterr().err
+
+
+class TestJointsInRadAndJointsInM:
+    """Nothing adds rad to m: each unit has its numbers, its columns and its pictures."""
+
+    def write(self, tmp_path: Path, figure: str = "") -> list[str]:
+        (tmp_path / "mixed.urdf").write_text(MIXED)
+        head, _, _ = GOOD.partition("[[pass]]")
+        text = head.replace('"planar2"', '"mixed.urdf"') + '[laws.second]\nlaw = "PID"\nkp = 1\n' + figure
+        (tmp_path / "case.toml").write_text(text)
+        return ["run", str(tmp_path / "case.toml"), "--out", str(tmp_path / "out")]
+
+    def test_the_table_has_a_column_for_each_unit_and_the_laws_are_compared(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.delenv("COLUMNS", raising=False)
+        words = self.write(tmp_path)
+        assert main(words) == 0
+        lines = capsys.readouterr().out.splitlines()
+        titles = [cell.strip() for cell in lines[2].strip("┃").split("┃")]
+        units = [cell.strip() for cell in lines[3].strip("┃").split("┃")]
+        found = list(zip(titles, units, strict=True))
+        for title, both in {
+            "RMS error": ["[rad]", "[m]"],
+            "final error": ["[rad]", "[m]"],
+            "settling time": ["[s]"],
+            "effort": ["[(N m)^2 s]", "[N^2 s]"],
+            "peak torque": ["[N m]", "[N]"],
+        }.items():
+            assert [unit for name, unit in found if name == title] == both
+        assert "\N{HORIZONTAL ELLIPSIS}" not in "".join(lines)
+        assert (tmp_path / "out" / "x.png").stat().st_size > 0
+
+    @pytest.mark.parametrize("width", [60, 80])
+    def test_a_narrow_terminal_gets_a_column_for_each_law(
+        self, width: int, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setenv("COLUMNS", str(width))
+        assert main(self.write(tmp_path)) == 0
+        said = capsys.readouterr().out
+        table = said[: said.index("plot ")].splitlines()
+        assert max(map(len, table)) <= width
+        assert any(line.startswith("│ effort [N^2 s]") for line in table)
+        assert "law" in table[2]
+        assert "second" in table[2]
+
+    def test_a_figure_of_one_joint_is_compared(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        figure = '[[pass]]\nlaw = "PD"\njoint = "push"\nmetric = "peak_error"\n'
+        assert main(self.write(tmp_path, figure + "max = 0.4\n")) == 0
+        assert main(self.write(tmp_path, figure + "max = 0.2\n")) == 1
+        assert "missed: PD: peak_error of joint 'push' must be <= 0.2; got 0.3" in capsys.readouterr().out
+
+    def test_a_figure_of_a_joint_without_a_step_has_no_meaning(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        words = self.write(tmp_path, '[[pass]]\nlaw = "PD"\njoint = "turn"\nmetric = "overshoot"\nmax = 9\n')
+        file = tmp_path / "case.toml"
+        file.write_text(file.read_text().replace("q = [0.2, 0.3]", "q = [0.0, 0.3]"))
+        assert main(words) == 1
+        assert "missed: PD: overshoot of joint 'turn' has no meaning in this run" in capsys.readouterr().out
+
+    def test_a_figure_that_needs_one_number_is_refused_before_the_run(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        words = self.write(tmp_path, '[[pass]]\nlaw = "PD"\nmetric = "peak_error"\nmax = 0.4\n')
+        assert main(words) == 2
+        assert capsys.readouterr().err.endswith(
+            "[pass 1] metric 'peak_error' has no one number for joints in rad and joints in m together; "
+            "add joint, one of 'turn', 'push'\n"
+        )
+        assert not (tmp_path / "out").exists()
+
+    def test_energy_and_time_are_of_all_joints(self, tmp_path: Path) -> None:
+        figures = "".join(
+            f'[[pass]]\nlaw = "PD"\nmetric = "{name}"\nmin = 0\n' for name in ("energy", "settling_time")
+        )
+        assert main(self.write(tmp_path, figures)) == 0
+
+
+class TestFilesLieBesideTheScenario:
+    """Whatever the current folder is."""
+
+    def test_models_scenes_and_samples_are_found(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        (tmp_path / "here" / "models").mkdir(parents=True)
+        (tmp_path / "elsewhere").mkdir()
+        (tmp_path / "here" / "models" / "mixed.urdf").write_text(MIXED)
+        (tmp_path / "here" / "s.csv").write_text("t,q1,q2\n0,0,0\n1,0.1,0.2\n")
+        (tmp_path / "here" / "scene.xml").write_text("<mujoco/>")
+        old = 'kind = "set-point"\nq = [0.2, 0.3]'
+        text = (
+            changed('"planar2"', '"models/mixed.urdf"')
+            .replace(old, 'kind = "samples"\nfile = "s.csv"')
+            .replace("peak_error", "energy")
+            .replace('kind = "rigid"', 'kind = "mujoco"\nmodel = "models/mixed.urdf"\nscene = "scene.xml"')
+        )
+        (tmp_path / "here" / "case.toml").write_text(text)
+        for folder, name in (
+            ("elsewhere", "../here/case.toml"),
+            ("here", "case.toml"),
+            ("here/models", "../case.toml"),
+        ):
+            monkeypatch.chdir(tmp_path / folder)
+            assert load_scenario(name).arm.name == "mixed"
+        assert main(["run", "../case.toml", "--out", "o"]) == 0
+        assert (tmp_path / "here" / "models" / "o" / "case.json").is_file()
+
+    def test_a_whole_path_stays_what_it_is(self, tmp_path: Path) -> None:
+        (tmp_path / "mixed.urdf").write_text(MIXED)
+        (tmp_path / "here").mkdir()
+        file = tmp_path / "here" / "case.toml"
+        file.write_text(changed('"planar2"', f"'{tmp_path / 'mixed.urdf'}'").replace("peak_error", "energy"))
+        assert load_scenario(str(file)).arm.name == "mixed"
+
+    def test_the_name_of_an_arm_is_no_file(self, tmp_path: Path) -> None:
+        (tmp_path / "planar2").mkdir()
+        (tmp_path / "case.toml").write_text(GOOD)
+        assert load_scenario(str(tmp_path / "case.toml")).arm.name == "planar2"
 
 
 class TestNamesThatMeanSomethingElsewhere:
@@ -353,8 +458,9 @@ def test_every_built_in_scenario_reaches_its_pass_figures(
 
 
 def test_the_demo_makes_a_table_a_picture_a_film_and_a_log(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("COLUMNS", "160")
     assert main(["run", "panda_payload", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     for law in ("PID", "PD + gravity", "feedforward + PD", "computed torque"):

@@ -226,7 +226,7 @@ def test_a_file_without_permission_is_told(tmp_path: Path, monkeypatch: pytest.M
             "xyz",
             [f"link{i}" for i in range(14)],
             "the arm has no frame 'xyz'; it has 'link0', 'link1', 'link2', 'link3', 'link4', 'link5', 'link6', 'link7', "
-            "'link8', 'link9', 'link10', 'link11', ... (14 in all)",
+            "'link8', 'link9', 'link10', 'link11' and 2 more",
         ),
     ],
 )
@@ -239,7 +239,7 @@ def test_an_unknown_name_gets_the_nearest_ones(name: str, known: list[str], mess
 
 def test_lists_are_quoted_and_cut() -> None:
     assert quoted_list([]) == ""
-    assert quoted_list("abc", most=2) == "'a', 'b', ... (3 in all)"
+    assert quoted_list("abc", most=2) == "'a', 'b' and 1 more"
 
 
 def test_a_missing_package_is_named_with_the_command_that_installs_it() -> None:

@@ -401,8 +401,8 @@ def test_every_wrong_place_to_write_gets_one_sentence(tmp_path: Path, noisy_run:
         with pytest.raises(taut.FileError):
             open_log(tmp_path / name)
     assert said == {
-        "run.bag": "the name of a log must end in .mcap; got 'run.bag'",
-        "run": "the name of a log must end in .mcap; got 'run'",
+        "run.bag": "the log's name must end in .mcap; got 'run.bag'",
+        "run": "the log's name must end in .mcap; got 'run'",
         "folder.mcap": "log 'folder.mcap' is a folder; name a file in it",
         "no/run.mcap": "log 'no/run.mcap' needs the folder 'no', which does not exist; create it first",
         "nul\0.mcap": "log 'nul\\x00.mcap' is no name of a file; it holds a NUL character",

@@ -208,6 +208,68 @@ def test_numbers_of_joints_with_different_units_are_not_added(make_run: Any) -> 
     assert m.overall["energy"] == 0.0
 
 
+class TestJointsOfEachUnitHaveNumbersOfTheirOwn:
+    def run(self, make_run: Any) -> taut.Run:
+        """Three joints in rad, m and rad, of which the second and third are cut."""
+        q = np.array([[0.0, 0.0, 0.0], [0.6, 0.3, 0.8], [0.5, 0.1, 0.0]])
+        tau = np.array([[1.0, 10.0, 2.0], [3.0, 20.0, -4.0], [0.0, 0.0, 0.0]])
+        cut = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 2.0], [0.0, 0.0, 0.0]])
+        units = ("rad", "m", "rad")
+        return make_run([0.0, 0.5, 1.0], q, tau=tau, terms={"limits": cut}, units=units)  # type: ignore[no-any-return]
+
+    def test_they_are_those_of_a_run_of_these_joints_alone(self, make_run: Any) -> None:
+        run = self.run(make_run)
+        groups = run.metrics.groups
+        assert list(groups) == ["rad", "m"]
+        for unit, joints in {"rad": [0, 2], "m": [1]}.items():
+            alone = make_run(
+                run.t,
+                run.q[:, joints],
+                tau=run.tau[:, joints],
+                terms={"limits": run.terms["limits"][:, joints]},
+                units=(unit,) * len(joints),
+            ).metrics
+            assert groups[unit] == pytest.approx(alone.overall, nan_ok=True)
+        assert groups["rad"]["peak_error"] == pytest.approx(1.0)
+        assert groups["m"]["effort"] == 250.0
+        assert groups["rad"]["saturation_time"] == 0.5
+        assert run.metrics.overall["saturation_time"] == 1.0
+
+    def test_a_run_of_one_unit_has_one_group_which_is_overall(self, panda_run: taut.Run) -> None:
+        m = panda_run.metrics
+        assert list(m.groups) == ["rad"]
+        assert m.groups["rad"] == pytest.approx(m.overall, nan_ok=True, rel=0.0, abs=0.0)
+
+    def test_a_metric_by_unit_is_overall_where_that_has_a_meaning(self, make_run: Any, panda_run: taut.Run) -> None:
+        m = self.run(make_run).metrics
+        assert m.by_unit("peak_torque") == {"N m": 4.0, "N": 20.0}
+        assert m.by_unit("largest_cut") == {"N m": 2.0, "N": 1.0}
+        assert m.by_unit("saturation_time") == {"s": 1.0}
+        assert panda_run.metrics.by_unit("effort") == {"(N m)^2 s": panda_run.metrics.overall["effort"]}
+
+    def test_as_json(self, make_run: Any) -> None:
+        out = json.loads(json.dumps(self.run(make_run).metrics.json(), allow_nan=False))["peak_torque"]
+        assert out["overall"] is None
+        assert out["groups"] == {"rad": {"unit": "N m", "overall": 4.0}, "m": {"unit": "N", "overall": 20.0}}
+
+    def test_as_a_table(self, make_run: Any) -> None:
+        assert str(self.run(make_run).metrics).splitlines()[2:] == [
+            "            rad | m  rad | m  rad | m  (N m)^2 s | N^2 s  N m | N          s  N m | N  N m/s | N/s       J",
+            "joint1       0.4509      0.6     -0.5                  5        3          0        0            5     0.3",
+            "joint2       0.1826      0.3     -0.1                250       20        0.5        1           30      -1",
+            "joint3       0.4619      0.8        0                 10        4        0.5        2           10     4.8",
+            "all in rad   0.6455        1      0.5                 15        4        0.5        2           15     5.1",
+            "all in m     0.1826      0.3      0.1                250       20        0.5        1           30      -1",
+            "overall           -        -        -                  -        -          1        -            -     4.1",
+        ]
+
+    @pytest.mark.parametrize("ticks", [0, 1])
+    def test_of_a_run_of_few_ticks(self, ticks: int, make_run: Any) -> None:
+        m = make_run(np.arange(ticks) * 0.1, np.zeros((ticks, 2)), units=("rad", "m")).metrics
+        assert list(m.groups) == ["rad", "m"]
+        assert str(m)
+
+
 def test_a_run_that_diverged_has_metrics_without_a_warning(make_run: Any) -> None:
     m = make_run([0.0, 0.1, 0.2], [0.0, 1e200, 1e308], tau=np.array([[0.0], [1e300], [-1e308]]), q_ref=1.0).metrics
     assert m.peak_error[0] == 1e308
@@ -234,8 +296,14 @@ def test_metrics_as_json_name_units_and_joints(make_run: Any) -> None:
     m = make_run([0.0, 1.0], [[0.0], [1.0]], q_ref=2.0).metrics
     out = json.loads(json.dumps(m.json(), allow_nan=False))
     assert set(out) == {"duration", "setpoint", *MEASURES}
-    assert out["peak_error"] == {"unit": "rad", "overall": 2.0, "joints": {"joint1": 2.0}}
-    assert out["saturation_time"] == {"unit": "s", "overall": None, "joints": {"joint1": None}}
+    assert out["peak_error"] == {
+        "unit": "rad",
+        "overall": 2.0,
+        "groups": {"rad": {"unit": "rad", "overall": 2.0}},
+        "joints": {"joint1": 2.0},
+    }
+    assert out["saturation_time"]["overall"] is None
+    assert out["saturation_time"]["joints"] == {"joint1": None}
 
 
 def test_the_table_reads_as_it_should(make_run: Any) -> None:

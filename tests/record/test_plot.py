@@ -242,6 +242,52 @@ def test_a_comparison_is_legible_for_one_and_for_eight_runs(many: Any) -> None:
         assert_legible(compare({f"run number {i}": many(2) for i in range(count)}))
 
 
+@pytest.mark.parametrize("count", [1, 2, 8])
+def test_joints_in_rad_and_in_m_are_compared_each_with_their_own(many: Any, count: int) -> None:
+    units = ("rad", "m", "rad")
+    runs = {f"run number {i}": many(3, units=units, q_ref=0.1 * i) for i in range(count)}
+    figure = compare(runs, measures=["rms_error", "effort", "energy"])
+    assert_legible(figure)
+    for unit, joints in {"rad": [0, 2], "m": [1]}.items():
+        ax = axes_titled(figure, f"norm of the tracking error of the joints in {unit}")
+        assert ax.get_ylabel() == f"[{unit}]"
+        for norm, run in zip(curves(ax, "-"), runs.values(), strict=True):
+            np.testing.assert_allclose(norm, np.linalg.norm(run.error[:, joints], axis=1))
+        bars = axes_titled(figure, f"RMS error [{unit}]").patches
+        assert [bar.get_width() for bar in bars] == [run.metrics.groups[unit]["rms_error"] for run in runs.values()]
+    assert axes_titled(figure, "effort [(N m)² s]").patches
+    assert axes_titled(figure, "effort [N² s]").patches
+    shown = [ax.get_title(loc="left") for ax in figure.findobj(matplotlib.axes.Axes) if ax.get_visible()]
+    assert [title for title in shown if title.startswith("energy")] == ["energy [J]"]
+    names = [label.get_text() for ax in figure.findobj(matplotlib.axes.Axes) for label in ax.get_yticklabels()]
+    assert names.count("run number 0") == 2
+
+
+def test_a_run_without_joints_of_a_unit_has_no_bar_there(many: Any) -> None:
+    figure = compare({"arm": many(2), "gantry": many(2, units=("m", "m"))}, measures=["peak_error"])
+    assert_legible(figure)
+    assert len(curves(axes_titled(figure, "norm of the tracking error of the joints in m"), "-")) == 1
+    assert axes_titled(figure, "peak error [m]").texts[0].get_text() == "-"
+
+
+def test_a_metric_that_is_named_twice_is_drawn_once(many: Any) -> None:
+    figure = compare({"a": many(2)}, measures=["effort", "effort"])
+    titles = [ax.get_title(loc="left") for ax in figure.findobj(matplotlib.axes.Axes)]
+    assert titles.count("effort [(N m)² s]") == 1
+
+
+def test_a_title_keeps_the_way_out_of_a_run_that_diverged(many: Any) -> None:
+    words = (
+        "the simulation diverged at t = 0.012 s (tick 12): joint 'a_rather_long_joint_name_1' is at 1.2e+12 rad and "
+        "moves at 3.4e+14 rad/s; try smaller gains, a higher rate or more substeps"
+    )
+    for n in (1, 2):
+        figure = many(n, outcome=taut.Outcome(kind="diverged", message=words, tick=12)).plot()
+        assert words in " ".join(figure.get_suptitle().split())
+        assert max(map(len, figure.get_suptitle().splitlines())) <= 96
+        assert_legible(figure)
+
+
 def test_errors_far_apart_get_a_logarithmic_axis(make_run: Any) -> None:
     t = np.arange(1, 50) * 0.1
     runs = {name: make_run(t, np.outer(t, [size])) for name, size in (("bad", 1.0), ("good", 1e-4))}
@@ -266,5 +312,3 @@ def test_wrong_comparisons_get_one_sentence(many: Any) -> None:
         compare({})
     with pytest.raises(taut.UnknownNameError, match="a run has no metric 'rms_eror'; did you mean 'rms_error'"):
         compare({"a": run}, measures=["rms_eror"])
-    with pytest.raises(taut.UsageError, match="which joints in rad and joints in m together do not have"):
-        compare({"a": many(2, units=("rad", "m"))})

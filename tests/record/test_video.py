@@ -319,9 +319,9 @@ def test_every_wrong_request_gets_one_sentence(moving: Any, tmp_path: Path) -> N
     bare = dataclasses.replace(run, arm=None)
     path = tmp_path / "run.gif"
     wrong: list[tuple[Any, dict[str, Any], str]] = [
-        (run, {"path": tmp_path / "run.avi"}, "the name of a video must end in .gif or .mp4; got 'run.avi'"),
+        (run, {"path": tmp_path / "run.avi"}, "the video's name must end in .gif or .mp4; got 'run.avi'"),
         (run, {"path": tmp_path / "no" / "run.gif"}, "needs the folder"),
-        (run, {"path": tmp_path}, "the name of a video must end in .gif or .mp4"),
+        (run, {"path": tmp_path}, "the video's name must end in .gif or .mp4"),
         (bare, {}, "the run does not know its arm, as a log keeps none; pass arm=taut.load_arm('one_joint')"),
         (run, {"arm": taut.load_arm("planar2")}, "arm 'planar2' does not have the joints of the run: joint1, joint2 "
          "against joint1"),

@@ -5,16 +5,18 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
 from rich.console import Console
 from rich.table import Table
 
-from taut.base.errors import TautError, UsageError
+from taut.base.errors import ModelError, TautError, UsageError
 
 __all__ = ["main"]
 
@@ -49,7 +51,7 @@ class _Parser(argparse.ArgumentParser):
     """Wrong arguments are one sentence on standard error, like every other wrong request."""
 
     def error(self, message: str) -> NoReturn:
-        raise UsageError(f"{self.prog}: {message}; {self.prog} --help lists what it takes")
+        raise UsageError(f"{message}; {self.prog} --help lists what it takes")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -147,10 +149,10 @@ def _print_json(value: Any) -> None:
     print(json.dumps(value, indent=1, allow_nan=False))
 
 
-def _console() -> Console:
-    """A console that keeps tables whole when the output is a file or a pipe."""
+def _console(whole: int = 140) -> Console:
+    """A console as wide as the terminal, or as COLUMNS says; in a file or a pipe wide enough to keep tables whole."""
     console = Console()
-    return console if console.is_terminal else Console(width=140)
+    return console if console.is_terminal or "COLUMNS" in os.environ else Console(width=whole)
 
 
 # -------------------------------------------------------------------- commands
@@ -175,8 +177,8 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         _print_json(result.json())
     else:
-        console = _console()
-        console.print(result.table())
+        console = _console(whole=240)
+        console.print(result.table(console.width))
         for kind, path in result.outputs.items():
             print(f"{kind:8} {path}")
         for kind, reason in result.skipped.items():
@@ -227,19 +229,19 @@ def _laws(arguments: argparse.Namespace) -> int:
     if arguments.json:
         _print_json([row.json() for row in rows])
         return DONE
-    table = Table(
-        "law", "command and equation", "closed loop", "follows", "needs", title="taut.laws", show_lines=True
-    )
-    for row in rows:
-        table.add_row(row.name, "\n".join(row.law), "\n".join(row.closed_loop), row.reference, ", ".join(row.needs))
-    _console().print(table)
+    width = _console().width
+    print("\n\n".join(row.text(width) for row in rows))
     return DONE
 
 
 def _check(arguments: argparse.Namespace) -> int:
+    from taut.arm.load import open_model
     from taut.arm.report import check_model
 
     report = check_model(arguments.model)
+    if report.opened is None and not arguments.json:
+        with suppress(ModelError):  # a model that is broken has its report; a name without a model ends here
+            open_model(arguments.model)
     if arguments.json:
         _print_json(report.json())
     else:

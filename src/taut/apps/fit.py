@@ -11,18 +11,21 @@ import numpy as np
 
 from taut.apps.toml import Section
 from taut.arm.angles import require_radians
-from taut.base.errors import TautError, unknown_name
+from taut.arm.description import Arm
+from taut.base.errors import TautError, quoted_list, unknown_name
+from taut.base.types import Float64Array
 from taut.control.law import Law
 from taut.control.lawside import LawSide
 from taut.control.reference import JointMotion, Trajectory, sample_rows
 from taut.controller import compile
 from taut.loop import check_fit, state_at_start
 from taut.plant.rigid import RigidPlant
+from taut.record.metrics import MEASURES, OF_STEPS
 from taut.runtime.events import Event, sorted_events
 
 if TYPE_CHECKING:
     from taut.apps.read_plant import Plant
-    from taut.apps.scenario import Scenario
+    from taut.apps.scenario import PassFigure, Scenario
 
 __all__ = ["Places", "refuse_misfits"]
 
@@ -42,6 +45,7 @@ class Places:
     run: Section
     events: Sequence[Section]
     outputs: Section
+    figures: Sequence[Section]
 
 
 def refuse_misfits(scenario: Scenario, places: Places) -> None:
@@ -67,6 +71,9 @@ def refuse_misfits(scenario: Scenario, places: Places) -> None:
         for event, section in zip(scenario.events, places.events, strict=True):
             _check_event(scenario, event, side, section, label)
     _check_files(scenario, places.outputs)
+    moves = _moves(scenario)
+    for figure, section in zip(scenario.figures, places.figures, strict=True):
+        _check_figure(figure, section, scenario.arm, moves=moves)
 
 
 def _look_at_reference(scenario: Scenario) -> None:
@@ -75,10 +82,41 @@ def _look_at_reference(scenario: Scenario) -> None:
     if isinstance(reference, JointMotion):
         require_radians("q", np.asarray(reference.q), arm)
     elif isinstance(reference, Trajectory):
-        times = np.linspace(0.0, scenario.duration, GLANCES)
-        with np.errstate(all="ignore"):
-            rows = sample_rows(reference, times, JointMotion, arm.n)
-        require_radians("q", rows["q"], arm)
+        require_radians("q", _glances(scenario, reference)["q"], arm)
+
+
+def _glances(scenario: Scenario, reference: Trajectory) -> Mapping[str, Float64Array]:
+    """Rows of a trajectory, from start to end."""
+    times = np.linspace(0.0, scenario.duration, GLANCES)
+    with np.errstate(all="ignore"):
+        return sample_rows(reference, times, JointMotion, scenario.arm.n)
+
+
+def _moves(scenario: Scenario) -> bool:
+    """Whether the reference asks for more than one position, so that nothing settles."""
+    reference = scenario.reference
+    if isinstance(reference, Trajectory):
+        rows = _glances(scenario, reference)
+        return bool(np.any(rows["q"] != rows["q"][0]) or np.any(rows["v"]))
+    return isinstance(reference, JointMotion) and bool(np.any(reference.v))
+
+
+def _check_figure(figure: PassFigure, section: Section, arm: Arm, *, moves: bool) -> None:
+    """A pass figure is a number that the runs will have."""
+    names, units = arm.joint_names, arm.units
+    if figure.joint is not None and figure.joint not in names:
+        with section.blamed("joint"):
+            raise unknown_name(f"arm '{arm.name}'", "joint", figure.joint, names)
+    if figure.joint is None and MEASURES[figure.metric].per_unit and len(set(units)) > 1:
+        raise section.error(
+            f"metric '{figure.metric}' has no one number for joints in rad and joints in m together; add joint, one "
+            f"of {quoted_list(names, most=len(names))}"
+        )
+    if moves and figure.metric in OF_STEPS:
+        raise section.error(
+            f"metric '{figure.metric}' is for a set-point, and the [reference] moves; take one of "
+            f"{quoted_list([name for name in MEASURES if name not in OF_STEPS])}"
+        )
 
 
 def _law_side(scenario: Scenario, law: Law, place: Section, control: Section) -> LawSide:
@@ -127,11 +165,6 @@ def _check_files(scenario: Scenario, section: Section) -> None:
     wanted, runs = scenario.outputs, len(scenario.laws)
     if wanted.plot is not None and runs > MOST_RUNS:
         raise section.error(f"plot draws at most {MOST_RUNS} laws; got {runs}; leave it out, or some of the laws")
-    if wanted.plot is not None and runs > 1 and len(set(scenario.arm.units)) > 1:
-        raise section.error(
-            "plot compares laws by the norm of the error, which joints in rad and joints in m together do not have; "
-            "leave it out, or keep one law"
-        )
     if wanted.video is not None and wanted.video.endswith(".mp4") and shutil.which("ffmpeg") is None:
         raise section.error(
             f"video '{wanted.video}' needs the program ffmpeg, which is not on the PATH; install it, or write a .gif"

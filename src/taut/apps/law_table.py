@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import textwrap
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -33,6 +36,29 @@ class LawRow:
     def json(self) -> dict[str, Any]:
         """As plain values."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def text(self, width: int) -> str:
+        """For people: the equation, then what is said of it as running text, in lines of at most `width` letters."""
+        parts = {
+            "law": _equation_first(self.law),
+            "closed loop": _equation_first(self.closed_loop),
+            "gains": [", ".join(f"{name} [{unit}]" if unit else name for name, unit in self.gains.items()) or "none"],
+            "follows": [f"{self.reference}; gives a {self.command}; needs {', '.join(self.needs)}"],
+        }
+        lines = textwrap.wrap(f"{self.name}: {self.summary}", width)
+        for head, paragraphs in parts.items():
+            for i, paragraph in enumerate(paragraphs):
+                start = f"  {'' if i else head:11}  "
+                lines += textwrap.wrap(
+                    paragraph, width, initial_indent=start, subsequent_indent=" " * len(start), break_on_hyphens=False
+                )
+        return "\n".join(lines)
+
+
+def _equation_first(lines: Sequence[str]) -> list[str]:
+    """The lines of a docstring as paragraphs: the equation with its source in brackets, then the rest."""
+    told = [re.sub(r"   (.+)$", r" (\1)", line) for line in lines]
+    return [told[0], *(["; ".join(told[1:])] if told[1:] else [])]
 
 
 def law_rows() -> list[LawRow]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
-from taut.apps.toml import Section
-from taut.arm.builtin import COMMANDS, one_joint_tree
+from taut.apps.toml import Section, file_beside
+from taut.arm.builtin import BUILT_IN, COMMANDS, one_joint_tree
+from taut.arm.catalogue import CATALOGUE
 from taut.arm.change import joints_replaced
 from taut.arm.description import Arm
 from taut.arm.load import OpenedModel, arm_of, load_arm, open_model
@@ -16,9 +19,9 @@ from taut.base.pose import Pose
 __all__ = ["read_arm", "read_true_arm"]
 
 
-def read_arm(section: Section) -> Arm:
-    """The controllers' model of the arm, from [arm]."""
-    opened = _opened(section)
+def read_arm(section: Section, folder: Path) -> Arm:
+    """The controllers' model of the arm, from [arm]; a file of it is looked for in `folder`."""
+    opened = _opened(section, folder)
     given = {
         "tool": section.text("tool", None),
         "T_WB": _pose(section.section("T_WB")) if "T_WB" in section else section.take("T_WB", None),
@@ -33,24 +36,33 @@ def read_arm(section: Section) -> Arm:
     return arm
 
 
-def read_true_arm(section: Section, believed: Arm) -> Arm:
+def read_true_arm(section: Section, believed: Arm, folder: Path) -> Arm:
     """The plant's arm: the believed one, or another model, with the changes that [plant] states."""
     if "model" not in section:
         section.take("model", None)
         return _changed(section, believed)
     name = section.text("model")
     with section.blamed("model"):
-        arm = load_arm(name)
+        arm = load_arm(_model(name, folder))
     return _changed(section, arm)
 
 
-def _opened(section: Section) -> OpenedModel:
+def _model(name: str, folder: Path) -> str:
+    """A name that taut knows, else the path of a file."""
+    path = Path(name)
+    is_file = bool(path.suffix) or len(path.parts) > 1 or os.path.exists(folder / path)  # noqa: PTH110  (long names)
+    return (
+        str(file_beside("model", name, folder)) if name and is_file and name not in (*BUILT_IN, *CATALOGUE) else name
+    )
+
+
+def _opened(section: Section, folder: Path) -> OpenedModel:
     """The model of [arm], and the chapter's link with other numbers: link = { M, m, r, b }."""
     model = section.text("model")
     if "link" not in section:
         section.take("link", None)
         with section.blamed("model"):
-            return open_model(model)
+            return open_model(_model(model, folder))
     if model != "one_joint":
         raise section.error(f"link is for the model 'one_joint'; got model '{model}'")
     link = section.section("link")
@@ -87,9 +99,9 @@ def _changed(section: Section, arm: Arm) -> Arm:
             arm = arm.with_body(joint, **change)
     if "perturbed" in section:
         spread = section.section("perturbed")
+        spread.only("seed", "mass", "com", "inertia", "friction")
         seed = spread.whole("seed")
         numbers = {word: spread.number(word, 0.0) for word in ("mass", "com", "inertia", "friction")}
-        spread.done()
         with spread.blamed():
             arm = arm.perturbed(seed=seed, **numbers)
     values = section.section("joint_values")
@@ -97,9 +109,9 @@ def _changed(section: Section, arm: Arm) -> Arm:
         arm = joints_replaced(arm, {key: values.take(key) for key in values.left})
     if "payload" in section:
         load = section.section("payload")
+        load.only("mass", "com", "inertia")
         mass, com = load.number("mass"), load.numbers("com", [0.0, 0.0, 0.0])
         inertia = load.numbers("inertia", [0.0] * 6)
-        load.done()
         with load.blamed():
             arm = arm.with_payload(mass, com, inertia)
     for key in ("perturbed", "payload"):

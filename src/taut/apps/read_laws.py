@@ -26,7 +26,7 @@ def read_law(section: Section) -> Law:
 def _sum(section: Section) -> Law:
     names = section.texts("law", example='["FeedForward", "PID"]')
     if not names:
-        raise section.error("law must name one law at least; got an empty array")
+        raise section.error("law must be the name of a law, or an array of one at least; got []")
     total: Law | None = None
     for name in names:
         if names.count(name) > 1:

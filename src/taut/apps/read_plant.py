@@ -9,7 +9,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from taut.apps.read_arm import read_true_arm
-from taut.apps.toml import Section
+from taut.apps.toml import Section, file_beside
 from taut.arm.description import Arm
 from taut.maths.adds import Adds
 from taut.plant.rigid import RigidPlant
@@ -19,6 +19,9 @@ from taut.runtime.host import HostPlant
 __all__ = ["Plant", "read_plant"]
 
 MOST_STEPS: Final = 1000  # of MuJoCo in a control period, as of the other plant
+
+OF_RIGID: Final = ("integrator", "takes", "substeps", "sensors", "actuation")
+OF_MUJOCO: Final = ("timestep", "scene")
 
 Plant: TypeAlias = RigidPlant | HostPlant
 
@@ -30,10 +33,10 @@ def read_plant(section: Section, believed: Arm, rate: float, folder: Path) -> Pl
         section: [plant].
         believed: The controllers' arm, from which the true one is made.
         rate: Commands per second [Hz].
-        folder: Where a scene lies.
+        folder: Where a scene and a model lie.
     """
     kind = section.word("kind", ("rigid", "mujoco"), "rigid")
-    arm = read_true_arm(section, believed)
+    arm = read_true_arm(section, believed, folder)
     if arm.n != believed.n:
         raise section.error(
             f"model must have as many joints as that of [arm], the {believed.n} of '{believed.name}'; got the "
@@ -51,7 +54,7 @@ def read_plant(section: Section, believed: Arm, rate: float, folder: Path) -> Pl
     for word, cls in (("sensors", Sensors), ("actuation", Actuation)):
         if word in section:
             options[word] = _made(section.section(word), cls)
-    section.only("integrator", "takes", "substeps", "sensors", "actuation")
+    section.only(*OF_RIGID, elsewhere=dict.fromkeys(OF_MUJOCO, ', which is for kind = "mujoco"'))
     with section.blamed():
         plant = RigidPlant(arm, **options)
     with section.blamed("actuation.delay"):
@@ -63,14 +66,15 @@ def _in_mujoco(section: Section, arm: Arm, options: dict[str, Any], rate: float,
     from taut.runtime.drivers.mujoco import MujocoPlant
 
     timestep, scene = section.number("timestep", None), section.text("scene", None)
-    section.done()
+    section.only(elsewhere=dict.fromkeys(OF_RIGID, ', which is for kind = "rigid"'))
     if timestep is not None and 0.0 < timestep * rate * MOST_STEPS < 1.0:
         raise section.error(
             f"timestep must be >= {1.0 / (rate * MOST_STEPS):g} [s], {MOST_STEPS} of which make a control period; "
             f"got {timestep:g}"
         )
     with section.blamed("scene" if scene is not None else "kind"):
-        plant = MujocoPlant(arm, scene=None if scene is None else folder / scene, timestep=timestep, **options)
+        place = None if scene is None else file_beside("scene", scene, folder)
+        plant = MujocoPlant(arm, scene=place, timestep=timestep, **options)
     with section.blamed("timestep"):
         plant.reset(arm.home, np.zeros(arm.n), 1.0 / rate)
     return plant

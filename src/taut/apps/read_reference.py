@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from taut.apps.toml import Section
+from taut.apps.toml import Section, file_beside
 from taut.arm.angles import require_radians
 from taut.arm.description import Arm
 from taut.base.checks import finite_array
@@ -55,7 +55,7 @@ def read_reference(section: Section, arm: Arm, home: Float64Array, folder: Path)
     else:
         section.done()
         with section.blamed("file"):
-            made = Samples.from_csv(folder / file)
+            made = Samples.from_csv(file_beside("CSV file", file, folder))
     given = [name for name in POSITIONS if hasattr(made, name)]
     for name in given:
         _check_size(section, name, getattr(made, name), arm)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from rich.cells import cell_len
 from rich.markup import escape
 from rich.table import Table
 
@@ -66,16 +67,29 @@ class ScenarioResult:
             "missed": list(self.missed),
         }
 
-    def table(self) -> Table:
-        """One row per law, with the numbers that mean something for all joints together."""
-        metrics = {label: one.metrics for label, one in self.runs.items()}
-        names = [name for name in COLUMNS if any(not math.isnan(m.overall[name]) for m in metrics.values())]
-        unit = {name: next(iter(metrics.values())).unit(name) for name in names}
-        heads = [escape(f"{MEASURES[name].title}\n[{unit[name]}]") for name in names]
-        table = Table("law", *heads, "outcome", title=escape(self.scenario.title))
-        for label, one in self.runs.items():
-            cells = [number_text(metrics[label].overall[name]) for name in names]
-            table.add_row(escape(label), *cells, one.outcome.kind)
+    def table(self, width: int) -> Table:
+        """The numbers that mean something, of joints in rad and of joints in m apart.
+
+        Args:
+            width: Letters in a line. One row stands for each law, or one column where the rows would be longer.
+        """
+        numbers = {label: [one.metrics.by_unit(name) for name in COLUMNS] for label, one in self.runs.items()}
+        heads = [(i, unit) for i, by_unit in enumerate(next(iter(numbers.values()))) for unit in by_unit]
+        heads = [(i, unit) for i, unit in heads if not all(math.isnan(row[i][unit]) for row in numbers.values())]
+        cells = [["law", *self.runs]]
+        for i, unit in heads:
+            values = [number_text(row[i][unit]) for row in numbers.values()]
+            cells.append([f"{MEASURES[COLUMNS[i]].title}\n[{unit}]", *values])
+        cells.append(["outcome", *(one.outcome.kind for one in self.runs.values())])
+        needed = 1 + sum(3 + max(cell_len(part) for text in column for part in text.split("\n")) for column in cells)
+        rows = (
+            list(zip(*cells, strict=True)) if needed <= width else [[c.replace("\n", " ") for c in r] for r in cells]
+        )
+        table = Table(title=escape(self.scenario.title))
+        for head in rows[0]:
+            table.add_column(escape(head), overflow="fold")
+        for row in rows[1:]:
+            table.add_row(*map(escape, row))
         return table
 
 
@@ -224,10 +238,15 @@ def _missed(figure: PassFigure, runs: Mapping[str, Run]) -> str | None:
     """In words, if a pass figure is not reached."""
     if figure.law not in runs:
         return None
-    value = runs[figure.law].metrics.overall[figure.metric]
+    metrics, what = runs[figure.law].metrics, f"{figure.law}: {figure.metric}"
+    if figure.joint is None:
+        value = metrics.overall[figure.metric]
+    else:
+        what += f" of joint '{figure.joint}'"
+        value = getattr(metrics, figure.metric)[metrics.joint_names.index(figure.joint)]
     if math.isnan(value):
-        return f"{figure.law}: {figure.metric} has no meaning in this run, so that no bound on it is reached"
+        return f"{what} has no meaning in this run, so that no bound on it is reached"
     if figure.least <= value <= figure.most:
         return None
     bound = f"<= {figure.most:g}" if not value <= figure.most else f">= {figure.least:g}"
-    return f"{figure.law}: {figure.metric} must be {bound}; got {value:.6g}"
+    return f"{what} must be {bound}; got {value:.6g}"

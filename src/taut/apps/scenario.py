@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
@@ -18,7 +19,7 @@ from taut.apps.read_reference import read_reference
 from taut.apps.toml import Section, read_toml
 from taut.arm.description import Arm
 from taut.base.checks import positive_scalar
-from taut.base.errors import quoted_list, unknown_name
+from taut.base.errors import MODEL_FILES, FileError, quoted_list, unknown_name
 from taut.base.types import ArrayLike
 from taut.control.law import Law
 from taut.control.limits import Limits
@@ -59,6 +60,7 @@ class PassFigure:
 
     law: str
     metric: str
+    joint: str | None  # None for all joints together
     least: float
     most: float
 
@@ -110,7 +112,8 @@ def load_scenario(name: str, own_laws: Mapping[str, Law] | None = None) -> Scena
     root = read_toml(path, source)
     root.only(*SECTIONS)
     title = root.text("title", path.stem)
-    arm = read_arm(root.section("arm", required=True))
+    folder = path.parent
+    arm = read_arm(root.section("arm", required=True), folder)
     laws_section = root.section("laws", required=own_laws is None)
     labels = laws_section.left
     if own_laws is None:
@@ -121,10 +124,10 @@ def load_scenario(name: str, own_laws: Mapping[str, Law] | None = None) -> Scena
         laws = dict(own_laws)
     control, plant_section = root.section("control"), root.section("plant", required=True)
     reference_section, run = root.section("reference"), root.section("run", required=True)
-    outputs, events = root.section("outputs"), root.sections("event")
+    outputs, events, figures = root.section("outputs"), root.sections("event"), root.sections("pass")
     rate, sensing, limits = _control(control, arm)
-    plant = read_plant(plant_section, arm, rate, path.parent)
-    reference = read_reference(reference_section, arm, plant.arm.home, path.parent)
+    plant = read_plant(plant_section, arm, rate, folder)
+    reference = read_reference(reference_section, arm, plant.arm.home, folder)
     scenario = Scenario(
         name=path.stem,
         source=source,
@@ -138,7 +141,7 @@ def load_scenario(name: str, own_laws: Mapping[str, Law] | None = None) -> Scena
         reference=reference,
         events=tuple(_event(section) for section in events),
         outputs=_outputs(outputs, list(laws), labels),
-        figures=tuple(_figure(section, labels or list(laws)) for section in root.sections("pass")),
+        figures=tuple(_figure(section, labels or list(laws)) for section in figures),
         **_run(run, plant.arm),
     )
     places = Places(
@@ -149,6 +152,7 @@ def load_scenario(name: str, own_laws: Mapping[str, Law] | None = None) -> Scena
         run=run,
         events=events,
         outputs=outputs,
+        figures=figures,
     )
     refuse_misfits(scenario, places)
     return scenario
@@ -159,8 +163,10 @@ def _found(name: str) -> Path:
     known = built_in_scenarios()
     if name in known:
         return known[name]
+    path = Path(name)
+    _refuse_other_files(path)
     if name.endswith(".toml") or "/" in name or "\\" in name:
-        return Path(name)
+        return path
     hint = "or give the path of a .toml file"
     try:
         if Path(f"{name}.toml").is_file():
@@ -168,6 +174,19 @@ def _found(name: str) -> Path:
     except OSError:  # a name that is too long for a file
         pass
     raise unknown_name("taut", "scenario", name, known, hint=hint)
+
+
+def _refuse_other_files(path: Path) -> None:
+    """A file of another kind is told what it is, not that no scenario has its name."""
+    if os.path.isdir(path):  # noqa: PTH112  (long names)
+        raise FileError(f"'{path}' is a folder; name a scenario in it, a .toml file", name=str(path))
+    if path.suffix.lower() == ".toml" or not os.path.isfile(path):  # noqa: PTH113
+        return
+    if path.suffix.lower() in MODEL_FILES:
+        raise FileError(
+            f"'{path}' is a robot model, which taut check reads; a scenario is a .toml file", name=str(path)
+        )
+    raise FileError(f"'{path}' is no scenario; a scenario is a .toml file", name=str(path))
 
 
 def _law_sections(section: Section) -> dict[str, Section]:
@@ -244,7 +263,7 @@ def _outputs(section: Section, laws: list[str], labels: list[str]) -> Outputs:
 
 
 def _figure(section: Section, labels: list[str]) -> PassFigure:
-    label, metric = section.text("law"), section.text("metric")
+    label, metric, joint = section.text("law"), section.text("metric"), section.text("joint", None)
     least, most = section.number("min", -np.inf), section.number("max", np.inf)
     section.done()
     if label not in labels:
@@ -256,4 +275,4 @@ def _figure(section: Section, labels: list[str]) -> PassFigure:
         raise section.error("needs min, max or both")
     if least > most:
         raise section.error(f"min must be <= max, which is {most:g}; got {least:g}")
-    return PassFigure(law=label, metric=metric, least=float(least), most=float(most))
+    return PassFigure(law=label, metric=metric, joint=joint, least=float(least), most=float(most))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 import math
+import os
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,14 +13,25 @@ from pathlib import Path
 from typing import Any, Final
 
 from taut.base.checks import readable_file
-from taut.base.errors import ScenarioError, TautError, quoted_list
+from taut.base.errors import FileError, ScenarioError, TautError, quoted_list
 
-__all__ = ["REQUIRED", "Section", "read_toml"]
+__all__ = ["REQUIRED", "Section", "file_beside", "read_toml"]
 
 REQUIRED: Final = object()
+EMPTY: Final[Mapping[str, str]] = {}
 MOST_BYTES: Final = 1_000_000
 DEEPEST: Final = 16  # tables within tables; a scenario has five
 LONGEST: Final = 100  # letters of a value in a message
+WORDS: Final = {
+    "friction=None": 'friction = "none"',
+    "actuation=taut.Actuation(bandwidth=50.0)  # rad/s": "actuation = { bandwidth = 50.0 } [rad/s]",
+    "give taut.Limits(tau=...)": "write limits = { tau = [...] }",
+    "Limits needs tau=, tau_dot= or both": "needs tau, tau_dot or both",
+    "for no limits leave limits=None": 'for no limits write limits = "none"',
+    "sensing=taut.Sensing(velocity='difference')": 'velocity = "difference" in [control]',
+    "a plant with takes='": "a plant that takes '",
+}
+"""Ways out that are written for Python, as they are written in a scenario."""
 
 
 def read_toml(path: Path, label: str = "") -> Section:
@@ -62,6 +74,21 @@ def _refuse_monsters(root: Section, table: Mapping[str, Any]) -> None:
             raise root.error(f"{place} a whole number beyond the 64 bits of TOML; write it as 1e20")
 
 
+def file_beside(kind: str, name: str, folder: Path) -> Path:
+    """A file that a scenario names: a path from the scenario's own folder, or an absolute one.
+
+    Raises:
+        FileError: It cannot be read; the message says where it was looked for.
+    """
+    place = folder.resolve() / name
+    try:
+        return readable_file(kind, place)
+    except FileError as cause:
+        if Path(name).is_absolute() or os.path.exists(place):  # noqa: PTH110  (long names)
+            raise
+        raise FileError(f"{cause} (paths begin at the scenario's own folder)", name=cause.name) from cause
+
+
 class Section:
     """One table of a file. Keys are taken one by one; what is left at the end is refused."""
 
@@ -99,6 +126,8 @@ class Section:
     def _with_key(self, cause: TautError, key: str | None) -> str:
         """The text of an error, which calls a key as this section does: q, not ref.q."""
         text, name = str(cause), cause.name or ""
+        for words, in_toml in WORDS.items():
+            text = text.replace(words, in_toml)
         first, last = name.partition(".")[0], name.rpartition(".")[2]
         if first in self._known:
             return text if re.search(rf"(?<!\w){re.escape(first)}(?!\w)", text) else f"{first}: {text}"
@@ -196,8 +225,12 @@ class Section:
         """The keys that were not taken yet, in the order of the file."""
         return list(self._table)
 
-    def only(self, *keys: str) -> None:
+    def only(self, *keys: str, elsewhere: Mapping[str, str] = EMPTY) -> None:
         """Nothing but these keys may be there, and what was taken already.
+
+        Args:
+            keys: The keys.
+            elsewhere: What to say of keys that have their place where this section is of another kind.
 
         Raises:
             ScenarioError: There is another key.
@@ -206,9 +239,10 @@ class Section:
         for key in self._table:
             if key in self._known:
                 continue
-            close = difflib.get_close_matches(key, self._known, n=1)
-            way_out = f"did you mean '{close[0]}'?" if close else f"it takes {quoted_list(sorted(set(self._known)))}"
-            raise self.error(f"has no key '{key}'; {way_out}")
+            close = [] if key in elsewhere else difflib.get_close_matches(key, self._known, n=1)
+            known = sorted(set(self._known))  # all of them: a list that is cut sends the reader to the manual
+            way_out = f"did you mean '{close[0]}'?" if close else f"it takes {quoted_list(known, most=len(known))}"
+            raise self.error(f"has no key '{key}'{elsewhere.get(key, '')}; {way_out}")
 
     def done(self) -> None:
         """Nothing may be left.

@@ -140,7 +140,7 @@ def quoted_list(names: Iterable[str], most: int = 12) -> str:
     """Names in quotes, joined by commas; a long list is cut and counted."""
     names = list(names)
     shown = ", ".join(f"'{name}'" for name in names[:most])
-    return shown if len(names) <= most else f"{shown}, ... ({len(names)} in all)"
+    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
 
 
 def unknown_name(owner: str, kind: str, name: Any, known: Iterable[str], hint: str = "") -> UnknownNameError:

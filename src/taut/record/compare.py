@@ -11,7 +11,7 @@ import numpy as np
 from taut.base.errors import UsageError
 from taut.record.metrics import MEASURES
 from taut.record.run import Run
-from taut.record.style import INK, WIDTH, colour, legend_above, line, prepared, short_name
+from taut.record.style import INK, SMALL, WIDTH, colour, legend_above, line, prepared, short_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,38 +27,51 @@ FAR_APART: Final = 30.0  # ratio of errors above which their axis is logarithmic
 def compare(runs: Mapping[str, Run], *, title: str = "", measures: Sequence[str] = BARS) -> Figure:
     """Error norm over time of several runs, and bars of their metrics, as a matplotlib Figure.
 
+    Joints in rad and joints in m have no norm together: each unit has its own axes, and bars of its own.
+
     Args:
         runs: The runs by the name that each gets in the figure.
         title: A title for the figure.
         measures: Names of the metrics to draw as bars.
 
     Raises:
-        UsageError: No runs, more than eight, one without a position reference, joints in rad and in m.
+        UsageError: No runs, more than eight, one without a position reference.
         UnknownNameError: There is no such metric.
     """
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-    unit = _checked(runs, measures)
-    height = 0.3 + 0.22 * len(runs)
-    figure = Figure(figsize=(WIDTH, 2.9 + height), dpi=150, layout="constrained")
+    _check(runs, measures)
+    units = list(dict.fromkeys(unit for run in runs.values() for unit in run.units))
+    bars = {measure: _by_unit(runs, measure) for measure in measures}
+    rows = max(len(values) for values in bars.values())
+    heights = [0.5 + (2.1 if len(units) == 1 else 1.6 * len(units)), rows * (0.3 + 0.22 * len(runs))]
+    figure = Figure(figsize=(WIDTH, 0.3 + sum(heights)), dpi=150, layout="constrained")
     if title:
         figure.suptitle(title, fontsize=9.5, color=INK, x=0.01, ha="left")
-    top, bottom = figure.subfigures(2, 1, height_ratios=[2.6, height], squeeze=False)[:, 0]
-    _norms(runs, unit, top.subplots())
+    top, bottom = figure.subfigures(2, 1, height_ratios=heights, squeeze=False)[:, 0]
+    norms = top.subplots(len(units), 1, squeeze=False, sharex=True)[:, 0]
+    for ax, unit in zip(norms, units, strict=True):
+        whose = "" if len(units) == 1 else f" of the joints in {unit}"
+        _norms(runs, unit, prepared(ax, f"norm of the tracking error{whose}", f"[{unit}]"))
+    norms[-1].set_xlabel("t [s]", fontsize=SMALL, color=INK)
     names = [
         Line2D([], [], color=colour(i), linewidth=2.0, label=short_name(name, 30)) for i, name in enumerate(runs)
     ]
     legend_above(top, names)
-    for i, (ax, measure) in enumerate(
-        zip(bottom.subplots(1, len(measures), squeeze=False)[0], measures, strict=True)
-    ):
-        _bars(runs, measure, ax, with_names=i == 0)
+    grid = bottom.subplots(rows, len(bars), squeeze=False)
+    for column, (measure, values) in zip(grid.T, bars.items(), strict=True):
+        for i, ax in enumerate(column):
+            ax.set_visible(i < len(values))
+        for ax, (unit, numbers) in zip(column, values.items(), strict=False):
+            _bars(prepared(ax, f"{MEASURES[measure].title} [{unit}]"), numbers)
+    for row in grid:
+        first = next(ax for ax in row if ax.get_visible())
+        first.set_yticks(first.get_yticks(), [short_name(name, 18) for name in runs])
     return figure
 
 
-def _checked(runs: Mapping[str, Run], measures: Sequence[str]) -> str:
-    """The unit that all runs share."""
+def _check(runs: Mapping[str, Run], measures: Sequence[str]) -> None:
     from taut.base.errors import unknown_name
 
     if not isinstance(runs, Mapping) or not all(isinstance(run, Run) for run in runs.values()):
@@ -70,25 +83,26 @@ def _checked(runs: Mapping[str, Run], measures: Sequence[str]) -> str:
             raise unknown_name("a run", "metric", measure, MEASURES)
     if not measures:
         raise UsageError("compare needs one metric at least; got measures=()", name="measures")
-    units = {unit for run in runs.values() for unit in run.units}
-    if len(units) > 1:
-        raise UsageError(
-            "compare draws the norm of the error, which joints in rad and joints in m together do not have; "
-            "plot the runs one by one",
-            name="runs",
-        )
     for name, run in runs.items():
         if run.error is None or not len(run):
             raise UsageError(f"run '{name}' has no tracking error to compare", name="runs")
-    return units.pop()
+
+
+def _by_unit(runs: Mapping[str, Run], measure: str) -> dict[str, list[float]]:
+    """By the metric's unit: its number in each run, NaN where no joint of a run has that unit."""
+    found = [run.metrics.by_unit(measure) for run in runs.values()]
+    units = dict.fromkeys(unit for numbers in found for unit in numbers)
+    return {unit: [numbers.get(unit, math.nan) for numbers in found] for unit in units}
 
 
 def _norms(runs: Mapping[str, Run], unit: str, ax: Axes) -> None:
-    prepared(ax, "norm of the tracking error", f"[{unit}]", "t [s]")
     sizes = []
     for i, run in enumerate(runs.values()):
+        joints = [joint for joint in range(run.n) if run.units[joint] == unit]
+        if not joints:
+            continue
         assert run.error is not None
-        norm = np.sqrt(np.sum(run.error**2, axis=1))
+        norm = np.sqrt(np.sum(run.error[:, joints] ** 2, axis=1))
         sizes.append(float(np.sqrt(np.mean(norm**2))))
         line(ax, run.t, norm, colour(i))
     if min(sizes) > 0.0 and max(sizes) / min(sizes) > FAR_APART:
@@ -100,19 +114,16 @@ def _norms(runs: Mapping[str, Run], unit: str, ax: Axes) -> None:
     ax.margins(x=0.01)
 
 
-def _bars(runs: Mapping[str, Run], measure: str, ax: Axes, *, with_names: bool) -> None:
+def _bars(ax: Axes, values: Sequence[float]) -> None:
     """One metric of each run, as a bar with its number."""
-    metrics = [run.metrics for run in runs.values()]
-    values = [m.overall[measure] for m in metrics]
     finite = [value if math.isfinite(value) else 0.0 for value in values]
-    prepared(ax, f"{MEASURES[measure].title} [{metrics[0].unit(measure)}]")
     places = np.arange(len(values))[::-1]
     ax.barh(places, finite, height=0.68, color=[colour(i) for i in range(len(values))])
     edge = max([abs(value) for value in finite] or [0.0]) or 1.0
     for place, value, size in zip(places, values, finite, strict=True):
         ax.text(max(size, 0.0) + 0.03 * edge, place, _number(value), fontsize=7.5, color=INK, va="center", ha="left")
     ax.set_xlim(1.1 * min([0.0, *finite]), 1.55 * edge)
-    ax.set_yticks(places, [short_name(name, 18) for name in runs] if with_names else [""] * len(places))
+    ax.set_yticks(places, [""] * len(places))
     ax.set_xticks([])
     ax.grid(False)
     ax.tick_params(axis="y", length=0.0)

@@ -31,7 +31,7 @@ def checked_target(kind: str, path: str | os.PathLike[str], suffixes: tuple[str,
     rule = " or ".join(suffixes)
     if file.suffix.lower() not in suffixes:
         got = f"'{file.name}'" if file.name else f"'{path}'"
-        raise FileError(f"the name of a {kind} must end in {rule}; got {got}", name=str(file), rule=rule)
+        raise FileError(f"the {kind}'s name must end in {rule}; got {got}", name=str(file), rule=rule)
     if "\0" in str(file):
         raise FileError(f"{kind} {str(path)!r} is no name of a file; it holds a NUL character", name=str(file))
     if file.is_dir():

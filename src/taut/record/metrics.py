@@ -6,7 +6,7 @@ Errors are wanted minus true. A torque acts unchanged from its tick to the next,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -15,12 +15,12 @@ import numpy as np
 from taut.arm.angles import short_way
 from taut.base.checks import read_only
 from taut.base.types import Float64Array
-from taut.record.step import StepResponse, step_response
+from taut.record.step import step_response
 
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = ["MEASURES", "Measure", "Metrics", "metrics_of"]
+__all__ = ["MEASURES", "OF_STEPS", "Measure", "Metrics", "metrics_of"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +30,11 @@ class Measure:
     title: str
     unit: str  # {q} stands for rad or m, {tau} for N m or N, {command} for the command's unit
     overall: str  # in words
+
+    @property
+    def per_unit(self) -> bool:
+        """Whether joints in rad and joints in m have no common number of it."""
+        return "{" in self.unit
 
 
 MEASURES: Final = {
@@ -48,13 +53,16 @@ MEASURES: Final = {
 }
 
 
+OF_STEPS: Final = ("overshoot", "settling_time", "steady_state_error")  # which only a set-point has
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Metrics:
-    """How well a run went: one number per joint by attribute, and one for all joints in `overall`.
+    """How well a run went, in numbers per joint by attribute, for all joints in `overall`, and per unit in `groups`.
 
     NaN (null in JSON) where a number has no meaning: overshoot, settling time and steady-state error where the
     reference is not constant, or where a joint had no initial error; saturation where nothing limits the command;
-    an overall number of joints with different units.
+    an overall number of joints with different units, each of which has its number in `groups`.
 
     Attributes:
         overshoot: (n,) [%] of the initial error, beyond where the joint came to rest (chapter, below figure 10.4).
@@ -71,6 +79,7 @@ class Metrics:
         chatter: (n,) [N m/s | N/s] total variation of tau per second.
         energy: (n,) [J] work of tau on the joint, integral of tau v.
         overall: One number of each for all joints together; `MEASURES[name].overall` says which.
+        groups: The same for the joints of each unit: {"rad": {"rms_error": ...}, "m": {"rms_error": ...}}.
 
     References:
         Chapter, section 10.2.1.1, figure 10.4 (overshoot, settling time, steady-state error); figure 10.12 (effort).
@@ -93,19 +102,31 @@ class Metrics:
     chatter: Float64Array
     energy: Float64Array
     overall: dict[str, float]
+    groups: dict[str, dict[str, float]]
 
-    def unit(self, name: str) -> str:
-        """Unit of a metric; of joints with different units, both."""
-        return " | ".join(dict.fromkeys(self.units[name]))
+    def unit(self, name: str, group: str | None = None) -> str:
+        """Unit of a metric, of a group if one is named; of joints with different units, both."""
+        places = zip(self.units["rms_error"], self.units[name], strict=True)
+        return " | ".join(dict.fromkeys(unit for of, unit in places if group in (None, of)))
+
+    def by_unit(self, name: str) -> dict[str, float]:
+        """A metric by its unit: the overall number, or one for each group where there is no overall one."""
+        if len(self.groups) == 1 or not MEASURES[name].per_unit:
+            return {self.unit(name): self.overall[name]}
+        return {self.unit(name, group): numbers[name] for group, numbers in self.groups.items()}
 
     def json(self) -> dict[str, Any]:
-        """As plain values: {"duration": ..., "setpoint": ..., "rms_error": {"unit", "overall", "joints"}, ...}."""
+        """As plain values: {"duration", "setpoint", "rms_error": {"unit", "overall", "groups", "joints"}, ...}."""
         out: dict[str, Any] = {"duration": {"unit": "s", "overall": self.duration}, "setpoint": self.setpoint}
         for name in MEASURES:
             per_joint = zip(self.joint_names, getattr(self, name), strict=True)
             out[name] = {
                 "unit": self.unit(name),
                 "overall": _plain(self.overall[name]),
+                "groups": {
+                    group: {"unit": self.unit(name, group), "overall": _plain(numbers[name])}
+                    for group, numbers in self.groups.items()
+                },
                 "joints": {joint: _plain(value) for joint, value in per_joint},
             }
         return out
@@ -126,13 +147,22 @@ def _plain(value: float) -> float | None:
 def metrics_of(run: Run) -> Metrics:
     """The metrics of a run."""
     with np.errstate(over="ignore", invalid="ignore"):  # a run that diverged may hold huge numbers
-        columns, overall, setpoint = _measured(run)
+        setpoint = _is_setpoint(run)
+        columns = _per_joint(run, setpoint)
+        overall = _together(run, columns, list(range(run.n)))
+        groups = {
+            unit: _together(run, columns, [i for i in range(run.n) if run.units[i] == unit])
+            for unit in dict.fromkeys(run.units)
+        }
+    if len(groups) > 1:
+        overall |= {name: np.nan for name, measure in MEASURES.items() if measure.per_unit}
     return Metrics(
         joint_names=run.joint_names,
         units={name: _units(run, measure.unit) for name, measure in MEASURES.items()},
         duration=float(run.t[-1] - run.t[0]) if len(run) else 0.0,
         setpoint=setpoint,
         overall=overall,
+        groups=groups,
         **{name: read_only(values) for name, values in columns.items()},
     )
 
@@ -142,28 +172,33 @@ def _units(run: Run, text: str) -> tuple[str, ...]:
     return tuple(text.format(q=q, tau=tau, command=command).replace("(N)^2", "N^2") for q, tau, command in rows)
 
 
-def _measured(run: Run) -> tuple[dict[str, Float64Array], dict[str, float], bool]:
-    """Per joint, overall, and whether it was a set-point run."""
+def _per_joint(run: Run, setpoint: bool) -> dict[str, Float64Array]:
     columns = {name: np.full(run.n, np.nan) for name in MEASURES}
-    overall = dict.fromkeys(MEASURES, np.nan)
     if not len(run):
-        return columns, overall, False
-    alike = len(set(run.units)) == 1
-    error, setpoint = run.error, _is_setpoint(run)
+        return columns
+    error = run.error
     if error is not None:
-        norm = np.sqrt(np.sum(error**2, axis=1))
-        for name, number in (("rms_error", _rms), ("peak_error", _peak), ("final_error", _final)):
-            columns[name] = number(error)
-            overall[name] = float(number(norm)) if alike else np.nan
+        columns |= {name: number(error) for name, number in NORMS.items()}
     if error is not None and setpoint:
         steps = [step_response(run.t, error[:, i]) for i in range(run.n)]
-        for name in ("overshoot", "settling_time", "steady_state_error"):
-            columns[name] = np.array([getattr(step, name) for step in steps])
-            overall[name] = _worst(name, steps)
-    for name, values, combined in _of_torque(run):
-        columns[name] = values
-        overall[name] = combined if alike or name in ("saturation_time", "energy") else np.nan
-    return columns, overall, setpoint
+        columns |= {name: np.array([getattr(step, name) for step in steps]) for name in OF_STEPS}
+    return columns | _of_torque(run)
+
+
+def _together(run: Run, columns: Mapping[str, Float64Array], joints: list[int]) -> dict[str, float]:
+    """One number of each metric for some joints."""
+    chosen = {name: values[joints] for name, values in columns.items()}
+    numbers = {name: float(np.sum(chosen[name])) for name in ("effort", "chatter", "energy")}
+    numbers |= {name: float(np.max(chosen[name])) for name in ("peak_torque", "largest_cut")}
+    numbers |= {name: _worst(chosen[name]) for name in OF_STEPS}
+    numbers |= dict.fromkeys((*NORMS, "saturation_time"), np.nan)
+    if len(run) and run.error is not None:
+        norm = np.sqrt(np.sum(run.error[:, joints] ** 2, axis=1))
+        numbers |= {name: float(number(norm)) for name, number in NORMS.items()}
+    if len(run) and "limits" in run.terms:
+        saturated = (run.terms["limits"][:-1, joints] != 0.0).any(axis=1)
+        numbers["saturation_time"] = float(np.sum(saturated * np.diff(run.t)))
+    return {name: numbers[name] for name in MEASURES}
 
 
 def _rms(x: Float64Array) -> Float64Array:
@@ -181,40 +216,34 @@ def _final(x: Float64Array) -> Float64Array:
     return final
 
 
+NORMS: Final = {"rms_error": _rms, "peak_error": _peak, "final_error": _final}
+
+
 def _is_setpoint(run: Run) -> bool:
     """Whether the reference asks for one position throughout."""
     q, v = getattr(run.reference, "q", None), getattr(run.reference, "v", None)
-    return q is not None and not np.any(q != q[0]) and not np.any(v)
+    return q is not None and bool(len(run)) and not np.any(q != q[0]) and not np.any(v)
 
 
-def _worst(name: str, steps: list[StepResponse]) -> float:
-    values = np.array([getattr(step, name) for step in steps])
+def _worst(values: Float64Array) -> float:
     values = values[~np.isnan(values)]
     return float(values[np.argmax(np.abs(values))]) if values.size else np.nan
 
 
-def _of_torque(run: Run) -> list[tuple[str, Float64Array, float]]:
-    """Name, number per joint and number overall of everything about torque."""
+def _of_torque(run: Run) -> dict[str, Float64Array]:
+    """Everything about torque, joint by joint."""
     dt = np.diff(run.t)[:, np.newaxis]  # (k - 1, 1) how long each row's torque acted [s]
     duration = float(dt.sum())
     acting = run.tau[:-1]
-    largest: Callable[[Float64Array], float] = lambda x: float(np.max(x))  # noqa: E731
-    effort = np.sum(acting**2 * dt, axis=0)
-    peak = _peak(run.tau)
-    # A torque that is constant over the period does the work tau (q_next - q), whatever v does in between.
-    energy = np.sum(acting * short_way(np.diff(run.q, axis=0), run.continuous), axis=0)
-    chatter = np.sum(np.abs(np.diff(run.tau, axis=0)), axis=0) / duration if duration else np.full(run.n, np.nan)
-    out = [
-        ("effort", effort, float(effort.sum())),
-        ("peak_torque", peak, largest(peak)),
-        ("energy", energy, float(energy.sum())),
-        ("chatter", chatter, float(chatter.sum())),
-    ]
+    out = {
+        "effort": np.sum(acting**2 * dt, axis=0),
+        "peak_torque": _peak(run.tau),
+        # A torque that is constant over the period does the work tau (q_next - q), whatever v does in between.
+        "energy": np.sum(acting * short_way(np.diff(run.q, axis=0), run.continuous), axis=0),
+    }
+    if duration:
+        out["chatter"] = np.sum(np.abs(np.diff(run.tau, axis=0)), axis=0) / duration
     if "limits" in run.terms:
         cut = run.terms["limits"]
-        saturated = cut[:-1] != 0.0
-        out += [
-            ("saturation_time", np.sum(saturated * dt, axis=0), float(np.sum(saturated.any(axis=1) * dt[:, 0]))),
-            ("largest_cut", _peak(cut), largest(_peak(cut))),
-        ]
+        out |= {"saturation_time": np.sum((cut[:-1] != 0.0) * dt, axis=0), "largest_cut": _peak(cut)}
     return out

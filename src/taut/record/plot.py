@@ -6,6 +6,7 @@ Figures are made without pyplot, so that no window, no display and no global sta
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
@@ -41,6 +42,7 @@ MOST: Final = 8  # joints in one figure
 ACROSS: Final = 4  # small pictures side by side
 NEAR: Final = 0.5  # of a limit: a joint that gets there has its limit drawn
 LETTERS: Final = 96  # in one line of the title
+MOST_LINES: Final = 4  # of how the run ended, with its way out
 TIME: Final = "t [s]"
 _NUMBER: Final = re.compile(r"\b\d+\.\d+(e[+-]?\d+)?\b")
 TERMS: Final = {
@@ -115,7 +117,8 @@ def _title(run: Run, shown: Sequence[int]) -> str:
     law = _NUMBER.sub(lambda number: f"{float(number[0]):.4g}", str(run.info.get("law", "run")))
     law = short(law, LETTERS - len(place) - 4)
     which = f"{len(shown)} of {run.n} joints; " if len(shown) < run.n else ""
-    return f"{law}  on  {place}\n{short(which + str(run.outcome), LETTERS)}"
+    ended = textwrap.wrap(which + str(run.outcome), LETTERS, max_lines=MOST_LINES, placeholder="...")
+    return "\n".join([f"{law}  on  {place}", *ended])
 
 
 # -------------------------------------------------------------------- parts of the figure

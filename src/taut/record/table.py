@@ -16,13 +16,17 @@ __all__ = ["metrics_table", "number_text"]
 def metrics_table(metrics: Metrics) -> str:
     """The metrics that have a meaning for this run, with units."""
     names = [name for name in MEASURES if not all(math.isnan(x) for x in getattr(metrics, name))]
+    together = (
+        {f"all in {unit}": values for unit, values in metrics.groups.items()} if len(metrics.groups) > 1 else {}
+    )
+    if len(metrics.joint_names) > 1:
+        together["overall"] = metrics.overall
     columns = []
     for name in names:
         numbers = [number_text(x) for x in getattr(metrics, name)]
-        last = [number_text(metrics.overall[name])] if len(numbers) > 1 else []
+        last = [number_text(values[name]) for values in together.values()]
         columns.append([*_heading(MEASURES[name].title), metrics.unit(name), *numbers, *last])
-    side = ["", "", "", *metrics.joint_names, *(["overall"] if len(metrics.joint_names) > 1 else [])]
-    return _aligned(side, columns)
+    return _aligned(["", "", "", *metrics.joint_names, *together], columns)
 
 
 def _heading(title: str) -> tuple[str, str]:
