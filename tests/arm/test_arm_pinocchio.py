@@ -10,6 +10,7 @@ import pytest
 from arm_models import DUO
 from arm_oracles import pinocchio_of
 
+import taut
 from taut.arm.catalogue import CATALOGUE
 from taut.arm.description import Arm
 from taut.arm.load import load_arm
@@ -179,3 +180,14 @@ def test_there_and_back_again_is_the_same_arm() -> None:
         np.testing.assert_allclose(a.inertia, b.inertia, atol=1e-15)
     for a, b in zip(again.joints, arm.joints, strict=True):
         np.testing.assert_allclose(a.placement.matrix, b.placement.matrix, atol=1e-15)
+
+
+def test_load_arm_takes_one_with_all_its_options() -> None:
+    arm = taut.load_arm("panda")
+    model = pinocchio_of(arm)
+    loaded = taut.load_arm(model, joints=["panda_joint1", "panda_joint2"], T_WB=taut.Pose([1.0, 0.0, 0.0]))
+    assert loaded.joint_names == ("panda_joint1", "panda_joint2")
+    np.testing.assert_array_equal(loaded.T_WB.p, [1.0, 0.0, 0.0])
+    whole, given = taut.load_arm(model), taut.Arm.from_pinocchio(model)
+    q = np.linspace(-1.0, 1.0, 7)
+    np.testing.assert_array_equal(taut.snapshot(whole, q).M, taut.snapshot(given, q).M)

@@ -12,6 +12,7 @@ from taut.arm.builtin import BUILT_IN, COMMANDS
 from taut.arm.catalogue import CATALOGUE, entry_tree
 from taut.arm.description import Arm, CommandKind
 from taut.arm.descriptions import PATTERN, described
+from taut.arm.pinocchio import PinocchioModel, pinocchio_tree
 from taut.arm.tree import Tree, assemble, rest_position
 from taut.arm.urdf import urdf_tree
 from taut.arm.xml import read_xml
@@ -36,7 +37,7 @@ class OpenedModel:
 
 
 def load_arm(
-    model: str | os.PathLike[str],
+    model: str | os.PathLike[str] | PinocchioModel,
     *,
     tool: str | None = None,
     T_WB: Pose | None = None,
@@ -45,10 +46,10 @@ def load_arm(
     home: Mapping[str, float] | ArrayLike | None = None,
     gravity: ArrayLike | None = None,
 ) -> Arm:
-    """A robot arm, by name or from a file.
+    """A robot arm, by name, from a file, or from a Pinocchio model. `Arm.from_screws` takes the textbook's lists.
 
     Args:
-        model: A name (`taut arms` lists them), or the path of a .urdf or an MJCF .xml file.
+        model: A name (`taut arms` lists them), the path of a .urdf or an MJCF .xml file, or a pinocchio.Model.
         tool: The frame that carries the payload and that tasks mean; by default the catalogue's, or the only
             frame at an end.
         T_WB: Where the base stands in the world; at its origin by default.
@@ -150,7 +151,7 @@ def _require_name(argument: str, name: object) -> None:
         raise UsageError(f"{argument} must name joints; got {name!r}, which is no name", name=argument, value=name)
 
 
-def open_model(model: str | os.PathLike[str]) -> OpenedModel:
+def open_model(model: str | os.PathLike[str] | PinocchioModel) -> OpenedModel:
     """Find and read a model.
 
     Raises:
@@ -158,14 +159,16 @@ def open_model(model: str | os.PathLike[str]) -> OpenedModel:
         FileError: The file cannot be read.
         UnknownNameError: There is no such arm.
         MissingExtraError: The arm is in a package that is not installed.
-        UsageError: Neither a name nor a path.
+        UsageError: Neither a name, nor a path, nor a model.
     """
     if isinstance(model, Arm):
         raise UsageError("model is an Arm already; its methods (with_tool, mounted, subset, ...) give changed copies")
-    if not isinstance(model, (str, os.PathLike)) or not str(model) or "\0" in str(model):
-        way_out = "; Arm.from_pinocchio takes a Pinocchio model" if hasattr(model, "jointPlacements") else ""
-        got = repr(model) if isinstance(model, str) else type(model).__name__
-        raise UsageError(f"model must be a name or a path; got {got}{way_out}", name="model")
+    if not isinstance(model, (str, os.PathLike)):
+        if hasattr(model, "jointPlacements"):
+            return OpenedModel(tree=pinocchio_tree(model))
+        raise UsageError(f"model must be a name or a path; got {type(model).__name__}", name="model")
+    if not str(model) or "\0" in str(model):
+        raise UsageError(f"model must be a name or a path; got {model!r}", name="model")
     if isinstance(model, str) and model in BUILT_IN:
         return OpenedModel(tree=BUILT_IN[model](), commands=COMMANDS)
     if isinstance(model, str) and model in CATALOGUE:

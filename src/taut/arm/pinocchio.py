@@ -14,7 +14,7 @@ from taut.base.errors import UsageError
 from taut.base.pose import Pose
 from taut.base.types import ArrayLike, Float64Array
 
-__all__ = ["PinocchioModel", "arm_from_pinocchio"]
+__all__ = ["PinocchioModel", "arm_from_pinocchio", "pinocchio_tree"]
 
 
 class Placement(Protocol):
@@ -129,13 +129,18 @@ KINDS: Final[dict[str, TreeKind]] = {
 
 
 def arm_from_pinocchio(model: PinocchioModel, tool: str | None, gravity: ArrayLike | None) -> Arm:
-    """The arm of a Pinocchio model; see `Arm.from_pinocchio`.
+    """The arm of a Pinocchio model; see `Arm.from_pinocchio`."""
+    if not hasattr(model, "jointPlacements"):
+        raise UsageError(f"model must be a pinocchio.Model; got {type(model).__name__}", name="model")
+    return assemble(pinocchio_tree(model), tool=tool, gravity=gravity)
+
+
+def pinocchio_tree(model: PinocchioModel) -> Tree:
+    """A Pinocchio model as links and joints.
 
     Rotor inertia is `armature`, which is what Pinocchio's own algorithms add to the mass matrix, or, where that
     is zero, rotorInertia times rotorGearRatio squared.
     """
-    if not hasattr(model, "jointPlacements"):
-        raise UsageError(f"model must be a pinocchio.Model; got {type(model).__name__}", name="model")
     tree = Tree(name=model.name or "arm", source="a Pinocchio model", words=WORDS)
     tree.gravity = np.array(model.gravity.linear)
     links = [str(name) for name in model.names]
@@ -155,7 +160,7 @@ def arm_from_pinocchio(model: PinocchioModel, tool: str | None, gravity: ArrayLi
         tree.joints.append(_joint(tree, model, i, links[model.parents[i]], links[i]))
     tree.frames.extend(_frames(model, links))
     tree.leaves = _leaves(model, links)
-    return assemble(tree, tool=tool, gravity=gravity)
+    return tree
 
 
 def _joint(tree: Tree, model: PinocchioModel, i: int, parent: str, child: str) -> TreeJoint:
