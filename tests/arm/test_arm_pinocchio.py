@@ -185,9 +185,9 @@ def test_there_and_back_again_is_the_same_arm() -> None:
 def test_load_arm_takes_one_with_all_its_options() -> None:
     arm = taut.load_arm("panda")
     model = pinocchio_of(arm)
-    loaded = taut.load_arm(model, joints=["panda_joint1", "panda_joint2"], T_WB=taut.Pose([1.0, 0.0, 0.0]))
-    assert loaded.joint_names == ("panda_joint1", "panda_joint2")
+    loaded = taut.load_arm(model, tool="panda_hand", joints=["panda_joint1"], T_WB=taut.Pose([1.0, 0.0, 0.0]))
+    assert loaded.joint_names == ("panda_joint1",)
     np.testing.assert_array_equal(loaded.T_WB.p, [1.0, 0.0, 0.0])
-    whole, given = taut.load_arm(model), taut.Arm.from_pinocchio(model)
+    whole, given = taut.load_arm(model, tool="panda_hand"), taut.Arm.from_pinocchio(model, tool="panda_hand")
     q = np.linspace(-1.0, 1.0, 7)
     np.testing.assert_array_equal(taut.snapshot(whole, q).M, taut.snapshot(given, q).M)
