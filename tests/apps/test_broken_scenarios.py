@@ -33,8 +33,8 @@ CASES: dict[str, tuple[dict[str, Any], str, str]] = {
     # the file as a whole
     "a misspelt section": ({"control": GONE, "contrl": {}}, "", " has no key 'contrl'; did you mean 'control'?"),
     "a section that is no table": ({"control": 500}, "", " control must be a table: [control]; got 500"),
-    "no plant": ({"plant": GONE}, "", " needs the key 'plant'"),
-    "no run": ({"run": GONE}, "", " needs the key 'run'"),
+    "no plant": ({"plant": GONE}, "", " needs the section [plant]"),
+    "no run": ({"run": GONE}, "", " needs the section [run]"),
     "a title that is a number": ({"title": 3}, "", " title must be a text in quotes; got 3"),
     "events that are a table": ({"event": {"t": 1}}, "", " event must be an array of tables: [[event]]; got {'t': 1}"),
     # [arm]

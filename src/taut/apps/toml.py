@@ -140,14 +140,15 @@ class Section:
     def __contains__(self, key: str) -> bool:
         return key in self._table
 
-    def take(self, key: str, default: Any = REQUIRED) -> Any:
-        """The value of a key, whatever it is."""
+    def take(self, key: str, default: Any = REQUIRED, *, what: str | None = None) -> Any:
+        """The value of a key, whatever it is; `what` is what a message calls it."""
         self._known.append(key)
         if key in self._table:
             return self._table.pop(key)
         if default is REQUIRED:
             close = difflib.get_close_matches(key, self._table, n=1)
-            raise self.error(f"needs the key '{key}'" + (f"; is '{close[0]}' meant for it?" if close else ""))
+            wanted = what or f"the key '{key}'"
+            raise self.error(f"needs {wanted}" + (f"; is '{close[0]}' meant for it?" if close else ""))
         return default
 
     def peek(self, key: str) -> Any:
@@ -207,7 +208,9 @@ class Section:
 
     def section(self, key: str, *, required: bool = False) -> Section:
         """A table below this one; empty where it is not there."""
-        value = self._typed(key, REQUIRED if required else {}, (dict,), f"a table: [{self._below(key)}]")
+        if required and key not in self:
+            self.take(key, what=f"the section [{self._below(key)}]")
+        value = self._typed(key, {}, (dict,), f"a table: [{self._below(key)}]")
         return Section(self._file, self._below(key), value)
 
     def sections(self, key: str) -> list[Section]:
