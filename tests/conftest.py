@@ -47,7 +47,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
                 found[name.removeprefix(BAR)] = figure
     terminalreporter.write_sep("=", "bars")
     for name, figure in sorted(found.items()):
-        terminalreporter.write_line(f"{name:<78}{figure}")
+        terminalreporter.write_line(f"{name:<80} {figure}")
     out = Path("out")
     out.mkdir(exist_ok=True)
     (out / "bars.json").write_text(json.dumps(dict(sorted(found.items())), indent=1), encoding="utf-8")
