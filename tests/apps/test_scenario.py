@@ -49,6 +49,9 @@ MIXED = """<robot name="mixed">
 </robot>
 """
 
+# A machine without OpenGL draws its films, and says so.
+WITHOUT_OPENGL = pytest.mark.filterwarnings("ignore:.* is a schematic drawing:RuntimeWarning")
+
 
 def changed(old: str, new: str) -> str:
     assert old in GOOD
@@ -183,6 +186,7 @@ class TestFilesAreWholeOrNotThere:
         assert f"cannot be written; '{tmp_path}' is read-only for you" in capsys.readouterr().err
         assert not (tmp_path / "out").exists()
 
+    @WITHOUT_OPENGL
     @pytest.mark.parametrize(("kind", "name"), [("plot", "x.png"), ("log", "x.mcap"), ("csv", "x.csv")])
     def test_a_full_disk_leaves_what_was_there_and_the_result_is_told(
         self,
@@ -457,6 +461,7 @@ def test_every_built_in_scenario_reaches_its_pass_figures(
     assert main(["run", name, "--out", str(tmp_path)]) == 0, capsys.readouterr().out
 
 
+@WITHOUT_OPENGL
 def test_the_demo_makes_a_table_a_picture_a_film_and_a_log(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
