@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import pickle
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -248,6 +250,19 @@ MISUSE: list[tuple[str, Callable[[], Any], str]] = [
     ("a parameter's path", lambda: CTRL.parameters["law.kP"], "did you mean 'law.kp'"),
     ("a parameter's path to set", lambda: parameter("law.kpp")(1.0), "did you mean 'law.kp'"),
     ("a path in an event", lambda: event("plant.payload.mas")(1.0), "did you mean 'plant.payload.mass'"),
+    ("a term of a controller", lambda: CTRL.terms["feedforwad"], "ComputedTorque has no term .* 'feedforward'"),
+    (
+        "a term of a run",
+        lambda: simulate().terms["nonlinar"],
+        "the run has no term 'nonlinar'; did you mean 'nonlinear'",
+    ),
+    (
+        "a further column of a run",
+        lambda: simulate().extra["F_ext"],
+        "the run has no further column 'F_ext'; it has none",
+    ),
+    ("a metric", lambda: simulate().metrics.overall["rms"], "a run has no metric 'rms'; "),
+    ("a group of joints", lambda: simulate().metrics.groups["deg"], "a run has no group of joints, by unit, 'deg'"),
     ("a frame's name", lambda: ARM.frame("tol"), "did you mean 'tool'"),
     ("a joint's name", lambda: ARM.joint_index("joint3"), "did you mean 'joint[12]'"),
     ("a joint of a subset", lambda: ARM.subset(["joint7"]), "joint7"),
@@ -318,3 +333,12 @@ def test_an_arm_that_moves_already_is_not_stopped_by_a_far_angle() -> None:
 
 def fresh_on(arm: taut.Arm) -> taut.Controller:
     return taut.compile(taut.laws.PID(kp=1.0), arm)
+
+
+def test_results_by_name_are_dicts_that_can_be_copied_and_sent() -> None:
+    terms = simulate().terms
+    for again in (pickle.loads(pickle.dumps(terms)), copy.deepcopy(terms)):
+        assert set(again) == set(terms)
+        with pytest.raises(taut.UnknownNameError, match="the run has no term"):
+            again["nonlinar"]
+    assert terms.get("nonlinar") is None

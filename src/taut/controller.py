@@ -12,6 +12,7 @@ from taut.arm.angles import require_radians
 from taut.arm.description import Arm, Payload
 from taut.base.checks import finite_array, one_of, positive_scalar
 from taut.base.errors import NumericalError, RangeError, TautError, UsageError, unknown_name
+from taut.base.named import Named
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.codegen import native
@@ -375,7 +376,8 @@ class Controller:
         memory = blocks.layout["memory"].views(blocks.before)
         with np.errstate(all="ignore"):
             outputs, _ = functions.tick(inputs, parameters, memory)
-        return {name: np.array(value, dtype=np.float64) for name, value in subtree(outputs, "terms").items()}
+        terms = {name: np.array(value, dtype=np.float64) for name, value in subtree(outputs, "terms").items()}
+        return Named(f"the controller's {title(self.law)}", "term", terms)
 
     def explain(self) -> None:
         """Print the law, its gains with units, the closed loop it yields, and what a tick costs."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from taut.arm.angles import short_way
 from taut.base.checks import read_only
+from taut.base.named import Named
 from taut.base.types import Float64Array
 from taut.record.step import step_response
 
@@ -150,8 +151,8 @@ def metrics_of(run: Run) -> Metrics:
         setpoint = _is_setpoint(run)
         columns = _per_joint(run, setpoint)
         overall = _together(run, columns, list(range(run.n)))
-        groups = {
-            unit: _together(run, columns, [i for i in range(run.n) if run.units[i] == unit])
+        groups: dict[str, dict[str, float]] = {
+            unit: Named("a run", "metric", _together(run, columns, [i for i in range(run.n) if run.units[i] == unit]))
             for unit in dict.fromkeys(run.units)
         }
     if len(groups) > 1:
@@ -161,8 +162,8 @@ def metrics_of(run: Run) -> Metrics:
         units={name: _units(run, measure.unit) for name, measure in MEASURES.items()},
         duration=float(run.t[-1] - run.t[0]) if len(run) else 0.0,
         setpoint=setpoint,
-        overall=overall,
-        groups=groups,
+        overall=Named("a run", "metric", overall),
+        groups=Named("a run", "group of joints, by unit,", groups),
         **{name: read_only(values) for name, values in columns.items()},
     )
 

@@ -16,6 +16,7 @@ from taut.arm.angles import short_way
 from taut.arm.description import Arm
 from taut.base.checks import finite_scalar
 from taut.base.errors import RangeError
+from taut.base.named import Named
 from taut.base.types import Float64Array
 from taut.control.reference import Sample
 from taut.record.outcome import Outcome
@@ -64,6 +65,10 @@ class Run:
     extra: Mapping[str, Float64Array] = field(default_factory=dict)  # further columns, such as F_ext (k, 6)
     info: Mapping[str, Any] = field(default_factory=dict)  # law, arm, plant, parameters, events, seed: plain values
     arm: Arm | None = None  # the plant's arm, to draw; None in a run that was loaded from a file
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "terms", Named("the run", "term", self.terms))
+        object.__setattr__(self, "extra", Named("the run", "further column", self.extra))
 
     @property
     def n(self) -> int:
