@@ -17,6 +17,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from taut.arm.description import Arm as Arm
+    from taut.arm.description import Friction as Friction
     from taut.arm.description import Payload as Payload
     from taut.arm.load import load_arm as load_arm
     from taut.base import math as math
@@ -63,10 +64,10 @@ if TYPE_CHECKING:
     from taut.maths import dynamics as dynamics
     from taut.maths.snapshot import Snapshot as Snapshot
     from taut.maths.snapshot import snapshot as snapshot
+    from taut.plant.actuation import Actuation as Actuation
+    from taut.plant.environment import Environment as Environment
     from taut.plant.rigid import RigidPlant as RigidPlant
-    from taut.plant.stages import Actuation as Actuation
-    from taut.plant.stages import Environment as Environment
-    from taut.plant.stages import Sensors as Sensors
+    from taut.plant.sensors import Sensors as Sensors
     from taut.record.metrics import Metrics as Metrics
     from taut.record.outcome import Outcome as Outcome
     from taut.record.read_log import load_run as load_run
@@ -76,7 +77,7 @@ if TYPE_CHECKING:
     from taut.runtime.simulate import run as run
 
 _HOME: Final = {
-    "arm.description": ("Arm", "Payload"),
+    "arm.description": ("Arm", "Friction", "Payload"),
     "arm.load": ("load_arm",),
     "base.errors": (
         "FileError",
@@ -105,8 +106,10 @@ _HOME: Final = {
     "controller": ("Controller", "compile"),
     "loop": ("Loop",),
     "maths.snapshot": ("Snapshot", "snapshot"),
+    "plant.actuation": ("Actuation",),
+    "plant.environment": ("Environment",),
     "plant.rigid": ("RigidPlant",),
-    "plant.stages": ("Actuation", "Environment", "Sensors"),
+    "plant.sensors": ("Sensors",),
     "record.metrics": ("Metrics",),
     "record.outcome": ("Outcome",),
     "record.read_log": ("load_run",),

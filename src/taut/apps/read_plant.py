@@ -12,8 +12,9 @@ from taut.apps.read_arm import read_true_arm
 from taut.apps.toml import Section, file_beside
 from taut.arm.description import Arm
 from taut.maths.adds import Adds
+from taut.plant.actuation import Actuation
 from taut.plant.rigid import RigidPlant
-from taut.plant.stages import Actuation, Sensors
+from taut.plant.sensors import Sensors
 from taut.runtime.host import HostPlant
 
 __all__ = ["Plant", "read_plant"]

@@ -10,17 +10,19 @@ from typing import Any, Final
 import numpy as np
 
 from taut.arm.description import BASE, Arm, Body
+from taut.arm.friction import AT_REST, FRICTION_FIELDS
 from taut.arm.rules import check_inertia, value_problems
 from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeLink, TreeVisual, assemble, require_within_limits
 from taut.base.checks import entry_names, finite_array, finite_scalar, require_at_least, require_positive, vector
 from taut.base.errors import ModelError, Problem, RangeError, ShapeError, UsageError, quoted_list, unknown_name
 from taut.base.types import ArrayLike, Float64Array
 
-__all__ = ["body_replaced", "home_replaced", "joints_replaced", "locked_copy", "perturbed_copy"]
+__all__ = ["body_replaced", "geared", "home_replaced", "joints_replaced", "locked_copy", "perturbed_copy"]
 
 ROOT = "<base>"
 LIMITS: Final = ("lower", "upper", "velocity", "effort")  # which may be infinite
-JOINT_FIELDS: Final = (*LIMITS, "viscous", "coulomb", "rotor_inertia")
+JOINT_FIELDS: Final = (*LIMITS, *FRICTION_FIELDS, "gear", "rotor_inertia")
+POSITIVE: Final = ("velocity", "effort", "stribeck_shape", "gear")
 
 
 def locked_copy(arm: Arm, joints: Iterable[str], q: ArrayLike | None) -> Arm:
@@ -126,13 +128,13 @@ def body_replaced(
 
 
 def joints_replaced(arm: Arm, values: Mapping[str, ArrayLike | Mapping[str, float]]) -> Arm:
-    """The arm with other limits, friction or rotor inertia."""
+    """The arm with other limits, friction, gears or rotor inertia."""
     columns: dict[str, Float64Array] = {}
     for name, given in values.items():
         if name not in JOINT_FIELDS:
             raise unknown_name("a joint", "field", name, JOINT_FIELDS)
         columns[name] = column = _column(arm, name, given)
-        if name in ("velocity", "effort"):
+        if name in POSITIVE:
             require_positive(name, column, joints=arm.joint_names)
         elif name not in LIMITS:
             require_at_least(name, column, 0.0, joints=arm.joint_names)
@@ -147,6 +149,7 @@ def joints_replaced(arm: Arm, values: Mapping[str, ArrayLike | Mapping[str, floa
     if problems:
         raise ModelError(arm.name, problems)
     made = dataclasses.replace(arm, joints=tuple(joints))
+    _check_friction(made)
     home = np.clip(arm.home, made.lower, made.upper)
     moved = [arm.joint_names[i] for i in np.flatnonzero(home != arm.home)]
     if not moved:
@@ -155,10 +158,37 @@ def joints_replaced(arm: Arm, values: Mapping[str, ArrayLike | Mapping[str, floa
     return dataclasses.replace(made, home=home, notes=(*arm.notes, note))
 
 
+def _check_friction(arm: Arm) -> None:
+    """Refuse friction that is less at rest than in motion, joint by joint."""
+    for joint in arm.joints:
+        for name, moving in AT_REST.items():
+            rest, kinetic = getattr(joint, name), getattr(joint, moving)
+            if rest is not None and rest < kinetic:
+                raise RangeError(
+                    f"joint '{joint.name}': {name} must be >= {moving}, since friction at rest is no less than in "
+                    f"motion; got {rest:g} < {kinetic:g}; give both, or with_friction(taut.Friction(...))",
+                    name=name,
+                    joint=joint.name,
+                    value=rest,
+                    rule=f">= {moving}",
+                )
+
+
+def geared(arm: Arm, ratio: ArrayLike, motor_inertia: ArrayLike) -> Arm:
+    """The arm with geared motors, whose rotors act with their reflected inertia."""
+    G, rotor = _column(arm, "gear", ratio), _column(arm, "motor_inertia", motor_inertia)
+    require_positive("ratio", G, joints=arm.joint_names)
+    require_at_least("motor_inertia", rotor, 0.0, unit="kg m^2", joints=arm.joint_names)
+    return joints_replaced(arm, {"gear": G, "rotor_inertia": G**2 * rotor})
+
+
 def _column(arm: Arm, name: str, given: ArrayLike | Mapping[str, float]) -> Float64Array:
     """One value per joint, from one number, one per joint, or some by joint name."""
     if isinstance(given, Mapping):
-        column = [getattr(joint, name) for joint in arm.joints]
+        if name in AT_REST:
+            column = getattr(arm.friction, name).tolist()
+        else:
+            column = [getattr(joint, name) for joint in arm.joints]
         for joint, value in given.items():
             column[arm.joint_index(joint)] = value
         return vector(name, column, arm.n, joints=arm.joint_names, allow_infinite=name in LIMITS)
@@ -198,6 +228,7 @@ def perturbed_copy(arm: Arm, *, seed: int, mass: float, com: float, inertia: flo
                 joint,
                 viscous=float(joint.viscous * scale[0]),
                 coulomb=float(joint.coulomb * scale[1]),
+                static=None if joint.static is None else float(joint.static * scale[1]),
             )
         )
     return dataclasses.replace(arm, bodies=tuple(bodies), joints=tuple(joints))

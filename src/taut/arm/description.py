@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taut.arm.angles import short_way
+from taut.arm.friction import AT_REST, FRICTION_FIELDS, Friction
 from taut.arm.parts import (
     BASE,
     COMMANDS,
@@ -44,6 +45,7 @@ __all__ = [
     "Body",
     "CommandKind",
     "Frame",
+    "Friction",
     "Joint",
     "JointKind",
     "Payload",
@@ -138,8 +140,21 @@ class Arm:
 
     @cached_property
     def coulomb(self) -> Float64Array:
-        """(n,) dry friction [N m | N]."""
+        """(n,) dry friction in motion [N m | N]."""
         return self._per_joint("coulomb")
+
+    @cached_property
+    def friction(self) -> Friction:
+        """All of its friction, each number (n,)."""
+        values = {name: [getattr(joint, name) for joint in self.joints] for name in FRICTION_FIELDS}
+        for name, moving in AT_REST.items():
+            values[name] = [m if x is None else x for x, m in zip(values[name], values[moving], strict=True)]
+        return Friction(**values)
+
+    @cached_property
+    def gear(self) -> Float64Array:
+        """(n,) gear ratios: turns of the motor per turn of the joint [1 | rad/m]; 1 where nothing is known."""
+        return self._per_joint("gear")
 
     @cached_property
     def rotor_inertia(self) -> Float64Array:
@@ -298,7 +313,7 @@ class Arm:
     def with_joints(self, **values: ArrayLike | Mapping[str, float]) -> Arm:
         """A copy with other joint values by field name, one per joint or by joint name.
 
-        Fields: lower, upper, velocity, effort, viscous, coulomb, rotor_inertia.
+        Fields: lower, upper, velocity, effort, gear, rotor_inertia, and those of `taut.Friction`.
 
         Example:
             >>> from taut import load_arm
@@ -308,6 +323,36 @@ class Arm:
         from taut.arm.change import joints_replaced
 
         return joints_replaced(self, values)
+
+    def with_friction(self, friction: Friction) -> Arm:
+        """A copy with another friction, in all its parts.
+
+        Example:
+            >>> from taut import Friction, load_arm
+            >>> load_arm("planar2").with_friction(Friction(viscous=0.1, coulomb=[0.5, 0.2])).coulomb.tolist()
+            [0.5, 0.2]
+        """
+        if not isinstance(friction, Friction):
+            raise UsageError(f"with_friction takes a taut.Friction; got {type(friction).__name__}", name="friction")
+        return self.with_joints(**{name: getattr(friction, name) for name in FRICTION_FIELDS})
+
+    def with_gears(self, ratio: ArrayLike, motor_inertia: ArrayLike) -> Arm:
+        """A copy with geared motors. What the joint sees of a rotor is its reflected inertia, ratio^2 motor_inertia.
+
+        Args:
+            ratio: Turns of the motor per turn of the joint, one number or one per joint; 1 is direct drive. For a
+                prismatic joint, turns of the motor per metre [rad/m].
+            motor_inertia: Of each rotor about its own axis [kg m^2].
+
+        Raises:
+            RangeError: A ratio that is not above zero, or a negative inertia.
+
+        References:
+            Chapter, section 10.2.1.5 the effect of gearing.
+        """
+        from taut.arm.change import geared
+
+        return geared(self, ratio, motor_inertia)
 
     # ---------------------------------------------------------------- other ways in
 

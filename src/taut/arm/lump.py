@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from taut.arm.description import BASE, Body, Frame, Joint, JointKind, Visual
+from taut.arm.friction import FRICTION_FIELDS
 from taut.arm.rules import check_inertia, wrong_mass
 from taut.base.errors import Problem, quoted_list
 from taut.base.pose import Pose, axis_angle
@@ -77,8 +78,8 @@ class Lumps:
                 upper=joint.upper,
                 velocity=joint.velocity,
                 effort=joint.effort,
-                viscous=joint.viscous,
-                coulomb=joint.coulomb,
+                **{name: getattr(joint, name) for name in FRICTION_FIELDS},
+                gear=joint.gear,
                 rotor_inertia=joint.rotor_inertia,
             )
             for joint, parent, placement in zip(self._moving, self._parents, self._placements, strict=True)

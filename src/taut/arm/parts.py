@@ -65,7 +65,15 @@ class Joint:
     velocity: float = np.inf  # largest speed [rad/s | m/s]
     effort: float = np.inf  # largest torque or force [N m | N]
     viscous: float = 0.0  # friction per speed [N m s/rad | N s/m]
-    coulomb: float = 0.0  # dry friction [N m | N]
+    coulomb: float = 0.0  # dry friction in motion [N m | N]
+    static: float | None = None  # dry friction at rest [N m | N]; as in motion if None
+    stribeck: float = 0.0  # speed over which it falls [rad/s | m/s]; 0 for at once
+    stribeck_shape: float = 2.0  # exponent of the fall
+    load_motor: float = 0.0  # dry friction per torque of the motor
+    load_external: float = 0.0  # dry friction per torque of the load
+    load_motor_static: float | None = None  # the same at rest; as in motion if None
+    load_external_static: float | None = None
+    gear: float = 1.0  # turns of the motor per turn of the joint; rad/m for a prismatic one
     rotor_inertia: float = 0.0  # seen at the joint, G^2 I_motor [kg m^2 | kg]
 
     def __post_init__(self) -> None:

@@ -92,6 +92,14 @@ class TreeJoint:
     effort: float = math.inf
     viscous: float = 0.0
     coulomb: float = 0.0
+    static: float | None = None
+    stribeck: float = 0.0
+    stribeck_shape: float = 2.0
+    load_motor: float = 0.0
+    load_external: float = 0.0
+    load_motor_static: float | None = None
+    load_external_static: float | None = None
+    gear: float = 1.0
     rotor_inertia: float = 0.0
     mimic: str | None = None  # the joint that it follows; "" for a coupling with none
     line: int | None = None

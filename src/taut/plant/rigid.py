@@ -22,7 +22,9 @@ from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
 from taut.maths.friction import dry_friction
 from taut.maths.model import Model, PayloadValues, model_of
-from taut.plant.stages import Actuation, Environment, Sensors, delayed, lagged, mean_lagged
+from taut.plant.actuation import Actuation, delayed, lagged, mean_lagged
+from taut.plant.environment import Environment
+from taut.plant.sensors import Sensors
 
 __all__ = ["RigidPlant"]
 
