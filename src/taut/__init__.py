@@ -65,9 +65,14 @@ if TYPE_CHECKING:
     from taut.maths.snapshot import Snapshot as Snapshot
     from taut.maths.snapshot import snapshot as snapshot
     from taut.plant.actuation import Actuation as Actuation
+    from taut.plant.actuation import Ripple as Ripple
     from taut.plant.environment import Environment as Environment
+    from taut.plant.motor import ElectricMotor as ElectricMotor
+    from taut.plant.motor import Motor as Motor
+    from taut.plant.motor import TorqueLoop as TorqueLoop
     from taut.plant.rigid import RigidPlant as RigidPlant
     from taut.plant.sensors import Sensors as Sensors
+    from taut.plant.transmission import Transmission as Transmission
     from taut.record.metrics import Metrics as Metrics
     from taut.record.outcome import Outcome as Outcome
     from taut.record.read_log import load_run as load_run
@@ -106,10 +111,12 @@ _HOME: Final = {
     "controller": ("Controller", "compile"),
     "loop": ("Loop",),
     "maths.snapshot": ("Snapshot", "snapshot"),
-    "plant.actuation": ("Actuation",),
+    "plant.actuation": ("Actuation", "Ripple"),
     "plant.environment": ("Environment",),
+    "plant.motor": ("ElectricMotor", "Motor", "TorqueLoop"),
     "plant.rigid": ("RigidPlant",),
     "plant.sensors": ("Sensors",),
+    "plant.transmission": ("Transmission",),
     "record.metrics": ("Metrics",),
     "record.outcome": ("Outcome",),
     "record.read_log": ("load_run",),

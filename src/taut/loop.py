@@ -60,6 +60,7 @@ class ModelPlant(AnyPlant, Protocol):
     def measure(self, memory: Values, noise: Values, parameters: Values) -> dict[str, Any]: ...
     def command(self, command: Vector, memory: Values, t: Any) -> dict[str, Any]: ...
     def advance(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]: ...
+    def extra(self, before: Values, after: Values) -> dict[str, Any]: ...
 
 
 @runtime_checkable
@@ -254,8 +255,7 @@ class Loop:
         plant = self.plant.advance(plant, parameters, dt / self.plant.substeps)
         before = subtree(memory, "plant")
         record = {"q": before["q"], "v": before["v"], "command": tick.command, "tau": plant["tau"]}
-        if "F_ext" in plant:
-            record["F_ext"] = plant["F_ext"]
+        record |= self.plant.extra(before, plant)
         record |= {f"terms.{name}": value for name, value in tick.terms.items()}
         return record, {f"plant.{path}": value for path, value in plant.items()} | tick.memory
 
