@@ -14,6 +14,7 @@ from taut.base.types import Vector
 
 __all__ = ["SWEEPS", "DryFriction", "dry_friction"]
 
+REST: Final = 1e-12  # [rad/s | m/s] of a joint that friction holds is rounding: it rests, and sgn(v) is 0
 SWEEPS: Final = 10  # of projected Gauss-Seidel; started from the last step's forces they converge along the way
 
 
@@ -76,14 +77,14 @@ def dry_friction(
         halt = list(tm.solve_spd(tm.array(response), -tm.array([v_free[i] for i in joints])))
     within = tm.array([(halt[a] >= least[a]) & (halt[a] <= most[a]) for a in range(k)])
     all_stop = np.all(within)
-    f = [tm.clip(tm.where(all_stop, halt[a], guess[i]), least[a], most[a]) for a, i in enumerate(joints)]
+    f = [_within(tm.where(all_stop, halt[a], guess[i]), least[a], most[a]) for a, i in enumerate(joints)]
 
     def swept(a: int) -> Any:
         # The newest torque comes last: only its product waits for the one before.
         total = c[a]
         for b in (*range(a + 1, k), *range(a)):
             total = total - R[a][b] * f[b]
-        return tm.clip(total, least[a], most[a])
+        return _within(total, least[a], most[a])
 
     for _ in range(sweeps if k > 1 else 1):
         for a in range(k):
@@ -92,8 +93,15 @@ def dry_friction(
     if k > 1:
         for a in range(k):
             residual = tm.maximum(residual, tm.abs(swept(a) - f[a]))
-    v = v_free + columns @ tm.array(f)
+    v = list(v_free + columns @ tm.array(f))
     torques: list[Any] = [0.0] * n
     for a, i in enumerate(joints):
         torques[i] = f[a]
-    return DryFriction(v=v, f=tm.array(torques), residual=residual)
+        held = (f[a] > least[a]) & (f[a] < most[a]) & (tm.abs(v[i]) < REST)
+        v[i] = tm.where(held, 0.0, v[i])
+    return DryFriction(v=tm.array(v), f=tm.array(torques), residual=residual)
+
+
+def _within(x: Any, least: Any, most: Any) -> Any:
+    """x within its bounds, in two instructions: `clip`, which keeps the sign of zero too, takes three times as long."""
+    return tm.where(x < least, least, tm.where(x > most, most, x))
