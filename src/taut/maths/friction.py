@@ -103,5 +103,5 @@ def dry_friction(
 
 
 def _within(x: Any, least: Any, most: Any) -> Any:
-    """x within its bounds, in two instructions: `clip`, which keeps the sign of zero too, takes three times as long."""
+    """x within its bounds, in two instructions; `clip` heeds the sign of zero too, and takes three times as long."""
     return tm.where(x < least, least, tm.where(x > most, most, x))

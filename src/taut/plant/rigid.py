@@ -21,6 +21,7 @@ from taut.base.types import Array, ArrayLike, Float64Array, Vector
 from taut.control.lawside import checked_payload_entry
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
+from taut.maths.compensation import compensation
 from taut.maths.friction import SWEEPS, dry_friction
 from taut.maths.friction_law import friction_torque
 from taut.maths.model import Model, PayloadValues, model_of
@@ -418,16 +419,7 @@ class RigidPlant:
 
     def _compensation(self, q: Vector, v: Vector, parameters: Values) -> Array:
         """(n,) what the plant adds to a torque command itself, friction apart."""
-        adds = Adds.of(self.adds)
-        total: Array = np.zeros(self.arm.n)
-        if adds.gravity:
-            load = self._payload(parameters)
-            if adds.load is not None:
-                load = PayloadValues(mass=adds.load.mass, com=adds.load.com, inertia=adds.load.inertia)
-            total = total + dyn.gravity_torque(self.model, q, load)
-        if adds.coriolis:
-            total = total + dyn.bias(self.model, q, v, self._payload(parameters), gravity=False)
-        return total
+        return compensation(self.model, Adds.of(self.adds), q, v, self._payload(parameters))
 
     def _payload(self, parameters: Values) -> PayloadValues:
         return PayloadValues.of(subtree(parameters, "plant.payload"))
