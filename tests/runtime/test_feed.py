@@ -193,7 +193,7 @@ class TestStreams:
 
 class TestTheSnapshotOfASource:
     def test_is_what_the_controller_sees_noise_and_all(self) -> None:
-        sensors = taut.Sensors(noise_q=0.1, noise_v=0.2, resolution=0.01)
+        sensors = taut.Sensors(position=taut.Encoder(noise=0.1, resolution=0.01), velocity=taut.Tachometer(noise=0.2))
         plant = taut.RigidPlant(ARM, sensors=sensors)
         asked: list[taut.Snapshot] = []
 

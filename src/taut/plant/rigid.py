@@ -57,7 +57,7 @@ class RigidPlant:
         takes: The command: "torque", "velocity" or "position". The last two are stiff drives, which need
             `actuation=Actuation(bandwidth=...)`.
         actuation: Bandwidth and delay of the drives.
-        sensors: Resolution and noise; ideal if left out.
+        sensors: What is measured, and how well; ideal sensors if left out.
         environment: What touches the tool, if anything; then the wrench is measured too.
         adds: What the plant adds to a torque command itself: "gravity", "coriolis", and "friction", which cancels the
             arm's own, so that none is left.
@@ -92,7 +92,7 @@ class RigidPlant:
             if not isinstance(getattr(self, name), kind):
                 got = type(getattr(self, name)).__name__
                 raise UsageError(f"{name} must be taut.{kind.__name__}(...); got {got}", name=name)
-        self.sensors.check_size(self.arm)
+        self.sensors.check(self.arm, touched=self.environment is not None)
         if self.environment is not None and not isinstance(self.environment, Environment):
             raise UsageError(
                 "environment must have parameters(), start(T_WE) and wrench(...), see taut.Environment; got "
@@ -150,12 +150,17 @@ class RigidPlant:
     @property
     def measures(self) -> frozenset[str]:
         """What it measures besides positions."""
-        return frozenset({"v", "tau_meas"} | ({"F_ext"} if self.environment is not None else set()))
+        return self.sensors.measures(touched=self.environment is not None)
+
+    @property
+    def distorts(self) -> frozenset[str]:
+        """The measurements that differ from the truth."""
+        return self.sensors.distorts(touched=self.environment is not None)
 
     @property
     def noise(self) -> dict[str, tuple[int, ...]]:
         """Standard normal numbers that it needs in every tick, by name."""
-        return dict.fromkeys(self.sensors.noisy, (self.arm.n,))
+        return self.sensors.noise(self.arm, touched=self.environment is not None)
 
     @property
     def model(self) -> Model:
@@ -191,6 +196,8 @@ class RigidPlant:
             raise unknown_name(f"plant '{self.name}'", "parameter", path, known)
         if path.startswith("plant.payload."):
             return checked_payload_entry(path, value)
+        if path.startswith("sensors."):
+            return self.sensors.checked_parameter(path, value, self.arm)
         shape, new = known[path].shape, finite_array(path, value)
         if new.shape not in ((), shape):
             raise ShapeError(
@@ -229,15 +236,13 @@ class RigidPlant:
             memory |= {f"environment.{name}": value for name, value in touched.items()}
             memory["t"] = 0.0
             memory["F_ext"], _ = self._touch(q, v, memory, parameters, 0.0, dt / self.substeps)
+        if self.sensors.tip is not None:
+            memory["a"] = rest
         return memory
 
     def measure(self, memory: Values, noise: Values, parameters: Values) -> dict[str, Any]:
-        """What the sensors give: q, v, the joint torques, and the wrench where something touches the tool."""
-        q, v = self.sensors.read(memory["q"], memory["v"], noise, subtree(parameters, "sensors"))
-        measured = {"q": q, "v": v, "tau_meas": memory["tau"]}
-        if self.environment is not None:
-            measured["F_ext"] = memory["F_ext"]
-        return measured
+        """What the sensors give, by measurement: q, v, tau_meas, F_ext, ..."""
+        return self.sensors.read(self.model, memory, noise, subtree(parameters, "sensors"))
 
     def command(self, command: Vector, memory: Values, t: Any) -> dict[str, Any]:
         """Memory after a command came in at time t: the delay line, and what stands at the drives until the next."""
@@ -252,9 +257,11 @@ class RigidPlant:
 
     def advance(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
         """Memory after one step of the integrator, dt long, under what stands at the drives."""
-        if self.takes == "torque":
-            return self._torque_step(memory, parameters, dt)
-        return self._driven_step(memory, parameters, dt)
+        step = self._torque_step if self.takes == "torque" else self._driven_step
+        out = step(memory, parameters, dt)
+        if self.sensors.tip is not None:
+            out["a"] = (out["v"] - memory["v"]) / dt
+        return out
 
     def _driven_step(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
         """Stiff drives: their loop decides the motion, and the torque is what that takes."""
