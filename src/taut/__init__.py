@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from taut.control.command import Terms as Terms
     from taut.control.command import Torque as Torque
     from taut.control.command import Velocity as Velocity
+    from taut.control.filters import LowPass as LowPass
+    from taut.control.filters import Notch as Notch
     from taut.control.gains import Gain as Gain
     from taut.control.gains import Memory as Memory
     from taut.control.law import Law as Law
@@ -58,6 +60,8 @@ if TYPE_CHECKING:
     from taut.control.trajectory import Sine as Sine
     from taut.control.trajectory import Spline as Spline
     from taut.control.trajectory import Trapezoidal as Trapezoidal
+    from taut.control.velocity import Difference as Difference
+    from taut.control.velocity import Kalman as Kalman
     from taut.controller import Controller as Controller
     from taut.controller import compile as compile
     from taut.loop import Loop as Loop
@@ -67,11 +71,16 @@ if TYPE_CHECKING:
     from taut.plant.actuation import Actuation as Actuation
     from taut.plant.actuation import Ripple as Ripple
     from taut.plant.environment import Environment as Environment
+    from taut.plant.joint_sensors import Encoder as Encoder
+    from taut.plant.joint_sensors import Tachometer as Tachometer
+    from taut.plant.joint_sensors import TorqueSensor as TorqueSensor
     from taut.plant.motor import ElectricMotor as ElectricMotor
     from taut.plant.motor import Motor as Motor
     from taut.plant.motor import TorqueLoop as TorqueLoop
     from taut.plant.rigid import RigidPlant as RigidPlant
     from taut.plant.sensors import Sensors as Sensors
+    from taut.plant.tool_sensors import Accelerometer as Accelerometer
+    from taut.plant.tool_sensors import WrenchSensor as WrenchSensor
     from taut.plant.transmission import Transmission as Transmission
     from taut.record.metrics import Metrics as Metrics
     from taut.record.outcome import Outcome as Outcome
@@ -102,20 +111,24 @@ _HOME: Final = {
     "codegen.casadi": ("from_casadi", "to_casadi"),
     "codegen.function": ("native",),
     "control.command": ("Position", "Terms", "Torque", "Velocity"),
+    "control.filters": ("LowPass", "Notch"),
     "control.gains": ("Gain", "Memory"),
     "control.law": ("Law",),
     "control.limits": ("Limits",),
     "control.reference": ("JointMotion", "chunk", "hold", "stream"),
     "control.sensing": ("Sensing",),
     "control.trajectory": ("Cubic", "JerkLimited", "Quintic", "Samples", "Sine", "Spline", "Trapezoidal"),
+    "control.velocity": ("Difference", "Kalman"),
     "controller": ("Controller", "compile"),
     "loop": ("Loop",),
     "maths.snapshot": ("Snapshot", "snapshot"),
     "plant.actuation": ("Actuation", "Ripple"),
     "plant.environment": ("Environment",),
+    "plant.joint_sensors": ("Encoder", "Tachometer", "TorqueSensor"),
     "plant.motor": ("ElectricMotor", "Motor", "TorqueLoop"),
     "plant.rigid": ("RigidPlant",),
     "plant.sensors": ("Sensors",),
+    "plant.tool_sensors": ("Accelerometer", "WrenchSensor"),
     "plant.transmission": ("Transmission",),
     "record.metrics": ("Metrics",),
     "record.outcome": ("Outcome",),

@@ -20,11 +20,21 @@ from taut.control.describe import title
 from taut.control.lawside import LawSide
 from taut.control.reference import Hold, Reference, as_reference
 from taut.maths.adds import Adds
+from taut.maths.snapshot import MEASUREMENTS
 
-__all__ = ["AnyPlant", "Loop", "ModelPlant", "check_fit"]
+__all__ = ["AnyPlant", "Loop", "ModelPlant", "check_fit", "sensed_of"]
 
 Values = Mapping[str, Any]
 DT: Final = "dt"
+PROVIDED_BY: Final[Mapping[str, str]] = {
+    "v": "; sensing=taut.Sensing(velocity='difference') needs positions only",
+    "F_ext": "; give the plant environment=, or take a taut.MujocoPlant",
+    "tau_meas": "; give the plant sensors=taut.Sensors(torque=taut.TorqueSensor())",
+    "q_motor": "; give the plant sensors=taut.Sensors(motor=taut.Encoder())",
+    "v_motor": "; give the plant sensors=taut.Sensors(motor_velocity=taut.Tachometer())",
+    "a_tip": "; give the plant sensors=taut.Sensors(tip=taut.Accelerometer())",
+}
+"""What would measure it, for messages."""
 
 
 class AnyPlant(Protocol):
@@ -38,6 +48,8 @@ class AnyPlant(Protocol):
     def takes(self) -> str: ...
     @property
     def measures(self) -> frozenset[str]: ...
+    @property
+    def distorts(self) -> frozenset[str]: ...
     @property
     def adds(self) -> Any: ...
     @property
@@ -111,12 +123,21 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
         if name not in plant.measures:
             raise MatchError(
                 f"{law} needs {name}, which plant '{plant.name}' does not measure; it measures "
-                f"{', '.join(sorted(plant.measures)) or 'positions only'}"
-                + ("; sensing=taut.Sensing(velocity='difference') needs positions only" if name == "v" else ""),
+                f"{', '.join(sorted(plant.measures)) or 'positions only'}" + PROVIDED_BY.get(name, ""),
                 name=name,
             )
     _check_adds(law, side.adds, probe.used, plant)
     _check_start(side, plant)
+
+
+def sensed_of(side: LawSide, plant: AnyPlant) -> tuple[str, ...]:
+    """The measurements that a run records as the law saw them: those of its law that differ from the truth.
+
+    What has no true column in a record is among them.
+    """
+    used = side.probe.used
+    altered = side.sensing.alters | plant.distorts | {"q_motor", "v_motor", "a_tip"}
+    return tuple(name for name in ("q", "v", *MEASUREMENTS) if name in altered and (name == "q" or name in used))
 
 
 def _check_adds(law: str, left_out: Adds, used: frozenset[str], plant: AnyPlant) -> None:
@@ -256,6 +277,8 @@ class Loop:
         before = subtree(memory, "plant")
         record = {"q": before["q"], "v": before["v"], "command": tick.command, "tau": plant["tau"]}
         record |= self.plant.extra(before, plant)
+        record |= {name: value for name, value in measured.items() if name.startswith("saturated.")}
+        record |= {f"sensed.{name}": tick.seen[name] for name in sensed_of(self.side, self.plant)}
         record |= {f"terms.{name}": value for name, value in tick.terms.items()}
         return record, {f"plant.{path}": value for path, value in plant.items()} | tick.memory
 

@@ -160,8 +160,8 @@ CASES: dict[str, tuple[dict[str, Any], str, str]] = {
     ),
     "a delay that no number holds": ({"plant.actuation": {"delay": 1e306}}, "plant", "actuation.delay is too large"),
     "a misspelt delay": ({"plant.actuation": {"dely": 1}}, "plant.actuation", "has no key 'dely'; did you mean 'delay'?"),
-    "noise for other joints": ({"plant.sensors": {"noise_q": [1, 2, 3]}}, "plant", "sensors.noise_q must have shape (2,)"),
-    "noise in words": ({"plant.sensors": {"noise_q": "a"}}, "plant.sensors", "noise_q must be numbers; got 'a'"),
+    "noise for other joints": ({"plant.sensors.position": {"noise": [1, 2, 3]}}, "plant", "sensors.position.noise must have shape (2,)"),
+    "noise in words": ({"plant.sensors.position": {"noise": "a"}}, "plant.sensors.position", "noise must be numbers [rad | m]; got 'a'"),
     "a perturbed arm without a seed": ({"plant.perturbed": {"mass": 0.1}}, "plant.perturbed", "needs the key 'seed'"),
     "a perturbed arm with a negative seed": ({"plant.perturbed": {"seed": -1}}, "plant.perturbed", "seed must be"),
     "a key of MuJoCo": (
@@ -452,7 +452,7 @@ def test_whatever_stands_behind_a_key_ends_in_one_line_or_in_a_run(
     whole = {
         "arm.home": [0.1, 0.2], "arm.gravity": [0, 0, -9.81], "arm.payload": {"mass": 1.0, "com": [0, 0, 0.1]},
         "arm.joint_values": {"viscous": 0.1}, "control.limits": {"tau": 50.0, "tau_dot": 1e3}, "plant.adds": ["gravity"],
-        "plant.substeps": 2, "plant.sensors": {"noise_q": 1e-5}, "plant.actuation": {"delay": 0.002},
+        "plant.substeps": 2, "plant.sensors.position": {"noise": 1e-5}, "plant.actuation": {"delay": 0.002},
         "reference": {**CUBIC, "relative_to_home": True}, "run.q0": [0.0, 0.0], "run.seed": 1,
         "event": [{"t": 0.01, "set": {"plant.payload.mass": 2.0}}], "pass": [PASS],
     }  # fmt: skip

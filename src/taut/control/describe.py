@@ -15,6 +15,14 @@ from taut.control.law import Law, field_units
 __all__ = ["PARAMETER_UNITS", "all_laws", "gain_units", "section", "short", "summary", "title"]
 
 PARAMETER_UNITS: Final = {
+    "sensing.velocity.cutoff": "Hz",
+    "sensing.velocity.acceleration_noise": "rad/s^2/sqrt(Hz) | m/s^2/sqrt(Hz)",
+    "sensing.velocity.position_noise": "rad | m",
+    "sensing.notch.frequency": "Hz",
+    "sensing.notch.width": "Hz",
+    "sensing.notch.depth": "dB",
+    "sensing.F_ext.cutoff": "Hz",
+    "sensing.tau_meas.cutoff": "Hz",
     "limits.tau": "N m | N",
     "limits.tau_dot": "N m/s | N/s",
     "model.payload.mass": "kg",

@@ -67,7 +67,7 @@ class RigidPlant:
         takes: The command: "torque", "velocity" or "position". The last two are stiff drives, which need
             `actuation=Actuation(bandwidth=...)`.
         actuation: The drives: delay, amplifier, motor, gear; ideal if left out.
-        sensors: Resolution and noise; ideal if left out.
+        sensors: What is measured, and how well; ideal sensors if left out.
         environment: What touches the tool, if anything; then the wrench is measured too.
         adds: What the plant adds to a torque command itself: "gravity", "coriolis", and "friction", which cancels the
             arm's own, so that none is left.
@@ -112,7 +112,7 @@ class RigidPlant:
             if not isinstance(getattr(self, name), kind):
                 got = type(getattr(self, name)).__name__
                 raise UsageError(f"{name} must be taut.{kind.__name__}(...); got {got}", name=name)
-        self.sensors.check_size(self.arm)
+        self.sensors.check(self.arm, touched=self.environment is not None)
         if self.environment is not None and not isinstance(self.environment, Environment):
             raise UsageError(
                 "environment must have parameters(), start(T_WE) and wrench(...), see taut.Environment; got "
@@ -191,12 +191,17 @@ class RigidPlant:
     @property
     def measures(self) -> frozenset[str]:
         """What it measures besides positions."""
-        return frozenset({"v", "tau_meas"} | ({"F_ext"} if self.environment is not None else set()))
+        return self.sensors.measures(touched=self.environment is not None)
+
+    @property
+    def distorts(self) -> frozenset[str]:
+        """The measurements that differ from the truth."""
+        return self.sensors.distorts(touched=self.environment is not None)
 
     @property
     def noise(self) -> dict[str, tuple[int, ...]]:
         """Standard normal numbers that it needs in every tick, by name."""
-        return dict.fromkeys(self.sensors.noisy, (self.arm.n,))
+        return self.sensors.noise(self.arm, touched=self.environment is not None)
 
     @property
     def model(self) -> Model:
@@ -235,6 +240,8 @@ class RigidPlant:
             raise unknown_name(f"plant '{self.name}'", "parameter", path, known)
         if path.startswith("plant.payload."):
             return checked_payload_entry(path, value)
+        if path.startswith("sensors."):
+            return self.sensors.checked_parameter(path, value, self.arm)
         shape = known[path].shape
         new = finite_array(path, value, allow_infinite=path == STIFFNESS)
         if new.shape not in ((), shape):
@@ -281,15 +288,13 @@ class RigidPlant:
             memory |= {f"environment.{name}": value for name, value in touched.items()}
             memory["t"] = 0.0
             memory["F_ext"], _ = self._touch(q, v, memory, parameters, 0.0, dt / self.substeps)
+        if self.sensors.tip is not None:
+            memory["a"] = rest
         return memory
 
     def measure(self, memory: Values, noise: Values, parameters: Values) -> dict[str, Any]:
-        """What the sensors give: q, v, the joint torques, and the wrench where something touches the tool."""
-        q, v = self.sensors.read(memory["q"], memory["v"], noise, subtree(parameters, "sensors"))
-        measured = {"q": q, "v": v, "tau_meas": memory["tau"]}
-        if self.environment is not None:
-            measured["F_ext"] = memory["F_ext"]
-        return measured
+        """What the sensors give, by measurement: q, v, tau_meas, F_ext, ..."""
+        return self.sensors.read(self.model, memory, noise, subtree(parameters, "sensors"))
 
     def extra(self, before: Values, after: Values) -> dict[str, Any]:
         """What a run records of a tick, besides motion and torques: from memory at the tick and after the first step.
@@ -312,9 +317,11 @@ class RigidPlant:
 
     def advance(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
         """Memory after one step of the integrator, dt long, under what stands at the drives."""
-        if self.takes == "torque":
-            return self._torque_step(memory, parameters, dt)
-        return self._driven_step(memory, parameters, dt)
+        step = self._torque_step if self.takes == "torque" else self._driven_step
+        out = step(memory, parameters, dt)
+        if self.sensors.tip is not None:
+            out["a"] = (out["v"] - memory["v"]) / dt
+        return out
 
     def _driven_step(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
         """Stiff drives: their loop decides the motion, and the torque is what that takes."""
@@ -338,7 +345,8 @@ class RigidPlant:
             tau = tau + parameters["plant.rotor_inertia"] * a
         if self.drivetrain.friction is not None:
             tau = tau - friction_torque(self.drivetrain.values(parameters), v)
-        return {**memory, "q": q_new, "v": v_new, "tau": tau}
+        out = {**memory, "q": q_new, "v": v_new, "tau": tau}
+        return {**out, "a": a} if "a" in memory else out
 
     def _check_step(self, dt: float) -> None:
         """Refuse steps that are too long for a transmission."""

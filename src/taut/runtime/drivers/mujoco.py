@@ -231,6 +231,11 @@ class MujocoPlant:
         return frozenset({"v", "tau_meas", "F_ext"})
 
     @property
+    def distorts(self) -> frozenset[str]:
+        """The measurements that differ from the truth: none."""
+        return frozenset()
+
+    @property
     def adds(self) -> Adds:
         """What it adds to a torque command itself; gravity, for an attached arm whose bodies have gravcomp."""
         return self._rig.adds
