@@ -71,6 +71,7 @@ class ModelPlant(AnyPlant, Protocol):
     def start(self, q: Vector, v: Vector, parameters: Values, dt: float) -> dict[str, Any]: ...
     def measure(self, memory: Values, noise: Values, parameters: Values) -> dict[str, Any]: ...
     def command(self, command: Vector, memory: Values, t: Any) -> dict[str, Any]: ...
+    def check_together(self, values: Mapping[str, ArrayLike]) -> None: ...
     def advance(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]: ...
     def extra(self, before: Values, after: Values) -> dict[str, Any]: ...
 
@@ -294,7 +295,7 @@ class Loop:
 class LoopParameters(MutableMapping[str, Float64Array]):
     """Parameters of a loop by path; a new value is checked like the first one."""
 
-    def __init__(self, side: LawSide, plant: AnyPlant, values: Mapping[str, Float64Array]) -> None:
+    def __init__(self, side: LawSide, plant: ModelPlant, values: Mapping[str, Float64Array]) -> None:
         self._side, self._plant = side, plant
         self._values = {path: read_only(value) for path, value in values.items()}
 
@@ -303,7 +304,9 @@ class LoopParameters(MutableMapping[str, Float64Array]):
         return self._values[path]
 
     def __setitem__(self, path: str, value: ArrayLike) -> None:
-        self._values[path] = self.checked(path, value)
+        new = self.checked(path, value)
+        self._plant.check_together({**self._values, path: new})
+        self._values[path] = new
 
     def checked(self, path: str, value: ArrayLike) -> Float64Array:
         """A new value of a parameter, in the shape it has.

@@ -128,6 +128,11 @@ class Actuation:
                 raise UsageError(f"actuation.{name} must be {words}; got {type(part).__name__}", name=name)
 
     @property
+    def acts(self) -> bool:
+        """Whether there is anything in it that acts in each step: all but the delay."""
+        return self.bandwidth is not None or bool(self.for_torque_only)
+
+    @property
     def for_torque_only(self) -> tuple[str, ...]:
         """The parts that are there which only a torque command goes through."""
         return tuple(name for name in ("resolution", *PARTS) if getattr(self, name) is not None)

@@ -14,11 +14,10 @@ import numpy as np
 
 from taut.arm.description import COMMANDS, Arm, CommandKind, Payload
 from taut.base import math as tm
-from taut.base.checks import finite_array, one_of, require_at_least, require_positive
+from taut.base.checks import finite_array, one_of
 from taut.base.errors import RangeError, ShapeError, UsageError, quoted_list, unknown_name
-from taut.base.paths import flatten, subtree
+from taut.base.paths import subtree
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
-from taut.control.lawside import checked_payload_entry
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
 from taut.maths.compensation import compensation
@@ -29,6 +28,7 @@ from taut.plant import drive
 from taut.plant.actuation import Actuation, delayed, lagged
 from taut.plant.drivetrain import Drivetrain
 from taut.plant.environment import Environment
+from taut.plant.numbers import PlantNumbers
 from taut.plant.sensors import Sensors
 from taut.plant.transmission import require_rotors
 from taut.plant.work import work_of_step, work_parts
@@ -39,7 +39,6 @@ Integrator = Literal["semi-implicit-euler", "rk4"]
 INTEGRATORS: Final[tuple[Integrator, ...]] = ("semi-implicit-euler", "rk4")
 Values = Mapping[str, Any]
 MOST_SUBSTEPS: Final = 1000
-STIFFNESS: Final = "actuation.transmission.stiffness"  # which is infinite for a joint that is rigid
 STAGES: Final = {"actuation": Actuation, "sensors": Sensors}
 
 
@@ -216,16 +215,14 @@ class RigidPlant:
     @property
     def parameters(self) -> dict[str, Float64Array]:
         """Run-time parameters by path: plant.payload.mass, actuation.bandwidth, ..."""
-        payload, friction = self.arm.payload, self.drivetrain.parameters()
-        load = {"mass": np.asarray(payload.mass), "com": payload.com, "inertia": payload.inertia}
-        out: dict[str, Any] = {"plant": {"payload": load, "friction": friction}}
-        if self.arm.rotor_inertia.any():
-            out["plant"]["rotor_inertia"] = self.arm.rotor_inertia
-        out["actuation"] = self.actuation.parameters()
-        out["sensors"] = self.sensors.parameters()
+        out = self._numbers.values()
         if self.environment is not None:
-            out["environment"] = self.environment.parameters()
-        return flatten(out)
+            out |= {f"environment.{name}": value for name, value in self.environment.parameters().items()}
+        return out
+
+    @cached_property
+    def _numbers(self) -> PlantNumbers:
+        return PlantNumbers(arm=self.arm, drivetrain=self.drivetrain, actuation=self.actuation, sensors=self.sensors)
 
     def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:
         """A new value of a parameter, checked like the first one and in its shape.
@@ -238,25 +235,23 @@ class RigidPlant:
         known = self.parameters
         if path not in known:
             raise unknown_name(f"plant '{self.name}'", "parameter", path, known)
-        if path.startswith("plant.payload."):
-            return checked_payload_entry(path, value)
-        if path.startswith("sensors."):
-            return self.sensors.checked_parameter(path, value, self.arm)
-        shape = known[path].shape
-        new = finite_array(path, value, allow_infinite=path == STIFFNESS)
+        if not path.startswith("environment."):
+            return self._numbers.checked(path, value)
+        shape, new = known[path].shape, finite_array(path, value)
         if new.shape not in ((), shape):
             raise ShapeError(
                 f"{path} has shape {shape}; got shape {new.shape}; make the plant with a value of the new shape",
                 name=path,
             )
-        if path.startswith("actuation."):
-            self.actuation.checked(path.partition(".")[2], new)
-        elif path == "plant.friction.stribeck_shape":
-            require_positive(path, new)
-        elif not path.startswith("environment."):
-            joints = self.arm.joint_names if shape == (self.arm.n,) else None
-            require_at_least(path, new, 0.0, joints=joints)
         return np.broadcast_to(new, shape)
+
+    def check_together(self, values: Mapping[str, ArrayLike]) -> None:
+        """Refuse values by path that do not go together, each of which is right by itself.
+
+        Raises:
+            RangeError: Less friction at rest than in motion.
+        """
+        self._numbers.check_together(values)
 
     # ---------------------------------------------------------------- the pure functions
 

@@ -21,10 +21,39 @@ from taut.plant.actuation import Actuation
 from taut.plant.drivetrain import Drivetrain
 from taut.runtime.drivers.mujoco_rig import Rig
 
-__all__ = ["JointStage"]
+__all__ = ["JointStage", "LinkTorque"]
 
 Values = Mapping[str, Any]
 HELD: float = 1.0 - 1e-9  # of its limit: what friction is less than holds a joint
+
+
+class LinkTorque:
+    """What arrives at the links of torques that were given to MuJoCo's joints: friction and rotors take theirs."""
+
+    def __init__(self, rig: Rig) -> None:
+        import mujoco
+
+        self._rig = rig
+        self._of_joints = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
+        self._dofs = np.array(rig.dofs, dtype=np.intp)
+        self._place = np.full(rig.model.nv, -1, dtype=np.intp)  # of a degree of freedom: the arm's joint, or none
+        self._place[self._dofs] = np.arange(rig.arm.n)
+
+    def friction(self) -> Float64Array:
+        """(n,) dry friction of the last step."""
+        data = self._rig.data
+        f = np.zeros(self._rig.arm.n)
+        rows = np.arange(data.ne, data.ne + data.nf)
+        rows = rows[data.efc_type[rows] == self._of_joints]
+        joints = self._place[data.efc_id[rows]]
+        f[joints[joints >= 0]] = data.efc_force[rows[joints >= 0]]
+        return f
+
+    def of_step(self, given: Float64Array, f: Float64Array, v: Float64Array, a: Float64Array) -> Float64Array:
+        """(n,) of torques given, dry friction f, velocities v after the step and its accelerations."""
+        model = self._rig.model
+        arrived: Float64Array = given + f - model.dof_damping[self._dofs] * v - model.dof_armature[self._dofs] * a
+        return arrived
 
 
 class JointStage:
@@ -42,15 +71,11 @@ class JointStage:
     """
 
     def __init__(self, rig: Rig, actuation: Actuation, train: Drivetrain, adds: Adds) -> None:
-        import mujoco
-
         self._rig, self._actuation, self._train, self._adds = rig, actuation, train, adds
         self._model = model_of(rig.arm)
         self._rigid = np.array(train.rigid, dtype=np.intp)
         self._dofs = np.array(rig.dofs, dtype=np.intp)
-        self._place = np.full(rig.model.nv, -1, dtype=np.intp)  # of a degree of freedom: the arm's joint, or none
-        self._place[self._dofs] = np.arange(rig.arm.n)
-        self._of_joints = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
+        self._arrived = LinkTorque(rig)
         self._loop: NativeLoop | FloatLoop | None = None
 
     # ---------------------------------------------------------------- the pure function
@@ -122,7 +147,9 @@ class JointStage:
         self.sane = True
 
     def take(self, parameters: Values) -> None:
-        """New values of the parameters, by path."""
+        """New values of the parameters, by path, in a run or between two."""
+        if self._loop is None:
+            return
         self._flat_parameters = self._parameters.pack({**parameters, "dt": self._h})
 
     def before(self, q: Float64Array, v: Float64Array, F_ext: Float64Array) -> Float64Array:
@@ -132,25 +159,19 @@ class JointStage:
         done = self._loop.run(self._row, self._flat_parameters, self._flat, self._out)
         self.sane = self.sane and done == 1
         self._rig.model.dof_frictionloss[self._dofs] = self._given["half"]
-        self._v = v
+        self._v = v.copy()
         onto: Float64Array = self._given["onto"]
         return onto
 
-    def after(self, v: Float64Array) -> None:
-        """What friction did in that step, of which the next one depends."""
-        rigid = self._rigid
-        f, half = np.zeros(len(v)), self._given["half"]
-        data = self._rig.data
-        rows = np.arange(data.ne, data.ne + data.nf)
-        rows = rows[data.efc_type[rows] == self._of_joints]
-        joints = self._place[data.efc_id[rows]]
-        f[joints[joints >= 0]] = data.efc_force[rows[joints >= 0]]
-        lost = self._rig.model.dof_damping[self._dofs] * v
-        inertial = self._rig.model.dof_armature[self._dofs] * (v - self._v) / self._h
-        arrived = self._given["onto"] + f - lost - inertial
+    def after(self, q: Float64Array, v: Float64Array) -> None:
+        """What MuJoCo's step did that the next one depends on: motion, and friction."""
+        rigid, f = self._rigid, self._arrived.friction()
+        if self._train.compliant:
+            self.memory["q_motor"][rigid], self.memory["v_motor"][rigid] = q[rigid], v[rigid]
+        arrived = self._arrived.of_step(self._given["onto"], f, v, (v - self._v) / self._h)
         self.memory["tau_link"][rigid] = arrived[rigid]
         if "at_rest" in self.memory:
-            self.memory["at_rest"][rigid] = (np.abs(f) < HELD * half)[rigid]
+            self.memory["at_rest"][rigid] = (np.abs(f) < HELD * self._given["half"])[rigid]
 
     @property
     def tau(self) -> Float64Array:
