@@ -152,7 +152,7 @@ class Kalman:
     Example:
         >>> alpha, beta = kalman_gains(1.0, 1.0, 1.0)
         >>> round(float(alpha), 4), round(float(beta), 4)
-        (0.756, 0.494)
+        (0.7567, 0.4932)
 
     References:
         Bar-Shalom, Li and Kirubarajan, Estimation with applications to tracking and navigation (2001), section 6.5;
