@@ -68,6 +68,7 @@ if TYPE_CHECKING:
     from taut.plant.environment import Environment as Environment
     from taut.plant.rigid import RigidPlant as RigidPlant
     from taut.plant.sensors import Sensors as Sensors
+    from taut.record.friction_curves import plot_friction as plot_friction
     from taut.record.metrics import Metrics as Metrics
     from taut.record.outcome import Outcome as Outcome
     from taut.record.read_log import load_run as load_run
@@ -110,6 +111,7 @@ _HOME: Final = {
     "plant.environment": ("Environment",),
     "plant.rigid": ("RigidPlant",),
     "plant.sensors": ("Sensors",),
+    "record.friction_curves": ("plot_friction",),
     "record.metrics": ("Metrics",),
     "record.outcome": ("Outcome",),
     "record.read_log": ("load_run",),
