@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from taut.arm.description import Arm as Arm
     from taut.arm.description import Friction as Friction
     from taut.arm.description import Payload as Payload
+    from taut.arm.gears import matched_ratio as matched_ratio
+    from taut.arm.gears import reflected_inertia as reflected_inertia
     from taut.arm.load import load_arm as load_arm
     from taut.base import math as math
     from taut.base.errors import FileError as FileError
@@ -62,6 +64,7 @@ if TYPE_CHECKING:
     from taut.controller import compile as compile
     from taut.loop import Loop as Loop
     from taut.maths import dynamics as dynamics
+    from taut.maths.gearing import rotor_share as rotor_share
     from taut.maths.snapshot import Snapshot as Snapshot
     from taut.maths.snapshot import snapshot as snapshot
     from taut.plant.actuation import Actuation as Actuation
@@ -79,6 +82,7 @@ if TYPE_CHECKING:
 
 _HOME: Final = {
     "arm.description": ("Arm", "Friction", "Payload"),
+    "arm.gears": ("matched_ratio", "reflected_inertia"),
     "arm.load": ("load_arm",),
     "base.errors": (
         "FileError",
@@ -106,6 +110,7 @@ _HOME: Final = {
     "control.trajectory": ("Cubic", "JerkLimited", "Quintic", "Samples", "Sine", "Spline", "Trapezoidal"),
     "controller": ("Controller", "compile"),
     "loop": ("Loop",),
+    "maths.gearing": ("rotor_share",),
     "maths.snapshot": ("Snapshot", "snapshot"),
     "plant.actuation": ("Actuation",),
     "plant.environment": ("Environment",),

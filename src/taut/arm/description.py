@@ -336,16 +336,27 @@ class Arm:
             raise UsageError(f"with_friction takes a taut.Friction; got {type(friction).__name__}", name="friction")
         return self.with_joints(**{name: getattr(friction, name) for name in FRICTION_FIELDS})
 
-    def with_gears(self, ratio: ArrayLike, motor_inertia: ArrayLike) -> Arm:
+    def with_gears(
+        self, ratio: ArrayLike | Mapping[str, float], motor_inertia: ArrayLike | Mapping[str, float]
+    ) -> Arm:
         """A copy with geared motors. What the joint sees of a rotor is its reflected inertia, ratio^2 motor_inertia.
 
+        A rotor inertia that is hard to believe, such as one in g cm^2, gives a warning, and a note of the arm.
+
         Args:
-            ratio: Turns of the motor per turn of the joint, one number or one per joint; 1 is direct drive. For a
-                prismatic joint, turns of the motor per metre [rad/m].
-            motor_inertia: Of each rotor about its own axis [kg m^2].
+            ratio: Turns of the motor per turn of the joint, one number, one per joint, or by joint name for some
+                joints only; 1 is direct drive. For a prismatic joint, turns of the motor per metre [rad/m].
+            motor_inertia: Of each rotor about its own axis [kg m^2], in the same way.
 
         Raises:
             RangeError: A ratio that is not above zero, or a negative inertia.
+            UsageError: Two mappings that name different joints.
+
+        Example:
+            >>> from taut import load_arm
+            >>> arm = load_arm("planar2").with_gears({"joint2": 50.0}, 2e-5)
+            >>> arm.gear.tolist(), arm.rotor_inertia.round(6).tolist()
+            ([1.0, 50.0], [0.0, 0.05])
 
         References:
             Chapter, section 10.2.1.5 the effect of gearing.
