@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from taut.arm.gears import matched_ratio as matched_ratio
     from taut.arm.gears import reflected_inertia as reflected_inertia
     from taut.arm.load import load_arm as load_arm
+    from taut.arm.servo import Servo as Servo
+    from taut.arm.servo_file import load_servo as load_servo
     from taut.base import math as math
     from taut.base.errors import FileError as FileError
     from taut.base.errors import MatchError as MatchError
@@ -84,6 +86,8 @@ _HOME: Final = {
     "arm.description": ("Arm", "Friction", "Payload"),
     "arm.gears": ("matched_ratio", "reflected_inertia"),
     "arm.load": ("load_arm",),
+    "arm.servo": ("Servo",),
+    "arm.servo_file": ("load_servo",),
     "base.errors": (
         "FileError",
         "MatchError",

@@ -36,6 +36,7 @@ from taut.base.types import Array, ArrayLike, Float64Array, Vector
 
 if TYPE_CHECKING:
     from taut.arm.pinocchio import PinocchioModel
+    from taut.arm.servo import Servo
 
 __all__ = [
     "BASE",
@@ -364,6 +365,25 @@ class Arm:
         from taut.arm.change import geared
 
         return geared(self, ratio, motor_inertia)
+
+    def with_servo(self, servos: Servo | Mapping[str, Servo]) -> Arm:
+        """A copy with the friction and the rotor inertia of a servo in every joint, or of one each by joint name.
+
+        Effort and speed limits stay what they were; `with_joints(effort=servo.stall_torque)` changes them.
+
+        Raises:
+            UnknownNameError: The arm has no such joint.
+            UsageError: Not a servo, or a prismatic joint.
+
+        Example:
+            >>> from taut import Friction, Servo, load_arm
+            >>> servo = Servo(friction=Friction(coulomb=0.05, viscous=0.06), rotor_inertia=0.028)
+            >>> load_arm("planar2").with_servo({"joint2": servo}).coulomb.tolist()
+            [0.0, 0.05]
+        """
+        from taut.arm.servo import with_servos
+
+        return with_servos(self, servos)
 
     # ---------------------------------------------------------------- other ways in
 
