@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from taut.arm.load import load_arm as load_arm
     from taut.arm.servo import Servo as Servo
     from taut.arm.servo_file import load_servo as load_servo
+    from taut.arm.write_friction import JointWords as JointWords
+    from taut.arm.write_friction import to_mjcf_joints as to_mjcf_joints
+    from taut.arm.write_friction import to_urdf_dynamics as to_urdf_dynamics
     from taut.base import math as math
     from taut.base.errors import FileError as FileError
     from taut.base.errors import MatchError as MatchError
@@ -88,6 +91,7 @@ _HOME: Final = {
     "arm.load": ("load_arm",),
     "arm.servo": ("Servo",),
     "arm.servo_file": ("load_servo",),
+    "arm.write_friction": ("JointWords", "to_mjcf_joints", "to_urdf_dynamics"),
     "base.errors": (
         "FileError",
         "MatchError",

@@ -141,7 +141,9 @@ def joints_replaced(arm: Arm, values: Mapping[str, ArrayLike | Mapping[str, floa
             require_at_least(name, column, 0.0, joints=arm.joint_names)
     joints, problems = [], []
     for i, joint in enumerate(arm.joints):
-        changed: dict[str, Any] = {name: float(column[i]) for name, column in columns.items()}
+        changed: dict[str, Any] = {
+            name: float(column[i]) for name, column in columns.items() if _given(values[name], joint.name)
+        }
         joints.append(dataclasses.replace(joint, **changed))
         problems += [
             Problem(object=joint.name, attribute=attribute, message=f"joint '{joint.name}': {text}")
@@ -159,6 +161,11 @@ def joints_replaced(arm: Arm, values: Mapping[str, ArrayLike | Mapping[str, floa
         return made
     note = f"home of {quoted_list(moved)} was moved into the new limits"
     return dataclasses.replace(made, home=home, notes=(*arm.notes, note))
+
+
+def _given(value: ArrayLike | Mapping[str, float], joint: str) -> bool:
+    """Whether a value is given for this joint: one by joint name leaves the others as they are."""
+    return not isinstance(value, Mapping) or joint in value
 
 
 def _notes_on_rotors(before: Arm, after: Arm) -> tuple[str, ...]:
