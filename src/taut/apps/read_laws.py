@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
+from typing import Final
 
 from taut.apps.toml import Section
 from taut.arm.description import Arm
@@ -13,6 +15,14 @@ from taut.control.law import Law
 from taut.control.limits import Limits
 
 __all__ = ["read_law", "read_limits"]
+
+LIMITS: Final[Mapping[str, Mapping[str, bool]]] = {
+    "arm": {},
+    "arm with rate": {"rate": True},
+    "arm with speed": {"speed": True},
+    "arm with rate and speed": {"rate": True, "speed": True},
+}
+"""The arm's own limits, in words: what they are to Limits.of."""
 
 
 def read_law(section: Section) -> Law:
@@ -54,15 +64,17 @@ def _one_law(section: Section, gains: Section, name: str) -> Law:
 
 
 def read_limits(section: Section, arm: Arm) -> Limits | None:
-    """limits = "arm", "arm with rate", "none", or a table { tau, tau_dot }."""
+    """limits = one of LIMITS, or a table of the fields of Limits; `of = "arm"` gives what the table leaves out."""
     if not isinstance(section.peek("limits"), dict):
-        word = section.word("limits", ("none", "arm", "arm with rate"), "none")
+        word = section.word("limits", ("none", *LIMITS), "none")
         with section.blamed("limits"):
-            return None if word == "none" else Limits.of(arm, rate=word == "arm with rate")
+            return None if word == "none" else Limits.of(arm, **LIMITS[word])
     table = section.section("limits")
-    tau, tau_dot = table.numbers("tau", None), table.numbers("tau_dot", None)
+    word = table.word("of", tuple(LIMITS), None)
+    values = {field.name: table.numbers(field.name, None) for field in dataclasses.fields(Limits)}
     table.done()
+    given = {name: value for name, value in values.items() if value is not None}
     with table.blamed():
-        made = Limits(tau=tau, tau_dot=tau_dot)
+        made = Limits(**given) if word is None else dataclasses.replace(Limits.of(arm, **LIMITS[word]), **given)
         made.check_size(arm)
         return made

@@ -10,13 +10,14 @@ from typing import Final
 import numpy as np
 
 from taut.base.types import Array
+from taut.control.combine import Sum
 from taut.control.law import Law, field_units
+from taut.control.limits import UNITS
 
 __all__ = ["PARAMETER_UNITS", "all_laws", "gain_units", "section", "short", "summary", "title"]
 
 PARAMETER_UNITS: Final = {
-    "limits.tau": "N m | N",
-    "limits.tau_dot": "N m/s | N/s",
+    **{f"limits.{name}": unit for name, unit in UNITS.items()},
     "model.payload.mass": "kg",
     "model.payload.com": "m",
     "model.payload.inertia": "kg m^2",
@@ -40,8 +41,7 @@ def gain_units(law: Law) -> dict[str, str]:
 
 def title(law: Law) -> str:
     """A law's name; of a sum, the names of its parts."""
-    children = law.children()
-    return " + ".join(children) if children else type(law).__name__
+    return " + ".join(law.children()) if isinstance(law, Sum) else type(law).__name__
 
 
 def summary(law: type[Law]) -> str:

@@ -70,6 +70,7 @@ class Law:
     * `command(self, x, ref)`, or `command(self, x, ref, memory, dt)` with memory, which returns a Command and,
       with memory, a dict of the new memory by name;
     * optionally `start(self, x, ref) -> dict`: memory that starts from the measured state;
+    * optionally `check_rate(self, rate)`, which refuses gains that have no meaning at that rate [Hz];
     * `reference`, the kind of sample it follows (JointMotion unless said).
 
     Laws add: `FeedForward() + PID(kp=..., kd=...)`. A law must not inherit from another one: it holds it in a field.
@@ -185,6 +186,18 @@ class Law:
                     f"{way_out}",
                     name=path,
                 )
+
+    def check_rates(self, rate: float) -> None:
+        """Every law that has a `check_rate` must fit the rate, with the gains that it has now.
+
+        Raises:
+            RangeError: A gain that has no meaning at this rate.
+        """
+        for law in self.children().values():
+            law.check_rates(rate)
+        check: Callable[[float], None] | None = getattr(self, "check_rate", None)
+        if check is not None:
+            check(rate)
 
     def __add__(self, other: Law) -> Law:
         from taut.control.combine import added
@@ -316,7 +329,11 @@ def initial_memory(law: Law, x: Snapshot, ref: Sample) -> dict[str, Any]:
 
 
 FIELDS: Final[Mapping[str, type[Gain | Memory]]] = {"Gain": Gain, "Memory": Memory}
-RESERVED: Final = frozenset(name for name in vars(Law) if not name.startswith("_")) | {"command", "start"}
+RESERVED: Final = frozenset(name for name in vars(Law) if not name.startswith("_")) | {
+    "command",
+    "start",
+    "check_rate",
+}
 
 
 def call(law: Law, x: Snapshot, ref: Sample, memory: LawMemory, dt: Any) -> tuple[Command, dict[str, Any]]:

@@ -18,9 +18,10 @@ from taut.base.checks import finite_scalar, require_at_least, vector
 from taut.base.errors import MatchError, NumericalError, ShapeError, UsageError, unknown_name
 from taut.base.paths import flatten, subtree, unflatten
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
-from taut.control.command import Command, Terms, Torque
+from taut.control.command import Command, Terms, Torque, Velocity
 from taut.control.law import Law, as_array, call, initial_memory
-from taut.control.limits import Limits, limited
+from taut.control.limiting import fresh_blend, limited, term_names
+from taut.control.limits import Limits
 from taut.control.reference import Sample
 from taut.control.sensing import Sensing
 from taut.maths.adds import Adds
@@ -42,13 +43,12 @@ class Tick:
     command: Vector  # (n,) what goes out, after limits
     memory: dict[str, Any]  # by path
     named: Terms  # before limits
-    cut: Vector | None  # (n,) what limits added to it; None without limits
+    limiting: Mapping[str, Vector]  # (n,) what limits added to it, by name
 
     @property
     def terms(self) -> dict[str, Vector]:
         """Each term by name; they add up to the command."""
-        parts = dict(self.named.parts)
-        return parts if self.cut is None else {**parts, "limits": self.cut}
+        return {**self.named.parts, **self.limiting}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,9 +87,15 @@ class LawSide:
     @cached_property
     def parameters(self) -> dict[str, Float64Array]:
         """Every run-time parameter, by path, with the values it was made with."""
+        limits = {} if self.limits is None else self.limits.parameters(self.arm, self.dt, self.probe.kind)
+        own = self._own_parameters
+        law = {path: own[path] for path in own if path.startswith("law.")}
+        return law | {f"limits.{name}": values for name, values in limits.items()} | own
+
+    @cached_property
+    def _own_parameters(self) -> dict[str, Float64Array]:
+        """Those of law and model: all that a first run of the law needs."""
         out = {f"law.{path}": values for path, values in self.law.parameters().items()}
-        if self.limits is not None:
-            out |= {f"limits.{name}": values for name, values in self.limits.parameters().items()}
         payload = self.arm.payload
         out["model.payload.mass"] = np.asarray(payload.mass)
         out["model.payload.com"] = payload.com
@@ -109,10 +115,10 @@ class LawSide:
         head, _, rest = path.partition(".")
         if head == "law":
             field, unit = self.law.gain_field(rest)
-            new = field.checked(value, unit, name=path)
+            new = in_compiled_shape(path, field.checked(value, unit, name=path), self.parameters[path].shape)
+            self.law.bound({**self.law.parameters(), rest: new}).check_rates(self.rate)
         elif head == "limits":
-            made = Limits(**{rest: value})
-            new = np.asarray(getattr(made, rest))
+            new = Limits.checked(rest, value)
         else:
             new = checked_payload_entry(path, value)
         return in_compiled_shape(path, new, self.parameters[path].shape)
@@ -127,45 +133,65 @@ class LawSide:
             MatchError: The law does not fit: torque limits on another kind of command.
         """
         self.law.check_size(self.arm.n)
+        self.law.check_rates(self.rate)
         if self.limits is not None:
             self.limits.check_size(self.arm)
         try:
             x, command, after = self._first_run(self.arm.home)
         except NumericalError:  # a law that inverts what is singular at home
             x, command, after = self._first_run(self.arm.home + 0.1 * np.cos(np.arange(self.arm.n)))
-        if self.limits is not None and not isinstance(command, Torque):
-            raise MatchError(
-                f"limits cut torques, and {type(self.law).__name__} gives a {command.kind}; leave limits=None",
-                name="limits",
-            )
+        added = self._limit_terms(command)
         shapes = {f"law.{path}": np.shape(as_array(v, path)) for path, v in flatten(after).items()}
         n = (self.arm.n,)
         shapes |= {f"sensing.{name}": n for name in self.sensing.start(self.arm.home)}
-        if isinstance(command, Torque) and self._remembers_torque(x.used):
+        if (isinstance(command, Torque) and "tau_applied" in x.used) or {"rate_limit", "blend"} & set(added):
             shapes["limits.tau_applied"] = n
         if self.limits is not None and "tau_cut" in x.used:
             shapes["limits.tau_cut"] = n
-        if self.limits is not None and "limits" in command.terms.parts:
-            raise UsageError(
-                f"{type(self.law).__name__} names a term 'limits', which is what the controller's limits cut off; "
-                "give it another name",
+        if "blend" in added:
+            shapes |= {f"limits.{name}": np.shape(value) for name, value in fresh_blend(self.arm.n).items()}
+        used = x.used | ({"v"} if "speed_limit" in added and isinstance(command, Torque) else set())
+        return Probe(kind=command.kind, used=frozenset(used), shapes=shapes, terms=(*command.terms.parts, *added))
+
+    def _limit_terms(self, command: Command) -> tuple[str, ...]:
+        """The terms that limits add to a command of this kind.
+
+        Raises:
+            MatchError: Limits that have no meaning for it.
+            UsageError: The law has a term of that name.
+        """
+        if self.limits is None:
+            return ()
+        who, given = type(self.law).__name__, self.limits.given()
+        if not isinstance(command, (Torque, Velocity)):
+            raise MatchError(
+                f"limits cut torques and velocities, and {who} gives a {command.kind}; leave limits=None",
                 name="limits",
             )
-        names = [*command.terms.parts, *(["limits"] if self.limits is not None else [])]
-        return Probe(kind=command.kind, used=frozenset(x.used), shapes=shapes, terms=tuple(names))
+        wrong = sorted(given & {"tau", "tau_dot", "v_gain"})
+        if wrong and not isinstance(command, Torque):
+            raise MatchError(
+                f"limits.{wrong[0]} is for torques, and {who} gives a {command.kind}; leave it out, or "
+                "give taut.Limits(v=...)",
+                name="limits",
+            )
+        added = term_names(dict.fromkeys(given, np.zeros(())))
+        taken = [name for name in added if name in command.terms.parts]
+        if taken:
+            raise UsageError(
+                f"{who} names a term '{taken[0]}', which is what the controller's limits add; give it another name",
+                name=taken[0],
+            )
+        return added
 
     def _first_run(self, q: Float64Array) -> tuple[Snapshot, Command, dict[str, Any]]:
         """Two ticks at rest at q: what was asked for, the command, the memory."""
         measured, ref = {**self.measurements_at_rest(), "q": q}, self.law.reference.at_rest(q)
-        x = self._snapshot(measured, np.zeros(self.arm.n), self.parameters, {})
-        law = self.law.bound(subtree(self.parameters, "law"))
+        x = self._snapshot(measured, np.zeros(self.arm.n), self._own_parameters, {})
+        law = self.law.bound(subtree(self._own_parameters, "law"))
         _, after = call(law, x, ref, initial_memory(law, x, ref), self.dt)
         command, after = call(law, x, ref, after, self.dt)
         return x, command, after
-
-    def _remembers_torque(self, used: set[str]) -> bool:
-        rate_limited = self.limits is not None and self.limits.tau_dot is not None
-        return rate_limited or "tau_applied" in used
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -188,8 +214,8 @@ class LawSide:
     def start(self, measured: Mapping[str, Any], ref: Sample, parameters: Mapping[str, Any]) -> dict[str, Any]:
         """Memory by path in the first tick, from what is measured then.
 
-        The torque of the last tick is what the plant holds: `measured[HELD]` where `measured[TOLD]` is 1, else the
-        torque that holds the model's weight.
+        The command of the last tick is what the plant holds: `measured[HELD]` where `measured[TOLD]` is 1, else the
+        torque that holds the model's weight; of velocities, none. A blend begins with it.
         """
         q, shapes = measured["q"], self.probe.shapes
         sensing = self.sensing.start(q)
@@ -197,14 +223,21 @@ class LawSide:
         x = self._snapshot(measured, v, parameters, {})
         held = {}
         if "limits.tau_applied" in shapes:
-            tau = tm.where(measured[TOLD] > 0.5, measured[HELD], x.g) if TOLD in measured else x.g
+            rest = x.g if self.probe.kind == Torque.kind else tm.zeros(self.arm.n)
+            tau = tm.where(measured[TOLD] > 0.5, measured[HELD], rest) if TOLD in measured else rest
             held = {"tau_applied": tau}
             x = self._snapshot(measured, v, parameters, held)
         law = self.law.bound(subtree(parameters, "law"))
         memory = flatten({"law": initial_memory(law, x, ref), "sensing": sensing, "limits": held})
         if "limits.tau_cut" in shapes:
             memory["limits.tau_cut"] = tm.zeros(self.arm.n)
-        return {path: _filled(as_array(memory[path], path), shape) for path, shape in shapes.items()}
+        if "limits.bump" in shapes:
+            memory |= {f"limits.{name}": value for name, value in fresh_blend(self.arm.n).items()}
+        filled = {path: _filled(as_array(memory[path], path), shape) for path, shape in shapes.items()}
+        if "limits.bump" in shapes:
+            asked = self.tick(measured, ref, filled, parameters, self.dt).memory["limits.asked"]
+            filled["limits.bump"], filled["limits.phase"] = held["tau_applied"] - asked, as_array(0.0, "limits.phase")
+        return filled
 
     def tick(
         self,
@@ -221,10 +254,11 @@ class LawSide:
         law = self.law.bound(subtree(parameters, "law"))
         command, after = call(law, x, ref, _nested_memory(law, nested.get("law", {})), dt)
         total = as_array(command.total, "command")
-        applied, held = total, {}
+        applied, terms, held = total, {}, {}
         if self.limits is not None:
-            applied = limited(total, nested.get("limits", {}).get("tau_applied"), subtree(parameters, "limits"), dt)
-            held = {"tau_cut": total - applied}
+            hold = (lambda: x.g) if command.kind == Torque.kind else None
+            made = limited(total, nested.get("limits", {}), subtree(parameters, "limits"), dt, v=v, hold=hold)
+            applied, terms, held = made.command, made.terms, {**made.memory, "tau_cut": made.cut}
         held["tau_applied"] = applied
         new = flatten({"law": after, "sensing": sensing, "limits": held})
         shapes = self.probe.shapes
@@ -232,7 +266,7 @@ class LawSide:
             command=applied,
             memory={path: _shaped(as_array(new[path], path), path, shapes[path]) for path in shapes},
             named=command.terms,
-            cut=None if self.limits is None else applied - total,
+            limiting=terms,
         )
 
     def _snapshot(
