@@ -155,9 +155,13 @@ def _check_start(side: LawSide, plant: AnyPlant) -> None:
     if side.probe.kind != "torque" or not (starts or brakes) or ours == theirs:
         return
     how = "adds gravity itself" if theirs else "does not add gravity"
-    whose = "that the controller starts from" if starts else "from which its speed limit counts"
+    what = (
+        "torque that the controller starts from"
+        if starts
+        else "acceleration that the controller's speed limit expects"
+    )
     raise MatchError(
-        f"plant '{plant.name}' {how}, and the torque {whose} says otherwise; compile with adds=plant.adds",
+        f"plant '{plant.name}' {how}, and the {what} says otherwise; compile with adds=plant.adds",
         name="gravity",
     )
 

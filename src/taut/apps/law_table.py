@@ -67,7 +67,8 @@ def law_rows() -> list[LawRow]:
 
 
 def _row(cls: type[Law]) -> LawRow:
-    gains = [field.name for field in fields(cls) if isinstance(cls.__dict__.get(field.name), Gain)]  # type: ignore[arg-type]
+    fields_of = {field.name: cls.__dict__.get(field.name) for field in fields(cls)}  # type: ignore[arg-type]
+    gains = [name for name, field in fields_of.items() if isinstance(field, Gain) and field.where is None]
     law = cls(**dict.fromkeys(gains, 1.0))
     arm = load_arm("planar3")
     side = LawSide(law=law, arm=arm, rate=1000.0, sensing=Sensing(), limits=None, adds=Adds())

@@ -63,7 +63,7 @@ def _one_law(section: Section, gains: Section, name: str) -> Law:
         return law
 
 
-def read_limits(section: Section, arm: Arm) -> Limits | None:
+def read_limits(section: Section, arm: Arm, rate: float) -> Limits | None:
     """limits = one of LIMITS, or a table of the fields of Limits; `of = "arm"` gives what the table leaves out."""
     if not isinstance(section.peek("limits"), dict):
         word = section.word("limits", ("none", *LIMITS), "none")
@@ -76,5 +76,5 @@ def read_limits(section: Section, arm: Arm) -> Limits | None:
     given = {name: value for name, value in values.items() if value is not None}
     with table.blamed():
         made = Limits(**given) if word is None else dataclasses.replace(Limits.of(arm, **LIMITS[word]), **given)
-        made.check_size(arm)
+        made.check_fit(arm, rate)
         return made

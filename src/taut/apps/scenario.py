@@ -199,12 +199,12 @@ def _control(section: Section, arm: Arm) -> tuple[float, Sensing, Limits | None]
     """Rate [Hz], sensing and limits."""
     rate = section.number("rate", 1000.0)
     sensing = Sensing(velocity=section.word("velocity", VELOCITIES, "measured"))
-    limits = read_limits(section, arm)
-    section.done()
     with section.blamed():
         rate = positive_scalar("rate", rate, unit="Hz")
     if not RATES[0] <= rate <= RATES[1]:
         raise section.error(f"rate must be between {RATES[0]:g} and {RATES[1]:g} [Hz]; got {rate:g}")
+    limits = read_limits(section, arm, rate)
+    section.done()
     return rate, sensing, limits
 
 

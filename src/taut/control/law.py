@@ -136,7 +136,8 @@ class Law:
 
     def gains(self) -> dict[str, GainValue]:
         """This law's own gains, by field."""
-        return {name: value for name, value in vars(self).items() if isinstance(value, GainValue)}
+        own = {name: value for name, value in vars(self).items() if isinstance(value, GainValue)}
+        return {name: value for name, value in own.items() if type(self).__dict__[name].has_meaning(self)}
 
     def parameters(self) -> dict[str, Float64Array]:
         """Every gain of this law and of the laws it holds, by path."""
@@ -210,7 +211,10 @@ class Law:
         shown = []
         for field in dataclasses.fields(self):  # type: ignore[arg-type]  # every subclass is a dataclass
             value = getattr(self, field.name)
-            if isinstance(value, GainValue) or not _is_default(value, field.default):
+            shows = (
+                field.name in self.gains() if isinstance(value, GainValue) else not _is_default(value, field.default)
+            )
+            if shows:
                 shown.append(f"{field.name}={value!r}")
         return f"{type(self).__name__}({', '.join(shown)})"
 
@@ -265,6 +269,16 @@ def _check_arguments(cls: type[Law]) -> None:
             named = ", ".join(f"{name}{f' [{units[name]}]' if name in units else ''}" for name in missing)
             raise UsageError(f"{cls.__name__} needs {named}", name=missing[0])
         generated(self, *args, **kwargs)
+        for name in kwargs:
+            gain = cls.__dict__.get(name)
+            if isinstance(gain, Gain) and not gain.has_meaning(self):
+                assert gain.where is not None
+                other, value = gain.where
+                raise UsageError(
+                    f"{cls.__name__}: {name} is for {other}='{value}', and this one has {getattr(self, other)!r}; "
+                    "leave it out",
+                    name=name,
+                )
         for name, value in list(vars(self).items()):
             if isinstance(value, np.ndarray):  # a law never changes, and what is traced is kept
                 kept = value.copy()

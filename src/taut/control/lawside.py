@@ -87,7 +87,7 @@ class LawSide:
     @cached_property
     def parameters(self) -> dict[str, Float64Array]:
         """Every run-time parameter, by path, with the values it was made with."""
-        limits = {} if self.limits is None else self.limits.parameters(self.arm, self.dt, self.probe.kind)
+        limits = {} if self.limits is None else self.limits.parameters(self.rate, self.probe.kind)
         own = self._own_parameters
         law = {path: own[path] for path in own if path.startswith("law.")}
         return law | {f"limits.{name}": values for name, values in limits.items()} | own
@@ -118,7 +118,7 @@ class LawSide:
             new = in_compiled_shape(path, field.checked(value, unit, name=path), self.parameters[path].shape)
             self.law.bound({**self.law.parameters(), rest: new}).check_rates(self.rate)
         elif head == "limits":
-            new = Limits.checked(rest, value)
+            new = Limits.checked(rest, value, self.rate)
         else:
             new = checked_payload_entry(path, value)
         return in_compiled_shape(path, new, self.parameters[path].shape)
@@ -135,7 +135,7 @@ class LawSide:
         self.law.check_size(self.arm.n)
         self.law.check_rates(self.rate)
         if self.limits is not None:
-            self.limits.check_size(self.arm)
+            self.limits.check_fit(self.arm, self.rate)
         try:
             x, command, after = self._first_run(self.arm.home)
         except NumericalError:  # a law that inverts what is singular at home
@@ -175,7 +175,7 @@ class LawSide:
                 "give taut.Limits(v=...)",
                 name="limits",
             )
-        added = term_names(dict.fromkeys(given, np.zeros(())))
+        added = term_names(given)
         taken = [name for name in added if name in command.terms.parts]
         if taken:
             raise UsageError(
@@ -256,8 +256,8 @@ class LawSide:
         total = as_array(command.total, "command")
         applied, terms, held = total, {}, {}
         if self.limits is not None:
-            hold = (lambda: x.g) if command.kind == Torque.kind else None
-            made = limited(total, nested.get("limits", {}), subtree(parameters, "limits"), dt, v=v, hold=hold)
+            given, moving = subtree(parameters, "limits"), x if command.kind == Torque.kind else None
+            made = limited(total, nested.get("limits", {}), given, dt, moving)
             applied, terms, held = made.command, made.terms, {**made.memory, "tau_cut": made.cut}
         held["tau_applied"] = applied
         new = flatten({"law": after, "sensing": sensing, "limits": held})

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import functools
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
 from taut.base import math as tm
 from taut.base.types import Array, Float64Array, Vector
+from taut.maths.snapshot import Snapshot
 
 __all__ = ["LIMIT_TERMS", "Limited", "fresh_blend", "limited", "room", "take_up", "term_names"]
 
 LIMIT_TERMS: Final = ("rate_limit", "speed_limit", "torque_limit")
 """Terms that limits add to a command, in the order in which they act."""
 TERM_OF: Final = {"blend": "blend", "tau_dot": "rate_limit", "v": "speed_limit", "tau": "torque_limit"}
-MOST_ROOM: Final = 10.0  # with the default v_gain, it takes a joint at rest to its speed limit in one tick
-SMALLEST_SPEED: Final = 1e-9  # [rad/s | m/s], so that nothing is divided by zero
+TINY: Final = 1e-9  # of speeds and torques, so that nothing is divided by zero
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,9 +34,7 @@ def limited(
     memory: Mapping[str, Any],
     parameters: Mapping[str, Array],
     dt: Any,
-    *,
-    v: Vector | None = None,
-    hold: Callable[[], Vector] | None = None,
+    x: Snapshot | None = None,
 ) -> Limited:
     """The command that goes out: blended, then limited in rate, in speed, in magnitude.
 
@@ -44,8 +43,7 @@ def limited(
         memory: `tau_applied`, the command of the last tick, for a rate limit; what a blend remembers.
         parameters: The limits that there are, by name.
         dt: Period [s].
-        v: (n,) velocity, for a speed limit on a torque [rad/s | m/s].
-        hold: Gives (n,) the torque that holds the weight, for the same; None for a velocity command.
+        x: What moves, for a speed limit on a torque; None for a velocity command.
     """
     terms: dict[str, Vector] = {}
     kept: dict[str, Any] = {}
@@ -56,49 +54,64 @@ def limited(
         over = tm.minimum(memory["phase"] + dt / parameters["blend"], 1.0)
         kept = {"asked": asked, "bump": memory["bump"], "phase": over}
     out = wanted
-    if "tau_dot" in parameters:
-        out, before = _near(out, memory["tau_applied"], parameters["tau_dot"] * dt), out
-        terms["rate_limit"] = out - before
-    if "v" in parameters:
-        slow = _within(out, parameters["v"]) if hold is None or v is None else _braked(out, v, hold(), parameters)
-        out, before = slow, out
-        terms["speed_limit"] = out - before
-    if "tau" in parameters:
-        out, before = _within(out, parameters["tau"]), out
-        terms["torque_limit"] = out - before
+    for name, after in _stages(wanted, memory, parameters, dt, x):
+        terms[name] = terms.get(name, 0.0) + (after - out)
+        out = after
     return Limited(command=out, cut=wanted - out, terms=terms, memory=kept)
 
 
-def term_names(parameters: Mapping[str, Array]) -> tuple[str, ...]:
-    """The terms that these limits add to a command."""
-    return tuple(term for name, term in TERM_OF.items() if name in parameters)
+def _stages(
+    out: Vector, memory: Mapping[str, Any], parameters: Mapping[str, Array], dt: Any, x: Snapshot | None
+) -> Iterator[tuple[str, Vector]]:
+    """The command after each limit, with the term of that limit."""
+    if "tau_dot" in parameters:
+        step, held = parameters["tau_dot"] * dt, memory["tau_applied"]
+        out = tm.clip(out, held - step, held + step)
+        yield "rate_limit", out
+    if "v" in parameters and x is None:
+        out = tm.clip(out, -parameters["v"], parameters["v"])
+        yield "speed_limit", out
+    if "v" in parameters and x is not None:
+        if "tau" in parameters:  # what a joint cannot give does not drive the others either
+            out = tm.clip(out, -parameters["tau"], parameters["tau"])
+            yield "torque_limit", out
+        out = _slowed(out, x, parameters, dt)
+        yield "speed_limit", out
+    if "tau" in parameters:
+        out = tm.clip(out, -parameters["tau"], parameters["tau"])
+        yield "torque_limit", out
 
 
-def _within(command: Vector, bound: Array) -> Vector:
-    out: Vector = tm.clip(command, -bound, bound)
-    return out
+def term_names(limits: Container[str]) -> tuple[str, ...]:
+    """The terms that limits of these names add to a command."""
+    return tuple(term for name, term in TERM_OF.items() if name in limits)
 
 
-def _near(command: Vector, held: Vector, step: Array) -> Vector:
-    out: Vector = tm.clip(command, held - step, held + step)
-    return out
+def _slowed(tau: Vector, x: Snapshot, parameters: Mapping[str, Array], dt: Any) -> Vector:
+    """(n,) torque without what would drive a joint beyond its speed limit."""
+    a = tm.solve_spd(x.M_factors, tau - x.h)
+    most = room(tm.abs(x.v), parameters["v"], parameters["v_gain"], dt)
+    behind = tm.where(x.v < 0.0, tm.maximum(a, -most), tm.clip(a, -most, most))
+    allowed = tm.where(x.v > 0.0, tm.minimum(a, most), behind)
+    out: Vector = tau + x.M @ (allowed - a)
+    if "tau" not in parameters:
+        return out
+    # A joint that lacks the torque for it would be driven on by the others: then all of them accelerate less.
+    motion, bound = out - x.h, parameters["tau"]
+    up, down = (bound - x.h) / tm.maximum(motion, TINY), (bound + x.h) / tm.maximum(-motion, TINY)
+    parts = tm.clip(tm.where(out > bound, up, tm.where(out < -bound, down, 1.0)), 0.0, 1.0)
+    least = functools.reduce(tm.minimum, [parts[i] for i in range(x.n)])
+    fitting: Vector = out - (1.0 - least) * motion
+    return fitting
 
 
-def _braked(tau: Vector, v: Vector, hold: Vector, parameters: Mapping[str, Array]) -> Vector:
-    """(n,) torque; what drives a joint on, beyond what holds its weight, is cut to what its speed leaves room for."""
-    most = room(tm.abs(v), parameters["v"], parameters["v_gain"])
-    falling = tm.where(v < 0.0, tm.maximum(tau, hold - most), tau)
-    out: Vector = tm.where(v > 0.0, tm.minimum(tau, hold + most), falling)
-    return out
+def room(speed: Vector, v_max: Array, v_gain: Array, dt: Any) -> Vector:
+    """(n,) acceleration in the direction of motion that a joint may have at a speed; negative beyond its limit.
 
-
-def room(speed: Vector, v_max: Array, v_gain: Array) -> Vector:
-    """(n,) torque in the direction of motion that a joint may have at a speed; negative beyond its limit.
-
-    Near the limit v_gain (v_max - speed). It grows towards rest, where the direction of motion is nothing to go by:
-    what is cut there is only what would take the joint to its limit in a tick.
+    Near the limit v_gain (v_max - speed). It grows towards rest, where the direction of motion is nothing to go by,
+    to what takes the joint to its limit within a tick.
     """
-    growth = tm.clip(v_max / tm.maximum(speed, SMALLEST_SPEED), 1.0, MOST_ROOM)
+    growth = tm.clip(v_max / tm.maximum(speed, TINY), 1.0, 1.0 / (v_gain * dt))
     out: Vector = v_gain * (v_max - speed) * growth
     return out
 

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from taut.arm.description import Arm
 from taut.base.checks import finite_array, require_positive
-from taut.base.errors import ModelError, Problem, ShapeError, UsageError, unknown_name
+from taut.base.errors import ModelError, Problem, RangeError, ShapeError, UsageError, unknown_name
 from taut.base.types import ArrayLike, Float64Array
-from taut.maths.dynamics import mass_matrix
-from taut.maths.model import model_of
 
 __all__ = ["RATE_PER_EFFORT", "UNITS", "Limits"]
 
 RATE_PER_EFFORT: Final = 10.0  # default torque rate: ten times the effort limit per second
-BRAKING_TICKS: Final = 10.0  # default v_gain: it takes a joint to its speed limit in about so many ticks
+BRAKING_TICKS: Final = 10.0  # default v_gain: a joint comes up to its speed limit with this time constant
 UNITS: Final = {
     "tau": "N m | N",
     "tau_dot": "N m/s | N/s",
     "v": "rad/s | m/s",
-    "v_gain": "N m s/rad | N s/m",
+    "v_gain": "1/s",
     "blend": "s",
 }
 
@@ -31,18 +29,19 @@ UNITS: Final = {
 class Limits:
     """Largest torque, largest change of torque per second, largest speed, and how a change of the law comes in.
 
-    Law:          tau = law + blend; then the rate, then the speed, then the magnitude is limited: the later one wins
+    Law:          tau = law + blend; then the rate is limited, then the speed, then the magnitude: the later one wins
                   rate:       |tau - tau of the last tick| <= tau_dot dt
-                  speed:      (tau - g) sign(v) <= v_gain (v_max - |v|) min(max(1, v_max / |v|), 10)
+                  speed:      a sign(v) <= v_gain (v_max - |v|) max(1, v_max / |v|), where M a = tau - h
                   magnitude:  |tau| <= tau
-    Closed loop:  a joint that is pushed on comes up to its speed limit like v_max - |v| = exp(-(v_gain / M) t), and
-                  one that is faster is braked; torque against the motion is never cut, and at rest no torque is that
-                  would not take the joint to its limit in a tick
+    Closed loop:  with an exact model a joint that is driven on comes up to its speed limit as
+                  v_max - |v| = c exp(-v_gain t), and one that is faster is braked in the same way
+                  what slows the arm down is not cut, and of what moves a joint at rest only what would take it
+                  beyond its limit within a tick
 
-    The speed limit counts from g, the torque that holds the weight of the controller's model, so that a loaded joint
-    neither drops nor gains speed. What other joints do to one it sees in its speed only: pushed by them with the
-    acceleration a, a joint passes its limit by a M / v_gain. From a state outside the limits the command goes to the
-    limit in one step. A velocity command is cut to v; it takes no limit of torque.
+    The speed limit acts on the acceleration that a torque means, so that a loaded joint neither drops nor gains speed
+    and none is driven over its limit by the others, which move on as they would have. Where a joint lacks the torque
+    for that, all of them accelerate less. From a state outside the limits the command goes to the limit in one step.
+    A velocity command is cut to v; it takes no limit of torque.
 
     The rate, and the blend, start from the torque that the plant holds: what `reset(tau_applied=)` says, else the
     gravity torque, else zero if the plant compensates gravity itself. (A velocity command starts from zero.) With
@@ -55,8 +54,8 @@ class Limits:
         tau: (n,) or scalar [N m | N]; None for no limit.
         tau_dot: (n,) or scalar [N m/s | N/s]; None for no limit.
         v: (n,) or scalar [rad/s | m/s]; None for no limit.
-        v_gain: (n,) or scalar [N m s/rad | N s/m], torque for each rad/s below the speed limit; the inertia that the
-            joint shows at home, over ten ticks, if left out.
+        v_gain: (n,) or scalar [1/s], acceleration for each rad/s below the speed limit, at most the rate; a tenth of
+            the rate if left out.
         blend: Time in which a change comes in [s]; None for at once.
 
     Raises:
@@ -89,12 +88,12 @@ class Limits:
         return {field.name for field in fields(self) if getattr(self, field.name) is not None}
 
     @staticmethod
-    def checked(name: str, value: ArrayLike) -> Float64Array:
-        """A value of one of the limits.
+    def checked(name: str, value: ArrayLike, rate: float | None = None) -> Float64Array:
+        """A value of one of the limits, for a controller of that rate [Hz] if one is given.
 
         Raises:
             UnknownNameError: There is no such limit.
-            RangeError: Zero, negative, NaN, or infinite where that has no meaning.
+            RangeError: Zero, negative, NaN, infinite where that has no meaning, or faster than the rate.
             ShapeError: A time that is no single number.
         """
         if name not in UNITS:
@@ -104,6 +103,13 @@ class Limits:
         if name == "blend" and array.ndim:
             raise ShapeError(f"{what} must be one number [{unit}]; got shape {array.shape}", name=what)
         require_positive(what, array, unit=unit)
+        if name == "v_gain" and rate is not None and (array > rate).any():
+            raise RangeError(
+                f"{what} must be at most the rate, {rate:g} [{unit}], or a joint would overshoot its speed limit; "
+                f"got {array.max():g}",
+                name=what,
+                value=float(array.max()),
+            )
         return array
 
     @classmethod
@@ -131,28 +137,24 @@ class Limits:
             blend=blend,
         )
 
-    def check_size(self, arm: Arm) -> None:
-        """Limits must be scalars or have one entry per joint."""
+    def check_fit(self, arm: Arm, rate: float) -> None:
+        """Limits must be scalars or have one entry per joint, and nothing may be faster than the rate [Hz]."""
+        if self.v_gain is not None:
+            self.checked("v_gain", self.v_gain, rate)
         for name in UNITS:
             value = getattr(self, name)
             if value is not None and np.ndim(value):
                 finite_array(f"limits.{name}", value, shape=(arm.n,), joints=arm.joint_names, allow_infinite=True)
 
-    def parameters(self, arm: Arm, dt: float, kind: str) -> dict[str, Float64Array]:
-        """The limits by name, as run-time parameters.
-
-        Args:
-            arm: The controller's arm.
-            dt: Its period [s].
-            kind: Of the command.
-        """
+    def parameters(self, rate: float, kind: str) -> dict[str, Float64Array]:
+        """The limits by name, as run-time parameters, for a command of that kind at a rate [Hz]."""
         out = {
             name: np.asarray(getattr(self, name), dtype=np.float64)
             for name in UNITS
             if getattr(self, name) is not None
         }
         if self.v is not None and self.v_gain is None and kind == "torque":
-            out["v_gain"] = shown_inertia(arm) / (BRAKING_TICKS * dt)
+            out["v_gain"] = np.asarray(rate / BRAKING_TICKS)
         return out
 
 
@@ -161,10 +163,3 @@ def _require_stated(arm: Arm, attribute: str, name: str) -> None:
     if np.isinf(getattr(arm, attribute)).all():
         message = f"arm '{arm.name}' states no {attribute} limits; give taut.Limits({name}=...)"
         raise ModelError(arm.name, [Problem(object=arm.name, attribute=attribute, message=message)])
-
-
-def shown_inertia(arm: Arm) -> Float64Array:
-    """(n,) the inertia that each joint shows at home while the others are free [kg m^2 | kg]: 1 / (M^-1)_ii."""
-    M: Any = mass_matrix(model_of(arm), arm.home)
-    inertia: Float64Array = 1.0 / np.diag(np.linalg.inv(M))
-    return inertia
