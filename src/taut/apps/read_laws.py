@@ -10,6 +10,7 @@ from taut.apps.toml import Section
 from taut.arm.description import Arm
 from taut.base.errors import unknown_name
 from taut.control import laws as all_laws
+from taut.control.describe import held_laws
 from taut.control.gains import Memory
 from taut.control.law import Law
 from taut.control.limits import Limits
@@ -57,7 +58,8 @@ def _one_law(section: Section, gains: Section, name: str) -> Law:
             raise unknown_name("taut.laws", "law", name, known)
     cls = getattr(all_laws, name)
     fields = [f.name for f in dataclasses.fields(cls) if not isinstance(cls.__dict__.get(f.name), Memory)]
-    values = gains.fields(fields)
+    held = {field: gains.section(field, required=True) for field in held_laws(cls)}
+    values = gains.fields(fields) | {field: read_law(table) for field, table in held.items()}
     with gains.blamed():
         law: Law = cls(**values)
         return law

@@ -14,7 +14,7 @@ from taut.control.combine import Sum
 from taut.control.law import Law, field_units
 from taut.control.limits import UNITS
 
-__all__ = ["PARAMETER_UNITS", "all_laws", "gain_units", "section", "short", "summary", "title"]
+__all__ = ["PARAMETER_UNITS", "all_laws", "gain_units", "held_laws", "section", "short", "summary", "title"]
 
 PARAMETER_UNITS: Final = {
     **{f"limits.{name}": unit for name, unit in UNITS.items()},
@@ -29,6 +29,11 @@ def all_laws(law: Law, name: str = "") -> Iterator[tuple[str, Law]]:
     yield name, law
     for child, inner in law.children().items():
         yield from all_laws(inner, f"{name}.{child}" if name else child)
+
+
+def held_laws(law: type[Law]) -> list[str]:
+    """The fields of a law that hold a law each: `inner: Law`."""
+    return [name for name, kind in inspect.get_annotations(law).items() if str(kind).rpartition(".")[2] == "Law"]
 
 
 def gain_units(law: Law) -> dict[str, str]:
