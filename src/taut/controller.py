@@ -565,7 +565,6 @@ class Parameters(MutableMapping[str, Float64Array]):
         self._kernel = kernel
         self._views = kernel.blocks.views("parameters")
         self._kept: tuple[int, Float64Array] | None = None  # a tick, and the values that it was computed with
-        self._blends = "limits.blend" in side.parameters
         self.changed = False
         """Whether a blend has to take up the jump of a new value in the next tick."""
 
@@ -591,7 +590,7 @@ class Parameters(MutableMapping[str, Float64Array]):
         if self._kept is None or self._kept[0] != self._kernel.count:
             self._kept = (self._kernel.count, self._kernel.blocks.parameters.copy())
         self._views[path][...] = checked
-        if self._blends and self._kernel.ready:
+        if self._kernel.ready and self._side.blends((path,)):
             self.changed = True
             self._kernel.clear()
 

@@ -5,7 +5,7 @@ A Controller compiles it; a Loop fuses it with a plant.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
@@ -101,6 +101,11 @@ class LawSide:
         out["model.payload.com"] = payload.com
         out["model.payload.inertia"] = payload.inertia
         return out
+
+    def blends(self, paths: Iterable[str]) -> bool:
+        """Whether a blend takes up a change of these parameters: limits themselves act at once."""
+        ours = self.parameters
+        return "limits.blend" in ours and any(path in ours and not path.startswith("limits.") for path in paths)
 
     def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:
         """A new value of a parameter, checked like the first one and in the compiled shape.

@@ -88,15 +88,11 @@ class FusedRun:
 
     def _apply(self, tick: int) -> Float64Array | None:
         """Events that act at a tick; if a blend takes up the change, the parameters without what it is to take up."""
-        side, views, new = (
-            self._loop.side.parameters,
-            self._parameters.views(self._values),
-            self._events.get(tick, {}),
-        )
-        before = self._values.copy() if "limits.blend" in side and not side.keys().isdisjoint(new) else None
+        side, new, views = self._loop.side, self._events.get(tick, {}), self._parameters.views(self._values)
+        before = self._values.copy() if side.blends(new) else None
         for path, value in new.items():
             views[path][...] = value
-            if before is not None and path not in side:  # what happens to the plant is no change of the controller
+            if before is not None and path not in side.parameters:  # what happens to the plant is felt at once
                 self._parameters.views(before)[path][...] = value
         return before
 

@@ -144,8 +144,7 @@ class HostedRun:
 
     def _apply(self, values: Mapping[str, ArrayLike]) -> Float64Array | None:
         """New values of parameters; those of the controller before, where a blend takes up the change."""
-        blends = "limits.blend" in self._side.parameters and not self._side.parameters.keys().isdisjoint(values)
-        before = self._kernel.blocks.parameters.copy() if blends else None
+        before = self._kernel.blocks.parameters.copy() if self._side.blends(values) else None
         for path, value in values.items():
             if path in self._side.parameters:
                 self._kernel.blocks.views("parameters")[path][...] = self._side.checked_parameter(path, value)
