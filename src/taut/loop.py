@@ -172,14 +172,19 @@ def _same(a: Payload | None, b: Payload | None) -> bool:
 
 
 def _check_start(side: LawSide, plant: AnyPlant) -> None:
-    """A torque-rate limit starts from the torque that holds the arm, which is none where the plant adds gravity."""
+    """Limits of rate and speed count from the torque that holds the arm, none where the plant adds gravity."""
     ours, theirs = side.adds.gravity, Adds.of(plant.adds).gravity
-    if "limits.tau_applied" not in side.probe.shapes or ours == theirs:
+    starts, brakes = "limits.tau_applied" in side.probe.shapes, "limits.v_gain" in side.parameters
+    if side.probe.kind != "torque" or not (starts or brakes) or ours == theirs:
         return
     how = "adds gravity itself" if theirs else "does not add gravity"
+    what = (
+        "torque that the controller starts from"
+        if starts
+        else "acceleration that the controller's speed limit expects"
+    )
     raise MatchError(
-        f"plant '{plant.name}' {how}, and the torque that the controller starts from says otherwise; compile with "
-        "adds=plant.adds",
+        f"plant '{plant.name}' {how}, and the {what} says otherwise; compile with adds=plant.adds",
         name="gravity",
     )
 

@@ -158,11 +158,13 @@ class Gain:
             positive semidefinite instead.
         maximum: The largest allowed entry, if there is one.
         size: Number of entries of a vector; the number of joints if left out, 3 for a gain on positions of the tool.
+        where: Another field of the law and the value it must have for this gain to have a meaning, such as
+            ("anti_windup", "back-calculation"); elsewhere it is no parameter, and must not be given.
 
     Shape: scalar, (size,), or (size, size). Applied with `@`.
     """
 
-    __slots__ = ("_default", "maximum", "minimum", "name", "owner", "size")
+    __slots__ = ("_default", "maximum", "minimum", "name", "owner", "size", "where")
 
     def __init__(
         self,
@@ -171,11 +173,13 @@ class Gain:
         minimum: float = 0.0,
         maximum: float = np.inf,
         size: int | None = None,
+        where: tuple[str, str] | None = None,
     ) -> None:
         self._default = _hashable(default)
         self.minimum = minimum
         self.maximum = maximum
         self.size = size
+        self.where = where
         self.name = ""
         self.owner: type | None = None
 
@@ -199,6 +203,10 @@ class Gain:
 
         unit = field_units(type(obj)).get(self.name, "")
         obj.__dict__[self.name] = GainValue(self.checked(value, unit), self.name)
+
+    def has_meaning(self, law: object) -> bool:
+        """Whether it is a gain of this law, with the fields that the law has."""
+        return self.where is None or getattr(law, self.where[0]) == self.where[1]
 
     def checked(self, value: ArrayLike, unit: str = "", name: str | None = None) -> Float64Array:
         """`value` as a gain.

@@ -9,7 +9,7 @@ from __future__ import annotations
 from taut.base.checks import one_of
 from taut.control.command import Command, Terms, Torque, Velocity
 from taut.control.gains import Gain, Memory
-from taut.control.integral import ANTI_WINDUP, AntiWindup, integrated
+from taut.control.integral import ANTI_WINDUP, AntiWindup, check_tracking, integrated
 from taut.control.law import Law, MemoryView
 from taut.control.reference import JointMotion
 from taut.maths.snapshot import Snapshot
@@ -33,7 +33,8 @@ class PID(Law):
                   stable for 0 <= ki < (b + kd) kp / M
                   a constant disturbance then leaves no error with ki > 0, and the error tau_dist / kp without
 
-    The integral includes this tick's error, as in the chapter's pseudocode.
+    The integral includes this tick's error, as in the chapter's pseudocode. Where limits cut the torque it is kept
+    from winding up: anti_windup is "clamping", "back-calculation" (with the rate `tracking`) or "none".
 
     References:
         Section 10.2.1.1 PID control; section 10.2.2.1 decentralised multi-joint control.
@@ -44,15 +45,19 @@ class PID(Law):
     ki: Gain = Gain(0.0)  # [N m/(rad s) | N/(m s)]
     e_int: Memory = Memory(0.0)  # [rad s | m s]
     anti_windup: AntiWindup = "clamping"
+    tracking: Gain = Gain(10.0, where=("anti_windup", "back-calculation"))  # [1/s]
 
     def __post_init__(self) -> None:
         one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
+
+    def check_rate(self, rate: float) -> None:
+        check_tracking(self.anti_windup, self.tracking, rate)
 
     def command(
         self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
     ) -> tuple[Command, dict[str, object]]:
         e, e_dot = x.difference(ref.q), ref.v - x.v
-        e_int = integrated(memory.e_int, e, x, dt, self.anti_windup)
+        e_int = integrated(memory.e_int, e, x, dt, self.anti_windup, self.ki, self.tracking)
         return Torque(P=self.kp @ e, I=self.ki @ e_int, D=self.kd @ e_dot), {"e_int": e_int}
 
 
@@ -93,15 +98,20 @@ class ComputedTorque(Law):
     ki: Gain = Gain(0.0)  # [1/s^3]
     e_int: Memory = Memory(0.0)  # [rad s | m s]
     anti_windup: AntiWindup = "clamping"
+    tracking: Gain = Gain(10.0, where=("anti_windup", "back-calculation"))  # [1/s]
 
     def __post_init__(self) -> None:
         one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
+
+    def check_rate(self, rate: float) -> None:
+        check_tracking(self.anti_windup, self.tracking, rate)
 
     def command(
         self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
     ) -> tuple[Command, dict[str, object]]:
         e, e_dot = x.difference(ref.q), ref.v - x.v
-        e_int = integrated(memory.e_int, e, x, dt, self.anti_windup)
+        scheme, tracking = self.anti_windup, self.tracking
+        e_int = integrated(memory.e_int, e, x, dt, scheme, self.ki, tracking, acceleration=True)
         a = Terms(feedforward=ref.a, P=self.kp @ e, I=self.ki @ e_int, D=self.kd @ e_dot)
         return Torque(x.M @ a + Terms(nonlinear=x.h)), {"e_int": e_int}
 
@@ -124,15 +134,19 @@ class GravityPID(Law):
     ki: Gain = Gain(0.0)  # [N m/(rad s) | N/(m s)]
     e_int: Memory = Memory(0.0)  # [rad s | m s]
     anti_windup: AntiWindup = "clamping"
+    tracking: Gain = Gain(10.0, where=("anti_windup", "back-calculation"))  # [1/s]
 
     def __post_init__(self) -> None:
         one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
+
+    def check_rate(self, rate: float) -> None:
+        check_tracking(self.anti_windup, self.tracking, rate)
 
     def command(
         self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
     ) -> tuple[Command, dict[str, object]]:
         e, e_dot = x.difference(ref.q), ref.v - x.v
-        e_int = integrated(memory.e_int, e, x, dt, self.anti_windup)
+        e_int = integrated(memory.e_int, e, x, dt, self.anti_windup, self.ki, self.tracking)
         tau = Torque(P=self.kp @ e, I=self.ki @ e_int, D=self.kd @ e_dot, gravity=x.g)
         return tau, {"e_int": e_int}
 
@@ -166,10 +180,18 @@ class VelocityPI(Law):
     kp: Gain  # [1/s]
     ki: Gain = Gain(0.0)  # [1/s^2]
     e_int: Memory = Memory(0.0)  # [rad s | m s]
+    anti_windup: AntiWindup = "clamping"
+    tracking: Gain = Gain(10.0, where=("anti_windup", "back-calculation"))  # [1/s]
+
+    def __post_init__(self) -> None:
+        one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
+
+    def check_rate(self, rate: float) -> None:
+        check_tracking(self.anti_windup, self.tracking, rate)
 
     def command(
         self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
     ) -> tuple[Command, dict[str, object]]:
         e = x.difference(ref.q)
-        e_int = memory.e_int + e * dt
+        e_int = integrated(memory.e_int, e, x, dt, self.anti_windup, self.ki, self.tracking)
         return Velocity(feedforward=ref.v, P=self.kp @ e, I=self.ki @ e_int), {"e_int": e_int}

@@ -13,6 +13,7 @@ from taut.control.joint import (
     GravityPID,
     VelocityPI,
 )
+from taut.control.stiction import Dither, RaisedGains
 
 __all__ = [
     "PID",
@@ -21,6 +22,8 @@ __all__ = [
     "GravityPID",
     "GravityCompensation",
     "FrictionCompensation",
+    "Dither",
+    "RaisedGains",
     "VelocityPI",
     "Sum",
 ]

@@ -157,7 +157,7 @@ class Snapshot:
 
     @property
     def tau_cut(self) -> Vector:
-        """(n,) what limits took from the last command, commanded minus applied [N m | N]; zero without limits."""
+        """(n,) what limits took from the last command, commanded minus applied, in its unit; zero without limits."""
         self.used.add("tau_cut")
         return self._measured.get("tau_cut", np.zeros(self.n))
 
