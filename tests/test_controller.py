@@ -246,7 +246,7 @@ def test_what_limits_take_is_a_term_like_the_others(engine: Engine) -> None:
     tau = ctrl.step(Q, V, REF)
     assert tau.tolist() == [5.0, -7.0]
     np.testing.assert_allclose(sum(ctrl.terms.values()), tau, rtol=ROUNDING)
-    np.testing.assert_allclose(ctrl.terms["limits"], [-15.0, 33.0], rtol=ROUNDING)
+    np.testing.assert_allclose(ctrl.terms["torque_limit"], [-15.0, 33.0], rtol=ROUNDING)
 
 
 RESETS: list[tuple[Any, type[TautError], str]] = [
@@ -268,8 +268,8 @@ def test_a_controller_that_remembers_no_torque_takes_none() -> None:
     with pytest.raises(UsageError) as caught:
         taut.compile(L.PID(kp=1.0), ARM).reset(tau_applied=[1.0, 2.0])
     assert str(caught.value) == (
-        "reset(tau_applied=) is for controllers that limit the torque rate, or whose law asks for x.tau_applied; "
-        "this one does neither"
+        "reset(tau_applied=) is for controllers that limit the torque rate or blend, or whose law asks for "
+        "x.tau_applied; this one does none of these"
     )
 
 
@@ -422,7 +422,7 @@ COMPILES: list[tuple[str, Callable[[], Any], type[TautError], str]] = [
     ("limits of another arm", lambda: taut.compile(L.PID(kp=1.0), ARM, limits=taut.Limits(tau=[1.0, 2.0, 3.0])), ShapeError,
      "limits.tau must have shape (2,) (2 joints); got shape (3,)"),
     ("limits on a velocity", lambda: taut.compile(L.VelocityPI(kp=1.0), ARM, limits=taut.Limits(tau=1.0)), MatchError,
-     "limits cut torques, and VelocityPI gives a velocity; leave limits=None"),
+     "limits.tau is for torques, and VelocityPI gives a velocity; leave it out, or give taut.Limits(v=...)"),
     ("adds", lambda: taut.compile(L.PID(kp=1.0), ARM, adds="gravity"), UsageError,
      "adds must be a tuple of names; got 'gravity'; write ('gravity',)"),
     ("adds of nothing known", lambda: taut.compile(L.PID(kp=1.0), ARM, adds=("gravit",)), UnknownNameError,
@@ -542,7 +542,7 @@ parameters
   model.payload.com        [0., 0., 0.]  [m]
   model.payload.inertia    [0., 0., 0., 0., 0., 0.]  [kg m^2]
 
-terms          P, I, D, gravity, limits
+terms          P, I, D, gravity, torque_limit
 needs          q, v
 left out       coriolis (the plant adds them)
 engine         native, {ctrl.operations} operations a tick

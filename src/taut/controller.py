@@ -23,13 +23,14 @@ from taut.codegen.program import Program, Values, failure, trace
 from taut.control.describe import PARAMETER_UNITS, all_laws, gain_units, section, short, summary, title
 from taut.control.law import Law
 from taut.control.lawside import AT_TOOL, HELD, TOLD, LawSide, Probe
+from taut.control.limiting import take_up
 from taut.control.limits import Limits
 from taut.control.reference import Sample, Trajectory
 from taut.control.sensing import Sensing
 from taut.maths.adds import Adds
 from taut.maths.snapshot import MEASUREMENTS, measurement_shapes
 
-__all__ = ["BoundKernel", "Controller", "compile"]
+__all__ = ["BoundKernel", "Controller", "compile", "take_up_change"]
 
 Engine = Literal["auto", "native", "float"]
 ENGINES: Final[tuple[Engine, ...]] = ("auto", "native", "float")
@@ -312,6 +313,26 @@ class Controller:
             self._inputs[path][...] = value
 
     def _first(self) -> None:
+        """The first tick of all, or the first one after a change of parameters that a blend takes up."""
+        if self.parameters.changed:
+            self._carry_on()
+        else:
+            self._start()
+
+    def _carry_on(self) -> None:
+        """A tick that takes up the jump which the new parameters would make."""
+        kernel, memory = self._kernel, self._kernel.blocks.memory.copy()
+        kernel.resume()
+        take_up_change(kernel, self.parameters.at_tick(kernel.count))
+        try:
+            kernel.tick()
+        except TautError:
+            kernel.blocks.memory[:] = memory
+            kernel.clear()  # nothing has happened yet: the next tick takes up the same change
+            raise
+        self.parameters.changed = False
+
+    def _start(self) -> None:
         """A tick before memory has started: start it from the inputs, and from the torque that the plant holds."""
         for path in ("q", "ref.q"):  # in the first tick alone: nothing must stop an arm that moves already
             if path in self._inputs:
@@ -336,8 +357,8 @@ class Controller:
         """Forget everything: the next tick starts memory from what is measured then.
 
         Args:
-            tau_applied: (n,) the torque that the plant holds now, from which a rate limit starts; the model's
-                gravity torque if left out.
+            tau_applied: (n,) the command that the plant holds now, from which a rate limit and a blend start: what
+                the controller before this one gave last. The model's gravity torque if left out.
 
         Raises:
             UsageError: A torque for a controller that does not remember one.
@@ -345,14 +366,15 @@ class Controller:
         if tau_applied is not None:
             if "limits.tau_applied" not in self.side.probe.shapes:
                 raise UsageError(
-                    "reset(tau_applied=) is for controllers that limit the torque rate, or whose law asks for "
-                    "x.tau_applied; this one does neither",
+                    "reset(tau_applied=) is for controllers that limit the torque rate or blend, or whose law asks "
+                    "for x.tau_applied; this one does none of these",
                     name="tau_applied",
                 )
             tau_applied = finite_array(
                 "tau_applied", tau_applied, shape=(self.arm.n,), unit="N m | N", joints=self.arm.joint_names
             )
         self._torque_at_start = tau_applied
+        self.parameters.changed = False
         self._kernel.clear()
 
     def bind(self) -> BoundKernel:
@@ -558,6 +580,8 @@ class Parameters(MutableMapping[str, Float64Array]):
         self._kernel = kernel
         self._views = kernel.blocks.views("parameters")
         self._kept: tuple[int, Float64Array] | None = None  # a tick, and the values that it was computed with
+        self.changed = False
+        """Whether a blend has to take up the jump of a new value in the next tick."""
 
     def forget(self) -> None:
         """Memory starts anew, and ticks count from zero again."""
@@ -581,6 +605,9 @@ class Parameters(MutableMapping[str, Float64Array]):
         if self._kept is None or self._kept[0] != self._kernel.count:
             self._kept = (self._kernel.count, self._kernel.blocks.parameters.copy())
         self._views[path][...] = checked
+        if self._kernel.ready and self._side.blends((path,)):
+            self.changed = True
+            self._kernel.clear()
 
     def __contains__(self, path: object) -> bool:
         return path in self._side.parameters
@@ -596,6 +623,17 @@ class Parameters(MutableMapping[str, Float64Array]):
 
     def __repr__(self) -> str:
         return "{" + ", ".join(f"'{path}': {short(value)}" for path, value in self.items()) + "}"
+
+
+def take_up_change(kernel: Kernel, before: Float64Array) -> None:
+    """Change memory so that the next tick commands what it would have with the parameters of before.
+
+    Args:
+        kernel: Of a controller that blends; its inputs are those of the next tick.
+        before: Parameters, flat.
+    """
+    asked = [kernel.preview(values)["limits.asked"] for values in (before, kernel.blocks.parameters)]
+    take_up(kernel.blocks.views("memory"), *asked)
 
 
 class BoundKernel:

@@ -71,7 +71,9 @@ class ModelPlant(AnyPlant, Protocol):
     def start(self, q: Vector, v: Vector, parameters: Values, dt: float) -> dict[str, Any]: ...
     def measure(self, memory: Values, noise: Values, parameters: Values) -> dict[str, Any]: ...
     def command(self, command: Vector, memory: Values, t: Any) -> dict[str, Any]: ...
+    def check_together(self, values: Mapping[str, ArrayLike]) -> None: ...
     def advance(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]: ...
+    def extra(self, before: Values, after: Values) -> dict[str, Any]: ...
 
 
 @runtime_checkable
@@ -170,14 +172,19 @@ def _same(a: Payload | None, b: Payload | None) -> bool:
 
 
 def _check_start(side: LawSide, plant: AnyPlant) -> None:
-    """A torque-rate limit starts from the torque that holds the arm, which is none where the plant adds gravity."""
+    """Limits of rate and speed count from the torque that holds the arm, none where the plant adds gravity."""
     ours, theirs = side.adds.gravity, Adds.of(plant.adds).gravity
-    if "limits.tau_applied" not in side.probe.shapes or ours == theirs:
+    starts, brakes = "limits.tau_applied" in side.probe.shapes, "limits.v_gain" in side.parameters
+    if side.probe.kind != "torque" or not (starts or brakes) or ours == theirs:
         return
     how = "adds gravity itself" if theirs else "does not add gravity"
+    what = (
+        "torque that the controller starts from"
+        if starts
+        else "acceleration that the controller's speed limit expects"
+    )
     raise MatchError(
-        f"plant '{plant.name}' {how}, and the torque that the controller starts from says otherwise; compile with "
-        "adds=plant.adds",
+        f"plant '{plant.name}' {how}, and the {what} says otherwise; compile with adds=plant.adds",
         name="gravity",
     )
 
@@ -275,8 +282,7 @@ class Loop:
         plant = self.plant.advance(plant, parameters, dt / self.plant.substeps)
         before = subtree(memory, "plant")
         record = {"q": before["q"], "v": before["v"], "command": tick.command, "tau": plant["tau"]}
-        if "F_ext" in plant:
-            record["F_ext"] = plant["F_ext"]
+        record |= self.plant.extra(before, plant)
         record |= {name: value for name, value in measured.items() if name.startswith("saturated.")}
         record |= {f"sensed.{name}": tick.seen[name] for name in sensed_of(self.side, self.plant)}
         record |= {f"terms.{name}": value for name, value in tick.terms.items()}
@@ -294,7 +300,7 @@ class Loop:
 class LoopParameters(MutableMapping[str, Float64Array]):
     """Parameters of a loop by path; a new value is checked like the first one."""
 
-    def __init__(self, side: LawSide, plant: AnyPlant, values: Mapping[str, Float64Array]) -> None:
+    def __init__(self, side: LawSide, plant: ModelPlant, values: Mapping[str, Float64Array]) -> None:
         self._side, self._plant = side, plant
         self._values = {path: read_only(value) for path, value in values.items()}
 
@@ -303,7 +309,9 @@ class LoopParameters(MutableMapping[str, Float64Array]):
         return self._values[path]
 
     def __setitem__(self, path: str, value: ArrayLike) -> None:
-        self._values[path] = self.checked(path, value)
+        new = self.checked(path, value)
+        self._plant.check_together({**self._values, path: new})
+        self._values[path] = new
 
     def checked(self, path: str, value: ArrayLike) -> Float64Array:
         """A new value of a parameter, in the shape it has.

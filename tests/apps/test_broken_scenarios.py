@@ -126,7 +126,7 @@ CASES: dict[str, tuple[dict[str, Any], str, str]] = {
     "limits of nothing": (
         {"control.limits": {}},
         "control.limits",
-        "needs tau, tau_dot or both; for no limits write limits = \"none\"\n",
+        "needs one of tau, tau_dot, v and blend at least; for no limits write limits = \"none\"\n",
     ),
     "limits of another size": ({"control.limits": {"tau": [1, 2, 3]}}, "control.limits", "tau must have shape (2,)"),
     "negative limits": ({"control.limits": {"tau": -1}}, "control.limits", "tau must be > 0"),
@@ -161,7 +161,7 @@ CASES: dict[str, tuple[dict[str, Any], str, str]] = {
     "limits of a velocity": (
         {"control.limits": {"tau": 1}, "laws.PD": {"law": "VelocityPI", "kp": 1}, "plant": VELOCITY},
         "control",
-        "limits cut torques, and VelocityPI gives a velocity",
+        "limits.tau is for torques, and VelocityPI gives a velocity; leave it out, or write limits = { v = [...] }",
     ),
     # [plant]
     "another kind of plant": ({"plant.kind": "soft"}, "plant", "kind must be one of 'rigid', 'mujoco'; got 'soft'"),

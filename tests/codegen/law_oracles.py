@@ -32,6 +32,13 @@ LAWS: dict[str, Callable[[int], taut.Law]] = {
     "GravityCompensation": lambda n: L.GravityCompensation(kd=0.5),
     "FrictionCompensation": lambda n: L.FrictionCompensation(at="meas"),
     "VelocityPI": lambda n: L.VelocityPI(kp=spd(n, 4), ki=2.0),
+    "PID + Dither": lambda n: (
+        L.PID(kp=10.0, kd=1.0, ki=spd(n, 6), anti_windup="back-calculation")
+        + L.Dither(amplitude=np.linspace(0.1, 0.2, n), frequency=130.0)
+    ),
+    "RaisedGains of ComputedTorque": lambda n: L.RaisedGains(
+        inner=L.ComputedTorque(kp=spd(n, 7), kd=20.0, ki=np.full(n, 5.0)), factor=4.0, width=np.full(n, 0.5)
+    ),
     "FeedForward + PID": lambda n: L.FeedForward() + L.PID(kp=10.0, kd=spd(n, 5)),
     "ComputedTorque + FrictionCompensation": lambda n: (
         L.ComputedTorque(kp=100.0, kd=20.0) + L.FrictionCompensation(at="ref")

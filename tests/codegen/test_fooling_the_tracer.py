@@ -502,7 +502,7 @@ GAINS: list[tuple[str, Callable[[], Any], type[TautError], str]] = [
         "positional",
         lambda: PID(1.0),
         UsageError,
-        "PID takes its gains by name; got 1 without; write PID(kp=..., kd=..., ki=..., e_int=..., anti_windup=...)",
+        "PID takes its gains by name; got 1 without; write PID(kp=..., kd=..., ki=..., e_int=..., anti_windup=..., tracking=...)",
     ),
     ("negative", lambda: PID(kp=-1.0), RangeError, "kp must be >= 0 [N m/rad | N/m]; got -1.0"),
     ("negative entry", lambda: PID(kp=[1.0, -3.0]), RangeError, "kp[1] must be >= 0 [N m/rad | N/m]; got -3.0"),
@@ -551,7 +551,7 @@ GAINS: list[tuple[str, Callable[[], Any], type[TautError], str]] = [
         "an option",
         lambda: PID(kp=1.0, anti_windup="clip"),
         UsageError,
-        "anti_windup must be one of 'none', 'clamping'; got 'clip'",
+        "anti_windup must be one of 'none', 'clamping', 'back-calculation'; got 'clip'",
     ),
     (
         "gravity twice",

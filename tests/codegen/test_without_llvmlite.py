@@ -22,7 +22,7 @@ def test_a_controller_a_native_function_and_a_closed_loop_run() -> None:
         "ctrl = taut.compile(law, arm, limits=taut.Limits(tau=50.0))\n"
         "assert ctrl.engine == 'float'\n"
         "tau = ctrl.step([0.1, 0.2], [0.0, 0.0], taut.JointMotion(q=[0.3, 0.1]))\n"
-        "assert np.isfinite(tau).all() and sorted(ctrl.terms) == ['D', 'I', 'P', 'feedforward', 'limits', 'nonlinear']\n"
+        "assert np.isfinite(tau).all() and sorted(ctrl.terms) == ['D', 'I', 'P', 'feedforward', 'nonlinear', 'torque_limit']\n"
         "ctrl.parameters['law.kp'] = 150.0\n"
         "bound = ctrl.bind()\n"
         "bound.tick()\n"

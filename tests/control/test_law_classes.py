@@ -202,9 +202,9 @@ SLIPS: dict[str, tuple[Any, str]] = {
         returns(lambda x: Torque(P=x.q, bias=1.0)),
         r"^L\.command must give one entry per joint, shape \(3,\); its term 'bias' has shape \(\)$",
     ),
-    "a term named limits": (
-        lambda: taut.compile(returns(lambda x: Torque(limits=x.q))(), ARM, limits=taut.Limits(tau=1.0)).law,
-        r"^L names a term 'limits', which is what the controller's limits cut off; give it another name$",
+    "a term named like a limit": (
+        lambda: taut.compile(returns(lambda x: Torque(torque_limit=x.q))(), ARM, limits=taut.Limits(tau=1.0)).law,
+        r"^L names a term 'torque_limit', which is what the controller's limits add; give it another name$",
     ),
     "memory that is no dict": (
         with_memory(lambda x, memory: (Torque(P=x.q), None)),

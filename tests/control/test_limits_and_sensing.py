@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import taut
-from taut.control.limits import limited
+from taut.control.limiting import limited
 
 ARM = taut.load_arm("planar2")
 REF = taut.JointMotion(q=[0.0, 0.0])
@@ -28,7 +28,7 @@ class TestLimits:
     ) -> None:
         dt = 1e-3
         parameters = {"tau": np.asarray(most), "tau_dot": np.asarray(rate)}
-        out = limited(np.array(command), np.array(held), parameters, dt)
+        out = limited(np.array(command), {"tau_applied": np.array(held)}, parameters, dt).command
         assert (np.abs(out) <= most).all()
         inside = np.abs(np.array(held)) <= most
         change = np.abs(out - np.array(held))
@@ -38,7 +38,7 @@ class TestLimits:
         ctrl = taut.compile(taut.laws.PID(kp=100.0), ARM, limits=taut.Limits(tau=5.0))
         tau = ctrl.step(np.array([0.5, 0.01]), REST, REF)
         np.testing.assert_allclose(tau, [-5.0, -1.0])
-        np.testing.assert_allclose(ctrl.terms["limits"], [45.0, 0.0])
+        np.testing.assert_allclose(ctrl.terms["torque_limit"], [45.0, 0.0])
         np.testing.assert_allclose(sum(ctrl.terms.values()), tau)
 
     def test_a_rate_limit_starts_from_the_gravity_torque(self) -> None:
@@ -71,7 +71,10 @@ class TestLimits:
     @pytest.mark.parametrize(
         ("make", "message"),
         [
-            (lambda: taut.Limits(), "Limits needs tau=, tau_dot= or both; for no limits leave limits=None"),
+            (
+                lambda: taut.Limits(),
+                "Limits needs one of tau=, tau_dot=, v= and blend= at least; for no limits leave limits=None",
+            ),
             (lambda: taut.Limits(tau=0.0), "limits.tau must be > 0 [N m | N]; got 0.0"),
             (lambda: taut.Limits(tau=[1.0, np.nan]), "limits.tau[1] must be finite [N m | N]; got nan"),
             (lambda: taut.Limits(tau_dot=-1.0), "limits.tau_dot must be > 0 [N m/s | N/s]; got -1.0"),
@@ -85,7 +88,7 @@ class TestLimits:
             ),
             (
                 lambda: taut.compile(taut.laws.VelocityPI(kp=1.0), ARM, limits=taut.Limits(tau=1.0)),
-                "limits cut torques, and VelocityPI gives a velocity; leave limits=None",
+                "limits.tau is for torques, and VelocityPI gives a velocity; leave it out, or give taut.Limits(v=...)",
             ),
         ],
         ids=range(7),

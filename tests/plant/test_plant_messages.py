@@ -121,7 +121,7 @@ CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
     (
         lambda: Actuation(bandwidth="fast"),  # type: ignore[arg-type]
         taut.ShapeError,
-        "actuation.bandwidth must be one number [rad/s]; got 'fast'",
+        "actuation.bandwidth must be numbers [rad/s]; got 'fast'",
     ),
     (lambda: Actuation(bandwidth=np.inf), taut.RangeError, "actuation.bandwidth must be finite [rad/s]; got inf"),
     (lambda: Actuation(delay=-1e-3), taut.RangeError, "actuation.delay must be >= 0 [s]; got -0.001"),

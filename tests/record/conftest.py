@@ -48,7 +48,7 @@ def noisy_run(make_run: MakeRun) -> taut.Run:
     k, n = 250, 3
     odd = rng.standard_normal((k, n))
     odd[0, 0], odd[1, 1], odd[2, 2], odd[3, 0] = np.nan, np.inf, -0.0, 5e-324
-    terms = {name: rng.standard_normal((k, n)) for name in ("P", "D", "limits")}
+    terms = {name: rng.standard_normal((k, n)) for name in ("P", "D", "torque_limit")}
     return make_run(
         np.arange(k) * 0.001,
         rng.standard_normal((k, n)),

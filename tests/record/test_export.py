@@ -18,7 +18,7 @@ from taut.record.topics import columns_of
 
 def test_arrays_have_every_number_by_name(noisy_run: taut.Run) -> None:
     arrays = noisy_run.arrays()
-    assert list(arrays)[:8] == ["t", "q", "v", "tau", "command", "terms.P", "terms.D", "terms.limits"]
+    assert list(arrays)[:8] == ["t", "q", "v", "tau", "command", "terms.P", "terms.D", "terms.torque_limit"]
     assert arrays["q"] is noisy_run.q
     assert arrays["extra.F_ext"].shape == (250, 6)
 
@@ -45,7 +45,7 @@ def test_a_csv_reads_back_exactly(noisy_run: taut.Run, tmp_path: Path) -> None:
 def test_a_pandas_table_has_the_same_names_and_numbers(noisy_run: taut.Run) -> None:
     table = noisy_run.to_pandas()
     np.testing.assert_array_equal(table["q.slide"], noisy_run.q[:, 1])
-    np.testing.assert_array_equal(table["terms.limits.shoulder"], noisy_run.terms["limits"][:, 0])
+    np.testing.assert_array_equal(table["terms.torque_limit.shoulder"], noisy_run.terms["torque_limit"][:, 0])
     np.testing.assert_array_equal(table["extra.F_ext.5"], noisy_run.extra["F_ext"][:, 5])
     np.testing.assert_array_equal(table.index, noisy_run.t)
     assert table.attrs["units"]["v.slide"] == "m/s"

@@ -137,7 +137,7 @@ def test_an_independent_reader_decodes_every_number(noisy_run: taut.Run, reader:
         ("/joint_states", "effort"): noisy_run.tau,
         ("/command", "effort"): noisy_run.command,
         ("/terms/P", "effort"): noisy_run.terms["P"],
-        ("/terms/limits", "effort"): noisy_run.terms["limits"],
+        ("/terms/torque_limit", "effort"): noisy_run.terms["torque_limit"],
         ("/reference", "position"): motion.q,
         ("/reference", "velocity"): motion.v,
         ("/reference/a", "data"): motion.a,

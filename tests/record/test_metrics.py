@@ -118,7 +118,7 @@ def test_torque_numbers_of_a_hand_made_run(make_run: Any) -> None:
 
 def test_what_the_limits_cut_is_counted(make_run: Any) -> None:
     cut = np.array([[0.0, -1.0], [0.5, 0.0], [0.0, 0.0], [2.0, 0.0]])
-    m = make_run([0.0, 0.1, 0.3, 0.6], np.zeros((4, 2)), terms={"limits": cut}).metrics
+    m = make_run([0.0, 0.1, 0.3, 0.6], np.zeros((4, 2)), terms={"torque_limit": cut}).metrics
     np.testing.assert_allclose(m.saturation_time, [0.2, 0.1])
     np.testing.assert_allclose(m.largest_cut, [2.0, 1.0])
     assert m.overall["saturation_time"] == pytest.approx(0.3)
@@ -215,7 +215,7 @@ class TestJointsOfEachUnitHaveNumbersOfTheirOwn:
         tau = np.array([[1.0, 10.0, 2.0], [3.0, 20.0, -4.0], [0.0, 0.0, 0.0]])
         cut = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 2.0], [0.0, 0.0, 0.0]])
         units = ("rad", "m", "rad")
-        return make_run([0.0, 0.5, 1.0], q, tau=tau, terms={"limits": cut}, units=units)  # type: ignore[no-any-return]
+        return make_run([0.0, 0.5, 1.0], q, tau=tau, terms={"torque_limit": cut}, units=units)  # type: ignore[no-any-return]
 
     def test_they_are_those_of_a_run_of_these_joints_alone(self, make_run: Any) -> None:
         run = self.run(make_run)
@@ -226,7 +226,7 @@ class TestJointsOfEachUnitHaveNumbersOfTheirOwn:
                 run.t,
                 run.q[:, joints],
                 tau=run.tau[:, joints],
-                terms={"limits": run.terms["limits"][:, joints]},
+                terms={"torque_limit": run.terms["torque_limit"][:, joints]},
                 units=(unit,) * len(joints),
             ).metrics
             assert groups[unit] == pytest.approx(alone.overall, nan_ok=True)

@@ -97,9 +97,9 @@ def test_the_plot_shows_the_numbers_of_the_run(panda_run: taut.Run) -> None:
     np.testing.assert_array_equal(
         np.column_stack(curves(terms, "-")), np.column_stack([panda_run.terms[name][:, 3] for name in busy])
     )
-    assert set(panda_run.terms) - set(busy) == {"I", "limits"}
+    assert set(panda_run.terms) - set(busy) == {"I", "torque_limit"}
     labels = [text.get_text() for text in figure.findobj(Text)]
-    assert "zero: I, limits" in labels
+    assert "zero: I, torque_limit" in labels
     title = figure.get_suptitle()
     assert title.startswith("ComputedTorque(kp=100, kd=20, ki=0)  on  RigidPlant(panda)\ncompleted: 501 ticks")
 

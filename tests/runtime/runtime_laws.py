@@ -110,7 +110,7 @@ class HandPlant:
     def set_parameter(self, path: str, value: Any) -> None:
         self._values[path] = self.checked_parameter(path, value)
 
-    def reset(self, q: Array, v: Array, dt: float) -> None:
+    def reset(self, q: Array, v: Array, dt: float, seed: int = 0) -> None:
         self.q, self.v, self.dt, self.ticks = np.array(q), np.array(v), dt, 0
         self.commands.clear()
 

@@ -205,7 +205,7 @@ class TestTheTorqueRateLimit:
         goal = taut.JointMotion(q=arm.home + 0.3)
         out = taut.run(ctrl, taut.RigidPlant(arm), goal, duration=1.0)
         assert np.abs(np.diff(out.tau, axis=0)).max() <= 2.0 * (1.0 + 1e-9)
-        assert np.abs(out.terms["limits"]).max() > 10.0
+        assert np.abs(out.terms["rate_limit"]).max() > 10.0
         assert np.abs(out.tau[0] - taut.snapshot(arm, arm.home).g).max() <= 2.0 * (1.0 + 1e-9)
 
     def test_told_that_the_plant_holds_nothing_it_starts_from_nothing_and_the_arm_drops(self) -> None:

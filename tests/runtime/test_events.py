@@ -88,7 +88,7 @@ def test_what_acts_at_time_zero_is_there_when_memory_starts() -> None:
     out = taut.run(ctrl, taut.RigidPlant(ARM), duration=0.01, events=[taut.Event(t=0.0, set=load)])
     g = taut.snapshot(ARM, ARM.home, payload=taut.Payload(mass=3.0)).g
     np.testing.assert_allclose(out.tau[0], g, rtol=1e-12)
-    np.testing.assert_allclose(out.terms["limits"][0], 0.0, atol=1e-12)
+    np.testing.assert_allclose(out.terms["rate_limit"][0], 0.0, atol=1e-12)
 
 
 def test_many_events_act_one_by_one_and_fast() -> None:

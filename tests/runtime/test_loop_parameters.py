@@ -116,7 +116,7 @@ CASES: list[tuple[str, Any, type[taut.TautError], str]] = [
     ("plant.friction.viscous", [0.1, -0.2], taut.RangeError, "plant.friction.viscous[1] (joint 'joint2') must be >= 0; got -0.2"),
     ("plant.friction.coulomb", [1.0, 2.0, np.nan], taut.RangeError, "plant.friction.coulomb[2] must be finite; got nan"),
     ("plant.friction.coulomb", [1.0, 2.0, 3.0], taut.ShapeError, "plant.friction.coulomb has shape (2,); got shape (3,); make the plant with a value of the new shape"),
-    ("actuation.bandwidth", 0.0, taut.RangeError, "actuation.bandwidth must be > 0 [rad/s]; got 0.0"),
+    ("actuation.bandwidth", 0.0, taut.RangeError, "actuation.bandwidth must be > 0 [rad/s]; got 0.0; for an ideal torque drive leave it out"),
     ("sensors.position.resolution", -1e-3, taut.RangeError, "sensors.position.resolution must be > 0 [rad | m]; got -0.001"),
     ("sensors.position.resolution", 0.0, taut.RangeError, "sensors.position.resolution must be > 0 [rad | m]; got 0.0; leave it out where there are no steps"),
     ("sensors.position.noise", [0.0, -1.0], taut.RangeError, "sensors.position.noise[1] (joint 'joint2') must be >= 0 [rad | m]; got -1.0"),

@@ -10,7 +10,7 @@ from typing import Any
 
 from taut.arm.load import load_arm
 from taut.control import laws
-from taut.control.describe import section, summary
+from taut.control.describe import held_laws, section, summary
 from taut.control.gains import Gain
 from taut.control.law import Law, field_units
 from taut.control.lawside import LawSide
@@ -67,8 +67,9 @@ def law_rows() -> list[LawRow]:
 
 
 def _row(cls: type[Law]) -> LawRow:
-    gains = [field.name for field in fields(cls) if isinstance(cls.__dict__.get(field.name), Gain)]  # type: ignore[arg-type]
-    law = cls(**dict.fromkeys(gains, 1.0))
+    fields_of = {field.name: cls.__dict__.get(field.name) for field in fields(cls)}  # type: ignore[arg-type]
+    gains = [name for name, field in fields_of.items() if isinstance(field, Gain) and field.where is None]
+    law = cls(**dict.fromkeys(gains, 1.0), **{name: laws.PID(kp=1.0) for name in held_laws(cls)})
     arm = load_arm("planar3")
     side = LawSide(law=law, arm=arm, rate=1000.0, sensing=Sensing(), limits=None, adds=Adds())
     units = field_units(cls)

@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
+from typing import Final
 
 from taut.apps.toml import Section
 from taut.arm.description import Arm
 from taut.base.errors import unknown_name
 from taut.control import laws as all_laws
+from taut.control.describe import held_laws
 from taut.control.gains import Memory
 from taut.control.law import Law
 from taut.control.limits import Limits
 
 __all__ = ["read_law", "read_limits"]
+
+LIMITS: Final[Mapping[str, Mapping[str, bool]]] = {
+    "arm": {},
+    "arm with rate": {"rate": True},
+    "arm with speed": {"speed": True},
+    "arm with rate and speed": {"rate": True, "speed": True},
+}
+"""The arm's own limits, in words: what they are to Limits.of."""
 
 
 def read_law(section: Section) -> Law:
@@ -47,22 +58,25 @@ def _one_law(section: Section, gains: Section, name: str) -> Law:
             raise unknown_name("taut.laws", "law", name, known)
     cls = getattr(all_laws, name)
     fields = [f.name for f in dataclasses.fields(cls) if not isinstance(cls.__dict__.get(f.name), Memory)]
-    values = gains.fields(fields)
+    held = {field: gains.section(field, required=True) for field in held_laws(cls)}
+    values = gains.fields(fields) | {field: read_law(table) for field, table in held.items()}
     with gains.blamed():
         law: Law = cls(**values)
         return law
 
 
-def read_limits(section: Section, arm: Arm) -> Limits | None:
-    """limits = "arm", "arm with rate", "none", or a table { tau, tau_dot }."""
+def read_limits(section: Section, arm: Arm, rate: float) -> Limits | None:
+    """limits = one of LIMITS, or a table of the fields of Limits; `of = "arm"` gives what the table leaves out."""
     if not isinstance(section.peek("limits"), dict):
-        word = section.word("limits", ("none", "arm", "arm with rate"), "none")
+        word = section.word("limits", ("none", *LIMITS), "none")
         with section.blamed("limits"):
-            return None if word == "none" else Limits.of(arm, rate=word == "arm with rate")
+            return None if word == "none" else Limits.of(arm, **LIMITS[word])
     table = section.section("limits")
-    tau, tau_dot = table.numbers("tau", None), table.numbers("tau_dot", None)
+    word = table.word("of", tuple(LIMITS), None)
+    values = {field.name: table.numbers(field.name, None) for field in dataclasses.fields(Limits)}
     table.done()
+    given = {name: value for name, value in values.items() if value is not None}
     with table.blamed():
-        made = Limits(tau=tau, tau_dot=tau_dot)
-        made.check_size(arm)
+        made = Limits(**given) if word is None else dataclasses.replace(Limits.of(arm, **LIMITS[word]), **given)
+        made.check_fit(arm, rate)
         return made

@@ -204,7 +204,7 @@ def _control(section: Section, arm: Arm) -> tuple[float, Sensing, Limits | None]
     if not RATES[0] <= rate <= RATES[1]:
         raise section.error(f"rate must be between {RATES[0]:g} and {RATES[1]:g} [Hz]; got {rate:g}")
     sensing = read_sensing(section, arm, rate)
-    limits = read_limits(section, arm)
+    limits = read_limits(section, arm, rate)
     section.done()
     return rate, sensing, limits
 

@@ -76,7 +76,13 @@ class Kernel(Protocol):
         """Ticks since memory started."""
 
     def clear(self) -> None:
-        """Forget: the next tick starts memory again."""
+        """Forget, or wait: the next tick goes to the function `first`."""
+
+    def resume(self) -> None:
+        """Go on after `clear`, with the memory that there is."""
+
+    def preview(self, parameters: Float64Array) -> dict[str, Float64Array]:
+        """The memory that a tick with these parameters would leave, by path. Nothing is changed but the time."""
 
 
 class FloatKernel:
@@ -125,13 +131,27 @@ class FloatKernel:
     def clear(self) -> None:
         self._started = False
 
+    def resume(self) -> None:
+        self._started = True
+
+    def preview(self, parameters: Float64Array) -> dict[str, Float64Array]:
+        blocks = self.blocks
+        self._set_time()
+        given = (blocks.views("inputs"), blocks.layout["parameters"].views(parameters), blocks.views("memory"))
+        with np.errstate(all="ignore"):
+            _, after = self._function(*(_copies(values) for values in given))
+        return blocks.layout["memory"].views(blocks.layout["memory"].pack(after))
+
+    def _set_time(self) -> None:
+        if self._time is not None:
+            self.blocks.views("inputs")[self._time][...] = self._count * self._dt
+
     def _tick(self) -> None:
         if not self._started:
             self._first()
             return
         blocks = self.blocks
-        if self._time is not None:
-            blocks.views("inputs")[self._time][...] = self._count * self._dt
+        self._set_time()
         if not np.isfinite(blocks.inputs).all():
             self._failed()
         with np.errstate(all="ignore"):
@@ -259,23 +279,31 @@ class NativeKernel:
     def clear(self) -> None:
         self._set(count=self.count, ready=False)
 
+    def resume(self) -> None:
+        self._set(count=self.count, ready=True)
+
+    def preview(self, parameters: Float64Array) -> dict[str, Float64Array]:
+        new = np.empty_like(self._new)
+        self._run(parameters, new, np.empty_like(self.blocks.outputs))
+        return self.blocks.layout["memory"].views(new)
+
+    def _run(self, parameters: Float64Array, new: Float64Array, outputs: Float64Array) -> None:
+        """The kernel through ctypes: new memory and outputs from the blocks' inputs and memory."""
+        blocks = self.blocks
+        if self._time is not None:
+            blocks.views("inputs")[self._time][...] = self.count * self._dt
+        arrays = (blocks.inputs, parameters, blocks.memory, new, outputs)
+        self._kernel(*(array.ctypes.data for array in arrays))
+
     def _plain_tick(self) -> None:
         """The tick through ctypes, where Python's objects lie in memory in an unknown way."""
         if not self.ready:
             self._first()
             return
         blocks = self.blocks
-        if self._time is not None:
-            blocks.views("inputs")[self._time][...] = self.count * self._dt
         if self._guarded and not np.isfinite(blocks.inputs).all():
             self._failed()
-        self._kernel(
-            blocks.inputs.ctypes.data,
-            blocks.parameters.ctypes.data,
-            blocks.memory.ctypes.data,
-            self._new.ctypes.data,
-            blocks.outputs.ctypes.data,
-        )
+        self._run(blocks.parameters, self._new, blocks.outputs)
         if self._guarded and not (np.isfinite(blocks.outputs).all() and np.isfinite(self._new).all()):
             self._failed()
         blocks.seen[:] = blocks.inputs

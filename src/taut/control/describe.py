@@ -10,9 +10,11 @@ from typing import Final
 import numpy as np
 
 from taut.base.types import Array
+from taut.control.combine import Sum
 from taut.control.law import Law, field_units
+from taut.control.limits import UNITS
 
-__all__ = ["PARAMETER_UNITS", "all_laws", "gain_units", "section", "short", "summary", "title"]
+__all__ = ["PARAMETER_UNITS", "all_laws", "gain_units", "held_laws", "section", "short", "summary", "title"]
 
 PARAMETER_UNITS: Final = {
     "sensing.velocity.cutoff": "Hz",
@@ -23,8 +25,7 @@ PARAMETER_UNITS: Final = {
     "sensing.notch.depth": "dB",
     "sensing.F_ext.cutoff": "Hz",
     "sensing.tau_meas.cutoff": "Hz",
-    "limits.tau": "N m | N",
-    "limits.tau_dot": "N m/s | N/s",
+    **{f"limits.{name}": unit for name, unit in UNITS.items()},
     "model.payload.mass": "kg",
     "model.payload.com": "m",
     "model.payload.inertia": "kg m^2",
@@ -38,6 +39,11 @@ def all_laws(law: Law, name: str = "") -> Iterator[tuple[str, Law]]:
         yield from all_laws(inner, f"{name}.{child}" if name else child)
 
 
+def held_laws(law: type[Law]) -> list[str]:
+    """The fields of a law that hold a law each: `inner: Law`."""
+    return [name for name, kind in inspect.get_annotations(law).items() if str(kind).rpartition(".")[2] == "Law"]
+
+
 def gain_units(law: Law) -> dict[str, str]:
     """Unit of each gain of a law and of the laws it holds, by path."""
     units = dict(field_units(type(law)))
@@ -48,8 +54,7 @@ def gain_units(law: Law) -> dict[str, str]:
 
 def title(law: Law) -> str:
     """A law's name; of a sum, the names of its parts."""
-    children = law.children()
-    return " + ".join(children) if children else type(law).__name__
+    return " + ".join(law.children()) if isinstance(law, Sum) else type(law).__name__
 
 
 def summary(law: type[Law]) -> str:

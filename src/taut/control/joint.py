@@ -6,11 +6,10 @@ desired minus actual, f(v) the friction of the plant: b v for viscous, mu sign(v
 
 from __future__ import annotations
 
-from taut.base import math as tm
 from taut.base.checks import one_of
 from taut.control.command import Command, Terms, Torque, Velocity
 from taut.control.gains import Gain, Memory
-from taut.control.integral import ANTI_WINDUP, AntiWindup, integrated
+from taut.control.integral import ANTI_WINDUP, AntiWindup, check_tracking, integrated
 from taut.control.law import Law, MemoryView
 from taut.control.reference import JointMotion
 from taut.maths.snapshot import Snapshot
@@ -19,13 +18,10 @@ __all__ = [
     "PID",
     "ComputedTorque",
     "FeedForward",
-    "FrictionCompensation",
     "GravityCompensation",
     "GravityPID",
     "VelocityPI",
 ]
-
-FRICTION_POINTS = ("ref", "meas")
 
 
 class PID(Law):
@@ -37,7 +33,8 @@ class PID(Law):
                   stable for 0 <= ki < (b + kd) kp / M
                   a constant disturbance then leaves no error with ki > 0, and the error tau_dist / kp without
 
-    The integral includes this tick's error, as in the chapter's pseudocode.
+    The integral includes this tick's error, as in the chapter's pseudocode. Where limits cut the torque it is kept
+    from winding up: anti_windup is "clamping", "back-calculation" (with the rate `tracking`) or "none".
 
     References:
         Section 10.2.1.1 PID control; section 10.2.2.1 decentralised multi-joint control.
@@ -48,15 +45,19 @@ class PID(Law):
     ki: Gain = Gain(0.0)  # [N m/(rad s) | N/(m s)]
     e_int: Memory = Memory(0.0)  # [rad s | m s]
     anti_windup: AntiWindup = "clamping"
+    tracking: Gain = Gain(10.0, where=("anti_windup", "back-calculation"))  # [1/s]
 
     def __post_init__(self) -> None:
         one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
+
+    def check_rate(self, rate: float) -> None:
+        check_tracking(self.anti_windup, self.tracking, rate)
 
     def command(
         self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
     ) -> tuple[Command, dict[str, object]]:
         e, e_dot = x.difference(ref.q), ref.v - x.v
-        e_int = integrated(memory.e_int, e, x, dt, self.anti_windup)
+        e_int = integrated(memory.e_int, e, x, dt, self.anti_windup, self.ki, self.tracking)
         return Torque(P=self.kp @ e, I=self.ki @ e_int, D=self.kd @ e_dot), {"e_int": e_int}
 
 
@@ -97,15 +98,20 @@ class ComputedTorque(Law):
     ki: Gain = Gain(0.0)  # [1/s^3]
     e_int: Memory = Memory(0.0)  # [rad s | m s]
     anti_windup: AntiWindup = "clamping"
+    tracking: Gain = Gain(10.0, where=("anti_windup", "back-calculation"))  # [1/s]
 
     def __post_init__(self) -> None:
         one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
+
+    def check_rate(self, rate: float) -> None:
+        check_tracking(self.anti_windup, self.tracking, rate)
 
     def command(
         self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
     ) -> tuple[Command, dict[str, object]]:
         e, e_dot = x.difference(ref.q), ref.v - x.v
-        e_int = integrated(memory.e_int, e, x, dt, self.anti_windup)
+        scheme, tracking = self.anti_windup, self.tracking
+        e_int = integrated(memory.e_int, e, x, dt, scheme, self.ki, tracking, acceleration=True)
         a = Terms(feedforward=ref.a, P=self.kp @ e, I=self.ki @ e_int, D=self.kd @ e_dot)
         return Torque(x.M @ a + Terms(nonlinear=x.h)), {"e_int": e_int}
 
@@ -128,15 +134,19 @@ class GravityPID(Law):
     ki: Gain = Gain(0.0)  # [N m/(rad s) | N/(m s)]
     e_int: Memory = Memory(0.0)  # [rad s | m s]
     anti_windup: AntiWindup = "clamping"
+    tracking: Gain = Gain(10.0, where=("anti_windup", "back-calculation"))  # [1/s]
 
     def __post_init__(self) -> None:
         one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
+
+    def check_rate(self, rate: float) -> None:
+        check_tracking(self.anti_windup, self.tracking, rate)
 
     def command(
         self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
     ) -> tuple[Command, dict[str, object]]:
         e, e_dot = x.difference(ref.q), ref.v - x.v
-        e_int = integrated(memory.e_int, e, x, dt, self.anti_windup)
+        e_int = integrated(memory.e_int, e, x, dt, self.anti_windup, self.ki, self.tracking)
         tau = Torque(P=self.kp @ e, I=self.ki @ e_int, D=self.kd @ e_dot, gravity=x.g)
         return tau, {"e_int": e_int}
 
@@ -157,36 +167,6 @@ class GravityCompensation(Law):
         return Torque(gravity=x.g, D=-(self.kd @ x.v))
 
 
-class FrictionCompensation(Law):
-    """The model's joint friction as feedforward; add it to a law whose h is C v + g.
-
-    Law:          tau = b v* + mu tanh(v* / width), v* the desired or the measured velocity
-    Closed loop:  friction that is known exactly leaves f(v) - b v* - mu tanh(v* / width) in the place of f(v)
-                  at="ref": of viscous friction -b e_dot, so that it damps errors and does not hold back the motion
-                  at="meas": none of it, and so no damping; of dry friction what is at rest, |v| < width
-
-    References:
-        Section 10.2.1.4 a closer look at friction; the chapter's h in figures 10.10 and 10.12 includes b v.
-    """
-
-    at: str = "ref"
-    width: Gain = Gain(0.01, minimum=1e-9)  # [rad/s | m/s]
-
-    def __post_init__(self) -> None:
-        one_of("at", self.at, FRICTION_POINTS)
-
-    def command(self, x: Snapshot, ref: JointMotion) -> Command:
-        v = ref.v if self.at == "ref" else x.v
-        viscous = x.viscous * v
-        if not self._dry(x):
-            return Torque(friction=viscous)
-        return Torque(friction=viscous + x.coulomb * tm.tanh(v / self.width))
-
-    @staticmethod
-    def _dry(x: Snapshot) -> bool:
-        return bool(x.arm.coulomb.any())
-
-
 class VelocityPI(Law):
     """Velocity-input control: feedforward plus PI, for arms whose drives close the velocity loop.
 
@@ -200,10 +180,18 @@ class VelocityPI(Law):
     kp: Gain  # [1/s]
     ki: Gain = Gain(0.0)  # [1/s^2]
     e_int: Memory = Memory(0.0)  # [rad s | m s]
+    anti_windup: AntiWindup = "clamping"
+    tracking: Gain = Gain(10.0, where=("anti_windup", "back-calculation"))  # [1/s]
+
+    def __post_init__(self) -> None:
+        one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
+
+    def check_rate(self, rate: float) -> None:
+        check_tracking(self.anti_windup, self.tracking, rate)
 
     def command(
         self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
     ) -> tuple[Command, dict[str, object]]:
         e = x.difference(ref.q)
-        e_int = memory.e_int + e * dt
+        e_int = integrated(memory.e_int, e, x, dt, self.anti_windup, self.ki, self.tracking)
         return Velocity(feedforward=ref.v, P=self.kp @ e, I=self.ki @ e_int), {"e_int": e_int}

@@ -70,6 +70,7 @@ class Law:
     * `command(self, x, ref)`, or `command(self, x, ref, memory, dt)` with memory, which returns a Command and,
       with memory, a dict of the new memory by name;
     * optionally `start(self, x, ref) -> dict`: memory that starts from the measured state;
+    * optionally `check_rate(self, rate)`, which refuses gains that have no meaning at that rate [Hz];
     * `reference`, the kind of sample it follows (JointMotion unless said).
 
     Laws add: `FeedForward() + PID(kp=..., kd=...)`. A law must not inherit from another one: it holds it in a field.
@@ -135,7 +136,8 @@ class Law:
 
     def gains(self) -> dict[str, GainValue]:
         """This law's own gains, by field."""
-        return {name: value for name, value in vars(self).items() if isinstance(value, GainValue)}
+        own = {name: value for name, value in vars(self).items() if isinstance(value, GainValue)}
+        return {name: value for name, value in own.items() if type(self).__dict__[name].has_meaning(self)}
 
     def parameters(self) -> dict[str, Float64Array]:
         """Every gain of this law and of the laws it holds, by path."""
@@ -186,6 +188,18 @@ class Law:
                     name=path,
                 )
 
+    def check_rates(self, rate: float) -> None:
+        """Every law that has a `check_rate` must fit the rate, with the gains that it has now.
+
+        Raises:
+            RangeError: A gain that has no meaning at this rate.
+        """
+        for law in self.children().values():
+            law.check_rates(rate)
+        check: Callable[[float], None] | None = getattr(self, "check_rate", None)
+        if check is not None:
+            check(rate)
+
     def __add__(self, other: Law) -> Law:
         from taut.control.combine import added
 
@@ -197,7 +211,10 @@ class Law:
         shown = []
         for field in dataclasses.fields(self):  # type: ignore[arg-type]  # every subclass is a dataclass
             value = getattr(self, field.name)
-            if isinstance(value, GainValue) or not _is_default(value, field.default):
+            shows = (
+                field.name in self.gains() if isinstance(value, GainValue) else not _is_default(value, field.default)
+            )
+            if shows:
                 shown.append(f"{field.name}={value!r}")
         return f"{type(self).__name__}({', '.join(shown)})"
 
@@ -252,6 +269,16 @@ def _check_arguments(cls: type[Law]) -> None:
             named = ", ".join(f"{name}{f' [{units[name]}]' if name in units else ''}" for name in missing)
             raise UsageError(f"{cls.__name__} needs {named}", name=missing[0])
         generated(self, *args, **kwargs)
+        for name in kwargs:
+            gain = cls.__dict__.get(name)
+            if isinstance(gain, Gain) and not gain.has_meaning(self):
+                assert gain.where is not None
+                other, value = gain.where
+                raise UsageError(
+                    f"{cls.__name__}: {name} is for {other}='{value}', and this one has {getattr(self, other)!r}; "
+                    "leave it out",
+                    name=name,
+                )
         for name, value in list(vars(self).items()):
             if isinstance(value, np.ndarray):  # a law never changes, and what is traced is kept
                 kept = value.copy()
@@ -316,7 +343,11 @@ def initial_memory(law: Law, x: Snapshot, ref: Sample) -> dict[str, Any]:
 
 
 FIELDS: Final[Mapping[str, type[Gain | Memory]]] = {"Gain": Gain, "Memory": Memory}
-RESERVED: Final = frozenset(name for name in vars(Law) if not name.startswith("_")) | {"command", "start"}
+RESERVED: Final = frozenset(name for name in vars(Law) if not name.startswith("_")) | {
+    "command",
+    "start",
+    "check_rate",
+}
 
 
 def call(law: Law, x: Snapshot, ref: Sample, memory: LawMemory, dt: Any) -> tuple[Command, dict[str, Any]]:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from taut.base.errors import unknown_name
 from taut.control.combine import Sum
+from taut.control.friction import FrictionCompensation
 from taut.control.joint import (
     PID,
     ComputedTorque,
     FeedForward,
-    FrictionCompensation,
     GravityCompensation,
     GravityPID,
     VelocityPI,
 )
+from taut.control.stiction import Dither, RaisedGains
 
 __all__ = [
     "PID",
@@ -21,6 +22,8 @@ __all__ = [
     "GravityPID",
     "GravityCompensation",
     "FrictionCompensation",
+    "Dither",
+    "RaisedGains",
     "VelocityPI",
     "Sum",
 ]

@@ -5,7 +5,7 @@ A Controller compiles it; a Loop fuses it with a plant.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
@@ -18,9 +18,10 @@ from taut.base.checks import finite_array, finite_scalar, require_at_least, vect
 from taut.base.errors import MatchError, NumericalError, RangeError, ShapeError, UsageError, unknown_name
 from taut.base.paths import flatten, subtree, unflatten
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
-from taut.control.command import Command, Terms, Torque
+from taut.control.command import Command, Terms, Torque, Velocity
 from taut.control.law import Law, as_array, call, initial_memory
-from taut.control.limits import Limits, limited
+from taut.control.limiting import fresh_blend, limited, term_names
+from taut.control.limits import Limits
 from taut.control.reference import Sample
 from taut.control.sensing import Sensing
 from taut.maths import dynamics as dyn
@@ -45,13 +46,12 @@ class Tick:
     memory: dict[str, Any]  # by path
     named: Terms  # before limits
     seen: Mapping[str, Vector]  # what the law saw, by measurement
-    cut: Vector | None  # (n,) what limits added to it; None without limits
+    limiting: Mapping[str, Vector]  # (n,) what limits added to it, by name
 
     @property
     def terms(self) -> dict[str, Vector]:
         """Each term by name; they add up to the command."""
-        parts = dict(self.named.parts)
-        return parts if self.cut is None else {**parts, "limits": self.cut}
+        return {**self.named.parts, **self.limiting}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,15 +90,26 @@ class LawSide:
     @cached_property
     def parameters(self) -> dict[str, Float64Array]:
         """Every run-time parameter, by path, with the values it was made with."""
+        limits = {} if self.limits is None else self.limits.parameters(self.rate, self.probe.kind)
+        own = self._own_parameters
+        law = {path: own[path] for path in own if path.startswith("law.")}
+        return law | {f"limits.{name}": values for name, values in limits.items()} | own
+
+    @cached_property
+    def _own_parameters(self) -> dict[str, Float64Array]:
+        """Those of law and model: all that a first run of the law needs."""
         out = {f"law.{path}": values for path, values in self.law.parameters().items()}
-        if self.limits is not None:
-            out |= {f"limits.{name}": values for name, values in self.limits.parameters().items()}
         out |= {f"sensing.{path}": values for path, values in self.sensing.parameters().items()}
         payload = self.arm.payload
         out["model.payload.mass"] = np.asarray(payload.mass)
         out["model.payload.com"] = payload.com
         out["model.payload.inertia"] = payload.inertia
         return out
+
+    def blends(self, paths: Iterable[str]) -> bool:
+        """Whether a blend takes up a change of these parameters: limits themselves act at once."""
+        ours = self.parameters
+        return "limits.blend" in ours and any(path in ours and not path.startswith("limits.") for path in paths)
 
     def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:
         """A new value of a parameter, checked like the first one and in the compiled shape.
@@ -113,10 +124,10 @@ class LawSide:
         head, _, rest = path.partition(".")
         if head == "law":
             field, unit = self.law.gain_field(rest)
-            new = field.checked(value, unit, name=path)
+            new = in_compiled_shape(path, field.checked(value, unit, name=path), self.parameters[path].shape)
+            self.law.bound({**self.law.parameters(), rest: new}).check_rates(self.rate)
         elif head == "limits":
-            made = Limits(**{rest: value})
-            new = np.asarray(getattr(made, rest))
+            new = Limits.checked(rest, value, self.rate)
         elif head == "sensing":
             new = self.sensing.checked_parameter(rest, value, self.arm, self.rate)
         else:
@@ -133,41 +144,65 @@ class LawSide:
             MatchError: The law does not fit: torque limits on another kind of command.
         """
         self.law.check_size(self.arm.n)
+        self.law.check_rates(self.rate)
         self.sensing.check(self.arm, self.rate)
         if self.limits is not None:
-            self.limits.check_size(self.arm)
+            self.limits.check_fit(self.arm, self.rate)
         try:
             x, command, after = self._first_run(self.arm.home)
         except NumericalError:  # a law that inverts what is singular at home
             x, command, after = self._first_run(self.arm.home + 0.1 * np.cos(np.arange(self.arm.n)))
-        if self.limits is not None and not isinstance(command, Torque):
-            raise MatchError(
-                f"limits cut torques, and {type(self.law).__name__} gives a {command.kind}; leave limits=None",
-                name="limits",
-            )
+        added = self._limit_terms(command)
         shapes = {f"law.{path}": np.shape(as_array(v, path)) for path, v in flatten(after).items()}
         n = (self.arm.n,)
         self._check_filtered(x.used)
         at_rest = self.sensing.start(self.measurements_at_rest(self.arm.home))
         shapes |= {f"sensing.{path}": np.shape(value) for path, value in at_rest.items()}
-        if isinstance(command, Torque) and self._remembers_torque(x.used):
+        if (isinstance(command, Torque) and "tau_applied" in x.used) or {"rate_limit", "blend"} & set(added):
             shapes["limits.tau_applied"] = n
         if self.limits is not None and "tau_cut" in x.used:
             shapes["limits.tau_cut"] = n
-        if self.limits is not None and "limits" in command.terms.parts:
-            raise UsageError(
-                f"{type(self.law).__name__} names a term 'limits', which is what the controller's limits cut off; "
-                "give it another name",
+        if "blend" in added:
+            shapes |= {f"limits.{name}": np.shape(value) for name, value in fresh_blend(self.arm.n).items()}
+        used = x.used | ({"v"} if "speed_limit" in added and isinstance(command, Torque) else set())
+        return Probe(kind=command.kind, used=frozenset(used), shapes=shapes, terms=(*command.terms.parts, *added))
+
+    def _limit_terms(self, command: Command) -> tuple[str, ...]:
+        """The terms that limits add to a command of this kind.
+
+        Raises:
+            MatchError: Limits that have no meaning for it.
+            UsageError: The law has a term of that name.
+        """
+        if self.limits is None:
+            return ()
+        who, given = type(self.law).__name__, self.limits.given()
+        if not isinstance(command, (Torque, Velocity)):
+            raise MatchError(
+                f"limits cut torques and velocities, and {who} gives a {command.kind}; leave limits=None",
                 name="limits",
             )
-        names = [*command.terms.parts, *(["limits"] if self.limits is not None else [])]
-        return Probe(kind=command.kind, used=frozenset(x.used), shapes=shapes, terms=tuple(names))
+        wrong = sorted(given & {"tau", "tau_dot", "v_gain"})
+        if wrong and not isinstance(command, Torque):
+            raise MatchError(
+                f"limits.{wrong[0]} is for torques, and {who} gives a {command.kind}; leave it out, or "
+                "give taut.Limits(v=...)",
+                name="limits",
+            )
+        added = term_names(given)
+        taken = [name for name in added if name in command.terms.parts]
+        if taken:
+            raise UsageError(
+                f"{who} names a term '{taken[0]}', which is what the controller's limits add; give it another name",
+                name=taken[0],
+            )
+        return added
 
     def _first_run(self, q: Float64Array) -> tuple[Snapshot, Command, dict[str, Any]]:
         """Two ticks at rest at q: what was asked for, the command, the memory."""
         measured, ref = self.measurements_at_rest(q), self.law.reference.at_rest(q)
-        x = self._snapshot(measured, np.zeros(self.arm.n), self.parameters, {})
-        law = self.law.bound(subtree(self.parameters, "law"))
+        x = self._snapshot(measured, np.zeros(self.arm.n), self._own_parameters, {})
+        law = self.law.bound(subtree(self._own_parameters, "law"))
         _, after = call(law, x, ref, initial_memory(law, x, ref), self.dt)
         command, after = call(law, x, ref, after, self.dt)
         return x, command, after
@@ -181,10 +216,6 @@ class LawSide:
                     "sensing",
                     name=f"sensing.{name}",
                 )
-
-    def _remembers_torque(self, used: set[str]) -> bool:
-        rate_limited = self.limits is not None and self.limits.tau_dot is not None
-        return rate_limited or "tau_applied" in used
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -248,22 +279,29 @@ class LawSide:
     def start(self, measured: Mapping[str, Any], ref: Sample, parameters: Mapping[str, Any]) -> dict[str, Any]:
         """Memory by path in the first tick, from what is measured then.
 
-        The torque of the last tick is what the plant holds: `measured[HELD]` where `measured[TOLD]` is 1, else the
-        torque that holds the model's weight.
+        The command of the last tick is what the plant holds: `measured[HELD]` where `measured[TOLD]` is 1, else the
+        torque that holds the model's weight; of velocities, none. A blend begins with it.
         """
         shapes, sensing = self.probe.shapes, self.sensing_at_start(measured)
         seen, _ = self.sense(measured, sensing, parameters, self.dt)
         x = self._snapshot(seen, seen["v"], parameters, {})
         held = {}
         if "limits.tau_applied" in shapes:
-            tau = tm.where(measured[TOLD] > 0.5, measured[HELD], x.g) if TOLD in measured else x.g
+            rest = x.g if self.probe.kind == Torque.kind else tm.zeros(self.arm.n)
+            tau = tm.where(measured[TOLD] > 0.5, measured[HELD], rest) if TOLD in measured else rest
             held = {"tau_applied": tau}
             x = self._snapshot(seen, seen["v"], parameters, held)
         law = self.law.bound(subtree(parameters, "law"))
         memory = flatten({"law": initial_memory(law, x, ref), "sensing": sensing, "limits": held})
         if "limits.tau_cut" in shapes:
             memory["limits.tau_cut"] = tm.zeros(self.arm.n)
-        return {path: _filled(as_array(memory[path], path), shape) for path, shape in shapes.items()}
+        if "limits.bump" in shapes:
+            memory |= {f"limits.{name}": value for name, value in fresh_blend(self.arm.n).items()}
+        filled = {path: _filled(as_array(memory[path], path), shape) for path, shape in shapes.items()}
+        if "limits.bump" in shapes:
+            asked = self.tick(measured, ref, filled, parameters, self.dt).memory["limits.asked"]
+            filled["limits.bump"], filled["limits.phase"] = held["tau_applied"] - asked, as_array(0.0, "limits.phase")
+        return filled
 
     def tick(
         self,
@@ -280,10 +318,11 @@ class LawSide:
         law = self.law.bound(subtree(parameters, "law"))
         command, after = call(law, x, ref, _nested_memory(law, nested.get("law", {})), dt)
         total = as_array(command.total, "command")
-        applied, held = total, {}
+        applied, terms, held = total, {}, {}
         if self.limits is not None:
-            applied = limited(total, nested.get("limits", {}).get("tau_applied"), subtree(parameters, "limits"), dt)
-            held = {"tau_cut": total - applied}
+            given, moving = subtree(parameters, "limits"), x if command.kind == Torque.kind else None
+            made = limited(total, nested.get("limits", {}), given, dt, moving)
+            applied, terms, held = made.command, made.terms, {**made.memory, "tau_cut": made.cut}
         held["tau_applied"] = applied
         new = flatten({"law": after, "sensing": sensing, "limits": held})
         shapes = self.probe.shapes
@@ -292,7 +331,7 @@ class LawSide:
             memory={path: _shaped(as_array(new[path], path), path, shapes[path]) for path in shapes},
             named=command.terms,
             seen=seen,
-            cut=None if self.limits is None else applied - total,
+            limiting=terms,
         )
 
     def _snapshot(

@@ -1,38 +1,66 @@
-"""Limits: the one place where a torque command is cut."""
+"""Limits: what a command may be. What cuts it is `limiting.py`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Final
+from dataclasses import dataclass, fields
+from typing import Final
 
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base import math as tm
 from taut.base.checks import finite_array, require_positive
-from taut.base.errors import ModelError, Problem, UsageError
-from taut.base.types import Array, ArrayLike, Float64Array, Vector
+from taut.base.errors import ModelError, Problem, RangeError, ShapeError, UsageError, unknown_name
+from taut.base.types import ArrayLike, Float64Array
 
-__all__ = ["RATE_PER_EFFORT", "Limits"]
+__all__ = ["RATE_PER_EFFORT", "UNITS", "Limits"]
 
 RATE_PER_EFFORT: Final = 10.0  # default torque rate: ten times the effort limit per second
+BRAKING_TICKS: Final = 10.0  # default v_gain: a joint comes up to its speed limit with this time constant
+UNITS: Final = {
+    "tau": "N m | N",
+    "tau_dot": "N m/s | N/s",
+    "v": "rad/s | m/s",
+    "v_gain": "1/s",
+    "blend": "s",
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Limits:
-    """Largest torque, and largest change of torque per second, joint by joint.
+    """Largest torque, largest change of torque per second, largest speed, and how a change of the law comes in.
 
-    The magnitude wins over the rate: from a torque outside the limits the command goes to the limit in one
-    step. The rate starts from the torque that the plant holds: what `reset(tau_applied=)` says, else the
-    gravity torque, else zero if the plant compensates gravity itself.
+    Law:          tau = law + blend; then the rate is limited, then the speed, then the magnitude: the later one wins
+                  rate:       |tau - tau of the last tick| <= tau_dot dt
+                  speed:      a sign(v) <= v_gain (v_max - |v|) max(1, v_max / |v|), where M a = tau - h
+                  magnitude:  |tau| <= tau
+    Closed loop:  with an exact model a joint that is driven on comes up to its speed limit as
+                  v_max - |v| = c exp(-v_gain t), and one that is faster is braked in the same way
+                  what slows the arm down is not cut, and of what moves a joint at rest only what would take it
+                  beyond its limit within a tick
+
+    The speed limit acts on the acceleration that a torque means, so that a loaded joint neither drops nor gains speed
+    and none is driven over its limit by the others, which move on as they would have. Where a joint lacks the torque
+    for that, all of them accelerate less. From a state outside the limits the command goes to the limit in one step.
+    A velocity command is cut to v; it takes no limit of torque.
+
+    The rate, and the blend, start from the torque that the plant holds: what `reset(tau_applied=)` says, else the
+    gravity torque, else zero if the plant compensates gravity itself. (A velocity command starts from zero.) With
+    `blend` the command begins there, and the difference to what the law asks for goes to zero in that time as
+    1 - 3 x^2 + 2 x^3. The jump that a new gain or a new payload would make is taken up in the same way.
+
+    Each kind is a term of its own in the record: rate_limit, speed_limit, torque_limit, blend.
 
     Args:
         tau: (n,) or scalar [N m | N]; None for no limit.
         tau_dot: (n,) or scalar [N m/s | N/s]; None for no limit.
+        v: (n,) or scalar [rad/s | m/s]; None for no limit.
+        v_gain: (n,) or scalar [1/s], acceleration for each rad/s below the speed limit, at most the rate; a tenth of
+            the rate if left out.
+        blend: Time in which a change comes in [s]; None for at once.
 
     Raises:
         RangeError: A limit that is zero, negative or NaN.
+        UsageError: No limit at all, or v_gain without v.
 
     Example:
         >>> Limits(tau=87.0).tau.tolist()
@@ -41,58 +69,97 @@ class Limits:
 
     tau: ArrayLike | None = None
     tau_dot: ArrayLike | None = None
+    v: ArrayLike | None = None
+    v_gain: ArrayLike | None = None
+    blend: float | None = None
 
     def __post_init__(self) -> None:
-        if self.tau is None and self.tau_dot is None:
-            raise UsageError("Limits needs tau=, tau_dot= or both; for no limits leave limits=None")
-        for name, unit in (("tau", "N m | N"), ("tau_dot", "N m/s | N/s")):
-            value = getattr(self, name)
-            if value is None:
-                continue
-            array = finite_array(f"limits.{name}", value, unit=unit, allow_infinite=True)
-            require_positive(f"limits.{name}", array, unit=unit)
-            object.__setattr__(self, name, array)
+        if not self.given() - {"v_gain"}:
+            raise UsageError(
+                "Limits needs one of tau=, tau_dot=, v= and blend= at least; for no limits leave limits=None"
+            )
+        if self.v_gain is not None and self.v is None:
+            raise UsageError("limits.v_gain belongs to a speed limit; give v= too, or leave it out", name="v_gain")
+        for name in self.given():
+            object.__setattr__(self, name, self.checked(name, getattr(self, name)))
 
-    @classmethod
-    def of(cls, arm: Arm, *, rate: bool = False) -> Limits:
-        """The arm's own effort limits; with `rate`, also ten times the effort limit per second.
+    def given(self) -> set[str]:
+        """The names of those that are there."""
+        return {field.name for field in fields(self) if getattr(self, field.name) is not None}
+
+    @staticmethod
+    def checked(name: str, value: ArrayLike, rate: float | None = None) -> Float64Array:
+        """A value of one of the limits, for a controller of that rate [Hz] if one is given.
 
         Raises:
-            ModelError: The arm states no effort limit at all.
+            UnknownNameError: There is no such limit.
+            RangeError: Zero, negative, NaN, infinite where that has no meaning, or faster than the rate.
+            ShapeError: A time that is no single number.
+        """
+        if name not in UNITS:
+            raise unknown_name("Limits", "limit", name, UNITS)
+        what, unit = f"limits.{name}", UNITS[name]
+        array = finite_array(what, value, unit=unit, allow_infinite=name in ("tau", "tau_dot", "v"))
+        if name == "blend" and array.ndim:
+            raise ShapeError(f"{what} must be one number [{unit}]; got shape {array.shape}", name=what)
+        require_positive(what, array, unit=unit)
+        if name == "v_gain" and rate is not None and (array > rate).any():
+            raise RangeError(
+                f"{what} must be at most the rate, {rate:g} [{unit}], or a joint would overshoot its speed limit; "
+                f"got {array.max():g}",
+                name=what,
+                value=float(array.max()),
+            )
+        return array
+
+    @classmethod
+    def of(cls, arm: Arm, *, rate: bool = False, speed: bool = False, blend: float | None = None) -> Limits:
+        """The arm's own effort limits.
+
+        Args:
+            arm: The arm.
+            rate: Limit the torque rate too, to ten times the effort limit per second.
+            speed: Limit the speed too, to the arm's own limits.
+            blend: Time in which a change comes in [s].
+
+        Raises:
+            ModelError: The arm states no effort limit at all, or no speed limit where it is asked for.
         """
         if not isinstance(arm, Arm):  # callers without a type checker
             raise UsageError(f"Limits.of takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
-        if np.isinf(arm.effort).all():
-            problem = Problem(
-                object=arm.name,
-                attribute="effort",
-                message=f"arm '{arm.name}' states no effort limits; give taut.Limits(tau=...)",
-            )
-            raise ModelError(arm.name, [problem])
-        return cls(tau=arm.effort, tau_dot=RATE_PER_EFFORT * arm.effort if rate else None)
+        _require_stated(arm, "effort", "tau")
+        if speed:
+            _require_stated(arm, "velocity", "v")
+        return cls(
+            tau=arm.effort,
+            tau_dot=RATE_PER_EFFORT * arm.effort if rate else None,
+            v=arm.velocity if speed else None,
+            blend=blend,
+        )
 
-    def check_size(self, arm: Arm) -> None:
-        """Limits must be scalars or have one entry per joint."""
-        for name in ("tau", "tau_dot"):
+    def check_fit(self, arm: Arm, rate: float) -> None:
+        """Limits must be scalars or have one entry per joint, and nothing may be faster than the rate [Hz]."""
+        if self.v_gain is not None:
+            self.checked("v_gain", self.v_gain, rate)
+        for name in UNITS:
             value = getattr(self, name)
             if value is not None and np.ndim(value):
                 finite_array(f"limits.{name}", value, shape=(arm.n,), joints=arm.joint_names, allow_infinite=True)
 
-    def parameters(self) -> dict[str, Float64Array]:
-        """The limits by name, as run-time parameters."""
-        return {
+    def parameters(self, rate: float, kind: str) -> dict[str, Float64Array]:
+        """The limits by name, as run-time parameters, for a command of that kind at a rate [Hz]."""
+        out = {
             name: np.asarray(getattr(self, name), dtype=np.float64)
-            for name in ("tau", "tau_dot")
+            for name in UNITS
             if getattr(self, name) is not None
         }
+        if self.v is not None and self.v_gain is None and kind == "torque":
+            out["v_gain"] = np.asarray(rate / BRAKING_TICKS)
+        return out
 
 
-def limited(tau: Vector, held: Vector, parameters: Mapping[str, Array], dt: Any) -> Vector:
-    """(n,) the command after rate and magnitude limits, from the torque that went out in the last tick."""
-    if "tau_dot" in parameters:
-        step = parameters["tau_dot"] * dt
-        tau = tm.clip(tau, held - step, held + step)
-    if "tau" in parameters:
-        bound = parameters["tau"]
-        tau = tm.clip(tau, -bound, bound)
-    return tau
+def _require_stated(arm: Arm, attribute: str, name: str) -> None:
+    """An arm that states no limit of a kind has none to be taken over."""
+    if np.isinf(getattr(arm, attribute)).all():
+        message = f"arm '{arm.name}' states no {attribute} limits; give taut.Limits({name}=...)"
+        raise ModelError(arm.name, [Problem(object=arm.name, attribute=attribute, message=message)])

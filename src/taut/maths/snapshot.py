@@ -7,7 +7,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from taut.arm.description import Arm, Payload
+from taut.arm.description import Arm, Friction, Payload
 from taut.base import math as tm
 from taut.base.checks import one_of, vector
 from taut.base.errors import MatchError, UsageError, unknown_name
@@ -157,7 +157,7 @@ class Snapshot:
 
     @property
     def tau_cut(self) -> Vector:
-        """(n,) what limits took from the last command, commanded minus applied [N m | N]; zero without limits."""
+        """(n,) what limits took from the last command, commanded minus applied, in its unit; zero without limits."""
         self.used.add("tau_cut")
         return self._measured.get("tau_cut", np.zeros(self.n))
 
@@ -249,9 +249,17 @@ class Snapshot:
 
     @property
     def coulomb(self) -> Vector:
-        """(n,) the model's dry friction [N m], less what the plant adds itself."""
+        """(n,) the model's dry friction in motion [N m | N], less what the plant adds itself."""
         self.used.add("friction")
         return np.zeros(self.n) if self._adds.friction else self.arm.coulomb
+
+    @property
+    def friction(self) -> Friction:
+        """All of the model's joint friction, each number (n,), less what the plant adds itself."""
+        self.used.add("friction")
+        return (
+            Friction(viscous=np.zeros(self.n), coulomb=np.zeros(self.n)) if self._adds.friction else self.arm.friction
+        )
 
     # ---------------------------------------------------------------- kinematics
 

@@ -16,6 +16,7 @@ from taut.arm.angles import short_way
 from taut.base.checks import read_only
 from taut.base.named import Named
 from taut.base.types import Float64Array
+from taut.control.limiting import LIMIT_TERMS
 from taut.record.step import step_response
 
 if TYPE_CHECKING:
@@ -48,6 +49,10 @@ MEASURES: Final = {
     "effort": Measure(title="effort", unit="({tau})^2 s", overall="the sum"),
     "peak_torque": Measure(title="peak torque", unit="{tau}", overall="the largest"),
     "saturation_time": Measure(title="saturated", unit="s", overall="time in which any joint's command was cut"),
+    "rate_limit_time": Measure(title="rate limited", unit="s", overall="time in which any joint's rate was cut"),
+    "speed_limit_time": Measure(title="speed limited", unit="s", overall="time in which any joint's speed was"),
+    "torque_limit_time": Measure(title="torque limited", unit="s", overall="time in which any joint's torque was"),
+    "blend_time": Measure(title="blending", unit="s", overall="time in which any joint's command was blended"),
     "largest_cut": Measure(title="largest cut", unit="{command}", overall="the largest"),
     "chatter": Measure(title="chatter", unit="{tau}/s", overall="the sum"),
     "energy": Measure(title="energy", unit="J", overall="the sum"),
@@ -76,6 +81,10 @@ class Metrics:
         effort: (n,) [(N m)^2 s | N^2 s] integral of tau^2, as in figure 10.12.
         peak_torque: (n,) [N m | N] largest magnitude of tau.
         saturation_time: (n,) [s] in which the limits cut the command.
+        rate_limit_time: (n,) [s] in which the limit of the torque rate did.
+        speed_limit_time: (n,) [s] in which the speed limit did.
+        torque_limit_time: (n,) [s] in which the limit of the torque did.
+        blend_time: (n,) [s] in which a change was blended in.
         largest_cut: (n,) [N m | N] largest magnitude that the limits took away, in the command's unit.
         chatter: (n,) [N m/s | N/s] total variation of tau per second.
         energy: (n,) [J] work of tau on the joint, integral of tau v.
@@ -99,6 +108,10 @@ class Metrics:
     effort: Float64Array
     peak_torque: Float64Array
     saturation_time: Float64Array
+    rate_limit_time: Float64Array
+    speed_limit_time: Float64Array
+    torque_limit_time: Float64Array
+    blend_time: Float64Array
     largest_cut: Float64Array
     chatter: Float64Array
     energy: Float64Array
@@ -192,13 +205,12 @@ def _together(run: Run, columns: Mapping[str, Float64Array], joints: list[int]) 
     numbers = {name: float(np.sum(chosen[name])) for name in ("effort", "chatter", "energy")}
     numbers |= {name: float(np.max(chosen[name])) for name in ("peak_torque", "largest_cut")}
     numbers |= {name: _worst(chosen[name]) for name in OF_STEPS}
-    numbers |= dict.fromkeys((*NORMS, "saturation_time"), np.nan)
+    numbers |= dict.fromkeys((*NORMS, *TIMES), np.nan)
     if len(run) and run.error is not None:
         norm = np.sqrt(np.sum(run.error[:, joints] ** 2, axis=1))
         numbers |= {name: float(number(norm)) for name, number in NORMS.items()}
-    if len(run) and "limits" in run.terms:
-        saturated = (run.terms["limits"][:-1, joints] != 0.0).any(axis=1)
-        numbers["saturation_time"] = float(np.sum(saturated * np.diff(run.t)))
+    for name, value in _acting(run).items() if len(run) else ():
+        numbers[name] = float(np.sum((value[:-1, joints] != 0.0).any(axis=1) * np.diff(run.t)))
     return {name: numbers[name] for name in MEASURES}
 
 
@@ -217,6 +229,10 @@ def _final(x: Float64Array) -> Float64Array:
     return final
 
 
+TIMES: Final = {
+    "saturation_time": "",
+    **{f"{term}_time": term for term in (*LIMIT_TERMS, "blend")},
+}
 NORMS: Final = {"rms_error": _rms, "peak_error": _peak, "final_error": _final}
 
 
@@ -244,7 +260,16 @@ def _of_torque(run: Run) -> dict[str, Float64Array]:
     }
     if duration:
         out["chatter"] = np.sum(np.abs(np.diff(run.tau, axis=0)), axis=0) / duration
-    if "limits" in run.terms:
-        cut = run.terms["limits"]
-        out |= {"saturation_time": np.sum((cut[:-1] != 0.0) * dt, axis=0), "largest_cut": _peak(cut)}
-    return out
+    for name, value in _acting(run).items():
+        out[name] = np.sum((value[:-1] != 0.0) * dt, axis=0)
+    cuts = [run.terms[name] for name in LIMIT_TERMS if name in run.terms]
+    return out | ({"largest_cut": _peak(np.sum(cuts, axis=0))} if cuts else {})
+
+
+def _acting(run: Run) -> dict[str, Float64Array]:
+    """(k, n) what limits and blend added to the command, by the metric that says how long."""
+    parts = {name: run.terms[term] for name, term in TIMES.items() if term in run.terms}
+    cuts = [parts[name] for name in parts if TIMES[name] in LIMIT_TERMS]
+    if cuts:
+        parts["saturation_time"] = np.any([cut != 0.0 for cut in cuts], axis=0).astype(np.float64)
+    return parts

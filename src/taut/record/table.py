@@ -16,6 +16,9 @@ __all__ = ["metrics_table", "number_text"]
 def metrics_table(metrics: Metrics) -> str:
     """The metrics that have a meaning for this run, with units."""
     names = [name for name in MEASURES if not all(math.isnan(x) for x in getattr(metrics, name))]
+    # One kind of limit that acted alone says what "saturated" says.
+    whole = metrics.saturation_time.tolist()
+    names = [name for name in names if not name.endswith("_limit_time") or getattr(metrics, name).tolist() != whole]
     together = (
         {f"all in {unit}": values for unit, values in metrics.groups.items()} if len(metrics.groups) > 1 else {}
     )

@@ -14,6 +14,7 @@ from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
 from taut.codegen.loop import FloatLoop, NativeLoop
+from taut.control.limiting import take_up
 from taut.loop import DT, Loop
 from taut.maths.snapshot import Snapshot
 from taut.record.outcome import Outcome
@@ -86,11 +87,24 @@ class FusedRun:
         self._feed.fill(subtree(views, "ref"), 0, lambda: self._seen(plant, None, row))
         return self._loop.start(q, v, row, parameters)
 
-    def _apply(self, tick: int) -> None:
-        """Events that act at a tick."""
-        views = self._parameters.views(self._values)
-        for path, value in self._events.get(tick, {}).items():
+    def _apply(self, tick: int) -> Float64Array | None:
+        """Events that act at a tick; if a blend takes up the change, the parameters without what it is to take up."""
+        side, new, views = self._loop.side, self._events.get(tick, {}), self._parameters.views(self._values)
+        before = self._values.copy() if side.blends(new) else None
+        for path, value in new.items():
             views[path][...] = value
+            if before is not None and path not in side.parameters:  # what happens to the plant is felt at once
+                self._parameters.views(before)[path][...] = value
+        return before
+
+    def _take_up(self, k: int, before: Float64Array) -> None:
+        """Let tick k command what it would have without a change of the controller's parameters."""
+        asked = []
+        for values in (before, self._values):
+            state, row = self._state.copy(), np.zeros((1, self._run.outputs.size))
+            self._run.run(self.tape.input_rows[k : k + 1], values, state, row)
+            asked.append(self._memory.views(state)["limits.asked"])
+        take_up(self._memory.views(self._state), *asked)
 
     def _draw(self, views: dict[str, Float64Array]) -> None:
         for name, column in subtree(views, "noise").items():
@@ -137,13 +151,15 @@ class FusedRun:
 
     def _prepare(self, k: int, end: int) -> None:
         """Events that act at tick k, then noise and reference of the block."""
-        self._apply(k)
+        before = self._apply(k)
         first = max(k, 1)  # the noise of row 0 was drawn at the start
         self._draw({path: column[first:end] for path, column in self.tape.inputs.items()})
         row = self._inputs.views(self.tape.input_rows[k])
         memory = self._memory.views(self._state)
         plant, sensing = subtree(memory, "plant"), subtree(memory, "sensing")
         self._feed.fill(self.tape.reference(k, end), k, lambda: self._seen(plant, sensing, row))
+        if before is not None and k > 0:  # in the first tick there is nothing yet to go on from
+            self._take_up(k, before)
 
     def _seen(
         self, plant: Mapping[str, Any], sensing: Mapping[str, Any] | None, inputs: Mapping[str, Any]

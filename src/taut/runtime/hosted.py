@@ -12,7 +12,7 @@ from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.layout import Block
 from taut.control.reference import Reference
-from taut.controller import Controller
+from taut.controller import Controller, take_up_change
 from taut.loop import sensed_of
 from taut.maths.snapshot import Snapshot
 from taut.record.outcome import Outcome
@@ -66,7 +66,7 @@ class HostedRun:
                     raise unknown_name("the run", "parameter", path, [*side.parameters, *plant.parameters])
         self._before = dict(plant.parameters)  # events last as long as the run
         self._kernel = ctrl.recording_kernel(sensed_of(side, plant))
-        plant.reset(q, v, side.dt)
+        plant.reset(q, v, side.dt, info["seed"])
         n = side.arm.n
         shapes: dict[str, tuple[int, ...]] = {"q": (n,), "v": (n,), "tau": (n,)}
         shapes |= self._kernel.blocks.layout["outputs"].shapes
@@ -109,7 +109,7 @@ class HostedRun:
 
     def _tick(self, k: int) -> Outcome | None:
         tape, plant, kernel = self.tape, self._plant, self._kernel
-        self._apply(self._events.get(k, {}))
+        before = self._apply(self._events.get(k, {}))
         out = tape.outputs
         out["q"][k], out["v"][k] = plant.state()
         measured = plant.measure()
@@ -121,6 +121,8 @@ class HostedRun:
         try:
             if not kernel.ready:
                 kernel.start()
+            elif before is not None:
+                take_up_change(kernel, before)
             kernel.tick()
         except (NumericalError, RangeError) as error:  # a tick without a command: it is not recorded
             if tape.is_sane(k):
@@ -142,12 +144,15 @@ class HostedRun:
         where = f" at t = {tape.inputs['t'][k]:.6g} s (tick {k})" + (f", joint '{who}'" if who else "")
         return Outcome(kind="diverged", message=f"the simulation diverged{where}: {words}", tick=k, joint=who)
 
-    def _apply(self, values: Mapping[str, ArrayLike]) -> None:
+    def _apply(self, values: Mapping[str, ArrayLike]) -> Float64Array | None:
+        """New values of parameters; those of the controller before, where a blend takes up the change."""
+        before = self._kernel.blocks.parameters.copy() if self._side.blends(values) else None
         for path, value in values.items():
             if path in self._side.parameters:
                 self._kernel.blocks.views("parameters")[path][...] = self._side.checked_parameter(path, value)
             else:
                 self._plant.set_parameter(path, value)
+        return before
 
     def _reference(self, k: int, measured: dict[str, Float64Array]) -> None:
         """Fill the reference of the next ticks, at most up to where a stream is asked again."""
