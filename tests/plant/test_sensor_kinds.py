@@ -152,7 +152,7 @@ class TestATorqueSensor:
         np.testing.assert_allclose(seen, [3.0, -3.5])  # of 2.5 + 0.2 + 0.3 and -3.1 - 0.3
 
     def test_has_the_stated_spread_in_a_run(self) -> None:
-        sensors = Sensors(torque=taut.TorqueSensor(noise=[0.05, 0.2], bias=-0.1))
+        sensors = Sensors(torque=taut.TorqueSensor(noise=[0.05, 0.2], bias=-0.1, side="motor"))
         plant = taut.RigidPlant(ARM, adds=STILL, sensors=sensors, environment=Push(F=(0.0,) * 6))
         out = run(plant, HOLD, law=Feels(), duration=10.0)
         off = out.extra["sensed.tau_meas"][1:] - out.tau[:-1]
