@@ -87,7 +87,11 @@ def test_fused_and_float_and_mujoco_take_up_the_same() -> None:
 
 
 def test_an_event_with_noisy_sensors_takes_up_the_change_and_not_the_noise() -> None:
-    plant = taut.RigidPlant(ARM, adds=("gravity", "coriolis"), sensors=taut.Sensors(noise_q=1e-3, noise_v=1e-2))
+    plant = taut.RigidPlant(
+        ARM,
+        adds=("gravity", "coriolis"),
+        sensors=taut.Sensors(position=taut.Encoder(noise=1e-3), velocity=taut.Tachometer(noise=1e-2)),
+    )
     ctrl = taut.compile(LAW, ARM, limits=taut.Limits(blend=0.05), adds=plant.adds)
     soft, same = (taut.run(ctrl, plant, GOAL, duration=0.2, events=events, seed=3) for events in ([CHANGE], []))
     np.testing.assert_allclose(soft.command[:101], same.command[:101], rtol=0.0, atol=1e-11)

@@ -144,6 +144,34 @@ def test_an_environment_may_have_negative_numbers() -> None:
     assert loop.parameters["environment.b"] == -1.0
 
 
+def test_a_path_can_be_asked_for_without_knowing_whether_it_is_there() -> None:
+    loop = loop_of()
+    ctrl = taut.compile(taut.laws.PID(kp=1.0), taut.load_arm("planar2"))
+    for parameters in (loop.parameters, ctrl.parameters):
+        assert "law.kp" in parameters
+        assert "law.kpp" not in parameters
+        assert parameters.get("law.kpp") is None
+        assert parameters.get("law.kpp", 3.0) == 3.0
+        assert parameters.get("law.kp") is not None
+
+
+def test_values_that_do_not_go_together_are_refused_and_nothing_changes() -> None:
+    arm = taut.load_arm("planar2").with_friction(taut.Friction(coulomb=0.3, static=0.5))
+    loop = taut.Loop(taut.compile(taut.laws.PID(kp=1.0), arm), taut.RigidPlant(arm), duration=0.1)
+    with pytest.raises(taut.RangeError) as caught:
+        loop.parameters["plant.friction.coulomb"] = 0.6
+    assert str(caught.value) == (
+        "plant.friction.static[0] must be >= plant.friction.coulomb: friction at rest is no less than in motion; got "
+        "0.5 < 0.6 [N m | N]"
+    )
+    loop.parameters["plant.friction.static"] = 0.8
+    loop.parameters["plant.friction.coulomb"] = 0.6
+    together = taut.Event(t=0.05, set={"plant.friction.coulomb": 1.6, "plant.friction.static": 1.8})
+    assert taut.run(loop, events=[together]).outcome.ok
+    with pytest.raises(taut.RangeError, match="friction at rest is no less than in motion"):
+        taut.run(loop, events=[taut.Event(t=0.05, set={"plant.friction.coulomb": 1.6})])
+
+
 def test_a_parameter_cannot_be_removed() -> None:
     with pytest.raises(taut.UsageError, match=r"parameter 'law.kp' cannot be removed; set it"):
         del loop_of().parameters["law.kp"]

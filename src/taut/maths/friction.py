@@ -24,6 +24,7 @@ class DryFriction:
 
     v: Vector  # (n,) velocities after it
     f: Vector  # (n,) its torques [N m | N]; zero for joints without any
+    at_rest: Vector  # (n,) 1.0 for the joints that it holds, else 0.0
     residual: Any  # largest torque by which a further sweep would change it [N m | N]
 
 
@@ -79,7 +80,7 @@ def dry_friction(
     all_stop = np.all(within)
     p = [_within(tm.where(all_stop, halt[a], guess[i] * dt), least[a], most[a]) for a, i in enumerate(joints)]
 
-    def at_rest(a: int) -> Any:
+    def stopping(a: int) -> Any:
         """The impulse that brings joint a to rest."""
         # The newest one comes last: only its product waits for the one before.
         total = c[a]
@@ -89,22 +90,23 @@ def dry_friction(
 
     for _ in range(sweeps if k > 1 else 1):
         for a in range(k):
-            p[a] = _within(at_rest(a), least[a], most[a])
-    v, f = list(v_free), [0.0] * n
+            p[a] = _within(stopping(a), least[a], most[a])
+    v, f, at_rest = list(v_free), [0.0] * n, [0.0] * n
     residual: Any = 0.0
     for a, i in enumerate(joints):
         # What is left to rest is the velocity; of a joint that friction holds it is rounding.
-        total = at_rest(a)
+        total = stopping(a)
         held = (p[a] > least[a]) & (p[a] < most[a])
         v[i] = response[a][a] * (p[a] - total)
         v[i] = tm.where(held & (tm.abs(v[i]) < REST), 0.0, v[i])
+        at_rest[i] = tm.where(held, 1.0, 0.0)
         f[i] = p[a] / dt
         if k > 1:
             residual = tm.maximum(residual, tm.abs(_within(total, least[a], most[a]) - p[a]))
     for i in set(range(n)) - set(joints):
         for a, j in enumerate(joints):
             v[i] = v[i] + W[i, j] * p[a]
-    return DryFriction(v=tm.array(v), f=tm.array(f), residual=residual / dt)
+    return DryFriction(v=tm.array(v), f=tm.array(f), at_rest=tm.array(at_rest), residual=residual / dt)
 
 
 def _within(x: Any, least: Any, most: Any) -> Any:
