@@ -186,3 +186,80 @@ def test_a_loop_can_be_run_again_and_runs_the_same() -> None:
     loop.parameters["law.kp"] = 1.0
     assert np.abs(taut.run(loop).q - first.q).max() > 1e-6
     np.testing.assert_array_equal(first.info["parameters"]["law.kp"], [200.0, 100.0])
+
+
+EVERYTHING: dict[str, Any] = {
+    "actuation": taut.Actuation(
+        bandwidth=500.0,
+        delay=0.002,
+        resolution=0.01,
+        motor=taut.ElectricMotor(torque_constant=0.1, resistance=1.0, inductance=1e-3, voltage=24.0, current=9.0),
+        ripple=taut.Ripple(amplitude=0.02, periods=4),
+        transmission=taut.Transmission(efficiency=0.9, stiffness=[np.inf, 500.0], damping=[0.0, 0.5], backlash=[0.0, 0.01]),
+        torque_loop=taut.TorqueLoop(kp=0.2, ki=5.0),
+    ),
+    "sensors": taut.Sensors(
+        position=taut.Encoder(resolution=1e-3, noise=1e-4, offset=1e-3, side="motor"),
+        velocity=None,
+        torque=taut.TorqueSensor(bias=0.01, noise=0.01),
+        tip=taut.Accelerometer(bias=0.1),
+    ),
+}  # fmt: skip
+
+
+def test_no_parameter_of_any_stage_needs_a_compile_and_each_has_an_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every number of law, sensing, limits, actuation, friction and sensors, changed one by one."""
+    arm = taut.load_arm("planar2").with_gears(ratio=[10.0, 20.0], motor_inertia=1e-3)
+    friction = taut.Friction(
+        viscous=0.2, coulomb=0.2, static=0.4, stribeck=0.1, stribeck_shape=1.5, load_motor=0.05, load_external=0.04,
+        load_motor_static=0.08, load_external_static=0.06,
+    )  # fmt: skip
+    arm = arm.with_friction(friction)
+    law = taut.laws.PID(kp=[60.0, 30.0], kd=[3.0, 1.5], ki=20.0, anti_windup="back-calculation", tracking=4.0)
+    ctrl = taut.compile(
+        law + taut.laws.Dither(amplitude=0.02, frequency=40.0),
+        arm,
+        rate=500.0,
+        sensing=taut.Sensing(velocity=taut.Difference(cutoff=60.0), notch=taut.Notch(frequency=80.0, width=20.0)),
+        limits=taut.Limits(tau=[1.7, 0.9], tau_dot=400.0, v=1.5, blend=0.02),
+    )
+    swing = taut.Sine(center=arm.home, amplitude=0.5, frequency=1.3)
+    loop = taut.Loop(ctrl, taut.RigidPlant(arm, substeps=4, **EVERYTHING), swing, duration=0.3)
+    plain = taut.run(loop)
+    assert plain.outcome.ok, plain.outcome
+
+    def never(*_: Any, **__: Any) -> None:
+        raise AssertionError("it traces or compiles")
+
+    for place in ("taut.codegen.native.compiled", "taut.codegen.loop.compiled", "taut.codegen.loop.trace"):
+        monkeypatch.setattr(place, never)
+    idle = set()
+    for path, value in list(loop.parameters.items()):
+        before = value.copy()
+        if path.endswith("efficiency"):
+            changed = 0.8 * value
+        elif path.endswith("periods"):
+            changed = value + 1.0
+        elif path.endswith(("inertia", "com")) and "payload" in path:
+            changed = value + np.array(
+                [0.3, 0.0, 0.0, 0.0, 0.0, 0.0] if path.endswith("inertia") else [0.1, 0.0, 0.0]
+            )
+            if path.endswith("inertia"):
+                changed = value + np.array([0.3, 0.3, 0.3, 0.0, 0.0, 0.0])
+        elif path in ("plant.friction.coulomb", "plant.friction.load_motor", "plant.friction.load_external"):
+            changed = 0.5 * value
+        else:
+            changed = 1.3 * value + (0.0 if value.any() else 0.5)
+        loop.parameters[path] = changed
+        if np.array_equal(taut.run(loop).q, plain.q):
+            idle.add(path)
+        loop.parameters[path] = before
+    assert idle <= {
+        # Of a payload without mass the place does not matter; PID knows no model.
+        "plant.payload.com", "model.payload.com", "model.payload.mass", "model.payload.inertia",
+        # Sensors that this law does not read; the resolution of one that the inner loop reads.
+        "sensors.torque.noise", "sensors.tip.bias",
+        # Never reached here.
+        "actuation.motor.current", "actuation.motor.voltage",
+    }  # fmt: skip
+    np.testing.assert_array_equal(taut.run(loop).q, plain.q)
