@@ -187,6 +187,17 @@ def test_the_time_itself_may_change_in_the_middle() -> None:
     assert steps[20:].max() < 0.2 * steps[18]
 
 
+@engines
+def test_a_limit_that_changes_acts_at_once_and_leaves_the_blend_alone(engine: Any) -> None:
+    ctrl, unchanged = blending(engine, tau=50.0), blending(engine, tau=50.0)
+    for k in range(60):
+        if k == 20:
+            ctrl.parameters["limits.tau"] = 49.0
+        np.testing.assert_array_equal(ctrl.step(Q, V, REF), unchanged.step(Q, V, REF))
+    ctrl.parameters["limits.tau"] = 1.0
+    np.testing.assert_array_equal(np.abs(ctrl.step(Q, V, REF)), 1.0)
+
+
 def test_engines_agree_through_changes_of_everything() -> None:
     rng = np.random.default_rng(1)
     ctrls = [blending(engine, tau=8.0, tau_dot=500.0) for engine in ("native", "float")]
