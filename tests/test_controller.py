@@ -107,7 +107,7 @@ def test_velocities_are_differenced_from_the_second_tick_on(engine: Engine) -> N
     with pytest.raises(UsageError) as caught:
         ctrl.step(Q, V, still)
     assert str(caught.value) == (
-        "step got v, which this controller does not use; its sensing differences positions; leave it out"
+        "step got v, which this controller does not use; its sensing makes v from positions; leave it out"
     )
     np.testing.assert_allclose(ctrl.step(q=Q + 0.03, ref=still), [-1.0, -1.0], rtol=1e-10)
 

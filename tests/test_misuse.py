@@ -110,10 +110,33 @@ DOORS: list[tuple[str, Callable[[Any], Any], tuple[Any, ...]]] = [
     ),
     (
         "resolution",
-        lambda value: taut.RigidPlant(ARM, sensors=taut.Sensors(resolution=value)),
-        (NAN, -1.0, [1.0] * 3),
+        lambda value: taut.RigidPlant(ARM, sensors=taut.Sensors(position=taut.Encoder(resolution=value))),
+        (NAN, 0.0, -1.0, [1.0] * 3, [0.0, 0.0], "x"),
     ),
-    ("noise_q", lambda value: taut.RigidPlant(ARM, sensors=taut.Sensors(noise_q=value)), (INF, -1.0, [1.0] * 3)),
+    (
+        "noise",
+        lambda value: taut.RigidPlant(ARM, sensors=taut.Sensors(velocity=taut.Tachometer(noise=value))),
+        (INF, -1.0, [1.0] * 3, "x"),
+    ),
+    ("range", lambda value: taut.WrenchSensor(range=value), (NAN, 0.0, -1.0, 5.0, [1.0] * 3, (1.0, 0.0), "x")),
+    ("range", lambda value: taut.Accelerometer(range=value), (NAN, 0.0, -1.0, "x")),
+    (
+        "cutoff",
+        lambda value: taut.compile(CTRL.law, ARM, sensing=taut.Sensing(velocity=taut.Difference(cutoff=value))),
+        (NAN, INF, 0.0, -1.0, 500.0, [1.0] * 3, "x"),
+    ),
+    (
+        "frequency",
+        lambda value: taut.compile(CTRL.law, ARM, sensing=taut.Sensing(notch=taut.Notch(frequency=value, width=1.0))),
+        (NAN, INF, 0.0, -1.0, 500.0, [1.0] * 3, [0.0, 0.0], "x"),
+    ),
+    (
+        "position_noise",
+        lambda value: taut.compile(
+            CTRL.law, ARM, sensing=taut.Sensing(velocity=taut.Kalman(acceleration_noise=1.0, position_noise=value))
+        ),
+        (NAN, INF, 0.0, -1.0, [1.0] * 3, "x"),
+    ),
     ("delay", lambda value: taut.RigidPlant(ARM, actuation=taut.Actuation(delay=value)), (*NOT_FINITE, -1.0, "x")),
     (
         "bandwidth",

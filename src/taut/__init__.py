@@ -19,7 +19,14 @@ if TYPE_CHECKING:
     from taut.arm.description import Arm as Arm
     from taut.arm.description import Friction as Friction
     from taut.arm.description import Payload as Payload
+    from taut.arm.gears import matched_ratio as matched_ratio
+    from taut.arm.gears import reflected_inertia as reflected_inertia
     from taut.arm.load import load_arm as load_arm
+    from taut.arm.servo import Servo as Servo
+    from taut.arm.servo_file import load_servo as load_servo
+    from taut.arm.write_friction import JointWords as JointWords
+    from taut.arm.write_friction import to_mjcf_joints as to_mjcf_joints
+    from taut.arm.write_friction import to_urdf_dynamics as to_urdf_dynamics
     from taut.base import math as math
     from taut.base.errors import FileError as FileError
     from taut.base.errors import MatchError as MatchError
@@ -42,6 +49,8 @@ if TYPE_CHECKING:
     from taut.control.command import Terms as Terms
     from taut.control.command import Torque as Torque
     from taut.control.command import Velocity as Velocity
+    from taut.control.filters import LowPass as LowPass
+    from taut.control.filters import Notch as Notch
     from taut.control.gains import Gain as Gain
     from taut.control.gains import Memory as Memory
     from taut.control.law import Law as Law
@@ -58,16 +67,30 @@ if TYPE_CHECKING:
     from taut.control.trajectory import Sine as Sine
     from taut.control.trajectory import Spline as Spline
     from taut.control.trajectory import Trapezoidal as Trapezoidal
+    from taut.control.velocity import Difference as Difference
+    from taut.control.velocity import Kalman as Kalman
     from taut.controller import Controller as Controller
     from taut.controller import compile as compile
     from taut.loop import Loop as Loop
     from taut.maths import dynamics as dynamics
+    from taut.maths.gearing import rotor_share as rotor_share
     from taut.maths.snapshot import Snapshot as Snapshot
     from taut.maths.snapshot import snapshot as snapshot
     from taut.plant.actuation import Actuation as Actuation
+    from taut.plant.actuation import Ripple as Ripple
     from taut.plant.environment import Environment as Environment
+    from taut.plant.joint_sensors import Encoder as Encoder
+    from taut.plant.joint_sensors import Tachometer as Tachometer
+    from taut.plant.joint_sensors import TorqueSensor as TorqueSensor
+    from taut.plant.motor import ElectricMotor as ElectricMotor
+    from taut.plant.motor import Motor as Motor
+    from taut.plant.motor import TorqueLoop as TorqueLoop
     from taut.plant.rigid import RigidPlant as RigidPlant
     from taut.plant.sensors import Sensors as Sensors
+    from taut.plant.tool_sensors import Accelerometer as Accelerometer
+    from taut.plant.tool_sensors import WrenchSensor as WrenchSensor
+    from taut.plant.transmission import Transmission as Transmission
+    from taut.record.friction_curves import plot_friction as plot_friction
     from taut.record.metrics import Metrics as Metrics
     from taut.record.outcome import Outcome as Outcome
     from taut.record.read_log import load_run as load_run
@@ -78,7 +101,11 @@ if TYPE_CHECKING:
 
 _HOME: Final = {
     "arm.description": ("Arm", "Friction", "Payload"),
+    "arm.gears": ("matched_ratio", "reflected_inertia"),
     "arm.load": ("load_arm",),
+    "arm.servo": ("Servo",),
+    "arm.servo_file": ("load_servo",),
+    "arm.write_friction": ("JointWords", "to_mjcf_joints", "to_urdf_dynamics"),
     "base.errors": (
         "FileError",
         "MatchError",
@@ -97,19 +124,27 @@ _HOME: Final = {
     "codegen.casadi": ("from_casadi", "to_casadi"),
     "codegen.function": ("native",),
     "control.command": ("Position", "Terms", "Torque", "Velocity"),
+    "control.filters": ("LowPass", "Notch"),
     "control.gains": ("Gain", "Memory"),
     "control.law": ("Law",),
     "control.limits": ("Limits",),
     "control.reference": ("JointMotion", "chunk", "hold", "stream"),
     "control.sensing": ("Sensing",),
     "control.trajectory": ("Cubic", "JerkLimited", "Quintic", "Samples", "Sine", "Spline", "Trapezoidal"),
+    "control.velocity": ("Difference", "Kalman"),
     "controller": ("Controller", "compile"),
     "loop": ("Loop",),
+    "maths.gearing": ("rotor_share",),
     "maths.snapshot": ("Snapshot", "snapshot"),
-    "plant.actuation": ("Actuation",),
+    "plant.actuation": ("Actuation", "Ripple"),
     "plant.environment": ("Environment",),
+    "plant.joint_sensors": ("Encoder", "Tachometer", "TorqueSensor"),
+    "plant.motor": ("ElectricMotor", "Motor", "TorqueLoop"),
     "plant.rigid": ("RigidPlant",),
     "plant.sensors": ("Sensors",),
+    "plant.tool_sensors": ("Accelerometer", "WrenchSensor"),
+    "plant.transmission": ("Transmission",),
+    "record.friction_curves": ("plot_friction",),
     "record.metrics": ("Metrics",),
     "record.outcome": ("Outcome",),
     "record.read_log": ("load_run",),

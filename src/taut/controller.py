@@ -10,7 +10,7 @@ import numpy as np
 
 from taut.arm.angles import require_radians
 from taut.arm.description import Arm, Payload
-from taut.base.checks import finite_array, one_of, positive_scalar
+from taut.base.checks import finite_array, float_array, one_of, positive_scalar
 from taut.base.errors import NumericalError, RangeError, TautError, UsageError, unknown_name
 from taut.base.named import Named
 from taut.base.paths import subtree
@@ -22,12 +22,13 @@ from taut.codegen.layout import Block
 from taut.codegen.program import Program, Values, failure, trace
 from taut.control.describe import PARAMETER_UNITS, all_laws, gain_units, section, short, summary, title
 from taut.control.law import Law
-from taut.control.lawside import HELD, TOLD, LawSide, Probe
+from taut.control.lawside import AT_TOOL, HELD, TOLD, LawSide, Probe
 from taut.control.limiting import take_up
 from taut.control.limits import Limits
 from taut.control.reference import Sample, Trajectory
 from taut.control.sensing import Sensing
 from taut.maths.adds import Adds
+from taut.maths.snapshot import MEASUREMENTS, measurement_shapes
 
 __all__ = ["BoundKernel", "Controller", "compile", "take_up_change"]
 
@@ -52,14 +53,15 @@ def compile(
         law: A law of `taut.laws`, a sum of them, or one of your own.
         arm: The controller's model of the arm, payload included.
         rate: Ticks per second [Hz].
-        sensing: Where the velocity comes from; measured by default.
+        sensing: Where the velocity comes from, measured by default; filters of what is measured.
         limits: What a torque command is cut to; no limit unless given.
         adds: What the plant adds itself ("gravity", "coriolis", "friction"): `plant.adds`. It is left out.
         engine: "native" for machine code, "float" for plain Python, "auto" for the first that is there.
 
     Raises:
         UsageError: Not a law, not an arm, or a law whose command does not fit its memory.
-        ShapeError: A gain or limit of another size than the arm.
+        ShapeError: A gain, limit or cut-off of another size than the arm.
+        RangeError: A cut-off at half the rate or above.
         MatchError: Two laws that add the same, limits on a command that is no torque.
         TraceError: Law code that cannot be traced; the message names file and line.
 
@@ -121,8 +123,12 @@ class Controller:
         self._torque_at_start: Float64Array | None = None
         vars(self)["step"] = self._kernel.step  # the builtin stands before the method that documents it
 
-    def recording_kernel(self) -> Kernel:
-        """A kernel of the same law with blocks of its own, that gives every term in every tick: for simulations."""
+    def recording_kernel(self, sensed: tuple[str, ...] = ()) -> Kernel:
+        """A kernel of the same law with blocks of its own, that gives every term in every tick: for simulations.
+
+        Args:
+            sensed: Measurements that it gives too, as the law sees them.
+        """
         kernel: Kernel
 
         def first() -> None:
@@ -132,7 +138,9 @@ class Controller:
         def failed() -> None:
             raise _not_finite(self.side, kernel)
 
-        kernel = _kernel_of(self.side, self._kernel.engine, slow=None, first=first, failed=failed, record=True)
+        kernel = _kernel_of(
+            self.side, self._kernel.engine, slow=None, first=first, failed=failed, record=True, sensed=sensed
+        )
         kernel.blocks.parameters[:] = self._kernel.blocks.parameters
         return kernel
 
@@ -217,17 +225,23 @@ class Controller:
         F_ext: ArrayLike | None = None,
         F_app: ArrayLike | None = None,
         tau_meas: ArrayLike | None = None,
+        q_motor: ArrayLike | None = None,
+        v_motor: ArrayLike | None = None,
+        a_tip: ArrayLike | None = None,
     ) -> Vector:
         """One tick: what is measured and wanted in, the command out.
 
         Args:
             q: (n,) measured positions [rad | m].
-            v: (n,) measured velocities [rad/s | m/s]; left out where sensing differences positions.
+            v: (n,) measured velocities [rad/s | m/s]; left out where sensing makes them from positions.
             ref: One sample of the reference.
             F_ext: (6,) measured wrench of the environment on the arm at the tool, force first, world axes; where
                 the law needs it.
             F_app: (6,) the same with the opposite sign, of the arm on the environment; one of the two.
-            tau_meas: (n,) measured joint torques [N m | N]; where the law needs them.
+            tau_meas: (n,) measured joint torques [N m | N]; this and what follows where the law needs it.
+            q_motor: (n,) measured positions of the motors, in joint units: motor angle / gear [rad | m].
+            v_motor: (n,) measured velocities of the motors, in joint units [rad/s | m/s].
+            a_tip: (3,) proper acceleration of the tool's origin, in the tool's axes [m/s^2].
 
         Returns:
             (n,) the command, a new array.
@@ -238,7 +252,8 @@ class Controller:
             UsageError: Something that is missing, or that this controller does not take.
             NumericalError: The law gave NaN or infinity; its memory stays as it was before the tick.
         """
-        command: Vector = self._slow(q, v, ref, F_ext=F_ext, F_app=F_app, tau_meas=tau_meas)
+        others = {"F_ext": F_ext, "tau_meas": tau_meas, "q_motor": q_motor, "v_motor": v_motor, "a_tip": a_tip}
+        command: Vector = self._slow(q, v, ref, F_app=F_app, **others)
         return command
 
     def _slow(self, *args: Any, **kwargs: Any) -> Any:
@@ -248,7 +263,7 @@ class Controller:
         return self._command.copy()
 
     def _arguments(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[dict[str, Any], Any]:
-        known = ("q", "v", "ref", "F_ext", "F_app", "tau_meas")
+        known = ("q", "v", "ref", "F_app", *MEASUREMENTS)
         positional: tuple[str, ...] = known[:3]
         if "v" not in self.needs and len(args) == 2 and isinstance(args[1], Sample):
             positional = ("q", "ref")
@@ -278,7 +293,7 @@ class Controller:
             if name not in ("q", *self.side.takes):
                 raise UsageError(
                     f"step got {name}, which this controller does not use"
-                    f"{'; its sensing differences positions' if name == 'v' else ''}; leave it out",
+                    f"{'; its sensing makes v from positions' if name == 'v' else ''}; leave it out",
                     name=name,
                 )
         if not isinstance(ref, self.law.reference):
@@ -286,18 +301,14 @@ class Controller:
             got = "none" if ref is None else type(ref).__name__
             raise UsageError(f"step needs ref, a taut.{self.law.reference.__name__}; got {got}{hint}", name="ref")
         joints = self.arm.joint_names
+        taken = given | {path: getattr(ref, path[4:]) for path in self._inputs if path.startswith("ref.")}
         checked = {
-            name: finite_array(
-                name,
-                value,
-                shape=self._inputs[name].shape,
-                joints=joints if self._inputs[name].shape == (self.arm.n,) else None,
+            path: float_array(
+                path, value, shape=self._inputs[path].shape, joints=joints if path not in AT_TOOL else None
             )
-            for name, value in given.items()
+            for path, value in taken.items()
         }
-        for path, view in self._inputs.items():
-            if path.startswith("ref."):
-                checked[path] = finite_array(path, getattr(ref, path[4:]), shape=view.shape, joints=joints)
+        self.side.check_finite(checked, self._kernel.count if self._kernel.ready else 0)
         for path, value in checked.items():
             self._inputs[path][...] = value
 
@@ -416,10 +427,12 @@ class Controller:
                 lines += [f"  {head + ':' if not i else '':13}{text}" for i, text in enumerate(texts)]
         lines += ["", "parameters"]
         units = {f"law.{path}": unit for path, unit in gain_units(side.law).items()} | PARAMETER_UNITS
+        width = max(24, *(len(path) for path in self.parameters))
         for path, value in self.parameters.items():
             unit = f"  [{units[path]}]" if path in units else ""
-            lines.append(f"  {path:24} {short(value)}{unit}")
+            lines.append(f"  {path:{width}} {short(value)}{unit}")
         lines += ["", f"terms          {', '.join(side.probe.terms)}"]
+        lines += [f"sensing        {side.sensing.summary}"] if side.sensing.alters else []
         lines.append(f"needs          {', '.join(('q', *side.needs))}")
         if side.adds.names:
             lines.append(f"left out       {', '.join(side.adds.names)} (the plant adds them)")
@@ -431,8 +444,7 @@ class Controller:
 _WHY: Final = {
     "v": ", measured velocities, unless compiled with sensing=taut.Sensing(velocity='difference')",
     "F_ext": ", which the law asks for: pass F_ext= or F_app=",
-    "tau_meas": ", which the law asks for: pass tau_meas=",
-}
+} | {name: f", which the law asks for: pass {name}=" for name in MEASUREMENTS if name != "F_ext"}
 
 
 # -------------------------------------------------------------------- what is compiled
@@ -441,14 +453,16 @@ _WHY: Final = {
 class _Functions:
     """What is compiled of a law side: its tick and its start, as functions of blocks."""
 
-    def __init__(self, side: LawSide, *, record: bool) -> None:
+    def __init__(self, side: LawSide, *, record: bool, sensed: tuple[str, ...] = ()) -> None:
         self._side = side
         self._record = record
+        self._sensed = sensed
 
     def tick(self, inputs: Values, parameters: Values, memory: Values) -> tuple[Values, Values]:
         tick = self._side.tick(self.measured(inputs), self.sample(inputs), memory, parameters, parameters[DT])
         terms = {f"terms.{name}": value for name, value in tick.terms.items()} if self._record else {}
-        return {"command": tick.command, **terms}, tick.memory
+        sensed = {f"sensed.{name}": tick.seen[name] for name in self._sensed}
+        return {"command": tick.command, **terms, **sensed}, tick.memory
 
     def start(self, inputs: Values, parameters: Values, memory: Values) -> tuple[Values, Values]:  # noqa: ARG002
         return self._side.start(self.measured(inputs), self.sample(inputs), parameters), {}
@@ -469,19 +483,21 @@ def _kernel_of(
     first: Callable[[], None],
     failed: Callable[[], Any],
     record: bool = False,
+    sensed: tuple[str, ...] = (),
 ) -> Kernel:
     """A law side as a kernel with blocks of its own; without `slow` it is for `tick` alone."""
     n, probe = side.arm.n, _probed(side)
-    sizes = {"v": (n,), "F_ext": (6,), "tau_meas": (n,)}
+    sizes = measurement_shapes(n)
     ref_fields = {f"ref.{name}": shape for name, shape in side.law.reference.fields(n).items()}
     held = {TOLD: (), HELD: (n,)} if "limits.tau_applied" in probe.shapes else {}
     terms = {f"terms.{name}": (n,) for name in probe.terms} if record else {}
+    sensed_sizes = {f"sensed.{name}": sizes[name] for name in sensed}
     inputs = Block.of({"t": (), "q": (n,), **{name: sizes[name] for name in side.takes}, **ref_fields, **held})
     parameters = Block.of({path: value.shape for path, value in side.parameters.items()} | {DT: ()})
     memory = Block.of(probe.shapes)
-    blocks = Blocks(inputs, parameters, memory, Block.of({"command": (n,), **terms}))
+    blocks = Blocks(inputs, parameters, memory, Block.of({"command": (n,), **terms, **sensed_sizes}))
     parameters.pack({**side.parameters, DT: side.dt}, blocks.parameters)
-    functions = _Functions(side, record=record)
+    functions = _Functions(side, record=record, sensed=sensed)
     if engine == "float":
         return FloatKernel(
             functions.tick, functions.start, blocks, time="t", dt=side.dt, slow=slow, first=first, failed=failed
@@ -527,7 +543,7 @@ def _random_samples(side: LawSide, blocks: Blocks) -> list[tuple[Float64Array, F
     for _ in range(3):
         inputs, memory = (0.3 * rng.standard_normal(block.size) for block in (blocks.inputs, blocks.memory))
         views = blocks.layout["inputs"].views(inputs)
-        for name in ("q", "ref.q"):
+        for name in ("q", "q_motor", "ref.q"):
             if name in views:
                 views[name] += side.arm.home
         samples.append((inputs, blocks.parameters.copy(), memory))
@@ -537,11 +553,10 @@ def _random_samples(side: LawSide, blocks: Blocks) -> list[tuple[Float64Array, F
 def _not_finite(side: LawSide, kernel: Kernel) -> TautError:
     """The error that says which number is not finite."""
     joints, blocks = side.arm.joint_names, kernel.blocks
-    for path, values in blocks.views("inputs").items():
-        try:
-            finite_array(path, values, joints=joints if values.shape == (side.arm.n,) else None)
-        except RangeError as error:
-            return error
+    try:
+        side.check_finite(blocks.views("inputs"), kernel.count)
+    except RangeError as error:
+        return error
     law = type(side.law).__name__
     bad = np.flatnonzero(~np.isfinite(blocks.views("outputs")["command"]))
     joint = joints[int(bad[0])] if bad.size else None
@@ -624,7 +639,7 @@ def take_up_change(kernel: Kernel, before: Float64Array) -> None:
 class BoundKernel:
     """A controller's arrays: write `q`, `v`, `ref.q`, ..., call `tick()`, read `command`. Nothing is allocated."""
 
-    __slots__ = ("F_ext", "command", "q", "ref", "tau_meas", "tick", "v")
+    __slots__ = ("F_ext", "a_tip", "command", "q", "q_motor", "ref", "tau_meas", "tick", "v", "v_motor")
 
     def __init__(self, kernel: Kernel, reference: type[Sample]) -> None:
         inputs, empty = kernel.blocks.views("inputs"), np.zeros(0)
@@ -632,6 +647,9 @@ class BoundKernel:
         self.v: Float64Array = inputs.get("v", empty)
         self.F_ext: Float64Array = inputs.get("F_ext", empty)
         self.tau_meas: Float64Array = inputs.get("tau_meas", empty)
+        self.q_motor: Float64Array = inputs.get("q_motor", empty)
+        self.v_motor: Float64Array = inputs.get("v_motor", empty)
+        self.a_tip: Float64Array = inputs.get("a_tip", empty)
         self.ref: Any = reference.of(subtree(inputs, "ref"))
         self.command: Float64Array = kernel.blocks.views("outputs")["command"]
         self.tick = kernel.tick

@@ -20,11 +20,21 @@ from taut.control.describe import title
 from taut.control.lawside import LawSide
 from taut.control.reference import Hold, Reference, as_reference
 from taut.maths.adds import Adds
+from taut.maths.snapshot import MEASUREMENTS
 
-__all__ = ["AnyPlant", "Loop", "ModelPlant", "check_fit"]
+__all__ = ["AnyPlant", "Loop", "ModelPlant", "check_fit", "sensed_of"]
 
 Values = Mapping[str, Any]
 DT: Final = "dt"
+PROVIDED_BY: Final[Mapping[str, str]] = {
+    "v": "; sensing=taut.Sensing(velocity='difference') needs positions only",
+    "F_ext": "; give the plant environment=, or take a taut.MujocoPlant",
+    "tau_meas": "; give the plant sensors=taut.Sensors(torque=taut.TorqueSensor())",
+    "q_motor": "; give the plant sensors=taut.Sensors(motor=taut.Encoder())",
+    "v_motor": "; give the plant sensors=taut.Sensors(motor_velocity=taut.Tachometer())",
+    "a_tip": "; give the plant sensors=taut.Sensors(tip=taut.Accelerometer())",
+}
+"""What would measure it, for messages."""
 
 
 class AnyPlant(Protocol):
@@ -38,6 +48,8 @@ class AnyPlant(Protocol):
     def takes(self) -> str: ...
     @property
     def measures(self) -> frozenset[str]: ...
+    @property
+    def distorts(self) -> frozenset[str]: ...
     @property
     def adds(self) -> Any: ...
     @property
@@ -59,7 +71,9 @@ class ModelPlant(AnyPlant, Protocol):
     def start(self, q: Vector, v: Vector, parameters: Values, dt: float) -> dict[str, Any]: ...
     def measure(self, memory: Values, noise: Values, parameters: Values) -> dict[str, Any]: ...
     def command(self, command: Vector, memory: Values, t: Any) -> dict[str, Any]: ...
+    def check_together(self, values: Mapping[str, ArrayLike]) -> None: ...
     def advance(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]: ...
+    def extra(self, before: Values, after: Values) -> dict[str, Any]: ...
 
 
 @runtime_checkable
@@ -110,12 +124,21 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
         if name not in plant.measures:
             raise MatchError(
                 f"{law} needs {name}, which plant '{plant.name}' does not measure; it measures "
-                f"{', '.join(sorted(plant.measures)) or 'positions only'}"
-                + ("; sensing=taut.Sensing(velocity='difference') needs positions only" if name == "v" else ""),
+                f"{', '.join(sorted(plant.measures)) or 'positions only'}" + PROVIDED_BY.get(name, ""),
                 name=name,
             )
     _check_adds(law, side.adds, probe.used, plant)
     _check_start(side, plant)
+
+
+def sensed_of(side: LawSide, plant: AnyPlant) -> tuple[str, ...]:
+    """The measurements that a run records as the law saw them: those of its law that differ from the truth.
+
+    What has no true column in a record is among them.
+    """
+    used = side.probe.used
+    altered = side.sensing.alters | plant.distorts | {"q_motor", "v_motor", "a_tip"}
+    return tuple(name for name in ("q", "v", *MEASUREMENTS) if name in altered and (name == "q" or name in used))
 
 
 def _check_adds(law: str, left_out: Adds, used: frozenset[str], plant: AnyPlant) -> None:
@@ -259,8 +282,9 @@ class Loop:
         plant = self.plant.advance(plant, parameters, dt / self.plant.substeps)
         before = subtree(memory, "plant")
         record = {"q": before["q"], "v": before["v"], "command": tick.command, "tau": plant["tau"]}
-        if "F_ext" in plant:
-            record["F_ext"] = plant["F_ext"]
+        record |= self.plant.extra(before, plant)
+        record |= {name: value for name, value in measured.items() if name.startswith("saturated.")}
+        record |= {f"sensed.{name}": tick.seen[name] for name in sensed_of(self.side, self.plant)}
         record |= {f"terms.{name}": value for name, value in tick.terms.items()}
         return record, {f"plant.{path}": value for path, value in plant.items()} | tick.memory
 
@@ -276,7 +300,7 @@ class Loop:
 class LoopParameters(MutableMapping[str, Float64Array]):
     """Parameters of a loop by path; a new value is checked like the first one."""
 
-    def __init__(self, side: LawSide, plant: AnyPlant, values: Mapping[str, Float64Array]) -> None:
+    def __init__(self, side: LawSide, plant: ModelPlant, values: Mapping[str, Float64Array]) -> None:
         self._side, self._plant = side, plant
         self._values = {path: read_only(value) for path, value in values.items()}
 
@@ -285,7 +309,9 @@ class LoopParameters(MutableMapping[str, Float64Array]):
         return self._values[path]
 
     def __setitem__(self, path: str, value: ArrayLike) -> None:
-        self._values[path] = self.checked(path, value)
+        new = self.checked(path, value)
+        self._plant.check_together({**self._values, path: new})
+        self._values[path] = new
 
     def checked(self, path: str, value: ArrayLike) -> Float64Array:
         """A new value of a parameter, in the shape it has.

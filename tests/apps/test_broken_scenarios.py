@@ -154,6 +154,34 @@ CASES: dict[str, tuple[dict[str, Any], str, str]] = {
     ),
     "limits of another size": ({"control.limits": {"tau": [1, 2, 3]}}, "control.limits", "tau must have shape (2,)"),
     "negative limits": ({"control.limits": {"tau": -1}}, "control.limits", "tau must be > 0"),
+    "a velocity without its numbers": (
+        {"control.velocity": "kalman"},
+        "control",
+        'velocity = "kalman" needs its numbers: { kind = "kalman", acceleration_noise = ..., position_noise = ... }\n',
+    ),
+    "another kind of velocity": ({"control.velocity": {"kind": "median"}}, "control.velocity", "kind must be one of 'low-pass', 'difference', 'kalman'; got 'median'"),
+    "a velocity of no kind": ({"control.velocity": {"cutoff": 30}}, "control.velocity", "needs the key 'kind'"),
+    "a low-pass without a cut-off": ({"control.velocity": {"kind": "low-pass"}}, "control.velocity", "needs the key 'cutoff'"),
+    "a key of another velocity": ({"control.velocity": {"kind": "kalman", "cutoff": 3}}, "control.velocity", "has no key 'cutoff'"),
+    "a cut-off of zero": (
+        {"control.velocity": {"kind": "difference", "cutoff": 0}},
+        "control.velocity",
+        "cutoff must be > 0 [Hz]; got 0.0; leave it out for no low-pass\n",
+    ),
+    "a cut-off above half the rate": (
+        {"control.velocity": {"kind": "low-pass", "cutoff": [30, 600]}},
+        "control.velocity",
+        "cutoff[1] (joint 'joint2') must be < 500 [Hz], half the controller's rate of 1000 Hz; got 600.0; make it lower, or the "
+        "rate higher\n",
+    ),
+    "an order that there is not": ({"control.velocity": {"kind": "low-pass", "cutoff": 3, "order": 3}}, "control.velocity", "order must be one of 1, 2; got 3"),
+    "a notch without a width": ({"control.notch": {"frequency": 18}}, "control.notch", "needs the key 'width'"),
+    "a notch in words": ({"control.notch": "18 Hz"}, "control", "notch must be a table: [control.notch]; got '18 Hz'"),
+    "a filter of what no law uses": (
+        {"control.F_ext": {"cutoff": 30}},
+        "control",
+        "sensing filters F_ext, which PID does not use; leave F_ext= out of the sensing\n",
+    ),
     "limits of a velocity": (
         {"control.limits": {"tau": 1}, "laws.PD": {"law": "VelocityPI", "kp": 1}, "plant": VELOCITY},
         "control",
@@ -184,8 +212,33 @@ CASES: dict[str, tuple[dict[str, Any], str, str]] = {
     ),
     "a delay that no number holds": ({"plant.actuation": {"delay": 1e306}}, "plant", "actuation.delay is too large"),
     "a misspelt delay": ({"plant.actuation": {"dely": 1}}, "plant.actuation", "has no key 'dely'; did you mean 'delay'?"),
-    "noise for other joints": ({"plant.sensors": {"noise_q": [1, 2, 3]}}, "plant", "sensors.noise_q must have shape (2,)"),
-    "noise in words": ({"plant.sensors": {"noise_q": "a"}}, "plant.sensors", "noise_q must be numbers; got 'a'"),
+    "noise for other joints": ({"plant.sensors": {"position": {"noise": [1, 2, 3]}}}, "plant", "sensors.position.noise must have shape (2,)"),
+    "noise in words": ({"plant.sensors": {"position": {"noise": "a"}}}, "plant.sensors.position", "noise must be numbers [rad | m]; got 'a'"),
+    "noise of no sensor": (
+        {"plant.sensors": {"noise": 1e-3}},
+        "plant.sensors",
+        "has no key 'noise', which a sensor has, as in [plant.sensors.position]; it takes 'motor', 'motor_velocity', 'position', "
+        "'tip', 'torque', 'velocity', 'wrench'\n",
+    ),
+    "no position sensor": ({"plant.sensors": {"position": "none"}}, "plant.sensors", "position must be a table: [plant.sensors.position]; got 'none'"),
+    "a resolution of zero": (
+        {"plant.sensors": {"position": {"resolution": 0}}},
+        "plant.sensors.position",
+        "resolution must be > 0 [rad | m]; got 0.0; leave it out where there are no steps\n",
+    ),
+    "an encoder on another side": ({"plant.sensors": {"position": {"side": "both"}}}, "plant.sensors.position", "side must be one of 'link', 'motor'; got 'both'"),
+    "a second encoder at the link": ({"plant.sensors": {"motor": {"side": "link"}}}, "plant.sensors", "sensors.motor is at the motor; got side='link'"),
+    "a wrench sensor where nothing touches": (
+        {"plant.sensors": {"wrench": {"range": [100, 10]}}},
+        "plant",
+        "sensors.wrench is for a plant that something touches; leave it out\n",
+    ),
+    "no tachometer": (
+        {"plant.sensors": {"velocity": "none"}},
+        "plant",
+        "kind: PID needs v, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas; velocity = \"difference\" in [control] "
+        "needs positions only\n",
+    ),
     "a perturbed arm without a seed": ({"plant.perturbed": {"mass": 0.1}}, "plant.perturbed", "needs the key 'seed'"),
     "a perturbed arm with a negative seed": ({"plant.perturbed": {"seed": -1}}, "plant.perturbed", "seed must be"),
     "a key of MuJoCo": (
@@ -476,7 +529,7 @@ def test_whatever_stands_behind_a_key_ends_in_one_line_or_in_a_run(
     whole = {
         "arm.home": [0.1, 0.2], "arm.gravity": [0, 0, -9.81], "arm.payload": {"mass": 1.0, "com": [0, 0, 0.1]},
         "arm.joint_values": {"viscous": 0.1}, "control.limits": {"tau": 50.0, "tau_dot": 1e3}, "plant.adds": ["gravity"],
-        "plant.substeps": 2, "plant.sensors": {"noise_q": 1e-5}, "plant.actuation": {"delay": 0.002},
+        "plant.substeps": 2, "plant.sensors": {"position": {"noise": 1e-5}}, "control.velocity": {"kind": "difference", "cutoff": 30.0}, "plant.actuation": {"delay": 0.002},
         "reference": {**CUBIC, "relative_to_home": True}, "run.q0": [0.0, 0.0], "run.seed": 1,
         "event": [{"t": 0.01, "set": {"plant.payload.mass": 2.0}}], "pass": [PASS],
     }  # fmt: skip

@@ -454,6 +454,67 @@ def test_the_state_events_and_changes_of_the_true_arm_reach_the_run(tmp_path: Pa
     assert scenario.events[0].set == {"plant.payload.mass": 0.5}
 
 
+SENSED = """
+[plant.sensors]
+velocity = "none"
+torque = { noise = 0.1, side = "motor" }
+tip = { range = 50.0 }
+
+[plant.sensors.position]
+resolution = [0.0, 1e-4]
+side = "motor"
+
+[control.notch]
+frequency = [18, 0]
+width = 4
+"""
+
+
+@pytest.mark.parametrize(
+    ("written", "made"),
+    [
+        ('velocity = "difference"', "difference"),
+        ('velocity = { kind = "difference", cutoff = 30, order = 2 }', taut.Difference(cutoff=30.0, order=2)),
+        (
+            'velocity = { kind = "kalman", acceleration_noise = [1, 2], position_noise = 1e-4 }',
+            taut.Kalman(acceleration_noise=[1.0, 2.0], position_noise=1e-4),
+        ),
+    ],
+)
+def test_sensors_and_sensing_reach_the_run(
+    written: str, made: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "case.toml"
+    file.write_text(changed("rate = 500", f"rate = 500\n{written}") + SENSED)
+    scenario = load_scenario(str(file))
+    assert isinstance(scenario.plant, taut.RigidPlant)
+    sensors = scenario.plant.sensors
+    assert sensors.velocity is None
+    assert np.asarray(sensors.position.resolution).tolist() == [0.0, 1e-4]
+    assert sensors.position.side == "motor"
+    assert sensors.torque is not None
+    assert (sensors.torque.side, float(np.asarray(sensors.torque.noise))) == ("motor", 0.1)
+    assert scenario.plant.measures == {"tau_meas", "a_tip"}
+    assert scenario.sensing.notch is not None
+    assert np.asarray(scenario.sensing.notch.frequency).tolist() == [18.0, 0.0]
+    assert type(scenario.sensing.velocity) is type(made)
+    wanted = taut.Sensing(velocity=made).parameters()
+    got = scenario.sensing.parameters()
+    for path, value in wanted.items():
+        np.testing.assert_array_equal(got[path], value)
+    assert getattr(scenario.sensing.velocity, "order", None) == getattr(made, "order", None)
+    assert main(["run", str(file), "--out", str(tmp_path / "out")]) == 0
+    assert "PD" in capsys.readouterr().out
+
+
+def test_a_low_pass_of_the_measured_velocity_can_be_written_too(tmp_path: Path) -> None:
+    file = tmp_path / "case.toml"
+    file.write_text(changed("rate = 500", 'rate = 500\nvelocity = { kind = "low-pass", cutoff = [30, 40] }'))
+    velocity = load_scenario(str(file)).sensing.velocity
+    assert isinstance(velocity, taut.LowPass)
+    assert np.asarray(velocity.cutoff).tolist() == [30.0, 40.0]
+
+
 @pytest.mark.parametrize("name", [name for name in built_in_scenarios() if name != "panda_payload"])
 def test_every_built_in_scenario_reaches_its_pass_figures(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

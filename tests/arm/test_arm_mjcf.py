@@ -16,6 +16,7 @@ from taut.arm.load import load_arm
 from taut.arm.mjcf import mjcf_tree
 from taut.arm.xml import read_xml
 from taut.base.errors import ModelError
+from taut.maths.snapshot import snapshot
 
 ASSETS = Path(str(metadata.distribution("franky-sim").locate_file("franky_sim/assets")))
 FINGERS = {"finger_joint1": 0.0, "finger_joint2": 0.0}
@@ -300,3 +301,46 @@ def test_names_with_every_odd_character_reach_mujoco_whole(tmp_path: Path) -> No
     file = tmp_path / "m.xml"
     file.write_text(PAIR.replace('"elbow"', "\"a&amp;b &lt;c&gt; &quot;d&quot; &#10;'e'\""))
     assert load_arm(file).joint_names[1] == "a&b <c> \"d\" \n'e'"
+
+
+# -------------------------------------------------------------------- friction and rotors
+
+
+def test_the_rotors_of_actuators_are_mujocos(tmp_path: Path) -> None:
+    """MuJoCo adds gear^2 armature to the mass matrix and gear^2 damping to the passive torques."""
+    text = PAIR.replace(
+        "<motor",
+        '<motor joint="elbow" gear="50" armature="2e-5" damping="1e-5"/><motor joint="elbow" gear="0.5" ctrlrange="-1 1"/>'
+        "<motor",
+    )
+    file = tmp_path / "m.xml"
+    file.write_text(text)
+    m = mujoco.MjModel.from_xml_string(text)
+    d = mujoco.MjData(m)
+    mujoco.mj_forward(m, d)
+    M = np.zeros((m.nv, m.nv))
+    mujoco.mj_fullM(m, d, M)
+    arm = load_arm(file)
+    np.testing.assert_allclose(snapshot(arm, [0.0, 0.0]).M, M, rtol=1e-12)
+    assert arm.rotor_inertia[1] == pytest.approx(m.dof_armature[1] + 50.0**2 * 2e-5)
+    d.qvel[:] = (0.0, 1.0)
+    mujoco.mj_forward(m, d)
+    assert arm.viscous[1] == pytest.approx(-d.qfrc_passive[1])
+    assert arm.gear.tolist() == [1.0, 50.0]  # that of the rotor; a motor without one only scales its control
+
+
+def test_motors_and_bent_damping_that_an_arm_has_not_are_noted(tmp_path: Path) -> None:
+    file = tmp_path / "m.xml"
+    file.write_text(
+        PAIR.replace(
+            "<motor",
+            '<dcmotor name="dc" joint="elbow" resistance="1" motorconst="0.1" lugre="100 1 0.1 0.2 0.01"/>'
+            '<motor name="oil" joint="elbow" damping="0.1 0.2 0"/><motor',
+        )
+    )
+    notes = load_arm(file).notes
+    assert "damping that is not linear left out, of actuators 'oil'" in notes
+    assert (
+        "the electrical motors of 'dc' are left out, with their cogging and LuGre friction; an Arm takes torques, and "
+        "Friction has static friction and the Stribeck effect"
+    ) in notes

@@ -133,6 +133,7 @@ def test_rotor_inertia_is_the_armature_or_the_rotors_own() -> None:
     model = one_joint(pin.JointModelRX())
     model.rotorInertia, model.rotorGearRatio = np.array([1e-4]), np.array([100.0])
     assert Arm.from_pinocchio(model).rotor_inertia[0] == pytest.approx(1.0)
+    assert Arm.from_pinocchio(model).gear[0] == 100.0
     model.armature = np.array([0.3])  # what Pinocchio's own algorithms add
     assert Arm.from_pinocchio(model).rotor_inertia[0] == 0.3
 

@@ -129,7 +129,7 @@ class TestSensing:
         with pytest.raises(taut.UsageError) as caught:
             ctrl.step(REST, REST, REF)
         assert str(caught.value) == (
-            "step got v, which this controller does not use; its sensing differences positions; leave it out"
+            "step got v, which this controller does not use; its sensing makes v from positions; leave it out"
         )
         with pytest.raises(taut.UsageError, match="velocity must be one of 'measured', 'difference'; got 'tacho'"):
             taut.Sensing(velocity="tacho")  # type: ignore[arg-type]

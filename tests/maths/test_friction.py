@@ -47,7 +47,11 @@ def random_problem(seed: int, n: int) -> tuple[Float64Array, Float64Array, Float
 def solved(
     M: Float64Array, v_free: Float64Array, limit: Float64Array, guess: Float64Array, sweeps: int = 10
 ) -> tuple[Float64Array, Float64Array]:
-    return dry_friction(factor_spd(M), v_free, limit, guess, -M @ v_free / DT, DT, sweeps)
+    stop = -M @ v_free / DT
+    done = dry_friction(
+        factor_spd(M), v_free, limit, limit, guess, DT, joints=range(len(limit)), stop=stop, sweeps=sweeps
+    )
+    return done.v, done.f
 
 
 class TestAgainstEveryCombination:
@@ -89,8 +93,38 @@ class TestAgainstEveryCombination:
     def test_no_friction_changes_nothing(self) -> None:
         M, v_free, _ = random_problem(4, 3)
         v, f = solved(M, v_free, np.zeros(3), np.ones(3))
-        np.testing.assert_array_equal(v, v_free)
+        np.testing.assert_allclose(v, v_free, rtol=1e-14)
         assert not f.any()
+
+    def test_limits_may_differ_with_the_direction(self) -> None:
+        M, none = np.array([[0.5]]), np.zeros(1)
+        for v_free, expected in ((0.03, -1.0), (-0.03, 4.0)):
+            done = dry_friction(
+                factor_spd(M), np.array([v_free]), np.array([1.0]), np.array([4.0]), none, DT, joints=[0]
+            )
+            assert done.f[0] == expected
+
+    def test_only_the_joints_that_are_named_have_friction(self) -> None:
+        M, v_free, limit = random_problem(6, 4)
+        some = [1, 3]
+        only = np.where(np.isin(range(4), some), limit, 0.0)
+        expected, f_expected = brute_force(M, v_free, only, DT)
+        done = dry_friction(factor_spd(M), v_free, limit, limit, np.zeros(4), DT, joints=some, sweeps=200)
+        np.testing.assert_allclose(done.v, expected, rtol=0.0, atol=EXACT * np.abs(v_free).max())
+        np.testing.assert_allclose(done.f, f_expected, rtol=0.0, atol=1e-6 * limit.max())
+
+    def test_the_residual_says_how_far_from_the_solution_the_sweeps_ended(self) -> None:
+        M, v_free, limit = random_problem(7, 4)
+        _, exact = brute_force(M, v_free, limit, DT)
+
+        def residual(sweeps: int) -> tuple[float, float]:
+            done = dry_friction(factor_spd(M), v_free, limit, limit, np.zeros(4), DT, joints=range(4), sweeps=sweeps)
+            return float(done.residual), float(np.abs(done.f - exact).max())
+
+        (few, far), (many, near) = residual(2), residual(300)
+        assert few > 1e-3 * far > 0.0
+        assert many < 1e-9 * few
+        assert near < 1e-6 * far
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
@@ -109,8 +143,8 @@ def test_the_traced_code_is_the_same() -> None:
 
     def step(v_free: Float64Array, limit: Float64Array, guess: Float64Array) -> Float64Array:
         stop = -(M @ v_free) / DT
-        v, f = dry_friction(factor_spd(M), v_free, limit, guess, stop, DT)
-        return taut.math.array([*v, *f])
+        done = dry_friction(factor_spd(M), v_free, limit, limit, guess, DT, joints=range(4), stop=stop)
+        return taut.math.array([*done.v, *done.f, done.residual])
 
     compiled = taut.native(step, v_free=4, limit=4, guess=4)
     for scale in (1.0, 1e-3, 1e3):  # slipping, sticking, far away

@@ -110,6 +110,8 @@ class TestWhatThePlantAddsIsLeftOut:
         left = 0.0 if "friction" in names else 1.0
         np.testing.assert_array_equal(x.viscous, left * ARM.viscous)
         np.testing.assert_array_equal(x.coulomb, left * ARM.coulomb)
+        np.testing.assert_array_equal(x.friction.coulomb, left * ARM.coulomb)
+        np.testing.assert_array_equal(x.friction.static, left * ARM.friction.static)
         # The Christoffel matrix is the model's, whatever the plant adds: C v_ref is no torque that a plant knows.
         np.testing.assert_array_equal(x.C, dyn.coriolis_matrix(MODEL, Q, V, OWN))
 
@@ -174,6 +176,7 @@ class TestTheRecordOfWhatWasAskedFor:
             (lambda x: x.C, {"coriolis", "v"}),
             (lambda x: x.viscous, {"friction"}),
             (lambda x: x.coulomb, {"friction"}),
+            (lambda x: x.friction, {"friction"}),
             (lambda x: x.tau_applied, {"tau_applied"}),
             (lambda x: x.tau_cut, {"tau_cut"}),
             (lambda x: x.at(x.q, x.v).g, {"gravity", "v"}),
@@ -181,7 +184,7 @@ class TestTheRecordOfWhatWasAskedFor:
             (lambda x: x.Jdot_v(), {"v"}),
             (lambda x: x.twist(), {"v"}),
         ],
-        ids=range(13),
+        ids=range(14),
     )
     @pytest.mark.parametrize("adds", [None, Adds(gravity=True, coriolis=True, friction=True)], ids=["", "adds"])
     def test_names_it(self, ask: object, used: set[str], adds: Adds | None) -> None:

@@ -134,12 +134,26 @@ class TestTorqueDrives:
         assert np.abs(out.q - arm.home).max() < 1e-9
         np.testing.assert_allclose(out.tau[0], out.command[0], rtol=1e-12, atol=1e-12)
 
-    def test_sensors_give_the_torque_of_the_last_period(self) -> None:
-        plant = taut.RigidPlant(taut.load_arm("planar2"))
+    def test_sensors_on_the_motors_give_the_torque_of_the_last_period(self) -> None:
+        plant = taut.RigidPlant(
+            taut.load_arm("planar2"), sensors=taut.Sensors(torque=taut.TorqueSensor(side="motor"))
+        )
         wave = taut.Sine(center=[0.0, 0.0], amplitude=1.0, frequency=5.0)
         out = run(plant, wave, law=Seen(), duration=0.02)
         np.testing.assert_array_equal(seen(out, "tau")[1:], out.tau[:-1])
         np.testing.assert_allclose(seen(out, "tau")[0], taut.snapshot(plant.arm, plant.arm.home).g, rtol=1e-14)
+
+    def test_sensors_behind_friction_and_rotor_give_what_arrives_there(self) -> None:
+        arm = taut.load_arm("planar2").with_gears(ratio=50.0, motor_inertia=1e-4)
+        arm = arm.with_friction(taut.Friction(viscous=0.3, coulomb=0.5))
+        wave = taut.Sine(center=[0.0, 0.0], amplitude=1.0, frequency=5.0)
+        out = run(taut.RigidPlant(arm), wave, law=Seen(), duration=0.02)
+        np.testing.assert_allclose(seen(out, "tau")[0], taut.snapshot(arm, arm.home).g, rtol=1e-14)
+        links = arm.with_joints(rotor_inertia=0.0)
+        for k in range(len(out) - 1):
+            a = (out.v[k + 1] - out.v[k]) / 1e-3
+            needed = taut.snapshot(links, out.q[k], out.v[k]).inverse_dynamics(a)
+            np.testing.assert_allclose(seen(out, "tau")[k + 1], needed, rtol=0.0, atol=1e-7)
 
     def test_sensors_of_stiff_drives_give_the_torque_of_the_motion_too(self) -> None:
         class Feels(taut.Law):

@@ -15,14 +15,21 @@ ARM = taut.load_arm("planar2")
 STILL = ("gravity",)  # so that the arm stays where it is, and only the sensors speak
 
 
+def sensors(
+    resolution: Any = None, noise_q: Any = 0.0, noise_v: Any = 0.0, offset: Any = 0.0, side: Any = None
+) -> taut.Sensors:
+    position = taut.Encoder(resolution=resolution, noise=noise_q, offset=offset, side=side)
+    return taut.Sensors(position=position, velocity=taut.Tachometer(noise=noise_v))
+
+
 def measured(seed: int = 0, duration: float = 1.0, **options: Any) -> taut.Run:
-    plant = taut.RigidPlant(ARM, adds=STILL, sensors=taut.Sensors(**options))
+    plant = taut.RigidPlant(ARM, adds=STILL, sensors=sensors(**options))
     return run(plant, taut.JointMotion(q=[0.0, 0.0]), law=Seen(), q0=[0.3, -0.7], seed=seed, duration=duration)
 
 
 class TestTheEncodersSteps:
     def test_are_rounded_to_the_nearest(self) -> None:
-        plant = taut.RigidPlant(ARM, adds=STILL, sensors=taut.Sensors(resolution=0.01))
+        plant = taut.RigidPlant(ARM, adds=STILL, sensors=sensors(resolution=0.01))
         out = run(plant, taut.JointMotion(q=[0.0, 0.0]), law=Seen(), v0=[1.0, -0.3])
         q = seen(out, "q")
         np.testing.assert_allclose(q / 0.01, np.round(q / 0.01), rtol=0.0, atol=1e-9)
@@ -35,12 +42,12 @@ class TestTheEncodersSteps:
         np.testing.assert_array_equal(seen(out, "q")[:, 0], out.q[:, 0])
         np.testing.assert_allclose(seen(out, "q")[:, 1], -0.7, rtol=1e-12)
 
-    def test_can_be_switched_off_in_a_run(self) -> None:
-        plant = taut.RigidPlant(ARM, adds=STILL, sensors=taut.Sensors(resolution=0.25))
-        off = [taut.Event(t=0.5, set={"sensors.resolution": 0.0})]
+    def test_can_be_switched_off_in_a_run_joint_by_joint(self) -> None:
+        plant = taut.RigidPlant(ARM, adds=STILL, sensors=sensors(resolution=[0.25, 0.25]))
+        off = [taut.Event(t=0.5, set={"sensors.position.resolution": [0.0, 0.25]})]
         out = run(plant, taut.JointMotion(q=[0.0, 0.0]), law=Seen(), q0=[0.3, -0.7], events=off)
         np.testing.assert_allclose(seen(out, "q")[499], [0.25, -0.75])
-        np.testing.assert_allclose(seen(out, "q")[500], [0.3, -0.7])
+        np.testing.assert_allclose(seen(out, "q")[500], [0.3, -0.75])
 
     def test_come_after_the_noise(self) -> None:
         out = measured(resolution=0.01, noise_q=0.1)
@@ -86,15 +93,15 @@ class TestNoise:
         np.testing.assert_array_equal(seen(measured(noise_q=0.1, noise_v=0.1), "q"), seen(whole, "q"))
 
     def test_does_not_depend_on_events(self) -> None:
-        plant = taut.RigidPlant(ARM, adds=STILL, sensors=taut.Sensors(noise_q=0.1, noise_v=0.1))
+        plant = taut.RigidPlant(ARM, adds=STILL, sensors=sensors(noise_q=0.1, noise_v=0.1))
         hold = taut.JointMotion(q=[0.0, 0.0])
         events = [taut.Event(t=t, set={"plant.payload.mass": 0.0}) for t in (0.0, 0.001, 0.25, 0.2501, 0.9)]
         plain, cut = (run(plant, hold, law=Seen(), seed=5, events=e) for e in (None, events))
         np.testing.assert_array_equal(seen(plain, "q"), seen(cut, "q"))
 
     def test_scales_with_its_parameter_in_a_run(self) -> None:
-        plant = taut.RigidPlant(ARM, adds=STILL, sensors=taut.Sensors(noise_q=0.1))
-        louder = [taut.Event(t=0.5, set={"sensors.noise_q": 1.0})]
+        plant = taut.RigidPlant(ARM, adds=STILL, sensors=sensors(noise_q=0.1))
+        louder = [taut.Event(t=0.5, set={"sensors.position.noise": 1.0})]
         out = run(plant, taut.JointMotion(q=[0.0, 0.0]), law=Seen(), events=louder)
         off = seen(out, "q") - out.q
         assert 0.08 < off[:500].std() < 0.12
@@ -105,9 +112,7 @@ class TestNoise:
         np.testing.assert_array_equal(plain.q, noisy.q)
 
     def test_is_the_same_in_the_float_engine(self) -> None:
-        plant = taut.RigidPlant(
-            ARM, adds=STILL, sensors=taut.Sensors(noise_q=0.1, noise_v=0.1, resolution=[0.0, 0.01])
-        )
+        plant = taut.RigidPlant(ARM, adds=STILL, sensors=sensors(noise_q=0.1, noise_v=0.1, resolution=[0.0, 0.01]))
         hold = taut.JointMotion(q=[0.0, 0.0])
         fast, slow = (run(plant, hold, law=Seen(), duration=0.05, engine=e) for e in ("native", "float"))
         np.testing.assert_allclose(seen(fast, "q"), seen(slow, "q"), rtol=1e-12)

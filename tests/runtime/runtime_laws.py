@@ -93,7 +93,7 @@ class HandPlant:
     def __init__(self, n: int = 2, mass: float = 1.0, fails_at: int | None = None, measures: str = "v") -> None:
         self.arm = taut.load_arm(f"planar{n}")
         self.name, self.takes, self.adds = "HandPlant", "torque", ("gravity", "coriolis")
-        self.measures = frozenset(measures.split())
+        self.measures, self.distorts = frozenset(measures.split()), frozenset[str]()
         self._values = {"plant.mass": np.asarray(mass)}
         self._fails_at = fails_at
         self.commands: list[Array] = []
@@ -110,7 +110,7 @@ class HandPlant:
     def set_parameter(self, path: str, value: Any) -> None:
         self._values[path] = self.checked_parameter(path, value)
 
-    def reset(self, q: Array, v: Array, dt: float) -> None:
+    def reset(self, q: Array, v: Array, dt: float, seed: int = 0) -> None:
         self.q, self.v, self.dt, self.ticks = np.array(q), np.array(v), dt, 0
         self.commands.clear()
 

@@ -22,7 +22,7 @@ def loop_of(law: taut.Law | None = None, **plant: Any) -> taut.Loop:
 
 FULL: dict[str, Any] = {
     "actuation": taut.Actuation(bandwidth=300.0),
-    "sensors": taut.Sensors(noise_q=[1e-3, 1e-3], resolution=1e-4),
+    "sensors": taut.Sensors(position=taut.Encoder(noise=[1e-3, 1e-3], resolution=1e-4)),
     "environment": Spring(),
 }
 
@@ -31,7 +31,7 @@ def test_every_stage_has_its_paths() -> None:
     assert list(loop_of(**FULL).parameters) == [
         "law.kp", "law.kd", "law.ki", "limits.tau", "model.payload.mass", "model.payload.com", "model.payload.inertia",
         "plant.payload.mass", "plant.payload.com", "plant.payload.inertia", "plant.friction.viscous",
-        "plant.friction.coulomb", "actuation.bandwidth", "sensors.noise_q", "sensors.resolution", "environment.k",
+        "plant.friction.coulomb", "actuation.bandwidth", "sensors.position.resolution", "sensors.position.noise", "environment.k",
         "environment.b",
     ]  # fmt: skip
 
@@ -52,7 +52,7 @@ def test_each_of_them_changes_the_run() -> None:
         "law.kp": 50.0, "law.kd": 1.0, "law.ki": np.eye(2) * 500.0, "limits.tau": 5.0, "plant.payload.mass": 2.0,
         "plant.payload.com": [0.1, 0.0, 0.0], "plant.payload.inertia": [0.3, 0.3, 0.3, 0.0, 0.0, 0.0],
         "plant.friction.viscous": 9.0, "plant.friction.coulomb": [9.0, 9.0], "actuation.bandwidth": 20.0,
-        "sensors.noise_q": 0.1, "sensors.resolution": 0.1, "environment.k": 3e4, "environment.b": 300.0,
+        "sensors.position.noise": 0.1, "sensors.position.resolution": 0.1, "environment.k": 3e4, "environment.b": 300.0,
     }  # fmt: skip
     plain = taut.run(loop_of(**FULL)).q
     for path, value in new.items():
@@ -116,9 +116,11 @@ CASES: list[tuple[str, Any, type[taut.TautError], str]] = [
     ("plant.friction.viscous", [0.1, -0.2], taut.RangeError, "plant.friction.viscous[1] (joint 'joint2') must be >= 0; got -0.2"),
     ("plant.friction.coulomb", [1.0, 2.0, np.nan], taut.RangeError, "plant.friction.coulomb[2] must be finite; got nan"),
     ("plant.friction.coulomb", [1.0, 2.0, 3.0], taut.ShapeError, "plant.friction.coulomb has shape (2,); got shape (3,); make the plant with a value of the new shape"),
-    ("actuation.bandwidth", 0.0, taut.RangeError, "actuation.bandwidth must be > 0 [rad/s]; got 0.0"),
-    ("sensors.resolution", -1e-3, taut.RangeError, "sensors.resolution must be >= 0; got -0.001"),
-    ("sensors.resolution", [0.1, 0.1], taut.ShapeError, "sensors.resolution has shape (); got shape (2,); make the plant with a value of the new shape"),
+    ("actuation.bandwidth", 0.0, taut.RangeError, "actuation.bandwidth must be > 0 [rad/s]; got 0.0; for an ideal torque drive leave it out"),
+    ("sensors.position.resolution", -1e-3, taut.RangeError, "sensors.position.resolution must be > 0 [rad | m]; got -0.001"),
+    ("sensors.position.resolution", 0.0, taut.RangeError, "sensors.position.resolution must be > 0 [rad | m]; got 0.0; leave it out where there are no steps"),
+    ("sensors.position.noise", [0.0, -1.0], taut.RangeError, "sensors.position.noise[1] (joint 'joint2') must be >= 0 [rad | m]; got -1.0"),
+    ("sensors.position.resolution", [0.1, 0.1], taut.ShapeError, "sensors.position.resolution has shape (); got shape (2,); make the plant with a value of the new shape"),
     ("environment.k", np.inf, taut.RangeError, "environment.k must be finite; got inf"),
     ("environment.k", "stiff", taut.ShapeError, "environment.k must be numbers; got 'stiff'"),
 ]  # fmt: skip

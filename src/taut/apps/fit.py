@@ -132,8 +132,10 @@ def _law_side(scenario: Scenario, law: Law, place: Section, control: Section) ->
             engine="float",
         ).side
     except TautError as cause:
-        of_limits = cause.name == "limits"  # a torque limit for a command that is no torque
-        with (control if of_limits else place).blamed("limits" if of_limits else None):
+        head, _, last = (cause.name or "").partition(".")
+        # A torque limit for a command that is no torque, a filter of what the law does not use.
+        key = {"limits": "limits", "sensing": last}.get(head)
+        with (place if key is None else control).blamed(key):
             raise
 
 

@@ -14,7 +14,7 @@ from taut.arm.description import Arm
 from taut.maths.adds import Adds
 from taut.plant.actuation import Actuation
 from taut.plant.rigid import RigidPlant
-from taut.plant.sensors import Sensors
+from taut.plant.sensors import SENSORS, Sensors
 from taut.runtime.host import HostPlant
 
 __all__ = ["Plant", "read_plant"]
@@ -52,9 +52,10 @@ def read_plant(section: Section, believed: Arm, rate: float, folder: Path) -> Pl
     options |= {word: section.text(word) for word in ("integrator", "takes") if word in section}
     if "substeps" in section:
         options["substeps"] = section.whole("substeps")
-    for word, cls in (("sensors", Sensors), ("actuation", Actuation)):
-        if word in section:
-            options[word] = _made(section.section(word), cls)
+    if "sensors" in section:
+        options["sensors"] = _sensors(section.section("sensors"))
+    if "actuation" in section:
+        options["actuation"] = _made(section.section("actuation"), Actuation)
     section.only(*OF_RIGID, elsewhere=dict.fromkeys(OF_MUJOCO, ', which is for kind = "mujoco"'))
     with section.blamed():
         plant = RigidPlant(arm, **options)
@@ -79,6 +80,22 @@ def _in_mujoco(section: Section, arm: Arm, options: dict[str, Any], rate: float,
     with section.blamed("timestep"):
         plant.reset(arm.home, np.zeros(arm.n), 1.0 / rate)
     return plant
+
+
+def _sensors(section: Section) -> Sensors:
+    """A table for each sensor, or "none" for one that is not there."""
+    numbers = (name for _, kind in SENSORS.values() for name in kind.quantities)
+    elsewhere = dict.fromkeys(numbers, f", which a sensor has, as in [{section.below('position')}]")
+    section.only(*SENSORS, elsewhere=elsewhere)
+    options: dict[str, Any] = {}
+    for name, (_, kind) in SENSORS.items():
+        if section.peek(name) == "none" and name != "position":
+            section.take(name)
+            options[name] = None
+        elif name in section:
+            options[name] = _made(section.section(name), kind)
+    with section.blamed():
+        return Sensors(**options)
 
 
 def _made(section: Section, cls: Any) -> Any:

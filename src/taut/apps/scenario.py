@@ -16,6 +16,7 @@ from taut.apps.read_arm import read_arm
 from taut.apps.read_laws import read_law, read_limits
 from taut.apps.read_plant import Plant, read_plant
 from taut.apps.read_reference import read_reference
+from taut.apps.read_sensing import read_sensing
 from taut.apps.toml import Section, read_toml
 from taut.arm.description import Arm
 from taut.base.checks import positive_scalar
@@ -24,7 +25,7 @@ from taut.base.types import ArrayLike
 from taut.control.law import Law
 from taut.control.limits import Limits
 from taut.control.reference import Reference
-from taut.control.sensing import VELOCITIES, Sensing
+from taut.control.sensing import Sensing
 from taut.record.metrics import MEASURES
 from taut.runtime.events import Event
 
@@ -198,11 +199,11 @@ def _law_sections(section: Section) -> dict[str, Section]:
 def _control(section: Section, arm: Arm) -> tuple[float, Sensing, Limits | None]:
     """Rate [Hz], sensing and limits."""
     rate = section.number("rate", 1000.0)
-    sensing = Sensing(velocity=section.word("velocity", VELOCITIES, "measured"))
     with section.blamed():
         rate = positive_scalar("rate", rate, unit="Hz")
     if not RATES[0] <= rate <= RATES[1]:
         raise section.error(f"rate must be between {RATES[0]:g} and {RATES[1]:g} [Hz]; got {rate:g}")
+    sensing = read_sensing(section, arm, rate)
     limits = read_limits(section, arm, rate)
     section.done()
     return rate, sensing, limits

@@ -32,6 +32,13 @@ WORDS: Final = {
     "leave it out, or give taut.Limits(v=...)": "leave it out, or write limits = { v = [...] }",
     "for no limits leave limits=None": 'for no limits write limits = "none"',
     "sensing=taut.Sensing(velocity='difference')": 'velocity = "difference" in [control]',
+    "velocity='difference'": 'velocity = "difference"',
+    "give the plant environment=, or take a taut.MujocoPlant": 'a plant with kind = "mujoco" measures it',
+    "sensors=taut.Sensors(torque=taut.TorqueSensor())": "[plant.sensors.torque]",
+    "sensors=taut.Sensors(motor=taut.Encoder())": "[plant.sensors.motor]",
+    "sensors=taut.Sensors(motor_velocity=taut.Tachometer())": "[plant.sensors.motor_velocity]",
+    "sensors=taut.Sensors(tip=taut.Accelerometer())": "[plant.sensors.tip]",
+    "give environment= too, or leave it out": "leave it out",
     "a plant with takes='": "a plant that takes '",
 }
 """Ways out that are written for Python, as they are written in a scenario."""
@@ -212,18 +219,19 @@ class Section:
     def section(self, key: str, *, required: bool = False) -> Section:
         """A table below this one; empty where it is not there."""
         if required and key not in self:
-            self.take(key, what=f"the section [{self._below(key)}]")
-        value = self._typed(key, {}, (dict,), f"a table: [{self._below(key)}]")
-        return Section(self._file, self._below(key), value)
+            self.take(key, what=f"the section [{self.below(key)}]")
+        value = self._typed(key, {}, (dict,), f"a table: [{self.below(key)}]")
+        return Section(self._file, self.below(key), value)
 
     def sections(self, key: str) -> list[Section]:
         """An array of tables: [[key]]."""
-        value = self._typed(key, [], (list,), f"an array of tables: [[{self._below(key)}]]")
+        value = self._typed(key, [], (list,), f"an array of tables: [[{self.below(key)}]]")
         if not all(isinstance(item, dict) for item in value):
-            raise self.error(f"{key} must be an array of tables: [[{self._below(key)}]]; got {_shown(value)}")
-        return [Section(self._file, f"{self._below(key)} {i + 1}", item) for i, item in enumerate(value)]
+            raise self.error(f"{key} must be an array of tables: [[{self.below(key)}]]; got {_shown(value)}")
+        return [Section(self._file, f"{self.below(key)} {i + 1}", item) for i, item in enumerate(value)]
 
-    def _below(self, key: str) -> str:
+    def below(self, key: str) -> str:
+        """The whole name of a table below this one."""
         return f"{self._name}.{key}" if self._name else key
 
     @property

@@ -11,6 +11,7 @@ import numpy as np
 
 from taut.arm.description import BASE, Arm, Body
 from taut.arm.friction import AT_REST, FRICTION_FIELDS
+from taut.arm.gears import doubt_rotors, reflected_inertia, rotor_doubts
 from taut.arm.rules import check_inertia, value_problems
 from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeLink, TreeVisual, assemble, require_within_limits
 from taut.base.checks import entry_names, finite_array, finite_scalar, require_at_least, require_positive, vector
@@ -140,7 +141,9 @@ def joints_replaced(arm: Arm, values: Mapping[str, ArrayLike | Mapping[str, floa
             require_at_least(name, column, 0.0, joints=arm.joint_names)
     joints, problems = [], []
     for i, joint in enumerate(arm.joints):
-        changed: dict[str, Any] = {name: float(column[i]) for name, column in columns.items()}
+        changed: dict[str, Any] = {
+            name: float(column[i]) for name, column in columns.items() if _given(values[name], joint.name)
+        }
         joints.append(dataclasses.replace(joint, **changed))
         problems += [
             Problem(object=joint.name, attribute=attribute, message=f"joint '{joint.name}': {text}")
@@ -150,12 +153,25 @@ def joints_replaced(arm: Arm, values: Mapping[str, ArrayLike | Mapping[str, floa
         raise ModelError(arm.name, problems)
     made = dataclasses.replace(arm, joints=tuple(joints))
     _check_friction(made)
+    if "rotor_inertia" in columns:
+        made = doubt_rotors(dataclasses.replace(made, notes=_notes_on_rotors(arm, made)))
     home = np.clip(arm.home, made.lower, made.upper)
     moved = [arm.joint_names[i] for i in np.flatnonzero(home != arm.home)]
     if not moved:
         return made
     note = f"home of {quoted_list(moved)} was moved into the new limits"
     return dataclasses.replace(made, home=home, notes=(*arm.notes, note))
+
+
+def _given(value: ArrayLike | Mapping[str, float], joint: str) -> bool:
+    """Whether a value is given for this joint: one by joint name leaves the others as they are."""
+    return not isinstance(value, Mapping) or joint in value
+
+
+def _notes_on_rotors(before: Arm, after: Arm) -> tuple[str, ...]:
+    """The notes of an arm whose rotors were changed: an old doubt goes, a new one comes."""
+    old = rotor_doubts(before)
+    return (*(note for note in before.notes if note not in old), *rotor_doubts(after))
 
 
 def _check_friction(arm: Arm) -> None:
@@ -174,12 +190,39 @@ def _check_friction(arm: Arm) -> None:
                 )
 
 
-def geared(arm: Arm, ratio: ArrayLike, motor_inertia: ArrayLike) -> Arm:
+def geared(arm: Arm, ratio: ArrayLike | Mapping[str, float], motor_inertia: ArrayLike | Mapping[str, float]) -> Arm:
     """The arm with geared motors, whose rotors act with their reflected inertia."""
-    G, rotor = _column(arm, "gear", ratio), _column(arm, "motor_inertia", motor_inertia)
-    require_positive("ratio", G, joints=arm.joint_names)
-    require_at_least("motor_inertia", rotor, 0.0, unit="kg m^2", joints=arm.joint_names)
-    return joints_replaced(arm, {"gear": G, "rotor_inertia": G**2 * rotor})
+    given = {"ratio": ratio, "motor_inertia": motor_inertia}
+    chosen = _named_joints(arm, given)
+    columns = {"ratio": arm.gear.copy(), "motor_inertia": np.zeros(arm.n)}
+    for name, value in given.items():
+        if isinstance(value, Mapping):
+            for joint, one in value.items():
+                columns[name][arm.joint_index(joint)] = finite_scalar(f"{name}['{joint}']", one)
+        else:
+            columns[name][chosen] = _column(arm, name, value)[chosen]
+    require_positive("ratio", columns["ratio"], joints=arm.joint_names)
+    require_at_least("motor_inertia", columns["motor_inertia"], 0.0, unit="kg m^2", joints=arm.joint_names)
+    rotor = arm.rotor_inertia.copy()
+    rotor[chosen] = reflected_inertia(columns["ratio"], columns["motor_inertia"])[chosen]
+    return joints_replaced(arm, {"gear": columns["ratio"], "rotor_inertia": rotor})
+
+
+def _named_joints(arm: Arm, given: Mapping[str, ArrayLike | Mapping[str, float]]) -> list[int]:
+    """The joints that are to be changed: all, or those that the mappings name, which then must be the same ones."""
+    named = {name: value for name, value in given.items() if isinstance(value, Mapping)}
+    if not named:
+        return list(range(arm.n))
+    first = next(iter(named.values()))
+    for name, value in named.items():
+        missing = [joint for joint in first if joint not in value] + [joint for joint in value if joint not in first]
+        if missing:
+            raise UsageError(
+                f"ratio and motor_inertia by joint name must name the same joints; only one of them names "
+                f"{quoted_list(missing)}",
+                name=name,
+            )
+    return [arm.joint_index(joint) for joint in first]
 
 
 def _column(arm: Arm, name: str, given: ArrayLike | Mapping[str, float]) -> Float64Array:

@@ -36,6 +36,7 @@ from taut.base.types import Array, ArrayLike, Float64Array, Vector
 
 if TYPE_CHECKING:
     from taut.arm.pinocchio import PinocchioModel
+    from taut.arm.servo import Servo
 
 __all__ = [
     "BASE",
@@ -336,16 +337,27 @@ class Arm:
             raise UsageError(f"with_friction takes a taut.Friction; got {type(friction).__name__}", name="friction")
         return self.with_joints(**{name: getattr(friction, name) for name in FRICTION_FIELDS})
 
-    def with_gears(self, ratio: ArrayLike, motor_inertia: ArrayLike) -> Arm:
+    def with_gears(
+        self, ratio: ArrayLike | Mapping[str, float], motor_inertia: ArrayLike | Mapping[str, float]
+    ) -> Arm:
         """A copy with geared motors. What the joint sees of a rotor is its reflected inertia, ratio^2 motor_inertia.
 
+        A rotor inertia that is hard to believe, such as one in g cm^2, gives a warning, and a note of the arm.
+
         Args:
-            ratio: Turns of the motor per turn of the joint, one number or one per joint; 1 is direct drive. For a
-                prismatic joint, turns of the motor per metre [rad/m].
-            motor_inertia: Of each rotor about its own axis [kg m^2].
+            ratio: Turns of the motor per turn of the joint, one number, one per joint, or by joint name for some
+                joints only; 1 is direct drive. For a prismatic joint, turns of the motor per metre [rad/m].
+            motor_inertia: Of each rotor about its own axis [kg m^2], in the same way.
 
         Raises:
             RangeError: A ratio that is not above zero, or a negative inertia.
+            UsageError: Two mappings that name different joints.
+
+        Example:
+            >>> from taut import load_arm
+            >>> arm = load_arm("planar2").with_gears({"joint2": 50.0}, 2e-5)
+            >>> arm.gear.tolist(), arm.rotor_inertia.round(6).tolist()
+            ([1.0, 50.0], [0.0, 0.05])
 
         References:
             Chapter, section 10.2.1.5 the effect of gearing.
@@ -353,6 +365,25 @@ class Arm:
         from taut.arm.change import geared
 
         return geared(self, ratio, motor_inertia)
+
+    def with_servo(self, servos: Servo | Mapping[str, Servo]) -> Arm:
+        """A copy with the friction and the rotor inertia of a servo in every joint, or of one each by joint name.
+
+        Effort and speed limits stay what they were; `with_joints(effort=servo.stall_torque)` changes them.
+
+        Raises:
+            UnknownNameError: The arm has no such joint.
+            UsageError: Not a servo, or a prismatic joint.
+
+        Example:
+            >>> from taut import Friction, Servo, load_arm
+            >>> servo = Servo(friction=Friction(coulomb=0.05, viscous=0.06), rotor_inertia=0.028)
+            >>> load_arm("planar2").with_servo({"joint2": servo}).coulomb.tolist()
+            [0.0, 0.05]
+        """
+        from taut.arm.servo import with_servos
+
+        return with_servos(self, servos)
 
     # ---------------------------------------------------------------- other ways in
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from taut.arm.meshes import MeshPaths
-from taut.arm.mjcf_actuators import Efforts
+from taut.arm.mjcf_actuators import Efforts, Rotors
 from taut.arm.mjcf_compile import Compiled, compiled
 from taut.arm.mjcf_source import prepare
 from taut.arm.mjcf_visuals import visuals_of
@@ -64,6 +64,7 @@ class _Builder:
         self._taken: set[str] = set()
         self._links: list[str] = []  # by body id
         self._efforts = Efforts(result.model)
+        self._rotors = Rotors(result.model)
 
     def build(self) -> list[TreeLink]:
         """Fill the tree; the link of each body, by id."""
@@ -80,6 +81,7 @@ class _Builder:
         self._tree.gravity = _gravity(m)
         self._home()
         self._tree.notes.extend(_left_out(m))
+        self._tree.notes.extend(self._rotors.notes())
         self._tree.notes.extend(self._efforts.notes())
         return bodies
 
@@ -164,9 +166,10 @@ class _Builder:
             ref = float(m.qpos0[m.jnt_qposadr[j]])
             joint.origin = T_parent_joint @ _motion(kind, axis, -ref)
             joint.axis = axis
-            joint.viscous = float(m.dof_damping[dof])
+            joint.viscous = float(m.dof_damping[dof]) + self._rotors.damping(j)
             joint.coulomb = float(m.dof_frictionloss[dof])
-            joint.rotor_inertia = float(m.dof_armature[dof])
+            joint.rotor_inertia = float(m.dof_armature[dof]) + self._rotors.inertia(j)
+            joint.gear = self._rotors.gear(j)
             joint.effort = self._efforts.of(j)
             joint.mimic = self._coupled(j)
             if m.jnt_limited[j]:

@@ -195,6 +195,8 @@ def _fill(made: TreeJoint, model: PinocchioModel, joint: JointModel) -> None:
     made.effort = _unlimited(model.effortLimit[v])
     made.viscous = float(model.damping[v])
     made.coulomb = float(model.friction[v])
+    ratio = abs(float(model.rotorGearRatio[v]))
+    made.gear = ratio if ratio > 0.0 else 1.0  # zero stands for none
     armature = float(model.armature[v])
     made.rotor_inertia = armature or float(model.rotorInertia[v] * model.rotorGearRatio[v] ** 2)
 

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Final, TypeAlias
 
 from taut.arm.builtin import BUILT_IN, COMMANDS
 from taut.arm.catalogue import CATALOGUE, is_installed
 from taut.arm.description import BASE, Arm, CommandKind, Joint
+from taut.arm.friction import FRICTION_FIELDS
 from taut.arm.load import OpenedModel, arm_of, open_model
 from taut.arm.reach import reach
 from taut.arm.tree import TreeJoint
 from taut.base.errors import ModelError, Problem, TautError, UsageError
 from taut.base.types import Float64Array
 
-__all__ = ["ArmRow", "CheckReport", "arm_rows", "check_model"]
+__all__ = ["ArmRow", "CheckReport", "arm_rows", "check_model", "joint_table"]
+
+MORE_OF_JOINTS: Final = (*FRICTION_FIELDS[2:], "gear")  # shown in the table where a joint has it
+WORDS: Final = {"stribeck_shape": "shape"}
 
 Json: TypeAlias = "str | float | bool | list[Json] | dict[str, Json] | None"
 
@@ -132,6 +136,7 @@ def _joint_json(joint: Joint | TreeJoint) -> dict[str, Json]:
         "effort": _finite(joint.effort),
         "damping": _finite(joint.viscous),
         "friction": _finite(joint.coulomb),
+        **{name: None if (value := getattr(joint, name)) is None else _finite(value) for name in MORE_OF_JOINTS},
         "rotor_inertia": _finite(joint.rotor_inertia),
     }
 
@@ -171,7 +176,7 @@ def _text(report: CheckReport) -> Iterator[str]:
         yield f"read from {source}"
     if joints:
         yield ""
-        yield from _table(_joint_cells(joints))
+        yield from joint_table(joints)
     if report.arm is not None:
         yield from _arm_text(report.arm, report.opened)
     if report.notes:
@@ -205,9 +210,17 @@ def _arm_text(arm: Arm, opened: OpenedModel | None) -> Iterator[str]:
     yield f"the real arm takes: {', '.join(arm.commands)}"
 
 
-def _joint_cells(joints: Iterable[Joint | TreeJoint]) -> list[tuple[str, ...]]:
+def joint_table(joints: Sequence[Joint | TreeJoint]) -> Iterator[str]:
+    """Lines with the limits, friction, gears and rotors of joints; static friction and the like where one has any."""
+    yield from _table(_joint_cells(joints))
+
+
+def _joint_cells(joints: Sequence[Joint | TreeJoint]) -> list[tuple[str, ...]]:
+    usual = TreeJoint(name="", kind="revolute", parent="", child="")
+    more = [name for name in MORE_OF_JOINTS if any(getattr(joint, name) != getattr(usual, name) for joint in joints)]
+    heads = [WORDS.get(name, name.replace("_", " ")) for name in more]
     cells: list[tuple[str, ...]] = [
-        ("joint", "type", "axis", "lower", "upper", "speed", "effort", "damping", "friction", "rotor", "unit")
+        ("joint", "type", "axis", "lower", "upper", "speed", "effort", "damping", "friction", *heads, "rotor", "unit")
     ]
     for joint in joints:
         numbers = (
@@ -217,6 +230,7 @@ def _joint_cells(joints: Iterable[Joint | TreeJoint]) -> list[tuple[str, ...]]:
             joint.effort,
             joint.viscous,
             joint.coulomb,
+            *(getattr(joint, name) for name in more),
             joint.rotor_inertia,
         )
         axis = " ".join(f"{a:.4g}" for a in joint.axis)
@@ -225,7 +239,9 @@ def _joint_cells(joints: Iterable[Joint | TreeJoint]) -> list[tuple[str, ...]]:
     return cells
 
 
-def _cell(value: float) -> str:
+def _cell(value: float | None) -> str:
+    if value is None:
+        return "same"  # at rest as in motion
     if math.isnan(value):
         return "missing"
     return "none" if math.isinf(value) else f"{value:.4g}"

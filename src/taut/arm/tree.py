@@ -6,6 +6,7 @@ the links that hang on each other, and either gives an Arm or raises with every 
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -14,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from taut.arm.description import STANDARD_GRAVITY, Arm, CommandKind, Frame, Joint, Shape
+from taut.arm.gears import rotor_doubts
 from taut.arm.lump import Lumps
 from taut.arm.rules import (
     AXIS_TOLERANCE,
@@ -180,7 +182,7 @@ def assemble(
         raise ModelError(tree.source, sorted(problems, key=_by_line))
     joints = lumps.joints()
     frames = lumps.frames()
-    return Arm(
+    arm = Arm(
         name=tree.name,
         joints=joints,
         bodies=lumps.bodies(),
@@ -194,6 +196,7 @@ def assemble(
         source=tree.source,
         notes=(*tree.notes, *_limit_notes(joints)),
     )
+    return dataclasses.replace(arm, notes=(*arm.notes, *rotor_doubts(arm)))
 
 
 def _by_line(problem: Problem) -> float:

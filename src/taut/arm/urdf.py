@@ -12,6 +12,7 @@ import numpy as np
 from taut.arm.meshes import MeshPaths
 from taut.arm.rules import MAX_LINKS
 from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink, Words
+from taut.arm.urdf_transmissions import read_transmissions
 from taut.arm.urdf_visuals import colours_of, visuals_of
 from taut.arm.urdf_words import INERTIA, slips
 from taut.arm.xml import BadNumberError, Element, numbers, read_xml
@@ -79,6 +80,7 @@ class _Reader:
                 self._tree.structure_unknown = True
             else:
                 self._tree.joints.append(joint)
+        read_transmissions(robot, self._tree)
         if self._wrapping:
             text = "continuous, so the position limits in the file are left out"
             self._tree.notes.append(f"{quoted_list(self._wrapping)}: {text}")

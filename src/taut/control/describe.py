@@ -17,6 +17,14 @@ from taut.control.limits import UNITS
 __all__ = ["PARAMETER_UNITS", "all_laws", "gain_units", "held_laws", "section", "short", "summary", "title"]
 
 PARAMETER_UNITS: Final = {
+    "sensing.velocity.cutoff": "Hz",
+    "sensing.velocity.acceleration_noise": "rad/s^2/sqrt(Hz) | m/s^2/sqrt(Hz)",
+    "sensing.velocity.position_noise": "rad | m",
+    "sensing.notch.frequency": "Hz",
+    "sensing.notch.width": "Hz",
+    "sensing.notch.depth": "dB",
+    "sensing.F_ext.cutoff": "Hz",
+    "sensing.tau_meas.cutoff": "Hz",
     **{f"limits.{name}": unit for name, unit in UNITS.items()},
     "model.payload.mass": "kg",
     "model.payload.com": "m",

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Self, overload
 import numpy as np
 
 from taut.base.array import Traced, traced_array
-from taut.base.checks import finite_array, require_at_least, symmetric_psd
+from taut.base.checks import finite_array, require_at_least, require_at_most, symmetric_psd
 from taut.base.errors import ShapeError, UsageError, user_location
 from taut.base.scalar import Symbol
 from taut.base.types import Array, ArrayLike, Float64Array
@@ -156,6 +156,7 @@ class Gain:
         default: Value where none is given; without it the gain must be given.
         minimum: The smallest allowed entry, 0 for a gain that must not be negative. A matrix must be symmetric
             positive semidefinite instead.
+        maximum: The largest allowed entry, if there is one.
         size: Number of entries of a vector; the number of joints if left out, 3 for a gain on positions of the tool.
         where: Another field of the law and the value it must have for this gain to have a meaning, such as
             ("anti_windup", "back-calculation"); elsewhere it is no parameter, and must not be given.
@@ -163,18 +164,20 @@ class Gain:
     Shape: scalar, (size,), or (size, size). Applied with `@`.
     """
 
-    __slots__ = ("_default", "minimum", "name", "owner", "size", "where")
+    __slots__ = ("_default", "maximum", "minimum", "name", "owner", "size", "where")
 
     def __init__(
         self,
         default: ArrayLike | None = None,
         *,
         minimum: float = 0.0,
+        maximum: float = np.inf,
         size: int | None = None,
         where: tuple[str, str] | None = None,
     ) -> None:
         self._default = _hashable(default)
         self.minimum = minimum
+        self.maximum = maximum
         self.size = size
         self.where = where
         self.name = ""
@@ -210,7 +213,8 @@ class Gain:
 
         Raises:
             ShapeError: Not a scalar, a vector or a square matrix.
-            RangeError: NaN, infinite, below the minimum, or a matrix that is not positive semidefinite.
+            RangeError: NaN, infinite, below the minimum, above the maximum, or a matrix that is not positive
+                semidefinite.
         """
         name = name or self.name
         given = value.as_array() if isinstance(value, GainValue) else value
@@ -224,6 +228,8 @@ class Gain:
             symmetric_psd(name, array, unit=unit)
         elif array.ndim < 2:
             require_at_least(name, array, self.minimum, unit=unit)
+        if self.maximum < np.inf:
+            require_at_most(name, array, self.maximum, unit=unit)
         return array
 
 

@@ -6,7 +6,6 @@ desired minus actual, f(v) the friction of the plant: b v for viscous, mu sign(v
 
 from __future__ import annotations
 
-from taut.base import math as tm
 from taut.base.checks import one_of
 from taut.control.command import Command, Terms, Torque, Velocity
 from taut.control.gains import Gain, Memory
@@ -19,13 +18,10 @@ __all__ = [
     "PID",
     "ComputedTorque",
     "FeedForward",
-    "FrictionCompensation",
     "GravityCompensation",
     "GravityPID",
     "VelocityPI",
 ]
-
-FRICTION_POINTS = ("ref", "meas")
 
 
 class PID(Law):
@@ -169,36 +165,6 @@ class GravityCompensation(Law):
 
     def command(self, x: Snapshot, ref: JointMotion) -> Command:  # noqa: ARG002
         return Torque(gravity=x.g, D=-(self.kd @ x.v))
-
-
-class FrictionCompensation(Law):
-    """The model's joint friction as feedforward; add it to a law whose h is C v + g.
-
-    Law:          tau = b v* + mu tanh(v* / width), v* the desired or the measured velocity
-    Closed loop:  friction that is known exactly leaves f(v) - b v* - mu tanh(v* / width) in the place of f(v)
-                  at="ref": of viscous friction -b e_dot, so that it damps errors and does not hold back the motion
-                  at="meas": none of it, and so no damping; of dry friction what is at rest, |v| < width
-
-    References:
-        Section 10.2.1.4 a closer look at friction; the chapter's h in figures 10.10 and 10.12 includes b v.
-    """
-
-    at: str = "ref"
-    width: Gain = Gain(0.01, minimum=1e-9)  # [rad/s | m/s]
-
-    def __post_init__(self) -> None:
-        one_of("at", self.at, FRICTION_POINTS)
-
-    def command(self, x: Snapshot, ref: JointMotion) -> Command:
-        v = ref.v if self.at == "ref" else x.v
-        viscous = x.viscous * v
-        if not self._dry(x):
-            return Torque(friction=viscous)
-        return Torque(friction=viscous + x.coulomb * tm.tanh(v / self.width))
-
-    @staticmethod
-    def _dry(x: Snapshot) -> bool:
-        return bool(x.arm.coulomb.any())
 
 
 class VelocityPI(Law):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from taut.base.errors import unknown_name
 from taut.control.combine import Sum
+from taut.control.friction import FrictionCompensation
 from taut.control.joint import (
     PID,
     ComputedTorque,
     FeedForward,
-    FrictionCompensation,
     GravityCompensation,
     GravityPID,
     VelocityPI,

@@ -14,8 +14,8 @@ import numpy as np
 
 from taut.arm.description import Arm, Payload
 from taut.base import math as tm
-from taut.base.checks import finite_scalar, require_at_least, vector
-from taut.base.errors import MatchError, NumericalError, ShapeError, UsageError, unknown_name
+from taut.base.checks import finite_array, finite_scalar, require_at_least, vector
+from taut.base.errors import MatchError, NumericalError, RangeError, ShapeError, UsageError, unknown_name
 from taut.base.paths import flatten, subtree, unflatten
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
 from taut.control.command import Command, Terms, Torque, Velocity
@@ -24,16 +24,18 @@ from taut.control.limiting import fresh_blend, limited, term_names
 from taut.control.limits import Limits
 from taut.control.reference import Sample
 from taut.control.sensing import Sensing
+from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
 from taut.maths.model import Model, PayloadValues, model_of
-from taut.maths.snapshot import MEASUREMENTS, Snapshot
+from taut.maths.snapshot import MEASUREMENTS, Snapshot, measurement_shapes
 
-__all__ = ["HELD", "TOLD", "LawSide", "Probe", "Tick"]
+__all__ = ["AT_TOOL", "HELD", "TOLD", "LawSide", "Probe", "Tick"]
 
 TOLD: Final = "held.told"  # inputs of the first tick: whether the torque that the plant holds was told, and it
 HELD: Final = "held.tau_applied"
+AT_TOOL: Final = ("F_ext", "a_tip")  # measurements with axes, not joints, however many there are
 Memory = Mapping[str, Any]
-"""Memory of the law side by path: law.e_int, sensing.q_prev, limits.tau_applied."""
+"""Memory of the law side by path: law.e_int, sensing.velocity.q, limits.tau_applied."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +45,7 @@ class Tick:
     command: Vector  # (n,) what goes out, after limits
     memory: dict[str, Any]  # by path
     named: Terms  # before limits
+    seen: Mapping[str, Vector]  # what the law saw, by measurement
     limiting: Mapping[str, Vector]  # (n,) what limits added to it, by name
 
     @property
@@ -96,6 +99,7 @@ class LawSide:
     def _own_parameters(self) -> dict[str, Float64Array]:
         """Those of law and model: all that a first run of the law needs."""
         out = {f"law.{path}": values for path, values in self.law.parameters().items()}
+        out |= {f"sensing.{path}": values for path, values in self.sensing.parameters().items()}
         payload = self.arm.payload
         out["model.payload.mass"] = np.asarray(payload.mass)
         out["model.payload.com"] = payload.com
@@ -124,6 +128,8 @@ class LawSide:
             self.law.bound({**self.law.parameters(), rest: new}).check_rates(self.rate)
         elif head == "limits":
             new = Limits.checked(rest, value, self.rate)
+        elif head == "sensing":
+            new = self.sensing.checked_parameter(rest, value, self.arm, self.rate)
         else:
             new = checked_payload_entry(path, value)
         return in_compiled_shape(path, new, self.parameters[path].shape)
@@ -139,6 +145,7 @@ class LawSide:
         """
         self.law.check_size(self.arm.n)
         self.law.check_rates(self.rate)
+        self.sensing.check(self.arm, self.rate)
         if self.limits is not None:
             self.limits.check_fit(self.arm, self.rate)
         try:
@@ -148,7 +155,9 @@ class LawSide:
         added = self._limit_terms(command)
         shapes = {f"law.{path}": np.shape(as_array(v, path)) for path, v in flatten(after).items()}
         n = (self.arm.n,)
-        shapes |= {f"sensing.{name}": n for name in self.sensing.start(self.arm.home)}
+        self._check_filtered(x.used)
+        at_rest = self.sensing.start(self.measurements_at_rest(self.arm.home))
+        shapes |= {f"sensing.{path}": np.shape(value) for path, value in at_rest.items()}
         if (isinstance(command, Torque) and "tau_applied" in x.used) or {"rate_limit", "blend"} & set(added):
             shapes["limits.tau_applied"] = n
         if self.limits is not None and "tau_cut" in x.used:
@@ -191,12 +200,22 @@ class LawSide:
 
     def _first_run(self, q: Float64Array) -> tuple[Snapshot, Command, dict[str, Any]]:
         """Two ticks at rest at q: what was asked for, the command, the memory."""
-        measured, ref = {**self.measurements_at_rest(), "q": q}, self.law.reference.at_rest(q)
+        measured, ref = self.measurements_at_rest(q), self.law.reference.at_rest(q)
         x = self._snapshot(measured, np.zeros(self.arm.n), self._own_parameters, {})
         law = self.law.bound(subtree(self._own_parameters, "law"))
         _, after = call(law, x, ref, initial_memory(law, x, ref), self.dt)
         command, after = call(law, x, ref, after, self.dt)
         return x, command, after
+
+    def _check_filtered(self, used: set[str]) -> None:
+        """A filter of what the law does not use would be a number that changes nothing."""
+        for name in self.sensing.needs:
+            if name not in used:
+                raise UsageError(
+                    f"sensing filters {name}, which {type(self.law).__name__} does not use; leave {name}= out of the "
+                    "sensing",
+                    name=f"sensing.{name}",
+                )
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -209,10 +228,51 @@ class LawSide:
         velocity = ("v",) if self.sensing.needs_velocity else ()
         return (*velocity, *(name for name in MEASUREMENTS if name in self.probe.used))
 
-    def measurements_at_rest(self) -> dict[str, Any]:
-        """Measurements of the arm at rest at home, with nothing touching it."""
-        n = self.arm.n
-        return {"q": self.arm.home, "v": np.zeros(n), "t": 0.0, "F_ext": np.zeros(6), "tau_meas": np.zeros(n)}
+    def measurements_at_rest(self, q: Float64Array) -> dict[str, Any]:
+        """Measurements of the arm at rest at q, with nothing touching it."""
+        at_rest = {name: np.zeros(shape) for name, shape in measurement_shapes(self.arm.n).items()}
+        upwards = -dyn.pose(self.model, q).R.T @ self.arm.gravity
+        return {**at_rest, "q": q, "q_motor": q, "a_tip": upwards, "t": 0.0}
+
+    def sense(
+        self, measured: Mapping[str, Any], memory: Mapping[str, Any], parameters: Mapping[str, Any], dt: Any
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """What the law sees of what is measured, and the new memory of sensing, by path below "sensing".
+
+        Args:
+            measured: What the sensors give; velocities may be missing where nobody reads them.
+            memory: Memory of sensing, by path below "sensing".
+            parameters: All parameters of the law side, by path.
+            dt: [s].
+        """
+        return self.sensing.see(self.arm, self._with_v(measured), memory, subtree(parameters, "sensing"), dt)
+
+    def sensing_at_start(self, measured: Mapping[str, Any]) -> dict[str, Any]:
+        """Memory of sensing in the first tick, by path below "sensing"."""
+        return self.sensing.start(self._with_v(measured))
+
+    def check_finite(self, inputs: Mapping[str, Any], tick: int) -> None:
+        """What is measured and wanted in a tick must be finite.
+
+        Args:
+            inputs: Measurements, and fields of the reference as ref.q, ...; only what a tick is given.
+            tick: Its number, for the message.
+
+        Raises:
+            RangeError: NaN or infinity; the message names the measurement, the joint and the tick.
+        """
+        n, joints = self.arm.n, self.arm.joint_names
+        for name, values in inputs.items():
+            of_joints = name not in AT_TOOL and np.shape(values) == (n,)
+            try:
+                finite_array(name, values, joints=joints if of_joints else None)
+            except RangeError as error:
+                raise RangeError(
+                    f"{error} in tick {tick}", name=name, joint=error.joint, value=error.value, rule=error.rule
+                ) from None
+
+    def _with_v(self, measured: Mapping[str, Any]) -> Mapping[str, Any]:
+        return measured if "v" in measured else {**measured, "v": np.zeros(self.arm.n)}
 
     # ---------------------------------------------------------------- the pure functions
 
@@ -222,16 +282,15 @@ class LawSide:
         The command of the last tick is what the plant holds: `measured[HELD]` where `measured[TOLD]` is 1, else the
         torque that holds the model's weight; of velocities, none. A blend begins with it.
         """
-        q, shapes = measured["q"], self.probe.shapes
-        sensing = self.sensing.start(q)
-        v, _ = self.sensing.velocity_of(self.arm, q, measured["v"], sensing, self.dt)
-        x = self._snapshot(measured, v, parameters, {})
+        shapes, sensing = self.probe.shapes, self.sensing_at_start(measured)
+        seen, _ = self.sense(measured, sensing, parameters, self.dt)
+        x = self._snapshot(seen, seen["v"], parameters, {})
         held = {}
         if "limits.tau_applied" in shapes:
             rest = x.g if self.probe.kind == Torque.kind else tm.zeros(self.arm.n)
             tau = tm.where(measured[TOLD] > 0.5, measured[HELD], rest) if TOLD in measured else rest
             held = {"tau_applied": tau}
-            x = self._snapshot(measured, v, parameters, held)
+            x = self._snapshot(seen, seen["v"], parameters, held)
         law = self.law.bound(subtree(parameters, "law"))
         memory = flatten({"law": initial_memory(law, x, ref), "sensing": sensing, "limits": held})
         if "limits.tau_cut" in shapes:
@@ -254,8 +313,8 @@ class LawSide:
     ) -> Tick:
         """One tick: sense, evaluate the law, limit."""
         nested = unflatten(memory)
-        v, sensing = self.sensing.velocity_of(self.arm, measured["q"], measured["v"], nested.get("sensing", {}), dt)
-        x = self._snapshot(measured, v, parameters, nested.get("limits", {}))
+        seen, sensing = self.sense(measured, subtree(memory, "sensing"), parameters, dt)
+        x = self._snapshot(seen, seen["v"], parameters, nested.get("limits", {}))
         law = self.law.bound(subtree(parameters, "law"))
         command, after = call(law, x, ref, _nested_memory(law, nested.get("law", {})), dt)
         total = as_array(command.total, "command")
@@ -271,6 +330,7 @@ class LawSide:
             command=applied,
             memory={path: _shaped(as_array(new[path], path), path, shapes[path]) for path in shapes},
             named=command.terms,
+            seen=seen,
             limiting=terms,
         )
 

@@ -2,49 +2,189 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from functools import cached_property
+from typing import Any, Final, Literal, TypeAlias
 
 from taut.arm.description import Arm
 from taut.base.checks import one_of
-from taut.base.types import Vector
+from taut.base.errors import UsageError
+from taut.base.paths import subtree
+from taut.base.quantity import Quantified
+from taut.base.types import ArrayLike, Float64Array
+from taut.control.filters import LowPass, Notch, check_filter, checked_number, parameters_of
+from taut.control.velocity import Difference, Kalman, Measured, VelocitySource
 
-__all__ = ["Sensing"]
+__all__ = ["FILTERED", "VELOCITIES", "Sensing"]
 
+Values = Mapping[str, Any]
+Velocity: TypeAlias = Literal["measured", "difference"] | LowPass | Difference | Kalman
 VELOCITIES: Final[tuple[Literal["measured", "difference"], ...]] = ("measured", "difference")
+FILTERED: Final = ("F_ext", "tau_meas")  # measurements that may have a low-pass of their own
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Sensing:
-    """How the law gets its velocity.
+    """How the law gets what it sees from what the sensors give.
+
+    Positions and measured velocities go through the notch first; velocities are made from what it lets through.
+    Every number is a run-time parameter: sensing.velocity.cutoff, sensing.notch.frequency, ...
 
     Args:
-        velocity: "measured" takes the velocity that the plant measures; "difference" differences positions of
-            successive ticks, v = (q - q_prev) / dt, with q_prev the first position in the first tick.
+        velocity: "measured" takes the velocity that the plant measures, `taut.LowPass(cutoff=)` filters it;
+            "difference" differences positions of successive ticks, `taut.Difference(cutoff=)` with a low-pass;
+            `taut.Kalman(...)` estimates it from positions.
+        notch: Takes a vibration out of positions and velocities.
+        F_ext: Low-pass of the measured wrench, for a law that uses it.
+        tau_meas: Low-pass of the measured joint torques, for a law that uses them.
+
+    Raises:
+        UsageError: Something else.
+
+    Example:
+        >>> sensing = Sensing(velocity=Difference(cutoff=30.0), notch=Notch(frequency=18.0, width=4.0))
+        >>> list(sensing.parameters())
+        ['velocity.cutoff', 'notch.frequency', 'notch.width', 'notch.depth']
 
     References:
-        The chapter's pseudocode, figures 10.8 and 10.13.
+        Chapter, section 10.1 control system overview, and the pseudocode of figures 10.8 and 10.13.
     """
 
-    velocity: Literal["measured", "difference"] = "measured"
+    velocity: Velocity = "measured"
+    notch: Notch | None = None
+    F_ext: LowPass | None = None
+    tau_meas: LowPass | None = None
 
     def __post_init__(self) -> None:
-        one_of("velocity", self.velocity, VELOCITIES)
+        if isinstance(self.velocity, str):
+            one_of("velocity", self.velocity, VELOCITIES)
+        elif not isinstance(self.velocity, (LowPass, Difference, Kalman)):
+            raise UsageError(
+                "velocity must be 'measured', 'difference', taut.LowPass(...), taut.Difference(...) or "
+                f"taut.Kalman(...); got {type(self.velocity).__name__}",
+                name="velocity",
+            )
+        for name, kind in (("notch", Notch), *((name, LowPass) for name in FILTERED)):
+            value = getattr(self, name)
+            if value is not None and not isinstance(value, kind):
+                raise UsageError(
+                    f"{name} must be taut.{kind.__name__}(...) or None; got {type(value).__name__}", name=name
+                )
+
+    @cached_property
+    def _source(self) -> VelocitySource:
+        if isinstance(self.velocity, LowPass):
+            return Measured(low_pass=self.velocity)
+        if isinstance(self.velocity, (Difference, Kalman)):
+            return self.velocity
+        return Measured() if self.velocity == "measured" else Difference()
+
+    @property
+    def _parts(self) -> dict[str, Quantified]:
+        given = {name: getattr(self, name) for name in ("notch", *FILTERED)}
+        return {"velocity": self._source} | {name: part for name, part in given.items() if part is not None}
+
+    # ---------------------------------------------------------------- what it declares
 
     @property
     def needs_velocity(self) -> bool:
         """Whether a measured velocity is used."""
-        return self.velocity == "measured"
+        return self._source.needs_velocity
 
-    def start(self, q: Vector) -> dict[str, Any]:
-        """Memory at the first tick."""
-        return {} if self.needs_velocity else {"q_prev": q}
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Measurements beyond q and v that it filters, which the law must use."""
+        return tuple(name for name in FILTERED if getattr(self, name) is not None)
 
-    def velocity_of(
-        self, arm: Arm, q: Vector, v: Vector, memory: Mapping[str, Any], dt: Any
-    ) -> tuple[Vector, dict[str, Any]]:
-        """(n,) the velocity, and the new memory."""
-        if self.needs_velocity:
-            return v, {}
-        return arm.difference(q, memory["q_prev"]) / dt, {"q_prev": q}
+    @property
+    def alters(self) -> frozenset[str]:
+        """Measurements that the law sees otherwise than they are measured."""
+        of_notch = {"q", "v"} if self.notch is not None else set()
+        return frozenset({*of_notch, *self.needs, *(() if self.velocity == "measured" else ("v",))})
+
+    def parameters(self) -> dict[str, Float64Array]:
+        """Run-time parameters by path."""
+        return {
+            f"{name}.{word}": values
+            for name, part in self._parts.items()
+            for word, values in parameters_of(part).items()
+        }
+
+    # ---------------------------------------------------------------- checks
+
+    def _sizes(self, arm: Arm) -> Iterator[tuple[str, Quantified, int, tuple[str, ...] | None]]:
+        for name, part in self._parts.items():
+            yield (name, part, 6, None) if name == "F_ext" else (name, part, arm.n, arm.joint_names)
+
+    def check(self, arm: Arm, rate: float) -> None:
+        """Whether it fits an arm and a rate [Hz].
+
+        Raises:
+            ShapeError: A number that is neither a scalar nor one per joint or axis.
+            RangeError: A frequency at half the rate or above.
+        """
+        for name, part, size, entries in self._sizes(arm):
+            check_filter(part, f"sensing.{name}", rate, size, entries)
+
+    def checked_parameter(self, path: str, value: ArrayLike, arm: Arm, rate: float) -> Float64Array:
+        """A new value of a parameter by its path below "sensing", checked like the first one."""
+        head, _, word = path.partition(".")
+        name, part, size, entries = next(each for each in self._sizes(arm) if each[0] == head)
+        return checked_number(part, word, f"sensing.{name}.{word}", value, rate, size, entries)
+
+    # ---------------------------------------------------------------- the pure functions
+
+    def start(self, measured: Values) -> dict[str, Any]:
+        """Memory by path at the first tick: as if what is measured then had stood for ever."""
+        q, v = measured["q"], measured["v"]
+        memory = _below("velocity", self._source.start(q, v))
+        if self.notch is not None:
+            memory |= _below("notch.q", self.notch.start(q))
+            if self.needs_velocity:
+                memory |= _below("notch.v", self.notch.start(v))
+        for name in self.needs:
+            memory |= _below(name, getattr(self, name).start(measured[name]))
+        return memory
+
+    def see(
+        self, arm: Arm, measured: Values, memory: Values, parameters: Values, dt: Any
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """What the law sees, by measurement, and the new memory.
+
+        Args:
+            arm: The arm, which knows the joints that turn without end.
+            measured: What the sensors give.
+            memory: By path, as `start` gives it.
+            parameters: By path below "sensing".
+            dt: [s].
+        """
+        after: dict[str, Any] = {}
+        q, v = measured["q"], measured["v"]
+        if self.notch is not None:
+            own = subtree(parameters, "notch")
+            q, new = self.notch.filtered(q, subtree(memory, "notch.q"), own, dt, arm.difference)
+            after |= _below("notch.q", new)
+            if self.needs_velocity:
+                v, new = self.notch.filtered(v, subtree(memory, "notch.v"), own, dt)
+                after |= _below("notch.v", new)
+        v, new = self._source.velocity(arm, q, v, subtree(memory, "velocity"), subtree(parameters, "velocity"), dt)
+        after |= _below("velocity", new)
+        seen = {**measured, "q": q, "v": v}
+        for name in self.needs:
+            low_pass = getattr(self, name)
+            seen[name], new = low_pass.filtered(measured[name], subtree(memory, name), subtree(parameters, name), dt)
+            after |= _below(name, new)
+        return seen, after
+
+    @property
+    def summary(self) -> str:
+        """What it does, in one line."""
+        source = self.velocity if isinstance(self.velocity, str) else type(self.velocity).__name__
+        said = [f"v by {source}"] if self.velocity != "measured" else []
+        said += ["Notch of q and v"] if self.notch is not None else []
+        return ", ".join([*said, *(f"LowPass of {name}" for name in self.needs)]) or "as measured"
+
+
+def _below(head: str, values: Values) -> dict[str, Any]:
+    return {f"{head}.{name}": value for name, value in values.items()}

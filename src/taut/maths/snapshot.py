@@ -7,7 +7,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from taut.arm.description import Arm, Payload
+from taut.arm.description import Arm, Friction, Payload
 from taut.base import math as tm
 from taut.base.checks import one_of, vector
 from taut.base.errors import MatchError, UsageError, unknown_name
@@ -18,15 +18,25 @@ from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
 from taut.maths.model import Model, PayloadValues, model_of
 
-__all__ = ["MEASUREMENTS", "Snapshot", "snapshot"]
+__all__ = ["MEASUREMENTS", "Snapshot", "measurement_shapes", "snapshot"]
 
 T = TypeVar("T")
 
 MEASUREMENTS: Final[Mapping[str, str]] = {
     "F_ext": "a wrist force-torque sensor: pass F_ext= or F_app= to step, or use a plant that measures it",
     "tau_meas": "joint torque sensors: pass tau_meas= to step, or use a plant that measures it",
+    "q_motor": "encoders on the motors: pass q_motor= to step, or use a plant that measures it",
+    "v_motor": "tachometers on the motors: pass v_motor= to step, or use a plant that measures it",
+    "a_tip": "an accelerometer at the tool: pass a_tip= to step, or use a plant that measures it",
 }
+"""What a law may ask for beyond positions and velocities, and what it needs."""
 AXES: Final = ("W", "E")
+
+
+def measurement_shapes(n: int) -> dict[str, tuple[int, ...]]:
+    """Shape of everything that may be measured of an arm with n joints."""
+    others: dict[str, tuple[int, ...]] = {"F_ext": (6,), "a_tip": (3,)}
+    return {"q": (n,), "v": (n,)} | {name: others.get(name, (n,)) for name in MEASUREMENTS}
 
 
 class Snapshot:
@@ -123,6 +133,21 @@ class Snapshot:
     def tau_meas(self) -> Vector:
         """(n,) measured joint torques [N m | N]."""
         return self._measurement("tau_meas")
+
+    @property
+    def q_motor(self) -> Vector:
+        """(n,) measured positions of the motors, in joint units: motor angle / gear [rad | m]."""
+        return self._measurement("q_motor")
+
+    @property
+    def v_motor(self) -> Vector:
+        """(n,) measured velocities of the motors, in joint units: motor speed / gear [rad/s | m/s]."""
+        return self._measurement("v_motor")
+
+    @property
+    def a_tip(self) -> Array:
+        """(3,) proper acceleration of the tool's origin, in the tool's axes: 9.81 upwards at rest [m/s^2]."""
+        return self._measurement("a_tip")
 
     @property
     def tau_applied(self) -> Vector:
@@ -224,9 +249,17 @@ class Snapshot:
 
     @property
     def coulomb(self) -> Vector:
-        """(n,) the model's dry friction [N m], less what the plant adds itself."""
+        """(n,) the model's dry friction in motion [N m | N], less what the plant adds itself."""
         self.used.add("friction")
         return np.zeros(self.n) if self._adds.friction else self.arm.coulomb
+
+    @property
+    def friction(self) -> Friction:
+        """All of the model's joint friction, each number (n,), less what the plant adds itself."""
+        self.used.add("friction")
+        return (
+            Friction(viscous=np.zeros(self.n), coulomb=np.zeros(self.n)) if self._adds.friction else self.arm.friction
+        )
 
     # ---------------------------------------------------------------- kinematics
 

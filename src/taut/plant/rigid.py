@@ -7,24 +7,31 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Final, Literal
 
 import numpy as np
 
 from taut.arm.description import COMMANDS, Arm, CommandKind, Payload
 from taut.base import math as tm
-from taut.base.checks import finite_array, one_of, require_at_least, require_positive
+from taut.base.checks import finite_array, one_of
 from taut.base.errors import RangeError, ShapeError, UsageError, quoted_list, unknown_name
-from taut.base.paths import flatten, subtree
+from taut.base.paths import subtree
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
-from taut.control.lawside import checked_payload_entry
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
-from taut.maths.friction import dry_friction
+from taut.maths.compensation import compensation
+from taut.maths.friction import SWEEPS, dry_friction
+from taut.maths.friction_law import friction_torque
 from taut.maths.model import Model, PayloadValues, model_of
-from taut.plant.actuation import Actuation, delayed, lagged, mean_lagged
+from taut.plant import drive
+from taut.plant.actuation import Actuation, delayed, lagged
+from taut.plant.drivetrain import Drivetrain
 from taut.plant.environment import Environment
+from taut.plant.numbers import PlantNumbers
 from taut.plant.sensors import Sensors
+from taut.plant.transmission import require_rotors
+from taut.plant.work import work_of_step, work_parts
 
 __all__ = ["RigidPlant"]
 
@@ -41,8 +48,10 @@ class RigidPlant:
 
     Model:
         (M + rotors) a + C v + g + b v + friction = tau + J^T F_ext
-        semi-implicit Euler: v+ = v + dt a with b v taken at v+, q+ = q + dt v+; dry friction really sticks.
-        rk4: fourth order in smooth motion; dry friction is refused.
+        semi-implicit Euler: v+ = v + dt a with b v taken at v+, q+ = q + dt v+; dry friction really sticks, and
+        depends on speed and load as they are when a step begins.
+        rk4: fourth order in smooth motion; dry friction and elastic transmissions are refused.
+        A joint with an elastic transmission or backlash has a motor that moves by itself: see taut.Transmission.
 
     Frames:
         F_ext is the wrench of the environment on the arm, force first, in world axes at the tool's origin. Like the
@@ -51,16 +60,20 @@ class RigidPlant:
 
     Args:
         arm: The true arm; make it differ from the controller's and there is a modelling error.
-        friction: "arm" for the arm's own viscous and dry friction, None for none.
+        friction: "arm" for the arm's own friction (`arm.with_friction`), None for none.
         integrator: "semi-implicit-euler" or "rk4".
         substeps: Steps of the integrator in one control period.
         takes: The command: "torque", "velocity" or "position". The last two are stiff drives, which need
             `actuation=Actuation(bandwidth=...)`.
-        actuation: Bandwidth and delay of the drives.
-        sensors: Resolution and noise; ideal if left out.
+        actuation: The drives: delay, amplifier, motor, gear; ideal if left out.
+        sensors: What is measured, and how well; ideal sensors if left out.
         environment: What touches the tool, if anything; then the wrench is measured too.
         adds: What the plant adds to a torque command itself: "gravity", "coriolis", and "friction", which cancels the
             arm's own, so that none is left.
+        sweeps: Of projected Gauss-Seidel in each step, for joints that dry friction holds together. What a further
+            one would change is the run's column friction_residual [N m | N].
+        energy: Keep account of the work of each part of the drives: columns work.motor, work.dry, ... [J], see
+            `taut.plant.work`.
 
     Raises:
         UsageError: Options that do not go together, or are of another kind.
@@ -76,6 +89,8 @@ class RigidPlant:
     sensors: Sensors = field(default_factory=Sensors, kw_only=True)
     environment: Environment | None = field(default=None, kw_only=True)
     adds: Adds | Iterable[str] | Mapping[str, Payload | None] = field(default=(), kw_only=True)
+    sweeps: int = field(default=SWEEPS, kw_only=True)
+    energy: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
         if not isinstance(self.arm, Arm):
@@ -84,15 +99,19 @@ class RigidPlant:
         one_of("takes", self.takes, COMMANDS)
         if self.friction not in ("arm", None):
             raise UsageError(f"friction must be 'arm' or None; got {self.friction!r}", name="friction")
-        if isinstance(self.substeps, bool) or not isinstance(self.substeps, int):
-            raise UsageError(f"substeps must be a whole number; got {self.substeps!r}", name="substeps")
-        if not 1 <= self.substeps <= MOST_SUBSTEPS:
-            raise RangeError(f"substeps must be between 1 and {MOST_SUBSTEPS}; got {self.substeps}", name="substeps")
+        for name in ("substeps", "sweeps"):
+            number = getattr(self, name)
+            if isinstance(number, bool) or not isinstance(number, int):
+                raise UsageError(f"{name} must be a whole number; got {number!r}", name=name)
+            if not 1 <= number <= MOST_SUBSTEPS:
+                raise RangeError(f"{name} must be between 1 and {MOST_SUBSTEPS}; got {number}", name=name)
+        if not isinstance(self.energy, bool):
+            raise UsageError(f"energy must be True or False; got {self.energy!r}", name="energy")
         for name, kind in STAGES.items():
             if not isinstance(getattr(self, name), kind):
                 got = type(getattr(self, name)).__name__
                 raise UsageError(f"{name} must be taut.{kind.__name__}(...); got {got}", name=name)
-        self.sensors.check_size(self.arm)
+        self.sensors.check(self.arm, touched=self.environment is not None)
         if self.environment is not None and not isinstance(self.environment, Environment):
             raise UsageError(
                 "environment must have parameters(), start(T_WE) and wrench(...), see taut.Environment; got "
@@ -101,12 +120,10 @@ class RigidPlant:
             )
         adds = Adds.of(self.adds)
         object.__setattr__(self, "adds", adds)
-        if self.integrator == "rk4" and self._dry:
-            raise UsageError(
-                f"rk4 needs smooth forces, and arm '{self.arm.name}' has dry friction; use semi-implicit-euler, "
-                "or friction=None",
-                name="integrator",
-            )
+        self.actuation.check_size(self.arm)
+        require_rotors(self.arm, self.drivetrain.compliant)
+        if self.integrator == "rk4":
+            self._check_smooth()
         if self.takes != "torque":
             if self.actuation.bandwidth is None:
                 raise UsageError(
@@ -114,6 +131,15 @@ class RigidPlant:
                     "actuation=taut.Actuation(bandwidth=50.0)  # rad/s",
                     name="actuation",
                 )
+            only = self.actuation.for_torque_only
+            if only:
+                raise UsageError(
+                    f"actuation.{only[0]} is for torque commands; this plant takes {self.takes}, which its drives "
+                    "follow by themselves",
+                    name=only[0],
+                )
+            if self.energy:
+                raise UsageError(f"energy is for torque commands; this plant takes {self.takes}", name="energy")
             if adds.names:
                 raise UsageError(f"adds is for torque commands; this plant takes {self.takes}", name="adds")
             if self.environment is not None:
@@ -123,22 +149,36 @@ class RigidPlant:
                     name="environment",
                 )
 
-    @property
-    def _lags(self) -> bool:
-        return self.takes == "torque" and self.actuation.bandwidth is not None
+    def _check_smooth(self) -> None:
+        if self.drivetrain.dry:
+            what = "gears that lose power" if not self._has("coulomb", "static") else "dry friction"
+            raise UsageError(
+                f"rk4 needs smooth forces, and arm '{self.arm.name}' has {what}; use semi-implicit-euler, or "
+                "friction=None",
+                name="integrator",
+            )
+        if self.drivetrain.compliant:
+            raise UsageError(
+                "rk4 moves the arm alone, and an elastic transmission or backlash moves the motors too; use "
+                "semi-implicit-euler",
+                name="integrator",
+            )
+        if self.energy:
+            raise UsageError("energy is kept account of by semi-implicit-euler only", name="energy")
 
-    @property
-    def _left(self) -> bool:
-        """Whether any friction is left."""
-        return self.friction == "arm" and not Adds.of(self.adds).friction
+    def _has(self, *names: str) -> bool:
+        return any(name in self.drivetrain.parameters() for name in names)
 
-    @property
-    def _dry(self) -> bool:
-        return self._left and bool(self.arm.coulomb.any())
+    @cached_property
+    def drivetrain(self) -> Drivetrain:
+        """Rotors, friction and transmissions."""
+        left = self.friction == "arm" and not Adds.of(self.adds).friction
+        friction = self.arm.friction if left else None
+        return Drivetrain(arm=self.arm, friction=friction, transmission=self.actuation.transmission)
 
-    @property
-    def _viscous(self) -> bool:
-        return self._left and bool(self.arm.viscous.any())
+    @cached_property
+    def _work_parts(self) -> tuple[str, ...]:
+        return work_parts(self.drivetrain, self.actuation.motor) if self.energy else ()
 
     # ---------------------------------------------------------------- what it declares
 
@@ -150,33 +190,39 @@ class RigidPlant:
     @property
     def measures(self) -> frozenset[str]:
         """What it measures besides positions."""
-        return frozenset({"v", "tau_meas"} | ({"F_ext"} if self.environment is not None else set()))
+        return self.sensors.measures(touched=self.environment is not None)
+
+    @property
+    def distorts(self) -> frozenset[str]:
+        """The measurements that differ from the truth."""
+        return self.sensors.distorts(touched=self.environment is not None)
 
     @property
     def noise(self) -> dict[str, tuple[int, ...]]:
         """Standard normal numbers that it needs in every tick, by name."""
-        return dict.fromkeys(self.sensors.noisy, (self.arm.n,))
+        return self.sensors.noise(self.arm, touched=self.environment is not None)
 
     @property
     def model(self) -> Model:
         """The constants of the true arm."""
         return model_of(self.arm)
 
+    @cached_property
+    def link_model(self) -> Model:
+        """The same without its rotors, whose inertia is a parameter."""
+        return model_of(self.arm.with_joints(rotor_inertia=0.0))
+
     @property
     def parameters(self) -> dict[str, Float64Array]:
         """Run-time parameters by path: plant.payload.mass, actuation.bandwidth, ..."""
-        payload, friction = self.arm.payload, {}
-        if self._viscous:
-            friction["viscous"] = self.arm.viscous
-        if self._dry:
-            friction["coulomb"] = self.arm.coulomb
-        load = {"mass": np.asarray(payload.mass), "com": payload.com, "inertia": payload.inertia}
-        out: dict[str, Any] = {"plant": {"payload": load, "friction": friction}}
-        out["actuation"] = self.actuation.parameters()
-        out["sensors"] = self.sensors.parameters()
+        out = self._numbers.values()
         if self.environment is not None:
-            out["environment"] = self.environment.parameters()
-        return flatten(out)
+            out |= {f"environment.{name}": value for name, value in self.environment.parameters().items()}
+        return out
+
+    @cached_property
+    def _numbers(self) -> PlantNumbers:
+        return PlantNumbers(arm=self.arm, drivetrain=self.drivetrain, actuation=self.actuation, sensors=self.sensors)
 
     def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:
         """A new value of a parameter, checked like the first one and in its shape.
@@ -189,20 +235,23 @@ class RigidPlant:
         known = self.parameters
         if path not in known:
             raise unknown_name(f"plant '{self.name}'", "parameter", path, known)
-        if path.startswith("plant.payload."):
-            return checked_payload_entry(path, value)
+        if not path.startswith("environment."):
+            return self._numbers.checked(path, value)
         shape, new = known[path].shape, finite_array(path, value)
         if new.shape not in ((), shape):
             raise ShapeError(
                 f"{path} has shape {shape}; got shape {new.shape}; make the plant with a value of the new shape",
                 name=path,
             )
-        if path == "actuation.bandwidth":
-            require_positive(path, new, unit="rad/s")
-        elif not path.startswith("environment."):
-            joints = self.arm.joint_names if shape == (self.arm.n,) else None
-            require_at_least(path, new, 0.0, joints=joints)
         return np.broadcast_to(new, shape)
+
+    def check_together(self, values: Mapping[str, ArrayLike]) -> None:
+        """Refuse values by path that do not go together, each of which is right by itself.
+
+        Raises:
+            RangeError: Less friction at rest than in motion.
+        """
+        self._numbers.check_together(values)
 
     # ---------------------------------------------------------------- the pure functions
 
@@ -217,10 +266,15 @@ class RigidPlant:
         weight = dyn.gravity_torque(self.model, q, self._payload(parameters))
         weight = weight - self._compensation(q, rest, parameters)
         memory: dict[str, Any] = {"q": q, "v": v, "tau": weight, "held": weight}
-        if self._lags:
-            memory["motor"] = weight
-        if self._dry:
-            memory["friction"] = tm.zeros(n)
+        if self.takes == "torque":
+            full = dyn.gravity_torque(self.model, q, self._payload(parameters))
+            memory["tau_link"] = full
+            memory |= drive.start(self.actuation, self.arm, weight, parameters)
+            memory |= self.drivetrain.start(q, v, full, parameters)
+            if self.drivetrain.dry and len(self.drivetrain.rigid) > 1:
+                memory["friction_residual"] = 0.0
+            memory |= {f"work.{name}": tm.zeros(n) for name in self._work_parts}
+            self._check_step(dt / self.substeps)
         taps = self.actuation.taps(dt)
         if taps:
             memory["delay"] = tm.stack([{"torque": weight, "velocity": rest, "position": q}[self.takes]] * taps)
@@ -229,15 +283,21 @@ class RigidPlant:
             memory |= {f"environment.{name}": value for name, value in touched.items()}
             memory["t"] = 0.0
             memory["F_ext"], _ = self._touch(q, v, memory, parameters, 0.0, dt / self.substeps)
+        if self.sensors.tip is not None:
+            memory["a"] = rest
         return memory
 
     def measure(self, memory: Values, noise: Values, parameters: Values) -> dict[str, Any]:
-        """What the sensors give: q, v, the joint torques, and the wrench where something touches the tool."""
-        q, v = self.sensors.read(memory["q"], memory["v"], noise, subtree(parameters, "sensors"))
-        measured = {"q": q, "v": v, "tau_meas": memory["tau"]}
-        if self.environment is not None:
-            measured["F_ext"] = memory["F_ext"]
-        return measured
+        """What the sensors give, by measurement: q, v, tau_meas, F_ext, ..."""
+        return self.sensors.read(self.model, memory, noise, subtree(parameters, "sensors"))
+
+    def extra(self, before: Values, after: Values) -> dict[str, Any]:
+        """What a run records of a tick, besides motion and torques: from memory at the tick and after the first step.
+
+        F_ext and friction_residual are those of that step, work.* what was done until the tick.
+        """
+        out = {name: after[name] for name in ("F_ext", "friction_residual") if name in after}
+        return out | {name: value for name, value in before.items() if name.startswith("work.")}
 
     def command(self, command: Vector, memory: Values, t: Any) -> dict[str, Any]:
         """Memory after a command came in at time t: the delay line, and what stands at the drives until the next."""
@@ -252,9 +312,11 @@ class RigidPlant:
 
     def advance(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
         """Memory after one step of the integrator, dt long, under what stands at the drives."""
-        if self.takes == "torque":
-            return self._torque_step(memory, parameters, dt)
-        return self._driven_step(memory, parameters, dt)
+        step = self._torque_step if self.takes == "torque" else self._driven_step
+        out = step(memory, parameters, dt)
+        if self.sensors.tip is not None:
+            out["a"] = (out["v"] - memory["v"]) / dt
+        return out
 
     def _driven_step(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
         """Stiff drives: their loop decides the motion, and the torque is what that takes."""
@@ -273,60 +335,94 @@ class RigidPlant:
             q_new = wanted + (e + rate * dt) * decay
             v_new = (rate - omega * (e + rate * dt)) * decay
         a = (v_new - v) / dt
-        tau = dyn.inverse_dynamics(self.model, q, v, a, self._payload(parameters))
-        if self._viscous:
-            tau = tau + parameters["plant.friction.viscous"] * v
-        if self._dry:
-            tau = tau + parameters["plant.friction.coulomb"] * tm.sign(v)
-        return {**memory, "q": q_new, "v": v_new, "tau": tau}
+        tau = dyn.inverse_dynamics(self.link_model, q, v, a, self._payload(parameters))
+        if "plant.rotor_inertia" in parameters:
+            tau = tau + parameters["plant.rotor_inertia"] * a
+        if self.drivetrain.friction is not None:
+            tau = tau - friction_torque(self.drivetrain.values(parameters), v)
+        out = {**memory, "q": q_new, "v": v_new, "tau": tau}
+        return {**out, "a": a} if "a" in memory else out
+
+    def _check_step(self, dt: float) -> None:
+        """Refuse steps that are too long for a transmission."""
+        if self.drivetrain.compliant:
+            assert self.actuation.transmission is not None
+            M = dyn.mass_matrix(self.link_model, self.arm.home)
+            self.actuation.transmission.check_step(self.arm, dt, np.linalg.inv(M), self.substeps)
 
     def _torque_step(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
         q, v, t = memory["q"], memory["v"], memory.get("t", 0.0)
-        payload = self._payload(parameters)
-        out = dict(memory)
-        tau = memory["held"]
-        if self._lags:
-            tau, out["motor"] = mean_lagged(tau, memory["motor"], parameters["actuation.bandwidth"], dt)
-        out["tau"] = tau
+        train, out = self.drivetrain, dict(memory)
+        q_m, v_m = memory.get("q_motor", q), memory.get("v_motor", v)
+        given = drive.driven(self.actuation, self.arm, memory, q_m, v_m, parameters, dt)
+        out |= given.memory
+        out["tau"] = given.tau
+        tau = given.tau + self._compensation(q, v, parameters)
+        force: Any = 0.0
         if self.environment is not None:
             wrench, touched = self._touch(q, v, memory, parameters, t, dt)
             out["F_ext"], out["t"] = wrench, t + dt
             out |= {f"environment.{name}": value for name, value in touched.items()}
+            force = dyn.jacobian(self.model, q).T @ wrench
+        values, rotor = train.values(parameters), parameters.get("plant.rotor_inertia")
+        b, spring = values.viscous, tau
         if self.integrator == "rk4":
-            out["q"], out["v"] = self._rk4(q, v, tau, memory, parameters, t, dt)
-            return out
-        tau = tau + self._compensation(q, v, parameters)
-        if self.environment is not None:
-            tau = tau + dyn.jacobian(self.model, q).T @ out["F_ext"]
-        M = dyn.mass_matrix(self.model, q, payload)
-        rhs = tau - dyn.bias(self.model, q, v, payload)
-        if self._viscous:
-            b = parameters["plant.friction.viscous"]
-            rhs = rhs - b * v
-            for i in range(self.arm.n):
-                M[i, i] = M[i, i] + dt * b[i]
-        factors = tm.factor_spd(M)
-        v_new = v + dt * factors.solve(rhs)
-        if self._dry:
-            stop = -(rhs + M @ v / dt)
-            v_new, out["friction"] = dry_friction(
-                factors, v_new, parameters["plant.friction.coulomb"], memory["friction"], stop, dt
-            )
-        out["v"], out["q"] = v_new, q + dt * v_new
+            q_new, v_new = self._rk4(q, v, given.tau, memory, parameters, t, dt)
+            f: Any = np.zeros(self.arm.n)
+            limits = None
+        else:
+            payload = self._payload(parameters)
+            load = force - dyn.bias(self.model, q, v, payload)
+            if train.compliant:
+                spring = train.spring(q, v, memory, parameters)
+            M = dyn.mass_matrix(self.link_model, q, payload)
+            rhs = train.merged(tau if b is None else tau - b * v, spring) + load
+            for i in train.rigid:
+                M[i, i] = M[i, i] + _entry(rotor, i) + dt * _entry(b, i)
+            factors = tm.factor_spd(M)
+            v_new = v + dt * factors.solve(rhs)
+            limits, f = None, np.zeros(self.arm.n)
+            if train.dry:
+                limits = train.limits(values, memory, parameters, v_m, tau, train.merged(load, -spring))
+            if limits is not None and train.rigid:
+                stop = None if train.compliant else -(rhs + M @ v / dt)
+                stuck = dry_friction(
+                    factors, v_new, limits.low, limits.high, memory["friction"], dt,
+                    joints=train.rigid, stop=stop, sweeps=self.sweeps,
+                )  # fmt: skip
+                v_new, f = stuck.v, stuck.f
+                if "friction_residual" in memory:
+                    out["friction_residual"] = stuck.residual
+            q_new = q + dt * v_new
+            if train.compliant:
+                moved = train.rotors(memory, tau, spring, b, limits, rotor, dt)
+                f = train.merged(f, moved.f)
+                out["v_motor"] = train.merged(v_new, moved.v)
+                out["q_motor"] = train.merged(q_new, q_m + dt * moved.v)
+            if limits is not None:
+                out["friction"] = f
+                if train.remembers_rest:
+                    out["at_rest"] = tm.where((f > -limits.low) & (f < limits.high), 1.0, 0.0)
+        v_end = out.get("v_motor", v_new)
+        lost = tm.zeros(self.arm.n) if b is None else b * v_end
+        out["tau_link"] = tau + f - lost  # what of the motor's torque arrives behind the gear
+        if rotor is not None:
+            out["tau_link"] = out["tau_link"] - rotor * (v_end - v_m) / dt
+        if "a" in memory:
+            out["a"] = (v_new - v) / dt
+        out["v"], out["q"] = v_new, q_new
+        if self.energy:
+            work = work_of_step(
+                train, memory, out, (out.get("q_motor", q_new) - q_m, q_new - q),
+                tau=tau, given=given.tau, f=f, limits=limits, lost=lost, through=out["tau_link"], spring=spring,
+                rotor=rotor, parameters=parameters, electric=given.work, dt=dt,
+            )  # fmt: skip
+            out |= {f"work.{name}": memory[f"work.{name}"] + work[name] for name in self._work_parts}
         return out
 
     def _compensation(self, q: Vector, v: Vector, parameters: Values) -> Array:
         """(n,) what the plant adds to a torque command itself, friction apart."""
-        adds = Adds.of(self.adds)
-        total: Array = np.zeros(self.arm.n)
-        if adds.gravity:
-            load = self._payload(parameters)
-            if adds.load is not None:
-                load = PayloadValues(mass=adds.load.mass, com=adds.load.com, inertia=adds.load.inertia)
-            total = total + dyn.gravity_torque(self.model, q, load)
-        if adds.coriolis:
-            total = total + dyn.bias(self.model, q, v, self._payload(parameters), gravity=False)
-        return total
+        return compensation(self.model, Adds.of(self.adds), q, v, self._payload(parameters))
 
     def _payload(self, parameters: Values) -> PayloadValues:
         return PayloadValues.of(subtree(parameters, "plant.payload"))
@@ -360,16 +456,16 @@ class RigidPlant:
     def _rk4(
         self, q: Vector, v: Vector, tau: Vector, memory: Values, parameters: Values, t: Any, dt: Any
     ) -> tuple[Vector, Vector]:
-        payload = self._payload(parameters)
+        payload, rotor = self._payload(parameters), parameters.get("plant.rotor_inertia")
 
         def rates(q: Vector, v: Vector, t: Any) -> tuple[Vector, Vector]:
             force = tau + self._compensation(q, v, parameters)
-            if self._viscous:
+            if "plant.friction.viscous" in parameters:
                 force = force - parameters["plant.friction.viscous"] * v
             if self.environment is not None:
                 wrench, _ = self._touch(q, v, memory, parameters, t, dt)
                 force = force + dyn.jacobian(self.model, q).T @ wrench
-            return v, dyn.forward_dynamics(self.model, q, v, force, payload)
+            return v, dyn.forward_dynamics(self.link_model, q, v, force, payload, damping=rotor)
 
         half = 0.5 * dt
         v1, a1 = rates(q, v, t)
@@ -378,3 +474,10 @@ class RigidPlant:
         v4, a4 = rates(q + dt * v3, v + dt * a3, t + dt)
         sixth = dt / 6.0
         return q + sixth * (v1 + 2.0 * (v2 + v3) + v4), v + sixth * (a1 + 2.0 * (a2 + a3) + a4)
+
+
+def _entry(value: Any, i: int) -> Any:
+    """Of a scalar or of one number per joint; nothing is zero."""
+    if value is None:
+        return 0.0
+    return value[i] if np.ndim(value) else value

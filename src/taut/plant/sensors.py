@@ -1,75 +1,194 @@
-"""The sensors of a plant: pure functions with parameters and memory, like a law."""
+"""The sensors of a plant: pure functions with parameters, like a law."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base import math as tm
-from taut.base.checks import finite_array, require_at_least
-from taut.base.types import ArrayLike, Float64Array, Vector
+from taut.base.checks import finite_array
+from taut.base.errors import ShapeError, UsageError
+from taut.base.paths import subtree
+from taut.base.types import ArrayLike, Float64Array
+from taut.maths.model import Model
+from taut.plant.joint_sensors import Encoder, Tachometer, TorqueSensor
+from taut.plant.readings import Sensor, numbers_of, six_of
+from taut.plant.tool_sensors import Accelerometer, WrenchSensor
 
-__all__ = ["Sensors"]
+__all__ = ["SENSORS", "Sensors"]
 
 Values = Mapping[str, Any]
-SENSOR_FIELDS: Final = ("resolution", "noise_q", "noise_v")
+
+SENSORS: Final[Mapping[str, tuple[str, type[Sensor]]]] = {
+    "position": ("q", Encoder),
+    "velocity": ("v", Tachometer),
+    "motor": ("q_motor", Encoder),
+    "motor_velocity": ("v_motor", Tachometer),
+    "torque": ("tau_meas", TorqueSensor),
+    "wrench": ("F_ext", WrenchSensor),
+    "tip": ("a_tip", Accelerometer),
+}
+"""Each sensor: the measurement that it gives, and its class."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sensors:
-    """Joint sensors with resolution and noise. The noise comes from the run's seed.
+    """The sensors of an arm, each of which may be left out but the positions. All noise comes from the run's seed.
+
+    Ideal ones read the truth: positions, velocities and torques of the joints, and the wrench where something
+    touches the tool. What has no sensor is not measured, and a law that asks for it is refused.
 
     Args:
-        resolution: (n,) or scalar, step of the position sensor [rad | m]; 0 for none.
-        noise_q: (n,) or scalar, standard deviation of the position [rad | m].
-        noise_v: (n,) or scalar, standard deviation of the velocity [rad/s | m/s].
+        position: Positions of the joints, `x.q`.
+        velocity: Velocities of the joints, a measured `x.v`; None for an arm without tachometers.
+        motor: Second encoders, on the motors: `x.q_motor`.
+        motor_velocity: Tachometers on the motors: `x.v_motor`.
+        torque: Torques of the joints: `x.tau_meas`.
+        wrench: The wrench at the tool, `x.F_ext`, where the plant has an environment.
+        tip: Acceleration of the tool: `x.a_tip`.
+
+    Raises:
+        UsageError: A sensor of another kind, or a second encoder at the link.
+
+    Example:
+        >>> import taut
+        >>> sensors = Sensors(position=Encoder(resolution=1e-4, side="motor"), velocity=None, tip=Accelerometer())
+        >>> sorted(taut.RigidPlant(taut.load_arm("planar2"), sensors=sensors).measures)
+        ['a_tip', 'tau_meas']
+
+    References:
+        Chapter, section 10.1 control system overview and figure 10.1.
     """
 
-    resolution: ArrayLike = 0.0
-    noise_q: ArrayLike = 0.0
-    noise_v: ArrayLike = 0.0
+    position: Encoder = field(default_factory=Encoder)
+    velocity: Tachometer | None = field(default_factory=Tachometer)
+    motor: Encoder | None = None
+    motor_velocity: Tachometer | None = None
+    torque: TorqueSensor | None = field(default_factory=TorqueSensor)
+    wrench: WrenchSensor | None = field(default_factory=WrenchSensor)
+    tip: Accelerometer | None = None
 
     def __post_init__(self) -> None:
-        for name in SENSOR_FIELDS:
-            values = finite_array(f"sensors.{name}", getattr(self, name))
-            require_at_least(f"sensors.{name}", values, 0.0)
-            object.__setattr__(self, name, values)
+        for name, (_, kind) in SENSORS.items():
+            sensor = getattr(self, name)
+            if isinstance(sensor, kind) or (sensor is None and name != "position"):
+                continue
+            or_none = "" if name == "position" else " or None"
+            got = type(sensor).__name__
+            raise UsageError(f"sensors.{name} must be taut.{kind.__name__}(...){or_none}; got {got}", name=name)
+        for name in ("position", "velocity", "motor", "motor_velocity"):
+            sensor, at_motor = getattr(self, name), name.startswith("motor")
+            if sensor is None:
+                continue
+            if at_motor and sensor.side == "link":
+                raise UsageError(
+                    f"sensors.{name} is at the motor; got side='link'; leave side out, or give it as "
+                    f"{'position' if name == 'motor' else 'velocity'}=",
+                    name=name,
+                )
+            side = sensor.side or ("motor" if at_motor else "link")
+            object.__setattr__(self, name, dataclasses.replace(sensor, side=side))
 
-    def check_size(self, arm: Arm) -> None:
-        """Each number must be a scalar or have one entry per joint.
+    # ---------------------------------------------------------------- what they declare
+
+    def _there(self, touched: bool) -> dict[str, tuple[str, Sensor]]:
+        """Measurement and sensor of all that read something, by the sensor's name."""
+        return {
+            name: (measurement, getattr(self, name))
+            for name, (measurement, _) in SENSORS.items()
+            if getattr(self, name) is not None and (touched or name != "wrench")
+        }
+
+    def measures(self, *, touched: bool) -> frozenset[str]:
+        """What they measure besides positions; `touched` if something touches the tool."""
+        return frozenset(measurement for measurement, _ in self._there(touched).values()) - {"q"}
+
+    def distorts(self, *, touched: bool) -> frozenset[str]:
+        """The measurements that differ from the truth at the link."""
+        return frozenset(
+            measurement
+            for name, (measurement, sensor) in self._there(touched).items()
+            if numbers_of(sensor) or (name in ("position", "velocity") and getattr(sensor, "side", "") == "motor")
+        )
+
+    def noise(self, arm: Arm, *, touched: bool) -> dict[str, tuple[int, ...]]:
+        """Shapes of the standard normal numbers that they need in every tick, by measurement."""
+        return {
+            measurement: (sensor.size(arm),)
+            for measurement, sensor in self._there(touched).values()
+            if "noise" in numbers_of(sensor)
+        }
+
+    def parameters(self) -> dict[str, dict[str, Float64Array]]:
+        """Run-time parameters by sensor and name: the numbers that are there."""
+        return {name: numbers_of(sensor) for name, (_, sensor) in self._there(touched=True).items()}
+
+    # ---------------------------------------------------------------- checks
+
+    def check(self, arm: Arm, *, touched: bool) -> None:
+        """Whether they fit the arm.
 
         Raises:
-            ShapeError: One has another size.
+            ShapeError: A number that is neither a scalar nor one per joint or axis.
+            UsageError: A wrench sensor with faults where nothing touches the tool.
         """
-        for name in SENSOR_FIELDS:
-            values = getattr(self, name)
-            if np.ndim(values):
-                finite_array(f"sensors.{name}", values, shape=(arm.n,), joints=arm.joint_names)
+        for name, (_, sensor) in self._there(touched=True).items():
+            size = sensor.size(arm)
+            for word, values in numbers_of(sensor).items():
+                if values.ndim:
+                    path, joints = f"sensors.{name}.{word}", _joints_of(name, arm)
+                    finite_array(path, values, shape=(size,), joints=joints, allow_infinite=True)
+        if not touched and self.wrench is not None and numbers_of(self.wrench):
+            raise UsageError(
+                "sensors.wrench is for a plant that something touches; give environment= too, or leave it out",
+                name="wrench",
+            )
 
-    @property
-    def noisy(self) -> tuple[str, ...]:
-        """The measurements that have noise."""
-        return tuple(name for name in ("q", "v") if np.any(getattr(self, f"noise_{name}")))
+    def checked_parameter(self, path: str, value: ArrayLike, arm: Arm) -> Float64Array:
+        """A new value of a parameter by its whole path, checked like the first one, in the shape it has.
 
-    def parameters(self) -> dict[str, Float64Array]:
-        """Run-time parameters by name: those that are there."""
-        names = [f"noise_{name}" for name in self.noisy]
-        if np.any(self.resolution):
-            names.append("resolution")
-        return {name: np.asarray(getattr(self, name), dtype=np.float64) for name in names}
+        Raises:
+            ShapeError: Another shape.
+            RangeError: Against its rule.
+        """
+        _, name, word = path.split(".")
+        sensor: Sensor = getattr(self, name)
+        quantity, shape = sensor.quantities[word], np.shape(getattr(sensor, word))
+        if isinstance(sensor, WrenchSensor):
+            return six_of(path, quantity, value)
+        new = quantity.checked(path, value, joints=_joints_of(name, arm))
+        if new.shape not in ((), shape):
+            raise ShapeError(
+                f"{path} has shape {shape}; got shape {new.shape}; make the plant with a value of the new shape",
+                name=path,
+            )
+        return np.broadcast_to(new, shape)
 
-    def read(self, q: Vector, v: Vector, noise: Values, parameters: Values) -> tuple[Vector, Vector]:
-        """(n,) measured position and velocity; `noise` holds standard normal numbers by name."""
-        if "q" in noise:
-            q = q + parameters["noise_q"] * noise["q"]
-        if "v" in noise:
-            v = v + parameters["noise_v"] * noise["v"]
-        if "resolution" in parameters:
-            step = parameters["resolution"]
-            some = tm.where(step > 0.0, step, 1.0)
-            q = tm.where(step > 0.0, some * tm.floor(q / some + 0.5), q)
-        return q, v
+    # ---------------------------------------------------------------- the pure function
+
+    def read(self, model: Model, true: Values, noise: Values, parameters: Values) -> dict[str, Any]:
+        """What they give, by measurement; and saturated.F_ext, saturated.a_tip: 1.0 in a tick that is at its range.
+
+        Args:
+            model: The constants of the true arm.
+            true: What is true, by name: q, v and tau; q_motor, v_motor and tau_link where the transmission makes
+                them differ; F_ext where something touches the tool; a, the joints' acceleration, for `tip`.
+            noise: Standard normal numbers by measurement.
+            parameters: The sensors' parameters, by path below "sensors".
+        """
+        out: dict[str, Any] = {}
+        for name, (measurement, sensor) in self._there("F_ext" in true).items():
+            value, cut = sensor.read(model, true, noise.get(measurement), subtree(parameters, name))
+            out[measurement] = value
+            if cut is not None:
+                out[f"saturated.{measurement}"] = cut
+        return out
+
+
+def _joints_of(name: str, arm: Arm) -> tuple[str, ...] | None:
+    """Names of the entries of a sensor's numbers; None where they are axes."""
+    return None if name in ("wrench", "tip") else arm.joint_names

@@ -61,6 +61,13 @@ def units_of(run: Run) -> dict[str, list[str]]:
         "reference.v": tuple(f"{unit}/s" for unit in run.units),
         "reference.a": tuple(f"{unit}/s^2" for unit in run.units),
         "extra.F_ext": ("N",) * 3 + ("N m",) * 3,
+        "extra.sensed.q": run.units,
+        "extra.sensed.v": tuple(f"{unit}/s" for unit in run.units),
+        "extra.sensed.F_ext": ("N",) * 3 + ("N m",) * 3,
+        "extra.sensed.tau_meas": run.effort_units,
+        "extra.sensed.q_motor": run.units,
+        "extra.sensed.v_motor": tuple(f"{unit}/s" for unit in run.units),
+        "extra.sensed.a_tip": ("m/s^2",) * 3,
     }
     known |= {f"terms.{name}": run.command_units for name in run.terms}
     out = {}

@@ -11,6 +11,7 @@ import numpy as np
 from taut.arm.angles import require_radians
 from taut.arm.description import Arm
 from taut.base.errors import UsageError
+from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.control.lawside import LawSide
 from taut.control.reference import Chunk, Hold, Reference, Sample, Stream, sample_rows
@@ -107,7 +108,7 @@ def plain_snapshot(
     side: LawSide,
     measured: Mapping[str, Any],
     sensing: Mapping[str, Any] | None,
-    payload: Mapping[str, Any],
+    parameters: Mapping[str, Any],
     t: float,
 ) -> Snapshot:
     """What a controller sees at one instant, as plain numbers: what the source of a stream is given.
@@ -116,21 +117,21 @@ def plain_snapshot(
         side: The law side of the loop.
         measured: What the sensors give; copied.
         sensing: Memory of the controller's sensing; None before the first tick.
-        payload: The payload of the controller's model: mass, com, inertia.
+        parameters: Parameters of the law side by path.
         t: [s].
     """
     kept = {name: np.array(value, dtype=np.float64) for name, value in measured.items()}
-    v = kept.get("v", np.zeros(side.arm.n))
-    before = side.sensing.start(kept["q"]) if sensing is None else sensing
-    v, _ = side.sensing.velocity_of(side.arm, kept["q"], v, before, side.dt)
+    before = side.sensing_at_start(kept) if sensing is None else sensing
+    seen, _ = side.sense(kept, before, parameters, side.dt)
+    payload = subtree(parameters, "model.payload")
     return Snapshot(
         side.model,
-        q=kept["q"],
-        v=v,
+        q=seen["q"],
+        v=seen["v"],
         t=t,
         payload=PayloadValues.of({name: np.array(value) for name, value in payload.items()}),
         adds=side.adds,
-        measured={name: kept[name] for name in MEASUREMENTS if name in kept},
+        measured={name: seen[name] for name in MEASUREMENTS if name in seen},
     )
 
 

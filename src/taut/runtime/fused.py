@@ -9,6 +9,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from taut.base.errors import RangeError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
@@ -118,7 +119,7 @@ class FusedRun:
             self._prepare(k, end)
             done = self._run.run(tape.input_rows[k:end], self._values, self._state, tape.output_rows[k:end])
             if done < end - k:
-                kept, outcome = tape.diverged(k + done)
+                kept, outcome = self._diverged(k + done)
                 if log is not None:
                     log.write(tape.piece(k, kept, running))
                 return kept, outcome
@@ -127,6 +128,20 @@ class FusedRun:
             advance(end - k)
             k = end
         return ticks, self.tape.completed()
+
+    def _diverged(self, k: int) -> tuple[int, Outcome]:
+        """How a run ended whose step after row k was not finite: by a sensor, by the law, or by itself."""
+        row, memory = self._inputs.views(self.tape.input_rows[k]), self._memory.views(self._state)
+        side, parameters = self._loop.side, self._parameters.views(self._values)
+        with np.errstate(all="ignore"):
+            measured = self._loop.measured(subtree(memory, "plant"), row, parameters)
+        try:
+            side.check_finite({name: measured[name] for name in ("q", *side.takes) if name in measured}, k)
+        except RangeError as error:
+            if self.tape.is_sane(k):
+                message = f"{error} (t = {float(row['t']):.6g} s)"
+                return k, Outcome(kind="diverged", message=message, tick=k - 1, joint=error.joint)
+        return self.tape.diverged(k)
 
     def _end_of_block(self, k: int, ticks: int) -> int:
         later = bisect_right(self._stops, k)
@@ -152,4 +167,4 @@ class FusedRun:
         """What the controller sees in a tick, for the source of a stream."""
         parameters, side = self._parameters.views(self._values), self._loop.side
         measured = self._loop.measured(plant, inputs, parameters)
-        return plain_snapshot(side, measured, sensing, subtree(parameters, "model.payload"), float(inputs["t"]))
+        return plain_snapshot(side, measured, sensing, parameters, float(inputs["t"]))

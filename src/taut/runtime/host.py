@@ -27,8 +27,8 @@ class HostPlant(AnyPlant, Protocol):
         """Give a parameter a new value, checked."""
         ...
 
-    def reset(self, q: Float64Array, v: Float64Array, dt: float) -> None:
-        """Put the plant into a state, and prepare it for control periods of dt [s]."""
+    def reset(self, q: Float64Array, v: Float64Array, dt: float, seed: int) -> None:
+        """Put the plant into a state, and prepare it for control periods of dt [s]; any noise is the seed's."""
         ...
 
     def state(self) -> tuple[Float64Array, Float64Array]:

@@ -13,6 +13,7 @@ from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.layout import Block
 from taut.control.reference import Reference
 from taut.controller import Controller, take_up_change
+from taut.loop import sensed_of
 from taut.maths.snapshot import Snapshot
 from taut.record.outcome import Outcome
 from taut.runtime.events import Event
@@ -64,8 +65,8 @@ class HostedRun:
                 else:
                     raise unknown_name("the run", "parameter", path, [*side.parameters, *plant.parameters])
         self._before = dict(plant.parameters)  # events last as long as the run
-        self._kernel = ctrl.recording_kernel()
-        plant.reset(q, v, side.dt)
+        self._kernel = ctrl.recording_kernel(sensed_of(side, plant))
+        plant.reset(q, v, side.dt, info["seed"])
         n = side.arm.n
         shapes: dict[str, tuple[int, ...]] = {"q": (n,), "v": (n,), "tau": (n,)}
         shapes |= self._kernel.blocks.layout["outputs"].shapes
@@ -125,7 +126,8 @@ class HostedRun:
             kernel.tick()
         except (NumericalError, RangeError) as error:  # a tick without a command: it is not recorded
             if tape.is_sane(k):
-                message = f"{error} (t = {tape.inputs['t'][k]:.6g} s, tick {k})"
+                tick = "" if isinstance(error, RangeError) else f", tick {k}"  # which the other names itself
+                message = f"{error} (t = {tape.inputs['t'][k]:.6g} s{tick})"
                 return Outcome(kind="diverged", message=message, tick=k - 1, joint=error.joint)
             _, outcome = tape.diverged(k)
             return Outcome(kind="diverged", message=f"{outcome.message}; {error}", tick=k - 1, joint=outcome.joint)
@@ -161,9 +163,9 @@ class HostedRun:
         end = min(stops if question is None else [*stops, question])
 
         def state() -> Snapshot:
-            payload = subtree(self._kernel.blocks.views("parameters"), "model.payload")
+            parameters = self._kernel.blocks.views("parameters")
             sensing = subtree(self._kernel.blocks.views("memory"), "sensing") if self._kernel.ready else None
-            return plain_snapshot(self._side, measured, sensing, payload, k * self._side.dt)
+            return plain_snapshot(self._side, measured, sensing, parameters, k * self._side.dt)
 
         self._feed.fill(self.tape.reference(k, end), k, state)
         self._filled = end

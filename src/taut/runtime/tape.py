@@ -109,7 +109,20 @@ class Tape:
                 f"; joint '{arm.joint_names[joint]}' went {beyond[joint]:.3g} {arm.units[joint]} beyond its limits, "
                 "where a real one meets its stop"
             )
+        message += self._saturated(ticks)
         return Outcome(kind="completed", message=message, tick=ticks - 1)
+
+    def _saturated(self, ticks: int) -> str:
+        """Which sensors were at their range, in the first ticks of the run."""
+        said = ""
+        for name, column in self.outputs.items():
+            at = np.flatnonzero(column[:ticks])
+            if name.startswith("saturated.") and len(at):
+                said += (
+                    f"; the sensor of {name.removeprefix('saturated.')} was at its range in {len(at)} of {ticks} "
+                    f"ticks, first at t = {self.inputs['t'][at[0]]:.6g} s"
+                )
+        return said
 
     def is_sane(self, tick: int) -> bool:
         """Whether the arm's motion in a row is one that an arm can have: then what is wrong is the law."""
@@ -134,5 +147,6 @@ class Tape:
         message = (
             f"the simulation diverged at t = {t:.6g} s (tick {tick}): joint '{names[joint]}' was at "
             f"{speeds[joint]:.3g} {units[joint]}/s; try smaller gains, a higher rate or more substeps"
+            f"{self._saturated(kept)}"
         )
         return kept, Outcome(kind="diverged", message=message, tick=kept - 1, joint=names[joint])

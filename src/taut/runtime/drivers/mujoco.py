@@ -13,14 +13,25 @@ import numpy as np
 from taut.arm.description import Arm, Payload
 from taut.base.checks import one_of, positive_scalar
 from taut.base.errors import MatchError, UsageError, unknown_name
+from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
+from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
+from taut.maths.compensation import compensation
+from taut.maths.model import PayloadValues, model_of
+from taut.plant.actuation import Actuation, delayed
+from taut.plant.drivetrain import Drivetrain
+from taut.plant.numbers import PlantNumbers
+from taut.plant.sensors import Sensors
+from taut.plant.transmission import require_rotors
 from taut.runtime.drivers.mujoco_attach import Inertias, attached
 from taut.runtime.drivers.mujoco_drives import Compensation, Drives, Motors, cut_off
 from taut.runtime.drivers.mujoco_health import Guard, Health
+from taut.runtime.drivers.mujoco_joints import JointStage, LinkTorque
 from taut.runtime.drivers.mujoco_model import INTEGRATORS, Integrator, ModelOptions, built, put_timestep
 from taut.runtime.drivers.mujoco_rig import Rig
 from taut.runtime.drivers.mujoco_scene import read_scene
+from taut.runtime.drivers.mujoco_sensors import SensorStage
 from taut.runtime.drivers.mujoco_settings import Settings
 from taut.runtime.drivers.mujoco_shapes import LOOKS, TOUCHES, Looks, Touch
 from taut.runtime.drivers.mujoco_wrench import Wrench
@@ -72,6 +83,8 @@ class MujocoPlant:
         tool_radius: [m] of the sphere.
         link_radius: [m] of the capsules.
         looks: What a viewer shows: "plain" shapes, or the arm's "meshes", which take longer to load.
+        actuation: The drives, as of RigidPlant: delay, amplifier, motor, gear; ideal if left out.
+        sensors: What is measured, and how well; ideal sensors if left out.
 
     Raises:
         UsageError: Options that do not go together.
@@ -103,6 +116,8 @@ class MujocoPlant:
         tool_radius: float = 0.01,
         link_radius: float = 0.05,
         looks: Looks = "plain",
+        actuation: Actuation | None = None,
+        sensors: Sensors | None = None,
     ) -> None:
         if not isinstance(arm, Arm):  # callers without a type checker
             raise UsageError(f"a plant takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
@@ -110,9 +125,18 @@ class MujocoPlant:
             if value not in ("arm", None):
                 raise UsageError(f"{name} must be 'arm' or None; got {value!r}", name=name)
         what = Adds.of(adds)
-        left = None if what.friction else friction  # a plant that adds its friction has none left
+        drives, seen = actuation or Actuation(), sensors or Sensors()
+        for name, given, part in (("actuation", drives, Actuation), ("sensors", seen, Sensors)):
+            if not isinstance(given, part):
+                got = type(given).__name__
+                raise UsageError(f"{name} must be taut.{part.__name__}(...); got {got}", name=name)
+        drives.check_size(arm)
+        seen.check(arm, touched=True)
+        left = arm.friction if friction == "arm" and not what.friction else None
+        train = Drivetrain(arm=arm, friction=left, transmission=drives.transmission)
+        require_rotors(arm, train.compliant)
         options = ModelOptions(
-            friction=left,
+            drivetrain=train,
             limits=limits,
             integrator=one_of("integrator", integrator, INTEGRATORS),
             touch=None if touch is None else one_of("touch", touch, TOUCHES),
@@ -120,17 +144,25 @@ class MujocoPlant:
             link_radius=positive_scalar("link_radius", link_radius, unit="m"),
             looks=one_of("looks", looks, LOOKS),
         )
-        if integrator == "rk4" and left == "arm" and arm.coulomb.any():
+        if integrator == "rk4" and train.dry:
+            what_sticks = "dry friction" if left is not None and left.dry else "gears that lose power"
             raise UsageError(
-                f"rk4 needs smooth forces, and arm '{arm.name}' has dry friction; use integrator='discrete', or "
+                f"rk4 needs smooth forces, and arm '{arm.name}' has {what_sticks}; use integrator='discrete', or "
                 "friction=None",
                 name="integrator",
             )
         self._timestep = None if timestep is None else positive_scalar("timestep", timestep, unit="s")
         rig = built(arm, None if scene is None else read_scene(scene), options, what)
         self._name = f"MujocoPlant({arm.name})"
-        self._settings: Settings | None = Settings(rig, left)
-        self._compensation = Compensation(arm, what) if what.gravity or what.coriolis else None
+        numbers = PlantNumbers(arm=arm, drivetrain=train, actuation=drives, sensors=seen)
+        self._settings: Settings | None = Settings(rig, numbers)
+        self._actuation, self._sensors = drives, seen
+        self._stage = None
+        if drives.acts or train.compliant or train.lossy or (left is not None and (left.falls or left.loaded)):
+            self._stage = JointStage(rig, drives, train, what)
+        adds_torque = (what.gravity or what.coriolis) and self._stage is None
+        self._compensation = Compensation(arm, what) if adds_torque else None
+        self._link, self._readings = LinkTorque(rig), SensorStage(arm, seen)
         self._take(rig, Motors(rig))
 
     @classmethod
@@ -177,6 +209,8 @@ class MujocoPlant:
         plant._timestep = None
         plant._settings = None
         plant._compensation = None
+        plant._stage = None
+        plant._actuation, plant._sensors = Actuation(), Sensors()
         plant._take(rig, drives)
         return plant
 
@@ -197,6 +231,8 @@ class MujocoPlant:
         n = self._rig.arm.n
         self._tau, self._cut, self._F_ext = np.zeros(n), np.zeros(n), np.zeros(6)
         self._told = False
+        self._tau_link, self._a = np.zeros(n), np.zeros(n)
+        self._saturated: dict[str, Float64Array] = {}
 
     # ---------------------------------------------------------------- what it declares
 
@@ -228,7 +264,12 @@ class MujocoPlant:
     @property
     def measures(self) -> frozenset[str]:
         """What it measures besides positions."""
-        return frozenset({"v", "tau_meas", "F_ext"})
+        return self._sensors.measures(touched=True)
+
+    @property
+    def distorts(self) -> frozenset[str]:
+        """The measurements that differ from the truth."""
+        return self._sensors.distorts(touched=True)
 
     @property
     def adds(self) -> Adds:
@@ -259,11 +300,14 @@ class MujocoPlant:
         checked = self.checked_parameter(path, value)
         assert self._settings is not None
         self._settings.put(path, checked)
+        if self._stage is not None:
+            self._stage.take(self._settings.values)
+        self._readings.take(self._settings.values)
 
     # ---------------------------------------------------------------- a run
 
-    def reset(self, q: Float64Array, v: Float64Array, dt: float) -> None:
-        """Put the arm into a state, and prepare for control periods of dt [s].
+    def reset(self, q: Float64Array, v: Float64Array, dt: float, seed: int = 0) -> None:
+        """Put the arm into a state, and prepare for control periods of dt [s]; the noise comes from the seed.
 
         Raises:
             MatchError: The control period is not a whole number of time steps, or the arm's actuators are disabled.
@@ -280,6 +324,22 @@ class MujocoPlant:
         self._qvel[rig.v] = v
         self._health.start()
         self._silence()
+        if self._settings is None:
+            return
+        self._line = None
+        taps = self._actuation.taps(dt)
+        values = self._settings.values
+        payload = PayloadValues.of(subtree(values, "plant.payload"))
+        model = model_of(rig.arm)
+        weight = dyn.gravity_torque(model, q, payload)
+        self._tau_link = weight
+        self._tau = weight - compensation(model, self.adds, q, np.zeros(len(q)), payload)
+        if taps:
+            self._line = np.stack([self._tau] * taps)
+        self._h = dt / self._substeps
+        if self._stage is not None:
+            self._stage.start(q, v, values, dt, self._substeps)
+        self._readings.start(seed, self._true(), values)
 
     def _steps_in(self, dt: float) -> int:
         if self._settings is not None and self._timestep is None:
@@ -302,41 +362,96 @@ class MujocoPlant:
         return self._qpos[self._rig.q].copy(), self._qvel[self._rig.v].copy()
 
     def measure(self) -> dict[str, Float64Array]:
-        """(n,) q, v, tau_meas and (6,) F_ext; the last two are those of the last step, zero before the first."""
+        """What the sensors give, by measurement; forces and torques are those of the last step."""
+        if self._settings is None:  # an attached arm: what its actuators gave
+            q, v = self.state()
+            return {"q": q, "v": v, "tau_meas": self._tau.copy(), "F_ext": self._F_ext.copy()}
+        given = self._readings.read(self._true())
+        self._saturated = {name: value for name, value in given.items() if name.startswith("saturated.")}
+        return given
+
+    def _true(self) -> dict[str, Float64Array]:
+        """What is true now, by name."""
         q, v = self.state()
-        return {"q": q, "v": v, "tau_meas": self._tau.copy(), "F_ext": self._F_ext.copy()}
+        true = {"q": q, "v": v, "tau": self._tau, "tau_link": self._tau_link, "F_ext": self._F_ext}
+        if self._sensors.tip is not None:
+            true["a"] = self._a
+        memory = {} if self._stage is None else self._stage.memory
+        return true | {name: memory[name] for name in ("q_motor", "v_motor") if name in memory}
 
     def advance(self, command: Float64Array) -> Float64Array:
         """One control period under a torque command (n,); (n,) the torque that acted on the joints."""
+        if self._settings is None:
+            return self._advance_attached(command)
+        held, self._line = delayed(command, self._line)
+        with self._guard:
+            if self._stage is None:
+                self._step_plainly(held)
+            else:
+                self._step_through(self._stage, held)
+        self._F_ext = self._wrench.of_environment()
+        return self._tau
+
+    def _step_plainly(self, held: Float64Array) -> None:
+        """The steps of a period in which the torque itself stands at the joints."""
+        rig, last = self._rig, self._substeps - 1
+        self._drives.write(held)
+        if last and self._compensation is None:
+            self._mj_step(rig.model, rig.data, last)
+        elif last:
+            for _ in range(last):
+                self._compensate()
+                self._mj_step(rig.model, rig.data)
+        torque = held + self._compensate()
+        v = self._qvel[rig.v].copy()
+        self._mj_step(rig.model, rig.data)
+        v_end = self._qvel[rig.v]
+        self._tau, self._a = held.copy(), (v_end - v) / self._h
+        self._tau_link = self._link.of_step(torque, self._link.friction(), v_end, self._a)
+
+    def _step_through(self, stage: JointStage, held: Float64Array) -> None:
+        """The steps of a period in which motors, gears and friction stand before the joints."""
+        rig = self._rig
+        stage.memory["held"][...] = held
+        for _ in range(self._substeps):
+            v = self._qvel[rig.v].copy()
+            self._drives.write(stage.before(self._qpos[rig.q], v, self._F_ext))
+            self._mj_step(rig.model, rig.data)
+            stage.after(self._qpos[rig.q], self._qvel[rig.v])
+        self._a = (self._qvel[rig.v] - v) / self._h
+        self._tau, self._tau_link = stage.tau, stage.memory["tau_link"].copy()
+
+    def _advance_attached(self, command: Float64Array) -> Float64Array:
+        """The same for an arm in a model of the user's."""
         model, data, drives = self._rig.model, self._rig.data, self._drives
         drives.take()
         try:
             with self._guard:
-                if self._compensation is None and not drives.per_step:
-                    drives.write(command)
-                    self._mj_step(model, data, self._substeps)
-                else:
+                if drives.per_step:
                     for _ in range(self._substeps):
-                        self._compensate()
                         drives.write(command)
                         self._mj_step(model, data)
+                else:
+                    drives.write(command)
+                    self._mj_step(model, data, self._substeps)
             self._tau = drives.acted()
         finally:
             drives.release()
         self._F_ext = self._wrench.of_environment()
-        if self._settings is None:
-            self._cut = cut_off(command, self._tau)
-            if not self._told and self._cut.any():
-                self._tell(command)
+        self._cut = cut_off(command, self._tau)
+        if not self._told and self._cut.any():
+            self._tell(command)
         return self._tau
 
-    def _compensate(self) -> None:
-        """What the plant adds itself, at the state of this very step."""
+    def _compensate(self) -> Any:
+        """(n,) what the plant adds itself, at the state of this very step."""
         if self._compensation is None:
-            return
+            return 0.0
         assert self._settings is not None
         q, v = self.state()
-        self._rig.data.qfrc_applied[self._rig.v] = self._compensation.torque(q, v, self._settings.load)
+        added = self._compensation.torque(q, v, self._settings.load)
+        self._rig.data.qfrc_applied[self._rig.v] = added
+        return added
 
     def _tell(self, command: Float64Array) -> None:
         self._told = True
@@ -352,13 +467,15 @@ class MujocoPlant:
 
     def trouble(self) -> tuple[str, int | None] | None:
         """What went wrong in the last period, in words, and the joint; None if nothing did."""
+        if self._stage is not None and not self._stage.sane:
+            return "its drives gave numbers that are not finite", None
         return self._health.trouble()
 
     def extra(self) -> dict[str, Any]:
         """(6,) F_ext of the last step; for an attached arm also (n,) tau_cut, what its actuators did not give."""
         if self._settings is None:
             return {"F_ext": self._F_ext, "tau_cut": self._cut}
-        return {"F_ext": self._F_ext}
+        return {"F_ext": self._F_ext, **self._saturated}
 
     def __repr__(self) -> str:
         return self.name

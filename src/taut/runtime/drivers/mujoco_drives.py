@@ -12,8 +12,8 @@ from taut.base.errors import MatchError
 from taut.base.types import Array, Float64Array
 from taut.codegen import native as native_code
 from taut.codegen.function import native
-from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
+from taut.maths.compensation import compensation
 from taut.maths.model import PayloadValues, model_of
 from taut.runtime.drivers.mujoco_rig import Rig, index
 
@@ -198,7 +198,7 @@ class Compensation:
     """What a plant adds to every torque command itself, by the Arm's own formulas: gravity and Coriolis torques."""
 
     def __init__(self, arm: Arm, adds: Adds) -> None:
-        self._arm, self._adds, self._model = arm, adds, model_of(arm)
+        self._adds, self._model = adds, model_of(arm)
         n = arm.n
         self._call: Any = self._torque
         if native_code.available():
@@ -210,12 +210,4 @@ class Compensation:
         return total
 
     def _torque(self, q: Array, v: Array, mass: Any, com: Array, inertia: Array) -> Array:
-        adds, load = self._adds, PayloadValues(mass=mass, com=com, inertia=inertia)
-        total: Array = np.zeros(self._arm.n)
-        if adds.gravity:
-            known = adds.load
-            told = load if known is None else PayloadValues(mass=known.mass, com=known.com, inertia=known.inertia)
-            total = total + dyn.gravity_torque(self._model, q, told)
-        if adds.coriolis:
-            total = total + dyn.bias(self._model, q, v, load, gravity=False)
-        return total
+        return compensation(self._model, self._adds, q, v, PayloadValues(mass=mass, com=com, inertia=inertia))

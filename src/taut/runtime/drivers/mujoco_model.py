@@ -14,6 +14,7 @@ from taut.base.inertia import inertia_matrix
 from taut.base.pose import Pose
 from taut.base.types import Float64Array
 from taut.maths.adds import Adds
+from taut.plant.drivetrain import Drivetrain
 from taut.runtime.drivers.mujoco_health import Guard
 from taut.runtime.drivers.mujoco_rig import Rig, index
 from taut.runtime.drivers.mujoco_scene import Scene, attach_scene, refused
@@ -38,7 +39,7 @@ AT_ONCE: Final = 1e9  # how many times faster than one step sliding is braked: a
 class ModelOptions:
     """How the model is built; see MujocoPlant."""
 
-    friction: Literal["arm"] | None
+    drivetrain: Drivetrain
     limits: Literal["arm"] | None
     integrator: Integrator
     touch: Touch | None
@@ -142,7 +143,7 @@ class _Builder:
         option.gravity = arm.gravity
         option.integrator = _integrator(options.integrator)
         option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        if options.friction == "arm" and arm.coulomb.any():
+        if options.drivetrain.dry:
             option.noslip_iterations, option.noslip_tolerance = NOSLIP_ITERATIONS, NOSLIP_TOLERANCE
         self._names = {"world"}
         names = [
@@ -178,10 +179,12 @@ class _Builder:
         body.mass, body.inertia, body.ipos, body.iquat = inertial.mass, moments, T_axes.p, T_axes.wxyz
         body.explicitinertial = True
         body.simple = 0  # no shortcut that would rest on the payload having no mass
-        made.armature = joint.rotor_inertia
-        if self._options.friction == "arm":
-            made.damping = [joint.viscous, 0.0, 0.0]
-            made.frictionloss = joint.coulomb
+        train = self._options.drivetrain
+        if i in train.rigid:  # else its motor moves by itself, and friction with it
+            made.armature = joint.rotor_inertia
+            if train.friction is not None:
+                made.damping = [joint.viscous, 0.0, 0.0]
+                made.frictionloss = joint.coulomb
         limited = self._options.limits == "arm" and bool(np.isfinite([joint.lower, joint.upper]).any())
         made.limited = mujoco.mjtLimited.mjLIMITED_TRUE if limited else mujoco.mjtLimited.mjLIMITED_FALSE
         if limited:

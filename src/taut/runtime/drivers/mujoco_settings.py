@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from taut.arm.description import Payload
-from taut.base.checks import finite_array, read_only, require_at_least
+from taut.base.checks import read_only
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.lawside import checked_payload_entry, in_compiled_shape
+from taut.control.lawside import in_compiled_shape
+from taut.plant.numbers import PlantNumbers
 from taut.runtime.drivers.mujoco_model import put_payload
 from taut.runtime.drivers.mujoco_rig import Rig
 
@@ -18,57 +19,62 @@ if TYPE_CHECKING:
 
 __all__ = ["Settings"]
 
+LOAD = ("mass", "com", "inertia")
+
 
 class Settings:
     """The parameters of a model that we built, and their way into it."""
 
-    def __init__(self, rig: Rig, friction: Literal["arm"] | None) -> None:
-        arm, payload = rig.arm, rig.arm.payload
-        self._rig = rig
+    def __init__(self, rig: Rig, numbers: PlantNumbers) -> None:
+        self._rig, self._numbers = rig, numbers
         self._scratch: mujoco.MjData | None = None
-        self.values: dict[str, Float64Array] = {
-            "plant.payload.mass": read_only(np.asarray(payload.mass)),
-            "plant.payload.com": payload.com,
-            "plant.payload.inertia": payload.inertia,
-        }
-        if friction == "arm" and arm.viscous.any():
-            self.values["plant.friction.viscous"] = arm.viscous
-        if friction == "arm" and arm.coulomb.any():
-            self.values["plant.friction.coulomb"] = arm.coulomb
+        # A joint whose motor moves by itself has rotor and friction in the stage before MuJoCo.
+        self._rigid = list(numbers.drivetrain.rigid)
+        self.values = {path: read_only(np.asarray(value)) for path, value in numbers.values().items()}
 
     @property
     def load(self) -> tuple[Float64Array, Float64Array, Float64Array]:
         """The payload: mass, com, inertia."""
-        mass, com, inertia = (self.values[f"plant.payload.{name}"] for name in ("mass", "com", "inertia"))
+        mass, com, inertia = (self.values[f"plant.payload.{name}"] for name in LOAD)
         return mass, com, inertia
 
     def checked(self, path: str, value: ArrayLike) -> Float64Array:
         """A new value in the shape that the parameter has."""
-        shape = self.values[path].shape
+        new = in_compiled_shape(path, self._numbers.checked(path, value), self.values[path].shape)
+        self._numbers.check_together({**self.values, path: new})
         if path.startswith("plant.payload."):
-            new = in_compiled_shape(path, checked_payload_entry(path, value), shape)
             self._payload(path, new)
-            return read_only(new)
-        new = in_compiled_shape(path, finite_array(path, value), shape)
-        require_at_least(path, new, 0.0, joints=self._rig.arm.joint_names)
         return read_only(new)
 
     def _payload(self, path: str, value: Float64Array) -> Payload:
-        values = {name: self.values[f"plant.payload.{name}"] for name in ("mass", "com", "inertia")}
+        values = {name: self.values[f"plant.payload.{name}"] for name in LOAD}
         values[path.rpartition(".")[2]] = value
         return Payload(mass=float(values["mass"]), com=values["com"], inertia=values["inertia"])
 
     def put(self, path: str, value: Float64Array) -> None:
         """Keep a checked value, and bring it into the model."""
-        import mujoco
-
         self.values = {**self.values, path: value}
         rig, model = self._rig, self._rig.model
+        dofs = [rig.dofs[i] for i in self._rigid]
         if path.startswith("plant.payload."):
-            if self._scratch is None:
-                self._scratch = mujoco.MjData(model)
-            put_payload(model, self._scratch, rig.tool_body, self._payload(path, value))
-        elif path.endswith("viscous"):
-            model.dof_damping[rig.v] = value
-        else:
-            model.dof_frictionloss[rig.v] = value
+            put_payload(model, self._somewhere(), rig.tool_body, self._payload(path, value))
+        elif path == "plant.friction.viscous":
+            model.dof_damping[dofs] = self._of_rigid(value)
+        elif path == "plant.friction.coulomb":
+            model.dof_frictionloss[dofs] = self._of_rigid(value)
+        elif path == "plant.rotor_inertia":
+            import mujoco
+
+            model.dof_armature[dofs] = self._of_rigid(value)
+            mujoco.mj_setConst(model, self._somewhere())
+
+    def _of_rigid(self, value: Float64Array) -> Float64Array:
+        return np.broadcast_to(value, (self._rig.arm.n,))[self._rigid]
+
+    def _somewhere(self) -> mujoco.MjData:
+        """Data for MuJoCo to compute constants in, which the run's own is not lost for."""
+        import mujoco
+
+        if self._scratch is None:
+            self._scratch = mujoco.MjData(self._rig.model)
+        return self._scratch

@@ -1,0 +1,60 @@
+"""Sensing of a scenario: velocity, notch, F_ext and tau_meas in [control]."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from taut.apps.toml import Section
+from taut.arm.description import Arm
+from taut.control.filters import LowPass, Notch
+from taut.control.sensing import FILTERED, VELOCITIES, Sensing
+from taut.control.velocity import Difference, Kalman
+
+__all__ = ["read_sensing"]
+
+KINDS: Final[Mapping[str, Any]] = {"low-pass": LowPass, "difference": Difference, "kalman": Kalman}
+KEYS: Final[Mapping[str, tuple[str, ...]]] = {
+    "low-pass": ("cutoff", "order"),
+    "difference": ("cutoff", "order"),
+    "kalman": ("acceleration_noise", "position_noise"),
+    "notch": ("frequency", "width", "depth"),
+}
+REQUIRED: Final = {
+    "low-pass": ("cutoff",), "difference": (), "kalman": KEYS["kalman"], "notch": ("frequency", "width"),
+}  # fmt: skip
+
+
+def read_sensing(section: Section, arm: Arm, rate: float) -> Sensing:
+    """velocity = "measured", "difference" or a table { kind, ... }; tables notch, F_ext and tau_meas.
+
+    Args:
+        section: [control].
+        arm: The controllers' arm.
+        rate: Ticks per second [Hz].
+    """
+    parts: dict[str, Any] = {"velocity": "measured"}
+    given = section.peek("velocity")
+    if isinstance(given, dict):
+        table = section.section("velocity")
+        kind = table.word("kind", tuple(KINDS))
+        parts["velocity"] = _part(table, "velocity", kind, KINDS[kind], arm, rate)
+    elif isinstance(given, str) and given in KINDS and given not in VELOCITIES:
+        numbers = ", ".join(f"{name} = ..." for name in REQUIRED[given])
+        raise section.error(f'velocity = "{given}" needs its numbers: {{ kind = "{given}", {numbers} }}')
+    else:
+        parts["velocity"] = section.word("velocity", VELOCITIES, "measured")
+    for name in ("notch", *FILTERED):
+        if name in section:
+            kind, cls = ("notch", Notch) if name == "notch" else ("low-pass", LowPass)
+            parts[name] = _part(section.section(name), name, kind, cls, arm, rate)
+    return Sensing(**parts)
+
+
+def _part(table: Section, name: str, kind: str, cls: Any, arm: Arm, rate: float) -> Any:
+    """A filter from its table, which fits the arm and the rate."""
+    values = table.fields(KEYS[kind], REQUIRED[kind])
+    with table.blamed():
+        made = cls(**values)
+        Sensing(**{name: made}).check(arm, rate)
+        return made

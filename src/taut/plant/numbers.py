@@ -1,0 +1,86 @@
+"""The run-time parameters that model plants and engines share: payload, friction, rotors, drives, sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from taut.arm.description import Arm
+from taut.arm.friction import AT_REST, check_at_rest
+from taut.base.checks import finite_array, require_at_least, require_positive
+from taut.base.errors import ShapeError
+from taut.base.paths import flatten
+from taut.base.types import ArrayLike, Float64Array
+from taut.control.lawside import checked_payload_entry
+from taut.plant.actuation import Actuation
+from taut.plant.drivetrain import Drivetrain
+from taut.plant.sensors import Sensors
+
+__all__ = ["PlantNumbers"]
+
+STIFFNESS: Final = "actuation.transmission.stiffness"  # which is infinite for a joint that is rigid
+FRICTION: Final = "plant.friction."
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlantNumbers:
+    """Parameters of a true arm, by path, and what they may become."""
+
+    arm: Arm
+    drivetrain: Drivetrain
+    actuation: Actuation
+    sensors: Sensors
+
+    def values(self) -> dict[str, Float64Array]:
+        """The numbers that the plant was made with: those that are there."""
+        payload = self.arm.payload
+        plant: dict[str, Any] = {
+            "payload": {"mass": np.asarray(payload.mass), "com": payload.com, "inertia": payload.inertia},
+            "friction": self.drivetrain.parameters(),
+        }
+        if self.arm.rotor_inertia.any():
+            plant["rotor_inertia"] = self.arm.rotor_inertia
+        stages = {"actuation": self.actuation.parameters(), "sensors": self.sensors.parameters()}
+        return flatten({"plant": plant, **stages})
+
+    def checked(self, path: str, value: ArrayLike) -> Float64Array:
+        """A new value, checked like the first one and in its shape.
+
+        Raises:
+            ShapeError: Another shape.
+            RangeError: NaN, infinite, or against its rule.
+        """
+        if path.startswith("plant.payload."):
+            return checked_payload_entry(path, value)
+        if path.startswith("sensors."):
+            return self.sensors.checked_parameter(path, value, self.arm)
+        shape = self.values()[path].shape
+        new = finite_array(path, value, allow_infinite=path == STIFFNESS)
+        if new.shape not in ((), shape):
+            raise ShapeError(
+                f"{path} has shape {shape}; got shape {new.shape}; make the plant with a value of the new shape",
+                name=path,
+            )
+        if path.startswith("actuation."):
+            self.actuation.checked(path.partition(".")[2], new)
+        elif path == f"{FRICTION}stribeck_shape":
+            require_positive(path, new)
+        else:
+            joints = self.arm.joint_names if shape == (self.arm.n,) else None
+            require_at_least(path, new, 0.0, joints=joints)
+        return np.broadcast_to(new, shape)
+
+    @staticmethod
+    def check_together(values: Mapping[str, ArrayLike]) -> None:
+        """Refuse values that do not go together, each of which is right by itself.
+
+        Raises:
+            RangeError: Less friction at rest than in motion.
+        """
+        for at_rest, moving in AT_REST.items():
+            rest = values.get(FRICTION + at_rest)
+            if rest is not None:
+                check_at_rest(rest, values.get(FRICTION + moving, 0.0), at_rest, prefix=FRICTION)

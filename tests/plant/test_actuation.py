@@ -1,0 +1,212 @@
+"""The drives between command and motor: resolution, ripple, speed-torque limits, an inner torque loop."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import taut
+
+FREE = taut.load_arm("one_joint").with_gravity([0.0, 0.0, 0.0]).with_joints(viscous=0.0)  # M = 0.5 kg m^2
+
+
+def held(arm: taut.Arm, tau: float, duration: float = 0.2, v0: float = 0.0, **drives: Any) -> taut.Run:
+    law = taut.compile(taut.laws.PID(kp=1e-9), arm)
+    plant = taut.RigidPlant(arm, actuation=taut.Actuation(**drives))
+    return taut.run(law, plant, taut.JointMotion(q=[1e9 * tau]), duration=duration, q0=[0.0], v0=[v0])
+
+
+def test_a_torque_comes_in_steps_of_the_amplifier() -> None:
+    law = taut.compile(taut.laws.PID(kp=1.0), FREE)
+    ramp = taut.Samples(times=[0.0, 1.0], q=[[-1.0], [1.0]])
+    plant = taut.RigidPlant(FREE, actuation=taut.Actuation(resolution=0.25))
+    run = taut.run(law, plant, ramp, duration=0.5, q0=[0.0])
+    np.testing.assert_array_equal(run.tau, 0.25 * np.floor(run.command / 0.25 + 0.5))
+    assert len(np.unique(run.tau)) >= 4
+
+
+def test_ripple_goes_with_the_turns_of_the_motor() -> None:
+    arm = FREE.with_gears(ratio=7.0, motor_inertia=1e-5)
+    run = held(arm, 2.0, duration=0.5, ripple=taut.Ripple(amplitude=0.1, periods=4))
+    np.testing.assert_allclose(run.tau, 2.0 * (1.0 + 0.1 * np.sin(4.0 * 7.0 * run.q)), rtol=1e-7)
+    assert run.tau.max() > 2.19
+    assert run.tau.min() < 1.81
+
+
+class TestSpeedTorqueCurve:
+    CURVE = taut.Motor(peak=0.5, stall=0.8, no_load=300.0)
+    ARM = FREE.with_gears(ratio=10.0, motor_inertia=1e-6)
+
+    @pytest.mark.parametrize(
+        ("v", "asked", "given"),
+        [
+            (0.0, 100.0, 5.0),  # 10 times the peak
+            (0.0, -100.0, -5.0),
+            (0.0, 3.0, 3.0),
+            (20.0, 100.0, 10.0 * 0.8 * (1.0 - 200.0 / 300.0)),
+            (20.0, -100.0, -5.0),  # braking is not limited by the supply
+            (-20.0, -100.0, -10.0 * 0.8 * (1.0 - 200.0 / 300.0)),
+            (30.0, 100.0, 0.0),  # no torque is left at the no-load speed
+            (36.0, 100.0, 10.0 * 0.8 * (1.0 - 360.0 / 300.0)),  # beyond it the motor brakes
+            (60.0, 100.0, -5.0),  # no more than its peak
+        ],
+    )
+    def test_is_the_motor_s_seen_through_the_gear(self, v: float, asked: float, given: float) -> None:
+        run = held(self.ARM, asked, duration=0.001, v0=v, motor=self.CURVE)
+        assert run.tau[0, 0] == pytest.approx(given, rel=1e-6, abs=1e-9)
+
+    def test_holds_behind_a_lag_too(self) -> None:
+        run = held(self.ARM, 100.0, duration=12.0, motor=self.CURVE, bandwidth=100.0)
+        limit = np.clip(10.0 * 0.8 * (1.0 - 10.0 * run.v / 300.0), -5.0, 5.0)
+        assert (run.tau <= limit + 1e-9).all()
+        assert run.v[-1, 0] == pytest.approx(30.0, rel=0.02)
+
+    def test_is_changed_in_a_run(self) -> None:
+        law = taut.compile(taut.laws.PID(kp=1e-9), self.ARM)
+        plant = taut.RigidPlant(self.ARM, actuation=taut.Actuation(motor=self.CURVE))
+        weaker = [taut.Event(t=0.01, set={"actuation.motor.peak": 0.2})]
+        run = taut.run(law, plant, taut.JointMotion(q=[1e11]), duration=0.02, q0=[0.0], events=weaker)
+        assert run.tau[9, 0] == pytest.approx(5.0)
+        assert run.tau[10, 0] == pytest.approx(2.0)
+
+
+class TestTorqueLoop:
+    """A geared joint with friction, held still behind the sensor by a stiff spring."""
+
+    ARM = FREE.with_gears(ratio=100.0, motor_inertia=2e-5).with_friction(taut.Friction(coulomb=2.0, viscous=1.0))
+    STIFF = taut.Transmission(stiffness=5e3, damping=5.0)
+
+    def error(self, loop: taut.TorqueLoop | None, tau: float = 5.0) -> float:
+        """What is missing of a torque that presses the link against a wall, a second after it grew there slowly."""
+        wall = Wall()
+        drives = taut.Actuation(transmission=self.STIFF, torque_loop=loop, bandwidth=2000.0)
+        plant = taut.RigidPlant(self.ARM, actuation=drives, environment=wall, substeps=10)
+        law = taut.compile(taut.laws.PID(kp=1e-9), self.ARM)
+        slowly = taut.Samples(times=[0.0, 1.0, 2.0], q=[[0.0], [1e9 * tau], [1e9 * tau]])
+        run = taut.run(law, plant, slowly, duration=2.0, q0=[0.0])
+        assert run.outcome.ok
+        J = taut.snapshot(self.ARM, run.q[-1]).J()
+        return float(tau + J[:, 0] @ run.extra["F_ext"][-1])
+
+    def test_without_it_friction_takes_its_part(self) -> None:
+        assert self.error(None) == pytest.approx(2.0, abs=0.3)
+
+    def test_its_integral_leaves_nothing(self) -> None:
+        assert abs(self.error(taut.TorqueLoop(kp=0.5, ki=100.0))) < 0.02
+
+    def test_its_proportional_part_leaves_a_share(self) -> None:
+        assert abs(self.error(taut.TorqueLoop(kp=4.0))) < 0.5 * abs(self.error(None))
+
+    def test_its_integral_does_not_wind_up_behind_a_motor_at_its_limit(self) -> None:
+        loop = taut.TorqueLoop(ki=50.0)
+        drives = taut.Actuation(
+            transmission=self.STIFF, torque_loop=loop, motor=taut.Motor(peak=0.04), bandwidth=2000.0
+        )
+        plant = taut.RigidPlant(self.ARM, actuation=drives, environment=Wall(), substeps=10)
+        p = {path: value.copy() if value.ndim else value[()] for path, value in plant.parameters.items()}
+        memory = plant.start(np.zeros(1), np.zeros(1), p, 1e-3)
+        for k in range(500):
+            memory = plant.command(np.array([10.0]), memory, k * 1e-3)
+            for _ in range(10):
+                memory = plant.advance(memory, p, 1e-4)
+        assert memory["tau"][0] == pytest.approx(4.0)  # 100 times its peak
+        assert abs(memory["torque_loop"][0]) < 5.0
+
+
+class Wall:
+    """A stiff spring at the tool along z."""
+
+    def parameters(self) -> dict[str, Any]:
+        return {"k": np.asarray(2e5), "b": np.asarray(500.0)}
+
+    def start(self, T_WE: taut.Pose) -> dict[str, Any]:
+        return {"z": T_WE.p[2]}
+
+    def wrench(self, T_WE: taut.Pose, twist: Any, t: Any, memory: Any, parameters: Any, dt: Any) -> Any:
+        push = -parameters["k"] * (T_WE.p[2] - memory["z"]) - parameters["b"] * twist[2]
+        return taut.math.array([0.0, 0.0, push, 0.0, 0.0, 0.0]), dict(memory)
+
+
+@pytest.mark.parametrize(
+    "drives",
+    [
+        {"resolution": 0.01},
+        {"ripple": taut.Ripple(amplitude=[0.1, 0.2], periods=[2, 3])},
+        {"motor": taut.Motor(peak=[1.0, 0.5])},
+        {"motor": taut.ElectricMotor(torque_constant=0.5, resistance=1.0, inductance=1e-3, voltage=10.0, current=5.0)},
+        {"torque_loop": taut.TorqueLoop(kp=0.2, ki=5.0), "bandwidth": [300.0, 500.0]},
+        {"transmission": taut.Transmission(efficiency=0.7, stiffness=[300.0, np.inf], damping=[0.5, 0.0], backlash=[0.01, 0.0])},
+    ],
+    ids=lambda drives: "-".join(drives),
+)  # fmt: skip
+def test_every_part_runs_the_same_in_native_code_and_in_plain_python(drives: dict[str, Any]) -> None:
+    arm = taut.load_arm("planar2").with_gears(ratio=10.0, motor_inertia=1e-4)
+    arm = arm.with_friction(taut.Friction(viscous=0.2, coulomb=0.3, static=0.5, stribeck=0.1, load_motor=0.1))
+    plant = taut.RigidPlant(arm, actuation=taut.Actuation(**drives), substeps=3, energy=True)
+    law = taut.laws.PID(kp=[60.0, 30.0], kd=[6.0, 3.0])
+    runs = []
+    for engine in ("native", "float"):
+        ctrl = taut.compile(law, arm, rate=500.0, engine=engine)  # type: ignore[arg-type]
+        runs.append(taut.run(ctrl, plant, taut.JointMotion(q=arm.home + 0.2), duration=0.1))
+    for name in ("q", "v", "tau"):
+        np.testing.assert_allclose(getattr(runs[0], name), getattr(runs[1], name), rtol=0.0, atol=1e-9)
+    for name, column in runs[0].extra.items():
+        np.testing.assert_allclose(column, runs[1].extra[name], rtol=0.0, atol=1e-9, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("make", "kind", "message"),
+    [
+        (lambda: taut.Motor(), taut.UsageError, "Motor needs peak=, or stall= and no_load=, or all three; without limits leave it out"),
+        (lambda: taut.Motor(stall=1.0), taut.UsageError, "a motor's curve needs both stall= [N m] and no_load= [rad/s], or neither"),
+        (lambda: taut.Motor(peak=-1.0), taut.RangeError, "actuation.motor.peak must be > 0 [N m]; got -1.0"),
+        (lambda: taut.ElectricMotor(torque_constant=0.1, resistance=0.0), taut.RangeError, "actuation.motor.resistance must be > 0 [ohm]; got 0.0"),
+        (lambda: taut.ElectricMotor(torque_constant=0.1, resistance=1.0, inductance=0.0), taut.RangeError, "actuation.motor.inductance must be > 0 [H]; got 0.0"),
+        (lambda: taut.TorqueLoop(), taut.UsageError, "TorqueLoop needs kp= or ki= above zero; without a loop leave it out"),
+        (lambda: taut.TorqueLoop(kp=-1.0), taut.RangeError, "actuation.torque_loop.kp must be >= 0 [1]; got -1.0"),
+        (lambda: taut.Ripple(amplitude=5.0, periods=6), taut.RangeError, "actuation.ripple.amplitude must be below 1, a share of the torque; got 5; 5 % is 0.05"),
+        (lambda: taut.Ripple(amplitude=0.05, periods=2.5), taut.RangeError, "actuation.ripple.periods must be a whole number: after one turn of the motor its torque is the same again; got 2.5"),
+        (lambda: taut.Actuation(resolution=0.0), taut.RangeError, "actuation.resolution must be > 0 [N m | N]; got 0.0; for an ideal amplifier leave it out"),
+        (lambda: taut.Actuation(motor=2.0), taut.UsageError, "actuation.motor must be taut.Motor(...) or taut.ElectricMotor(...); got float"),  # type: ignore[arg-type]
+        (lambda: taut.RigidPlant(FREE, actuation=taut.Actuation(motor=taut.Motor(peak=[1.0, 2.0]))), taut.ShapeError, "actuation.motor.peak must have shape (1,) (1 joints); got shape (2,)"),
+    ],
+)  # fmt: skip
+def test_what_no_drive_is_is_refused_in_words(make: Any, kind: type[taut.TautError], message: str) -> None:
+    with pytest.raises(kind) as caught:
+        make()
+    assert str(caught.value) == message
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        ("actuation.motor.peak", 0.0, "actuation.motor.peak must be > 0 [N m]; got 0.0"),
+        ("actuation.transmission.efficiency", 1.5, "actuation.transmission.efficiency must be above 0 and at most 1: gears give back no more than they get; got 1.5; 80 % is 0.8"),
+        ("plant.rotor_inertia", -1.0, "plant.rotor_inertia must be >= 0; got -1.0"),
+        ("plant.friction.stribeck_shape", 0.0, "plant.friction.stribeck_shape must be > 0; got 0.0"),
+    ],
+)  # fmt: skip
+def test_a_new_value_is_checked_like_the_first_one(path: str, value: float, message: str) -> None:
+    arm = FREE.with_gears(ratio=10.0, motor_inertia=1e-4)
+    arm = arm.with_friction(taut.Friction(coulomb=0.1, static=0.2, stribeck=0.1, stribeck_shape=1.0))
+    drives = taut.Actuation(motor=taut.Motor(peak=1.0), transmission=taut.Transmission(efficiency=0.9))
+    loop = taut.Loop(taut.compile(taut.laws.PID(kp=1.0), arm), taut.RigidPlant(arm, actuation=drives), duration=1.0)
+    with pytest.raises(taut.RangeError) as caught:
+        loop.parameters[path] = value
+    assert str(caught.value) == message
+
+
+def test_rotors_make_the_arm_heavier_at_its_own_joint_alone() -> None:
+    """Reflected inertia is G^2 I on the diagonal of M, in model and plant alike."""
+    arm = taut.load_arm("planar2")
+    geared = arm.with_gears(ratio=[50.0, 100.0], motor_inertia=1e-4)
+    extra = taut.snapshot(geared, arm.home).M - taut.snapshot(arm, arm.home).M
+    np.testing.assert_allclose(extra, np.diag([0.25, 1.0]), rtol=0.0, atol=1e-12)
+    law = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), geared)
+    plant = taut.RigidPlant(geared, friction=None)
+    ref = taut.Quintic(q0=arm.home, q1=arm.home + 0.3, duration=0.5)
+    assert np.abs(taut.run(law, plant, ref, duration=0.5).metrics.peak_error).max() < 1e-3
+    lighter = [taut.Event(t=0.0, set={"plant.rotor_inertia": 0.0})]
+    assert np.abs(taut.run(law, plant, ref, duration=0.5, events=lighter).metrics.peak_error).max() > 5e-3

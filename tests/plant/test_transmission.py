@@ -1,0 +1,240 @@
+"""Gears that lose power, have play, or give way: against closed forms, and against SciPy."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import taut
+from taut.base.types import Float64Array
+
+FREE = taut.load_arm("one_joint").with_gravity([0.0, 0.0, 0.0]).with_joints(viscous=0.0)  # M = 0.5 kg m^2
+GEARED = FREE.with_gears(ratio=50.0, motor_inertia=1e-4)  # rotor 0.25 kg m^2 at the joint
+HANGING = taut.load_arm("one_joint").with_joints(viscous=0.0)
+WEIGHT = 0.981  # [N m] of that link when it lies level
+
+
+def idle(arm: taut.Arm, rate: float = 1000.0) -> taut.Controller:
+    return taut.compile(taut.laws.PID(kp=0.0), arm, rate=rate)
+
+
+def held(arm: taut.Arm, tau: float, duration: float = 0.2, **options: Any) -> taut.Run:
+    """A constant torque on a joint that starts at rest at zero; a proportional law of a constant error."""
+    law = taut.compile(taut.laws.PID(kp=1e-9), arm)
+    return taut.run(
+        law, taut.RigidPlant(arm, **options), taut.JointMotion(q=[1e9 * tau]), duration=duration, q0=[0.0]
+    )
+
+
+class TestEfficiency:
+    def gears(self, efficiency: float) -> taut.Actuation:
+        return taut.Actuation(transmission=taut.Transmission(efficiency=efficiency))
+
+    def test_a_motor_that_lifts_needs_more(self) -> None:
+        """At 80 %, 0.981 N m of weight move up from 1.226 N m."""
+        for share, moves in ((0.999, False), (1.001, True)):
+            run = held(HANGING, share * WEIGHT / 0.8, actuation=self.gears(0.8))
+            assert bool(run.v[-1, 0] > 0.0) is moves
+
+    def test_a_load_that_drives_the_motor_is_held_with_less(self) -> None:
+        for share, moves in ((1.001, False), (0.999, True)):
+            run = held(HANGING, share * WEIGHT * 0.8, actuation=self.gears(0.8))
+            assert bool(run.v[-1, 0] < 0.0) is moves
+
+    def test_between_the_two_it_holds_without_the_motor_s_help(self) -> None:
+        for share in (0.81, 1.0, 1.24):
+            assert not held(HANGING, share * WEIGHT, duration=1.0, actuation=self.gears(0.8)).v[1:].any()
+
+    @pytest.mark.parametrize(
+        ("tau", "v0", "share"), [(2.0, 1.0, 0.8), (-2.0, -1.0, 0.8), (-2.0, 9.0, 1.25), (2.0, -9.0, 1.25)]
+    )
+    def test_what_arrives_is_the_share_of_the_power_that_is_left(self, tau: float, v0: float, share: float) -> None:
+        """The motor drives: efficiency times its torque. The load drives: its torque is the motor's over efficiency."""
+        law = taut.compile(taut.laws.PID(kp=1e-9), FREE)
+        plant = taut.RigidPlant(FREE, actuation=self.gears(0.8), energy=True)
+        run = taut.run(law, plant, taut.JointMotion(q=[1e9 * tau]), duration=0.1, q0=[0.0], v0=[v0])
+        assert run.v[-1, 0] == pytest.approx(v0 + share * tau / 0.5 * 0.1, rel=1e-9)
+        motor, gears, link = (run.extra[f"work.{part}"][-1, 0] for part in ("motor", "gears", "link"))
+        assert motor == pytest.approx(gears + link, rel=1e-12)
+        forward = tau * v0 > 0.0
+        assert (
+            link == pytest.approx(0.8 * motor, rel=1e-9) if forward else motor == pytest.approx(0.8 * link, rel=1e-9)
+        )
+
+    def test_direct_drive_without_losses_is_power_in_is_power_out(self) -> None:
+        run = held(FREE, 1.0, actuation=self.gears(1.0), energy=True)
+        assert run.extra["work.motor"][-1, 0] == pytest.approx(run.extra["work.link"][-1, 0], rel=1e-12)
+
+    def test_it_changes_in_a_run(self) -> None:
+        law = taut.compile(taut.laws.PID(kp=1e-9), HANGING)
+        plant = taut.RigidPlant(HANGING, actuation=self.gears(0.8))
+        greased = [taut.Event(t=0.1, set={"actuation.transmission.efficiency": 0.99})]
+        run = taut.run(law, plant, taut.JointMotion(q=[1.1e9 * WEIGHT]), duration=0.2, q0=[0.0], events=greased)
+        assert not run.v[:100].any()
+        assert run.v[-1, 0] > 0.0
+
+
+class TestElasticity:
+    K, D = 800.0, 0.6
+
+    def swing(self, substeps: int) -> taut.Run:
+        spring = taut.Transmission(stiffness=self.K, damping=self.D)
+        plant = taut.RigidPlant(GEARED, actuation=taut.Actuation(transmission=spring), substeps=substeps)
+        return taut.run(idle(GEARED), plant, duration=0.6, q0=[0.0], v0=[1.0])
+
+    def test_motor_and_link_swing_against_each_other_as_two_masses_on_a_spring_do(self) -> None:
+        """The motor starts with the link's speed, then stops: no; here both start together, so a push sets them off."""
+        spring = taut.Transmission(stiffness=self.K, damping=self.D)
+        plant = taut.RigidPlant(GEARED, actuation=taut.Actuation(transmission=spring), substeps=20)
+        law = taut.compile(taut.laws.PID(kp=1e-9), GEARED)
+        run = taut.run(law, plant, taut.JointMotion(q=[1e9]), duration=0.5, q0=[0.0])
+        B, M = 0.25, 0.5
+
+        def two_masses(t: float, y: Float64Array) -> list[float]:
+            q, v, q_m, v_m = y
+            pull = self.K * (q_m - q) + self.D * (v_m - v)
+            return [v, pull / M, v_m, (1.0 - pull) / B]
+
+        exact = solve_ivp(two_masses, (0.0, 0.5), np.zeros(4), t_eval=run.t, rtol=1e-11, atol=1e-13).y
+        np.testing.assert_allclose(run.v[:, 0], exact[1], rtol=0.0, atol=2e-3 * np.abs(exact[1]).max())
+
+    def test_it_converges_with_the_order_of_the_integrator(self) -> None:
+        fine = self.swing(320).q[-1, 0]
+        errors = [abs(self.swing(k).q[-1, 0] - fine) for k in (5, 10)]
+        assert errors[0] < 1e-9 or 1.6 < errors[0] / errors[1] < 2.5
+
+    def test_the_weight_of_the_link_winds_it_up_from_the_start(self) -> None:
+        arm = HANGING.with_gears(ratio=50.0, motor_inertia=1e-4)
+        spring = taut.Transmission(stiffness=self.K)
+        plant = taut.RigidPlant(arm, actuation=taut.Actuation(transmission=spring), substeps=4)
+        law = taut.compile(taut.laws.GravityPID(kp=0.0, kd=0.0), arm)
+        run = taut.run(law, plant, duration=1.0, q0=[0.0])
+        assert np.abs(run.v).max() < 1e-9
+
+    def test_a_very_stiff_one_is_a_rigid_one(self) -> None:
+        stiff = taut.Transmission(stiffness=4e5, damping=50.0)
+        law = taut.compile(taut.laws.PID(kp=20.0, kd=4.0), GEARED)
+        ref, arm = taut.JointMotion(q=[0.5]), GEARED
+        soft = taut.RigidPlant(arm, actuation=taut.Actuation(transmission=stiff), substeps=20)
+        a = taut.run(law, soft, ref, duration=1.0, q0=[0.0])
+        b = taut.run(law, taut.RigidPlant(arm, substeps=20), ref, duration=1.0, q0=[0.0])
+        np.testing.assert_allclose(a.q, b.q, rtol=0.0, atol=2e-4)
+
+    def test_joints_of_infinite_stiffness_are_rigid(self) -> None:
+        arm = taut.load_arm("planar2").with_gears(ratio=10.0, motor_inertia=1e-3)
+        law = taut.compile(taut.laws.PID(kp=30.0, kd=5.0), arm)
+
+        def run_of(transmission: taut.Transmission | None) -> taut.Run:
+            drives = taut.Actuation(transmission=transmission)
+            plant = taut.RigidPlant(arm, actuation=drives, substeps=10)
+            return taut.run(law, plant, taut.JointMotion(q=arm.home + 0.1), duration=0.5)
+
+        rigid, one = run_of(None), run_of(taut.Transmission(stiffness=[np.inf, 200.0]))
+        assert np.abs(rigid.q - one.q).max() > 1e-3
+        np.testing.assert_array_equal(run_of(taut.Transmission(stiffness=[np.inf, np.inf])).q, rigid.q)
+
+    def test_steps_that_are_too_long_for_it_are_refused_with_how_many_are_enough(self) -> None:
+        spring = taut.Transmission(stiffness=1e6)
+        plant = taut.RigidPlant(GEARED, actuation=taut.Actuation(transmission=spring))
+        with pytest.raises(taut.RangeError) as caught:
+            taut.run(idle(GEARED), plant, duration=0.1)
+        assert str(caught.value) == (
+            "the transmission of joint 'joint1' swings at 2.45e+03 rad/s, too fast for steps of 0.001 s; give the plant "
+            "substeps=3, a softer spring or less damping"
+        )
+        plenty = taut.RigidPlant(GEARED, actuation=taut.Actuation(transmission=spring), substeps=3)
+        assert taut.run(idle(GEARED), plenty, duration=0.1).outcome.ok
+
+
+class TestPlay:
+    """Motor and link with a dead band between them."""
+
+    K, D, PLAY = 2000.0, 0.5, 0.02
+    TEETH = taut.Transmission(stiffness=K, damping=D, backlash=PLAY)
+
+    def cycle(self, kp: float, kd: float, rate: float = 5000.0) -> taut.Run:
+        plant = taut.RigidPlant(GEARED, actuation=taut.Actuation(transmission=self.TEETH), substeps=4)
+        law = taut.compile(taut.laws.PID(kp=kp, kd=kd), GEARED, rate=rate)
+        return taut.run(law, plant, taut.JointMotion(q=[0.0]), duration=12.0, q0=[0.2])
+
+    def test_the_limit_cycle_under_pd_is_that_of_event_accurate_integration(self) -> None:
+        kp, kd, B, M, half = 40.0, 2.0, 0.25, 0.5, 0.5 * self.PLAY
+
+        def motion(t: float, y: Float64Array) -> list[float]:
+            q, v, q_m, v_m = y
+            delta = q_m - q
+            z = delta - min(max(delta, -half), half)
+            pull = 0.0 if z == 0.0 else self.K * z + self.D * (v_m - v)
+            pull = max(pull, 0.0) if z > 0.0 else min(pull, 0.0)
+            return [v, pull / M, v_m, (-kp * q - kd * v - pull) / B]
+
+        t = np.arange(0.0, 12.0, 2e-4)
+        exact = solve_ivp(motion, (0.0, 12.0), [0.2, 0.0, 0.2, 0.0], t_eval=t, rtol=1e-9, atol=1e-11, max_step=5e-4)
+        expected, ours = cycle_of(t, exact.y[0]), cycle_of(t, self.cycle(kp, kd).q[: len(t), 0])
+        assert expected[0] > 0.01  # it does not die out
+        assert ours == pytest.approx(expected, rel=0.02)
+
+    def test_a_link_between_its_teeth_moves_freely(self) -> None:
+        plant = taut.RigidPlant(GEARED, actuation=taut.Actuation(transmission=self.TEETH), substeps=4, energy=True)
+        run = taut.run(idle(GEARED), plant, duration=0.05, q0=[0.0], v0=[0.0])
+        assert not run.v.any()
+        push = [0.01]  # slower than the play is wide
+        memory = plant.start(np.zeros(1), np.array(push), plant.parameters, 1e-3)
+        memory["v_motor"] = np.zeros(1)
+        for _ in range(100):
+            memory = plant.advance(plant.command(np.zeros(1), memory, 0.0), plant.parameters, 1e-3)
+            assert memory["tau_link"][0] == pytest.approx(0.0, abs=1e-12)
+        assert memory["q"][0] == pytest.approx(0.001, rel=1e-9)
+        assert memory["v_motor"][0] == 0.0
+
+    def test_teeth_push_and_never_pull(self) -> None:
+        run = self.cycle(40.0, 2.0)
+        assert run.outcome.ok
+        p = {name: np.asarray(value) for name, value in self.TEETH.parameters().items()}
+        delta, rate = np.array([0.0101, 0.0101, -0.0101, 0.0]), np.array([0.0, -50.0, 50.0, 5.0])
+        torque = self.TEETH.torque(delta, rate, p)
+        np.testing.assert_allclose(torque, [0.2, 0.0, 0.0, 0.0], atol=1e-12)
+
+    def test_the_load_lies_on_one_side_of_its_teeth_from_the_start(self) -> None:
+        arm = HANGING.with_gears(ratio=50.0, motor_inertia=1e-4)
+        plant = taut.RigidPlant(arm, actuation=taut.Actuation(transmission=self.TEETH), substeps=4)
+        law = taut.compile(taut.laws.GravityPID(kp=0.0, kd=0.0), arm)
+        assert np.abs(taut.run(law, plant, duration=0.5, q0=[0.0]).v).max() < 1e-9
+
+
+def cycle_of(t: Float64Array, q: Float64Array) -> tuple[float, float]:
+    """Amplitude and period in the last quarter of a motion."""
+    tail = q[3 * len(q) // 4 :]
+    x = tail - tail.mean()
+    ups = np.flatnonzero((x[1:] > 0.0) & (x[:-1] <= 0.0))
+    return float(np.ptp(tail)) / 2.0, float(np.diff(ups).mean() * (t[1] - t[0])) if len(ups) > 2 else math.inf
+
+
+class TestMessages:
+    @pytest.mark.parametrize(
+        ("make", "kind", "message"),
+        [
+            (lambda: taut.Transmission(efficiency=1.2), taut.RangeError, "actuation.transmission.efficiency must be above 0 and at most 1: gears give back no more than they get; got 1.2; 80 % is 0.8"),
+            (lambda: taut.Transmission(efficiency=[0.8, 0.0]), taut.RangeError, "actuation.transmission.efficiency[1] must be above 0 and at most 1: gears give back no more than they get; got 0; 80 % is 0.8"),
+            (lambda: taut.Transmission(stiffness=0.0), taut.RangeError, "actuation.transmission.stiffness must be > 0 [N m/rad | N/m]; got 0.0"),
+            (lambda: taut.Transmission(backlash=0.01), taut.UsageError, "actuation.transmission.backlash needs a stiffness, that of the teeth or of the elastic part: taut.Transmission(stiffness=1e4, ...)  # N m/rad"),
+            (lambda: taut.Transmission(stiffness=1e3, backlash=-0.01), taut.RangeError, "actuation.transmission.backlash must be >= 0 [rad | m]; got -0.01"),
+            (lambda: taut.RigidPlant(FREE, actuation=taut.Actuation(transmission=taut.Transmission(stiffness=1e3))), taut.UsageError, "joint 'joint1' has an elastic transmission or backlash, so its motor moves by itself and needs a rotor: arm.with_gears(ratio=, motor_inertia=), or with_joints(rotor_inertia=)"),
+            (lambda: taut.RigidPlant(GEARED, integrator="rk4", actuation=taut.Actuation(transmission=taut.Transmission(stiffness=1e3))), taut.UsageError, "rk4 moves the arm alone, and an elastic transmission or backlash moves the motors too; use semi-implicit-euler"),
+            (lambda: taut.RigidPlant(GEARED, integrator="rk4", actuation=taut.Actuation(transmission=taut.Transmission(efficiency=0.9))), taut.UsageError, "rk4 needs smooth forces, and arm 'one_joint' has gears that lose power; use semi-implicit-euler, or friction=None"),
+            (lambda: taut.RigidPlant(GEARED, integrator="rk4", energy=True), taut.UsageError, "energy is kept account of by semi-implicit-euler only"),
+            (lambda: taut.RigidPlant(GEARED, energy=1), taut.UsageError, "energy must be True or False; got 1"),  # type: ignore[arg-type]
+            (lambda: taut.RigidPlant(GEARED, sweeps=0), taut.RangeError, "sweeps must be between 1 and 1000; got 0"),
+            (lambda: taut.RigidPlant(GEARED, takes="velocity", actuation=taut.Actuation(bandwidth=50.0, transmission=taut.Transmission())), taut.UsageError, "actuation.transmission is for torque commands; this plant takes velocity, which its drives follow by themselves"),
+            (lambda: taut.Actuation(transmission=0.8), taut.UsageError, "actuation.transmission must be taut.Transmission(...); got float"),  # type: ignore[arg-type]
+            (lambda: FREE.with_gears(ratio=0.0, motor_inertia=1e-4), taut.RangeError, "ratio[0] (joint 'joint1') must be > 0; got 0.0"),
+        ],
+    )  # fmt: skip
+    def test_what_no_gear_is_is_refused_in_words(self, make: Any, kind: type[taut.TautError], message: str) -> None:
+        with pytest.raises(kind) as caught:
+            make()
+        assert str(caught.value) == message

@@ -1,0 +1,118 @@
+"""Curves of friction: figure 10.14 with what is held at rest, an arm's joints, loads."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from test_plot import assert_legible
+
+import taut
+from taut import Friction, RangeError, ShapeError, UnknownNameError, UsageError
+from taut.record.friction_curves import plot_friction
+
+LAWS = {
+    "(a) viscous": Friction(viscous=0.8),
+    "(b) Coulomb": Friction(coulomb=0.6),
+    "(c) static and viscous": Friction(viscous=0.4, coulomb=0.6),
+    "(d) static and kinetic": Friction(coulomb=0.6, static=1.0),
+    "(e) static, kinetic, viscous": Friction(viscous=0.4, coulomb=0.6, static=1.0),
+    "(f) Stribeck effect": Friction(viscous=0.4, coulomb=0.6, static=1.0, stribeck=0.15),
+}
+# Drawn torque at v = 1 rad/s and just beside rest, and the torque that rest can hold.
+SEEN = {
+    "(a) viscous": (0.8, 0.0, None),
+    "(b) Coulomb": (0.6, 0.6, 0.6),
+    "(c) static and viscous": (1.0, 0.6, 0.6),
+    "(d) static and kinetic": (0.6, 0.6, 1.0),
+    "(e) static, kinetic, viscous": (1.0, 0.6, 1.0),
+    "(f) Stribeck effect": (1.0, 1.0, 1.0),
+}
+
+
+def panel(figure: Figure, title: str) -> Axes:
+    return next(ax for ax in figure.axes if ax.get_title(loc="left") == title)
+
+
+def curves(ax: Axes, kind: str) -> list[Any]:
+    return [line for line in ax.lines if line.get_label() == kind]
+
+
+class TestFigure1014:
+    @pytest.mark.parametrize("title", LAWS)
+    def test_each_panel_is_its_law(self, title: str) -> None:
+        fast, slow, hold = SEEN[title]
+        ax = panel(plot_friction(LAWS, speed=1.0), title)
+        left, right = curves(ax, "motion")
+        for curve, sign in ((left, -1.0), (right, 1.0)):
+            v, f = np.asarray(curve.get_xdata()), np.asarray(curve.get_ydata())
+            assert (v * sign > 0.0).all()
+            order = np.argsort(np.abs(v))
+            assert f[order[-1]] == pytest.approx(sign * fast)
+            assert f[order[0]] == pytest.approx(sign * slow, abs=1e-6)
+        upright = curves(ax, "rest")
+        assert len(upright) == (0 if hold is None else 1)
+        for line in upright:
+            assert line.get_xdata().tolist() == [0.0, 0.0]
+            assert line.get_ydata().tolist() == [-hold, hold]
+
+    def test_it_is_legible(self) -> None:
+        assert_legible(plot_friction(LAWS, speed=1.0))
+
+    def test_the_panels_have_one_scale(self) -> None:
+        figure = plot_friction(LAWS, speed=1.0)
+        assert len({ax.get_ylim() for ax in figure.axes}) == 1
+
+
+def test_an_arm_has_a_panel_for_each_joint_with_its_units() -> None:
+    arm = taut.load_arm("one_joint").with_friction(Friction(coulomb=0.2, static=0.5, stribeck=0.1))
+    figure = plot_friction(arm)
+    assert [ax.get_title(loc="left") for ax in figure.axes] == list(arm.joint_names)
+    assert figure.axes[0].get_xlabel() == "v [rad/s]"
+    assert max(curves(figure.axes[0], "motion")[1].get_xdata()) == pytest.approx(0.6)
+
+
+def test_only_the_joints_that_are_named() -> None:
+    arm = taut.load_arm("planar2").with_joints(coulomb=0.2)
+    assert len(plot_friction(arm, joints="joint2").axes) == 1
+    with pytest.raises(UnknownNameError, match="has no joint 'joint3'; did you mean 'joint2' or"):
+        plot_friction(arm, joints=["joint3"])
+
+
+def test_a_friction_of_several_joints_is_drawn_joint_by_joint() -> None:
+    figure = plot_friction(Friction(coulomb=[0.1, 0.2]))
+    assert [float(curves(ax, "rest")[0].get_ydata()[1]) for ax in figure.axes] == [0.1, 0.2]
+
+
+def test_friction_that_grows_with_load_has_a_curve_for_each_load() -> None:
+    figure = plot_friction(Friction(coulomb=0.1, load_motor=0.05, load_external=0.03), load=[2.0, 0.0, 5.0])
+    held = [float(line.get_ydata()[1]) for line in curves(figure.axes[0], "rest")]
+    assert held == pytest.approx([0.1, 0.1 + 0.08 * 2.0, 0.1 + 0.08 * 5.0])
+    assert_legible(figure)
+
+
+def test_no_friction_is_a_line_on_the_axis() -> None:
+    figure = plot_friction(Friction())
+    assert np.concatenate([line.get_ydata() for line in curves(figure.axes[0], "motion")]).any() == np.False_
+
+
+def test_what_cannot_be_drawn_is_told() -> None:
+    with pytest.raises(UsageError, match=r"takes an Arm, a taut\.Friction or frictions by title; got list"):
+        plot_friction([Friction()])  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match=r"'a' must be a taut\.Friction; got float"):
+        plot_friction({"a": 1.0})  # type: ignore[dict-item]
+    with pytest.raises(ShapeError, match="'a' must be the friction of one joint, each number a scalar"):
+        plot_friction({"a": Friction(coulomb=[0.1, 0.2])})
+    with pytest.raises(UsageError, match="a figure has 1 to 12 panels of friction; got 0"):
+        plot_friction({})
+    with pytest.raises(UsageError, match="a figure has 1 to 12 panels of friction; got 13; draw fewer, joints="):
+        plot_friction(Friction(coulomb=np.ones(13)))
+    with pytest.raises(UsageError, match="load must be 1 to 8 torques for one figure; got 9"):
+        plot_friction(Friction(coulomb=0.1), load=np.arange(9.0))
+    with pytest.raises(UsageError, match="joints= names joints of an arm; leave it out where a friction is drawn"):
+        plot_friction(Friction(), joints=["joint1"])
+    with pytest.raises(RangeError, match=r"speed must be > 0 \[rad/s\]; got 0.0"):
+        plot_friction(Friction(), speed=0.0)
