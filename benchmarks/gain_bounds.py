@@ -1,6 +1,6 @@
-"""Draw where gains become too large, predicted and simulated, and print both for docs/gain_bounds.md.
+"""Draw docs/images/gain_bounds.png and backlash_cycle.png, and print the table of docs/gain_bounds.md.
 
-Run it in this folder: `python gain_bounds.py [PICTURE]`. Predictions and searches are those of the tests.
+Run it in this folder: `python gain_bounds.py [FOLDER]`. Predictions and searches are those of the tests.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator
 from rich.console import Console
 from rich.table import Table
 
-from taut.record.style import COLOURS, INK, SMALL, WIDTH, prepared
+from taut.record.style import COLOURS, DASHED, INK, SMALL, WIDTH, prepared
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "tests" / "plant"))
 import gain_borders as bounds  # noqa: E402
 
-PICTURE = HERE.parent / "docs" / "images" / "gain_bounds.png"
+IMAGES = HERE.parent / "docs" / "images"
 FORMULA, FOUND = COLOURS[0], COLOURS[1]
 
 
@@ -127,6 +127,7 @@ EFFECTS = (
 def main() -> None:
     """Search all borders, draw them, and print one of each effect."""
     mpl.use("Agg")
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else IMAGES
     figure = Figure(figsize=(WIDTH, 4.4), layout="constrained", facecolor="white")
     table = Table("effect", "gain", "at", "formula", "eigenvalues", "simulated")
     for ax, effect in zip(figure.subplots(2, 3).flat, EFFECTS, strict=True):
@@ -137,10 +138,38 @@ def main() -> None:
         what, _, unit = effect.along.rstrip("]").partition(" [")
         where = f"{what} {effect.scale * x:g} {unit}"
         table.add_row(effect.title, effect.gain, where, f"{effect.formula(x):.4g}", sampled, f"{found[x]:.4g}")
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper right", ncols=3, fontsize=SMALL, frameon=False, labelcolor=INK)
-    figure.savefig(sys.argv[1] if len(sys.argv) > 1 else PICTURE, dpi=150)
+    legend(figure, figure.axes[0])
+    figure.savefig(folder / "gain_bounds.png", dpi=150)
     Console(width=130).print(table)
+    cycle().savefig(folder / "backlash_cycle.png", dpi=150)
+
+
+def cycle() -> Figure:
+    """The scenario backlash_cycle: both gains over time, and the cycle of the high one beside harmonic balance."""
+    high, low = 100.0, 15.0
+    runs = {kp: bounds.hunting(kp) for kp in (high, low)}
+    amplitude, period = bounds.cycle_predicted(high) or (np.nan, np.nan)
+    figure = Figure(figsize=(WIDTH, 2.6), layout="constrained", facecolor="white")
+    left, right = figure.subplots(1, 2, width_ratios=[1.7, 1.0])
+    prepared(left, "link over time", "q [rad]", "t [s]")
+    for colour, (kp, run) in zip((FOUND, COLOURS[2]), runs.items(), strict=True):
+        seen = run.t <= 8.0
+        left.plot(run.t[seen], run.q[seen, 0], color=colour, linewidth=1.3, label=f"kp = {kp:g}")
+    prepared(right, f"kp = {high:g}: the cycle", "v [rad/s]", "q [rad]")
+    last = runs[high].t >= runs[high].t[-1] - 3.0 * period
+    right.plot(runs[high].q[last, 0], runs[high].v[last, 0], color=FOUND, linewidth=1.3)
+    phase = np.linspace(0.0, 2.0 * np.pi, 200)
+    speed = 2.0 * np.pi / period * amplitude
+    right.plot(amplitude * np.cos(phase), speed * np.sin(phase), color=INK, linewidth=0.9, linestyle=DASHED)
+    left.plot([], [], color=INK, linewidth=0.9, linestyle=DASHED, label="harmonic balance")
+    legend(figure, left)
+    return figure
+
+
+def legend(figure: Figure, ax: Axes) -> None:
+    """The legend of one of its axes for the whole figure."""
+    handles, labels = ax.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper right", ncols=3, fontsize=SMALL, frameon=False, labelcolor=INK)
 
 
 def panel(ax: Axes, effect: Effect, found: dict[float, float]) -> None:

@@ -154,18 +154,25 @@ def elasticity_formula(D: float) -> float:
     return D * (M + B) ** 2 / (M * B) + b * M / B
 
 
-def elasticity_predicted(D: float, *, at_motor: bool = False) -> float:
+def elasticity_predicted(D: float, *, side: str = "link") -> float:
     A, rates = two_masses(STIFFNESS, D)
-    low, high = (300.0, 700.0) if at_motor else (0.5 * elasticity_formula(D), 1.5 * elasticity_formula(D))
     kp = critically_damped(M + B)
-    at = 2 if at_motor else 0
+    at = 2 if side == "motor" else 0
+    low, high = elasticity_range(D, side)
     return marginal(lambda kd: spectral_radius(A, rates, kp(kd)["law.kp"], kd, RATE, at=at), low, high)
 
 
-def elasticity_simulated(D: float) -> float:
+def elasticity_simulated(D: float, *, side: str = "link") -> float:
     spring = taut.Actuation(transmission=taut.Transmission(stiffness=STIFFNESS, damping=D))
-    unstable = after_a_kick(taut.RigidPlant(GEARED, actuation=spring, substeps=20), critically_damped(M + B), 6.0)
-    return border(unstable, 0.7 * elasticity_formula(D), 1.4 * elasticity_formula(D))
+    sensors = taut.Sensors(position=taut.Encoder(side=side), velocity=taut.Tachometer(side=side))
+    plant = taut.RigidPlant(GEARED, actuation=spring, sensors=sensors, substeps=20)
+    return border(after_a_kick(plant, critically_damped(M + B), 6.0), *elasticity_range(D, side))
+
+
+def elasticity_range(D: float, side: str) -> tuple[float, float]:
+    """Where to search: sensors at the motor meet the servo rate first, and with the rotor's inertia alone."""
+    guess = 2.0 * B * RATE if side == "motor" else elasticity_formula(D)
+    return 0.7 * guess, 1.4 * guess
 
 
 # ---------------------------------------------------------------- saturation

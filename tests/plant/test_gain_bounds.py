@@ -43,9 +43,11 @@ class TestElasticity:
         omega = np.sqrt(bounds.STIFFNESS * (1.0 / bounds.M + 1.0 / bounds.B))
         assert 2.0 * np.pi / period == pytest.approx(omega, rel=0.02)
 
-    def test_sensors_at_the_motor_leave_room_for_far_more(self) -> None:
-        at_link, at_motor = (bounds.elasticity_predicted(3.0, at_motor=side) for side in (False, True))
-        assert at_motor > 30.0 * at_link
+    def test_sensors_at_the_motor_meet_the_servo_rate_first_and_with_the_rotor_alone(self) -> None:
+        predicted = bounds.elasticity_predicted(3.0, side="motor")
+        assert predicted == pytest.approx(2.0 * bounds.B * bounds.RATE, rel=1e-3)
+        assert bounds.elasticity_simulated(3.0, side="motor") == pytest.approx(predicted, rel=0.01)
+        assert predicted > 30.0 * bounds.elasticity_predicted(3.0)
 
 
 @pytest.mark.parametrize(("step", "within"), [(0.3, 0.01), (0.5, 0.06), (1.0, 0.11)])
