@@ -28,8 +28,8 @@ PASS = {"law": "PD", "metric": "rms_error", "max": 1}
 VELOCITY = {"takes": "velocity", "actuation": {"bandwidth": 50.0}}
 NAN, INF = float("nan"), float("inf")
 
-# What is changed, by dotted path; where the message says it is; how it goes on.
-CASES: dict[str, tuple[dict[str, Any], str, str]] = {
+# What is changed, by dotted path; the section that the message names, None where the words do; how it goes on.
+CASES: dict[str, tuple[dict[str, Any], str | None, str]] = {
     # the file as a whole
     "a misspelt section": ({"control": GONE, "contrl": {}}, "", " has no key 'contrl'; did you mean 'control'?"),
     "a section that is no table": ({"control": 500}, "", " control must be a table: [control]; got 500"),
@@ -220,14 +220,144 @@ CASES: dict[str, tuple[dict[str, Any], str, str]] = {
     "a key of MuJoCo": (
         {"plant.timestep": 0.001},
         "plant",
-        "has no key 'timestep', which is for kind = \"mujoco\"; it takes 'actuation', 'adds', 'bodies', 'friction', 'integrator', "
-        "'joint_values', 'kind', 'model', 'payload', 'perturbed', 'sensors', 'substeps', 'takes'\n",
+        "has no key 'timestep', which is for kind = \"mujoco\"; it takes 'actuation', 'adds', 'bodies', 'energy', 'friction', 'gears', "
+        "'integrator', 'joint_values', 'kind', 'model', 'payload', 'perturbed', 'rotor_inertia', 'sensors', 'substeps', 'sweeps', "
+        "'takes'\n",
     ),
     "a key of a rigid plant": (
         {"plant": {"kind": "mujoco", "substeps": 2}},
         "plant",
-        "has no key 'substeps', which is for kind = \"rigid\"; it takes 'adds', 'bodies', 'friction', ",
+        "has no key 'substeps', which is for kind = \"rigid\"; it takes 'actuation', 'adds', 'bodies', 'friction', ",
     ),
+    # joints: friction, gears, drives
+    "an unknown number of friction": ({"plant.friction": {"coulom": 1}}, "plant.friction", "has no key 'coulom'; did you mean 'coulomb'?"),
+    "another friction": (
+        {"plant.friction": "some"},
+        "plant",
+        "friction must be \"arm\", \"none\" or a table of its numbers, [plant.friction]; got 'some'\n",
+    ),
+    "friction that is a number": ({"plant.friction": 3}, "plant", 'friction must be "arm", "none" or a table of its numbers'),
+    "the arm's friction in another word": (
+        {"arm.friction": "arm"},
+        "arm",
+        "friction must be \"none\" or a table of its numbers, [arm.friction]; got 'arm'\n",
+    ),
+    "negative friction": ({"arm.friction": {"coulomb": [1, -1]}}, "arm.friction", "coulomb[1] must be >= 0 [N m | N]; got -1.0\n"),
+    "friction for other joints": ({"plant.friction": {"viscous": [1, 2, 3]}}, "plant.friction", "viscous must have shape (2,) (2 joints); got shape (3,)"),
+    "friction of an unknown joint": ({"plant.friction": {"coulomb": {"joint3": 1}}}, "plant.friction", "coulomb: arm 'planar2' has no joint 'joint3'"),
+    "friction of a joint in words": ({"plant.friction": {"coulomb": {"joint1": "a"}}}, "plant.friction.coulomb", "joint1 must be a number; got 'a'"),
+    "less friction at rest than in motion": (
+        {"plant.friction": {"coulomb": 1, "static": {"joint2": 0.5}}},
+        "plant.friction",
+        "friction.static[1] must be >= friction.coulomb: friction at rest is no less than in motion; got 0.5 < 1 [N m | N]\n",
+    ),
+    "gears without a ratio": ({"plant.gears": {"motor_inertia": 1e-4}}, "plant.gears", "needs the key 'ratio'"),
+    "gears without a rotor": ({"plant.gears": {"ratio": 100}}, "plant.gears", "needs the key 'motor_inertia'"),
+    "gears that are a number": ({"plant.gears": 100}, "plant", "gears must be a table: [plant.gears]; got 100"),
+    "a negative ratio": ({"plant.gears": {"ratio": -1, "motor_inertia": 1e-4}}, "plant.gears", "ratio[0] (joint 'joint1') must be > 0; got -1.0"),
+    "gears of two joints": (
+        {"arm.gears": {"ratio": {"joint1": 10}, "motor_inertia": {"joint2": 1e-4}}},
+        "arm.gears",
+        "ratio and motor_inertia by joint name must name the same joints; only one of them names 'joint1', 'joint2'\n",
+    ),
+    "gears of an unknown joint": ({"plant.gears": {"ratio": {"joint9": 10}, "motor_inertia": 1e-4}}, "plant.gears", "arm 'planar2' has no joint 'joint9'"),
+    "a rotor that is given twice": (
+        {"plant.gears": {"ratio": 1, "motor_inertia": 1e-4}, "plant.rotor_inertia": 1},
+        "plant.gears",
+        "motor_inertia and rotor_inertia of [plant] say the same; keep one\n",
+    ),
+    "gears with a loss": (
+        {"plant.gears": {"ratio": 1, "motor_inertia": 1e-4, "efficiency": 1}},
+        "plant.gears",
+        "has no key 'efficiency'; it takes 'motor_inertia', 'ratio'\n",
+    ),
+    "a negative rotor": ({"plant.rotor_inertia": -1}, "plant", "rotor_inertia[0] (joint 'joint1') must be >= 0; got -1.0"),
+    "rotors for other joints": ({"plant.rotor_inertia": [1, 2, 3]}, "plant", "rotor_inertia must be one number or 2, one per joint; got shape (3,)"),
+    "a rotor of an unknown joint": ({"plant.rotor_inertia": {"j": 1}}, "plant", "rotor_inertia: arm 'planar2' has no joint 'j'"),
+    "misspelt gears": ({"plant.geers": 1}, "plant", "has no key 'geers'; did you mean 'gears'?"),
+    "a motor of two kinds": (
+        {"plant.actuation": {"motor": {"peak": 1, "resistance": 1}}},
+        "plant.actuation.motor",
+        "has 'peak' of a speed-torque curve and 'resistance' of an electric motor; keep one kind\n",
+    ),
+    "a motor without limits": (
+        {"plant.actuation": {"motor": {}}},
+        "plant.actuation.motor",
+        "needs peak, or stall and no_load, or all three; without limits leave it out\n",
+    ),
+    "half a curve": ({"plant.actuation": {"motor": {"stall": 1}}}, "plant.actuation.motor", "needs both stall [N m] and no_load [rad/s], or neither\n"),
+    "an electric motor without a constant": ({"plant.actuation": {"motor": {"resistance": 1}}}, "plant.actuation.motor", "needs the key 'torque_constant'"),
+    "a misspelt resistance": ({"plant.actuation": {"motor": {"resistence": 1}}}, "plant.actuation.motor", "has no key 'resistence'; did you mean 'resistance'?"),
+    "a negative peak": ({"plant.actuation": {"motor": {"peak": [1, -1]}}}, "plant.actuation.motor", "peak[1] must be > 0 [N m]; got -1.0"),
+    "a peak for other joints": ({"plant.actuation": {"motor": {"peak": [1, 1, 1]}}}, "plant", "actuation.motor.peak must have shape (2,)"),
+    "a motor in words": ({"plant.actuation": {"motor": "dc"}}, "plant.actuation", "motor must be a table: [plant.actuation.motor]; got 'dc'"),
+    "half a ripple": ({"plant.actuation": {"ripple": {"amplitude": 0.1}}}, "plant.actuation.ripple", "needs the key 'periods'"),
+    "gears that give back more": (
+        {"plant.actuation": {"transmission": {"efficiency": 1.5}}},
+        "plant.actuation.transmission",
+        "actuation.transmission.efficiency must be above 0 and at most 1",
+    ),
+    "play without teeth": (
+        {"plant.actuation": {"transmission": {"backlash": 0.01}}},
+        "plant.actuation.transmission",
+        "actuation.transmission.backlash needs a stiffness, that of the teeth or of the elastic part: stiffness = 1e4 [N m/rad]\n",
+    ),
+    "elasticity without a rotor": (
+        {"plant.actuation": {"transmission": {"stiffness": 1e3}}},
+        "plant",
+        "joint 'joint1' has an elastic transmission or backlash, so its motor moves by itself and needs a rotor: give it gears or "
+        "rotor_inertia\n",
+    ),
+    "a spring that is too fast": (
+        {"plant": {"rotor_inertia": 1.0, "actuation": {"transmission": {"stiffness": 1e9}}}},
+        "plant",
+        "the transmission of joint 'joint2' swings at ",
+    ),
+    "a torque loop without gains": ({"plant.actuation": {"torque_loop": {}}}, "plant.actuation.torque_loop", "needs kp or ki above zero; without a loop leave it out\n"),
+    "no sweeps": ({"plant.sweeps": 0}, "plant", "sweeps must be between 1 and 1000; got 0"),
+    "an account of energy that is a number": ({"plant.energy": 1}, "plant", "energy must be true or false; got 1"),
+    "drives of MuJoCo with a delay between ticks": (
+        {"plant": {"kind": "mujoco", "actuation": {"delay": 0.0015}}},
+        "plant",
+        "actuation.delay must be a whole number of control periods of 0.001 s",
+    ),
+    # [cases]
+    "cases that are a number": ({"cases": 3}, "", " cases must be a table: [cases]; got 3"),
+    "no cases": ({"cases": {}}, "cases", 'needs one case at least: [cases."G = 100".plant.gears] with the keys that it replaces\n'),
+    "a case that is a number": ({"cases": {"a": 3}}, "cases", "a must be a table: [cases.a]; got 3"),
+    "a case without a name": ({"cases": {"": {}}}, "cases", "has a case without a name\n"),
+    "a misspelt section of a case": ({"cases": {"a": {"pland": {}}}}, "cases.a", "has no key 'pland'; did you mean 'plant'?"),
+    "a case with a title": (
+        {"cases": {"a": {"title": "x"}}},
+        "cases.a",
+        "has no key 'title', which all cases share; it takes 'arm', 'control', 'event', 'laws', 'plant', 'reference', 'run'\n",
+    ),
+    "a case with a law of its own": (
+        {"cases": {"a": {"laws": {"PID": {"kp": 1}}}}},
+        "cases.a",
+        "changes the law 'PID', which [laws] does not have: every law runs in every case\n",
+    ),
+    "a wrong value in the second case": ({"cases": {"a": {}, "b": {"plant": {"substeps": 0}}}}, None, ": case 'b': [plant] substeps must be between 1 and 1000; got 0\n"),
+    "a case in which a law does not fit": (
+        {"cases": {"a": {"laws": {"PD": {"kp": [1, 2, 3]}}}}},
+        None,
+        ": case 'a': [laws.PD] kp must be a scalar, (2,) or (2, 2) for 2 joints",
+    ),
+    "a case with another arm": ({"cases": {"a": {"arm": {"model": "planar3"}}}}, None, ": case 'a': [reference] q must have one entry for each of the 3 joints"),
+    "a case that puts a number for a table": ({"cases": {"a": {"plant": 3}}}, None, ": case 'a' plant must be a table: [plant]; got 3"),
+    "a pass figure of an unknown case": ({"cases": {"a": {}}, "pass": [{**PASS, "case": "b"}]}, "pass 1", "case must be one of 'a'; got 'b'"),
+    "a pass figure of a case where there are none": ({"pass": [{**PASS, "case": "b"}]}, "pass 1", "case is for a scenario with cases, [cases.'b']; leave it out"),
+    "an unknown case to show": ({"cases": {"a": {}}, "outputs": {"shown_case": "b"}}, "outputs", "shown_case must be one of 'a'; got 'b'"),
+    "a plot of nine cases": (
+        {"cases": {f"case {i}": {} for i in range(9)}, "outputs": {"plot": "x.png"}},
+        "outputs",
+        "plot draws at most 8 laws, counted in each case; got 9; leave it out, or some of the laws\n",
+    ),
+    "an unknown metric to show": ({"outputs": {"columns": ["rms"]}}, "outputs", "columns: a run has no metric 'rms'; it has"),
+    "no metric to show": ({"outputs": {"columns": []}}, "outputs", "columns must name one metric at least, each once; got []"),
+    "a metric to show twice": ({"outputs": {"columns": ["effort", "effort"]}}, "outputs", "columns must name one metric at least, each once"),
+    "metrics in one text": ({"outputs": {"columns": "effort"}}, "outputs", 'columns must be an array of texts such as ["rms_error", "stuck_time"]; got'),
+    "an unknown joint to show": ({"outputs": {"joint": "joint3"}}, "outputs", "joint: arm 'planar2' has no joint 'joint3'; did you mean 'joint2'"),
     "a smooth integrator with dry friction": (
         {"plant": {"integrator": "rk4", "joint_values": {"coulomb": [1, 1]}}},
         "plant",
@@ -437,9 +567,8 @@ def test_a_value_that_cannot_be_is_refused_with_file_section_and_key(
     Path("case.toml").write_text(scenario(changes), encoding="utf-8")
     assert main(["run", "case.toml"]) == 2
     said = capsys.readouterr()
-    assert said.err.startswith(
-        f"taut: scenario 'case.toml'{f': [{section}] ' if section else ''}{words.replace('{folder}', str(tmp_path))}"
-    )
+    place = f": [{section}] " if section else ""
+    assert said.err.startswith(f"taut: scenario 'case.toml'{place}{words.replace('{folder}', str(tmp_path))}")
     assert said.err.count("\n") == 1
     assert said.out == ""
     assert [path.name for path in tmp_path.iterdir()] == ["case.toml"]

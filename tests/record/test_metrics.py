@@ -309,12 +309,12 @@ def test_metrics_as_json_name_units_and_joints(make_run: Any) -> None:
 def test_the_table_reads_as_it_should(make_run: Any) -> None:
     run = make_run([0.0, 0.5, 1.0], [[0.0, 0.0], [0.0, 1.0], [0.0, 2.0]], v_ref=1.0, tau=np.full((3, 2), 2.0))
     assert str(run.metrics).splitlines() == [
-        "           RMS   peak  final               peak",
-        "         error  error  error     effort  torque  chatter  energy",
-        "           rad    rad    rad  (N m)^2 s     N m    N m/s       J",
-        "joint1       0      0      0          4       2        0       0",
-        "joint2   1.291      2     -2          4       2        0       4",
-        "overall  1.291      2      2          8       2        0       4",
+        "           RMS   peak  final                      peak",
+        "         error  error  error  stuck     effort  torque  chatter  energy",
+        "           rad    rad    rad      s  (N m)^2 s     N m    N m/s       J",
+        "joint1       0      0      0      1          4       2        0       0",
+        "joint2   1.291      2     -2      1          4       2        0       4",
+        "overall  1.291      2      2      1          8       2        0       4",
     ]
 
 

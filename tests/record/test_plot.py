@@ -312,3 +312,22 @@ def test_wrong_comparisons_get_one_sentence(many: Any) -> None:
         compare({})
     with pytest.raises(taut.UnknownNameError, match="a run has no metric 'rms_eror'; did you mean 'rms_error'"):
         compare({"a": run}, measures=["rms_eror"])
+
+
+def test_one_joint_of_several_runs_is_compared_by_its_motion_error_and_numbers(many: Any) -> None:
+    runs = {"a": many(3), "b": many(3)}
+    name = runs["a"].joint_names[1]
+    figure = compare(runs, measures=["rms_error"], joint=name)
+    above, below = axes_titled(figure, f"position of {name}"), axes_titled(figure, "tracking error")
+    np.testing.assert_array_equal(above.lines[0].get_ydata(), runs["a"].q[:, 1])
+    error = runs["b"].error
+    assert error is not None
+    np.testing.assert_array_equal(below.lines[1].get_ydata(), error[:, 1])
+    widths = [bar.get_width() for bar in axes_titled(figure, "RMS error [rad]").patches]
+    assert widths == [run.metrics.rms_error[1] for run in runs.values()]
+    assert_legible(figure)
+
+
+def test_a_joint_that_a_run_does_not_have_is_not_compared(many: Any) -> None:
+    with pytest.raises(taut.UnknownNameError, match="run 'a' has no joint 'elbow'"):
+        compare({"a": many(2)}, joint="elbow")

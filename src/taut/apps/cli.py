@@ -183,9 +183,9 @@ def _run(arguments: argparse.Namespace) -> int:
             print(f"{kind:8} {path}")
         for kind, reason in result.skipped.items():
             print(_one_line(f"no {kind}: {reason}"))
-        for label, one in result.runs.items():
+        for trial, one in result.runs.items():
             if not one.outcome.ok:
-                print(_one_line(f"{label}: {one.outcome}"))
+                print(_one_line(f"{trial.label}: {one.outcome}"))
         for text in result.missed:
             print(_one_line(f"missed: {text}"))
     return DONE if result.ok else FAILED

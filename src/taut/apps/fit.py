@@ -38,14 +38,13 @@ GLANCES: Final = 200  # at a trajectory
 class Places:
     """The sections that a scenario came from, to name them in messages."""
 
+    labels: list[str]  # of the laws in the file, which are others where a law of the user's own runs
     laws: Mapping[str, Section]
     control: Section
     plant: Section
     reference: Section
     run: Section
     events: Sequence[Section]
-    outputs: Section
-    figures: Sequence[Section]
 
 
 def refuse_misfits(scenario: Scenario, places: Places) -> None:
@@ -70,10 +69,23 @@ def refuse_misfits(scenario: Scenario, places: Places) -> None:
             check_fit(side, scenario.plant)
         for event, section in zip(scenario.events, places.events, strict=True):
             _check_event(scenario, event, side, section, label)
-    _check_files(scenario, places.outputs)
-    moves = _moves(scenario)
-    for figure, section in zip(scenario.figures, places.figures, strict=True):
-        _check_figure(figure, section, scenario.arm, moves=moves)
+
+
+def refuse_unfit_results(scenario: Scenario, outputs: Section, figures: Sequence[Section]) -> None:
+    """Check that files can be made, and that each number that is asked for will be there.
+
+    Raises:
+        ScenarioError: The message names file, section and key.
+    """
+    _check_files(scenario, outputs)
+    places = scenario.cases or {"": scenario}
+    if scenario.outputs.joint is not None:
+        for one in places.values():
+            _check_joint(scenario.outputs.joint, outputs, one.arm)
+    for figure, section in zip(scenario.figures, figures, strict=True):
+        for case, one in places.items():
+            if figure.case in (None, case):
+                _check_figure(figure, section, one.arm, moves=_moves(one))
 
 
 def _look_at_reference(scenario: Scenario) -> None:
@@ -104,9 +116,8 @@ def _moves(scenario: Scenario) -> bool:
 def _check_figure(figure: PassFigure, section: Section, arm: Arm, *, moves: bool) -> None:
     """A pass figure is a number that the runs will have."""
     names, units = arm.joint_names, arm.units
-    if figure.joint is not None and figure.joint not in names:
-        with section.blamed("joint"):
-            raise unknown_name(f"arm '{arm.name}'", "joint", figure.joint, names)
+    if figure.joint is not None:
+        _check_joint(figure.joint, section, arm)
     if figure.joint is None and MEASURES[figure.metric].per_unit and len(set(units)) > 1:
         raise section.error(
             f"metric '{figure.metric}' has no one number for joints in rad and joints in m together; add joint, one "
@@ -117,6 +128,12 @@ def _check_figure(figure: PassFigure, section: Section, arm: Arm, *, moves: bool
             f"metric '{figure.metric}' is for a set-point, and the [reference] moves; take one of "
             f"{quoted_list([name for name in MEASURES if name not in OF_STEPS])}"
         )
+
+
+def _check_joint(joint: str, section: Section, arm: Arm) -> None:
+    if joint not in arm.joint_names:
+        with section.blamed("joint"):
+            raise unknown_name(f"arm '{arm.name}'", "joint", joint, arm.joint_names)
 
 
 def _law_side(scenario: Scenario, law: Law, place: Section, control: Section) -> LawSide:
@@ -164,9 +181,10 @@ def _check_event(scenario: Scenario, event: Event, side: LawSide, section: Secti
 
 def _check_files(scenario: Scenario, section: Section) -> None:
     """Files that could not be made after the run."""
-    wanted, runs = scenario.outputs, len(scenario.laws)
+    wanted, runs = scenario.outputs, len(scenario.trials)
     if wanted.plot is not None and runs > MOST_RUNS:
-        raise section.error(f"plot draws at most {MOST_RUNS} laws; got {runs}; leave it out, or some of the laws")
+        what = "laws, counted in each case" if scenario.cases else "laws"
+        raise section.error(f"plot draws at most {MOST_RUNS} {what}; got {runs}; leave it out, or some of the laws")
     if wanted.video is not None and wanted.video.endswith(".mp4") and shutil.which("ffmpeg") is None:
         raise section.error(
             f"video '{wanted.video}' needs the program ffmpeg, which is not on the PATH; install it, or write a .gif"

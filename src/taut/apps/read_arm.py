@@ -7,11 +7,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from taut.apps.read_joints import friction_word, joints_changed
 from taut.apps.toml import Section, file_beside
 from taut.arm.builtin import BUILT_IN, COMMANDS, one_joint_tree
 from taut.arm.catalogue import CATALOGUE
 from taut.arm.change import joints_replaced
 from taut.arm.description import Arm
+from taut.arm.friction import Friction
 from taut.arm.load import OpenedModel, arm_of, load_arm, open_model
 from taut.base.errors import TautError
 from taut.base.pose import Pose
@@ -31,6 +33,8 @@ def read_arm(section: Section, folder: Path) -> Arm:
         "home": section.take("home", None),
     }
     arm = _assembled(section, opened, {key: value for key, value in given.items() if value is not None})
+    if friction_word(section, "none") == "none":
+        arm = arm.with_friction(Friction())
     arm = _changed(section, arm)
     section.done()
     return arm
@@ -97,6 +101,7 @@ def _changed(section: Section, arm: Arm) -> Arm:
         body.done()
         with body.blamed():
             arm = arm.with_body(joint, **change)
+    arm = joints_changed(section, arm)
     if "perturbed" in section:
         spread = section.section("perturbed")
         spread.only("seed", "mass", "com", "inertia", "friction")

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 import numpy as np
 
 from taut.apps.read_arm import read_true_arm
+from taut.apps.read_drives import made_from, read_actuation
+from taut.apps.read_joints import friction_word
 from taut.apps.toml import Section, file_beside
 from taut.arm.description import Arm
 from taut.maths.adds import Adds
-from taut.plant.actuation import Actuation
 from taut.plant.rigid import RigidPlant
 from taut.plant.sensors import SENSORS, Sensors
 from taut.runtime.host import HostPlant
@@ -21,7 +21,7 @@ __all__ = ["Plant", "read_plant"]
 
 MOST_STEPS: Final = 1000  # of MuJoCo in a control period, as of the other plant
 
-OF_RIGID: Final = ("integrator", "takes", "substeps", "sensors", "actuation")
+OF_RIGID: Final = ("integrator", "takes", "substeps", "sweeps", "energy")
 OF_MUJOCO: Final = ("timestep", "scene")
 
 Plant: TypeAlias = RigidPlant | HostPlant
@@ -43,24 +43,29 @@ def read_plant(section: Section, believed: Arm, rate: float, folder: Path) -> Pl
             f"model must have as many joints as that of [arm], the {believed.n} of '{believed.name}'; got the "
             f"{arm.n} of '{arm.name}'"
         )
-    friction = None if section.word("friction", ("arm", "none"), "arm") == "none" else "arm"
+    options: dict[str, Any] = {"friction": None if friction_word(section, "arm", "none") == "none" else "arm"}
     adds = section.texts("adds", [], example='["gravity"]')
     with section.blamed("adds"):
-        options: dict[str, Any] = {"friction": friction, "adds": Adds.of(adds)}
-    if kind == "mujoco":
-        return _in_mujoco(section, arm, options, rate, folder)
-    options |= {word: section.text(word) for word in ("integrator", "takes") if word in section}
-    if "substeps" in section:
-        options["substeps"] = section.whole("substeps")
+        options["adds"] = Adds.of(adds)
     if "sensors" in section:
         options["sensors"] = _sensors(section.section("sensors"))
     if "actuation" in section:
-        options["actuation"] = _made(section.section("actuation"), Actuation)
+        options["actuation"] = read_actuation(section.section("actuation"))
+    for key in ("sensors", "actuation"):
+        section.take(key, None)  # known, so that a misspelt one is compared with it
+    if kind == "mujoco":
+        return _in_mujoco(section, arm, options, rate, folder)
+    options |= {word: section.text(word) for word in ("integrator", "takes") if word in section}
+    options |= {word: section.whole(word) for word in ("substeps", "sweeps") if word in section}
+    if "energy" in section:
+        options["energy"] = section.flag("energy")
     section.only(*OF_RIGID, elsewhere=dict.fromkeys(OF_MUJOCO, ', which is for kind = "mujoco"'))
     with section.blamed():
         plant = RigidPlant(arm, **options)
     with section.blamed("actuation.delay"):
         plant.actuation.taps(1.0 / rate)
+    with section.blamed():
+        plant.start(arm.home, np.zeros(arm.n), plant.parameters, 1.0 / rate)  # a step that is too long for a spring
     return plant
 
 
@@ -93,13 +98,6 @@ def _sensors(section: Section) -> Sensors:
             section.take(name)
             options[name] = None
         elif name in section:
-            options[name] = _made(section.section(name), kind)
+            options[name] = made_from(section.section(name), kind)
     with section.blamed():
         return Sensors(**options)
-
-
-def _made(section: Section, cls: Any) -> Any:
-    """An object of a dataclass from the keys of a section."""
-    values = section.fields([field.name for field in dataclasses.fields(cls)])
-    with section.blamed():
-        return cls(**values)

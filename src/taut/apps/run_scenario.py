@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -14,12 +14,13 @@ from rich.cells import cell_len
 from rich.markup import escape
 from rich.table import Table
 
+from taut.apps.cases import Trial
 from taut.apps.scenario import SUFFIXES, PassFigure, Scenario
 from taut.base.errors import FileError, ScenarioError, TautError, UsageError
 from taut.controller import compile
+from taut.record.compare import BARS, compare
 from taut.record.files import cannot_write, checked_target, written_aside
-from taut.record.metrics import MEASURES
-from taut.record.plot import compare
+from taut.record.metrics import MEASURES, Metrics
 from taut.record.run import Run
 from taut.record.table import number_text
 from taut.runtime.simulate import run
@@ -45,7 +46,7 @@ class ScenarioResult:
     """What a scenario gave."""
 
     scenario: Scenario
-    runs: Mapping[str, Run]
+    runs: Mapping[Trial, Run]
     outputs: Mapping[str, Path]
     skipped: Mapping[str, str]  # outputs that could not be made, and why
     missed: tuple[str, ...]  # pass figures that were not reached, in words
@@ -59,8 +60,8 @@ class ScenarioResult:
         """As plain values."""
         return {
             "scenario": self.scenario.name,
-            "metrics": {label: one.metrics.json() for label, one in self.runs.items()},
-            "outcomes": {label: one.outcome.json() for label, one in self.runs.items()},
+            "metrics": _by_case({trial: one.metrics.json() for trial, one in self.runs.items()}),
+            "outcomes": _by_case({trial: one.outcome.json() for trial, one in self.runs.items()}),
             "outputs": {kind: str(path) for kind, path in self.outputs.items()},
             "skipped": dict(self.skipped),
             "ok": self.ok,
@@ -71,26 +72,37 @@ class ScenarioResult:
         """The numbers that mean something, of joints in rad and of joints in m apart.
 
         Args:
-            width: Letters in a line. One row stands for each law, or one column where the rows would be longer.
+            width: Letters in a line. One row stands for each run, or one column where the rows would be longer.
         """
-        numbers = {label: [one.metrics.by_unit(name) for name in COLUMNS] for label, one in self.runs.items()}
-        heads = [(i, unit) for i, by_unit in enumerate(next(iter(numbers.values()))) for unit in by_unit]
-        heads = [(i, unit) for i, unit in heads if not all(math.isnan(row[i][unit]) for row in numbers.values())]
-        cells = [["law", *self.runs]]
-        for i, unit in heads:
-            values = [number_text(row[i][unit]) for row in numbers.values()]
-            cells.append([f"{MEASURES[COLUMNS[i]].title}\n[{unit}]", *values])
+        names, joint = self.scenario.outputs.columns or COLUMNS, self.scenario.outputs.joint
+        rows_of = [[one.metrics.by_unit(name, joint) for name in names] for one in self.runs.values()]
+        heads = dict.fromkeys((i, unit) for row in rows_of for i, by_unit in enumerate(row) for unit in by_unit)
+        cells = [["case", *(trial.case for trial in self.runs)]] if self.scenario.cases else []
+        cells.append(["law", *(trial.law for trial in self.runs)])
+        for i, unit in sorted(heads, key=lambda head: head[0]):
+            numbers = [row[i].get(unit, math.nan) for row in rows_of]
+            if not all(math.isnan(number) for number in numbers):
+                cells.append([f"{MEASURES[names[i]].title}\n[{unit}]", *map(number_text, numbers)])
         cells.append(["outcome", *(one.outcome.kind for one in self.runs.values())])
         needed = 1 + sum(3 + max(cell_len(part) for text in column for part in text.split("\n")) for column in cells)
         rows = (
             list(zip(*cells, strict=True)) if needed <= width else [[c.replace("\n", " ") for c in r] for r in cells]
         )
-        table = Table(title=escape(self.scenario.title))
+        of_joint = "" if joint is None else f"\nnumbers of joint '{joint}'"
+        table = Table(title=escape(self.scenario.title + of_joint))
         for head in rows[0]:
             table.add_column(escape(head), overflow="fold")
         for row in rows[1:]:
             table.add_row(*map(escape, row))
         return table
+
+
+def _by_case(values: Mapping[Trial, Any]) -> dict[str, Any]:
+    """Values by law, or by case and law where there are cases."""
+    out: dict[str, Any] = {}
+    for trial, value in values.items():
+        (out.setdefault(trial.case, {}) if trial.case else out)[trial.law] = value
+    return out
 
 
 def run_scenario(
@@ -112,16 +124,16 @@ def run_scenario(
         ScenarioError: A law that cannot be compiled, a run that cannot begin.
     """
     files = _targets(scenario, folder)
-    runs = {label: _one_run(scenario, label, say, engine) for label in scenario.laws}
+    runs = {trial: _one_run(one, trial, say, engine) for trial, one in scenario.trials.items()}
     outputs, skipped = _written(scenario, runs, files, say)
-    missed = tuple(text for figure in scenario.figures if (text := _missed(figure, runs)) is not None)
+    missed = tuple(text for figure in scenario.figures for text in _missed(figure, runs))
     return ScenarioResult(scenario=scenario, runs=runs, outputs=outputs, skipped=skipped, missed=missed)
 
 
-def _one_run(scenario: Scenario, label: str, say: Callable[[str], None], engine: str) -> Run:
+def _one_run(scenario: Scenario, trial: Trial, say: Callable[[str], None], engine: str) -> Run:
     try:
         ctrl = compile(
-            scenario.laws[label],
+            scenario.laws[trial.law],
             scenario.arm,
             rate=scenario.rate,
             sensing=scenario.sensing,
@@ -129,7 +141,7 @@ def _one_run(scenario: Scenario, label: str, say: Callable[[str], None], engine:
             adds=scenario.plant.adds,
             engine=engine,  # type: ignore[arg-type]  # the command line checks the word
         )
-        say(f"running {label} ...")
+        say(f"running {trial.label} ...")
         return run(
             ctrl,
             scenario.plant,
@@ -142,7 +154,7 @@ def _one_run(scenario: Scenario, label: str, say: Callable[[str], None], engine:
         )
     except TautError as cause:  # what loading could not see: code that cannot be traced, memory that is full
         section = SECTIONS.get((cause.name or "").partition(".")[0])
-        place = f"[{section}]" if section else f"law '{label}':"
+        place = f"[{section}]" if section else f"law '{trial.law}':"
         raise ScenarioError(f"{scenario.source}: {place} {cause}") from cause
 
 
@@ -177,12 +189,12 @@ def _targets(scenario: Scenario, folder: Path) -> dict[str, Path]:
 
 
 def _written(
-    scenario: Scenario, runs: Mapping[str, Run], files: Mapping[str, Path], say: Callable[[str], None]
+    scenario: Scenario, runs: Mapping[Trial, Run], files: Mapping[str, Path], say: Callable[[str], None]
 ) -> tuple[dict[str, Path], dict[str, str]]:
     """The files that were made, and why others were not: what happened in the runs must not be lost with them."""
     shown = runs[scenario.outputs.shown]
     writers: dict[str, Callable[[Path], object]] = {
-        "plot": lambda path: _save_plot(runs, path),
+        "plot": lambda path: _save_plot(scenario, runs, path),
         "video": lambda path: _film(shown, path),
         "log": shown.save,
         "csv": shown.to_csv,
@@ -209,12 +221,17 @@ def _make_folder(folder: Path) -> None:
         raise FileError(f"the folder '{folder}' cannot be made: {cause.strerror}", name=str(folder)) from cause
 
 
-def _save_plot(runs: Mapping[str, Run], path: Path) -> None:
+def _save_plot(scenario: Scenario, runs: Mapping[Trial, Run], path: Path) -> None:
     # A law is called after its section, whatever is in its name; matplotlib takes a pair of $ for mathematics.
-    drawn = {label.replace("$", r"\$"): one for label, one in runs.items() if len(one)}
+    labels = {trial: trial.case if trial.case and len(scenario.laws) == 1 else trial.label for trial in runs}
+    drawn = {labels[trial].replace("$", r"\$"): one for trial, one in runs.items() if len(one)}
     if not drawn:
         raise UsageError("there is nothing to plot: no law got through its first tick", name="plot")
-    figure = compare(drawn) if len(runs) > 1 else next(iter(drawn.values())).plot()
+    wanted, joints = scenario.outputs, None if scenario.outputs.joint is None else [scenario.outputs.joint]
+    if len(runs) > 1:
+        figure = compare(drawn, measures=wanted.columns or BARS, joint=wanted.joint)
+    else:
+        figure = next(iter(drawn.values())).plot(joints=joints)
     with written_aside("plot", path) as aside:
         figure.savefig(aside, dpi=150)
 
@@ -225,8 +242,8 @@ def _film(shown: Run, path: Path) -> None:
     shown.video(path)
 
 
-def _save_metrics(runs: Mapping[str, Run], path: Path) -> None:
-    metrics = {label: one.metrics.json() for label, one in runs.items()}
+def _save_metrics(runs: Mapping[Trial, Run], path: Path) -> None:
+    metrics = _by_case({trial: one.metrics.json() for trial, one in runs.items()})
     with written_aside("metrics", path) as aside:
         aside.write_text(json.dumps(metrics, indent=1) + "\n", encoding="utf-8")
 
@@ -234,11 +251,18 @@ def _save_metrics(runs: Mapping[str, Run], path: Path) -> None:
 # -------------------------------------------------------------------- pass figures
 
 
-def _missed(figure: PassFigure, runs: Mapping[str, Run]) -> str | None:
-    """In words, if a pass figure is not reached."""
-    if figure.law not in runs:
-        return None
-    metrics, what = runs[figure.law].metrics, f"{figure.law}: {figure.metric}"
+def _missed(figure: PassFigure, runs: Mapping[Trial, Run]) -> Iterator[str]:
+    """In words, the runs in which a pass figure is not reached."""
+    for trial, one in runs.items():
+        if trial.law == figure.law and figure.case in (None, trial.case):
+            text = _shortfall(figure, one.metrics)
+            if text is not None:
+                yield f"{trial.label}: {text}"
+
+
+def _shortfall(figure: PassFigure, metrics: Metrics) -> str | None:
+    """In words, if a run does not reach a pass figure."""
+    what = figure.metric
     if figure.joint is None:
         value = metrics.overall[figure.metric]
     else:

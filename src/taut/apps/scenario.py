@@ -11,7 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from taut.apps.fit import Places, refuse_misfits
+from taut.apps.cases import OF_A_CASE, Trial, cases_of
+from taut.apps.fit import Places, refuse_misfits, refuse_unfit_results
 from taut.apps.read_arm import read_arm
 from taut.apps.read_laws import read_law, read_limits
 from taut.apps.read_plant import Plant, read_plant
@@ -31,9 +32,7 @@ from taut.runtime.events import Event
 
 __all__ = ["Outputs", "PassFigure", "Scenario", "built_in_scenarios", "load_scenario"]
 
-SECTIONS: Final = (
-    "title", "arm", "laws", "control", "plant", "reference", "run", "event", "outputs", "pass",
-)  # fmt: skip
+SECTIONS: Final = (*OF_A_CASE, "title", "outputs", "pass", "cases")
 SUFFIXES: Final = {
     "plot": (".png", ".pdf", ".svg"),
     "video": (".gif", ".mp4"),
@@ -52,13 +51,16 @@ class Outputs:
     video: str | None
     log: str | None
     csv: str | None
-    shown: str  # the law whose video, log and table are made
+    shown: Trial  # whose video, log and table are made
+    columns: tuple[str, ...] | None  # metrics in the table and the plot; None for the usual ones
+    joint: str | None  # whose numbers and motion these are; None for all joints together
 
 
 @dataclass(frozen=True, kw_only=True)
 class PassFigure:
     """A bound on a metric that decides whether a scenario passes."""
 
+    case: str | None  # None for every case
     law: str
     metric: str
     joint: str | None  # None for all joints together
@@ -87,6 +89,13 @@ class Scenario:
     events: tuple[Event, ...]
     outputs: Outputs
     figures: tuple[PassFigure, ...]
+    cases: Mapping[str, Scenario]  # the scenario with some keys replaced; where there are any, only they are run
+
+    @property
+    def trials(self) -> dict[Trial, Scenario]:
+        """What is run: every law in every case."""
+        places = self.cases or {"": self}
+        return {Trial(case, law): place for case, place in places.items() for law in self.laws}
 
 
 def built_in_scenarios() -> dict[str, Path]:
@@ -112,8 +121,28 @@ def load_scenario(name: str, own_laws: Mapping[str, Law] | None = None) -> Scena
     source = f"scenario '{name}'"
     root = read_toml(path, source)
     root.only(*SECTIONS)
-    title = root.text("title", path.stem)
-    folder = path.parent
+    changed = cases_of(root)
+    title, outputs, figures = root.text("title", path.stem), root.section("outputs"), root.sections("pass")
+    parts, places = _experiment(root, path.parent, own_laws)
+    others = {case: _experiment(section, path.parent, own_laws) for case, section in changed.items()}
+    laws = list(parts["laws"])
+    common: dict[str, Any] = {
+        "name": path.stem,
+        "title": title,
+        "outputs": _outputs(outputs, laws, places.labels, list(others)),
+        "figures": tuple(_figure(section, places.labels or laws, list(others)) for section in figures),
+    }
+    cases = {case: Scenario(**fields, **common, cases={}) for case, (fields, _) in others.items()}
+    scenario = Scenario(**parts, **common, cases=cases)
+    refuse_misfits(scenario, places)
+    for case, (_, places_of_case) in others.items():
+        refuse_misfits(cases[case], places_of_case)
+    refuse_unfit_results(scenario, outputs, figures)
+    return scenario
+
+
+def _experiment(root: Section, folder: Path, own_laws: Mapping[str, Law] | None) -> tuple[dict[str, Any], Places]:
+    """The fields of a scenario that say what is run, and the sections that they came from."""
     arm = read_arm(root.section("arm", required=True), folder)
     laws_section = root.section("laws", required=own_laws is None)
     labels = laws_section.left
@@ -125,38 +154,31 @@ def load_scenario(name: str, own_laws: Mapping[str, Law] | None = None) -> Scena
         laws = dict(own_laws)
     control, plant_section = root.section("control"), root.section("plant", required=True)
     reference_section, run = root.section("reference"), root.section("run", required=True)
-    outputs, events, figures = root.section("outputs"), root.sections("event"), root.sections("pass")
+    events = root.sections("event")
     rate, sensing, limits = _control(control, arm)
     plant = read_plant(plant_section, arm, rate, folder)
-    reference = read_reference(reference_section, arm, plant.arm.home, folder)
-    scenario = Scenario(
-        name=path.stem,
-        source=source,
-        title=title,
-        arm=arm,
-        laws=laws,
-        rate=rate,
-        sensing=sensing,
-        limits=limits,
-        plant=plant,
-        reference=reference,
-        events=tuple(_event(section) for section in events),
-        outputs=_outputs(outputs, list(laws), labels),
-        figures=tuple(_figure(section, labels or list(laws)) for section in figures),
+    fields = {
+        "source": root.where,
+        "arm": arm,
+        "laws": laws,
+        "rate": rate,
+        "sensing": sensing,
+        "limits": limits,
+        "plant": plant,
+        "reference": read_reference(reference_section, arm, plant.arm.home, folder),
+        "events": tuple(_event(section) for section in events),
         **_run(run, plant.arm),
-    )
+    }
     places = Places(
+        labels=labels,
         laws=law_places,
         control=control,
         plant=plant_section,
         reference=reference_section,
         run=run,
         events=events,
-        outputs=outputs,
-        figures=figures,
     )
-    refuse_misfits(scenario, places)
-    return scenario
+    return fields, places
 
 
 def _found(name: str) -> Path:
@@ -239,17 +261,26 @@ def _event(section: Section) -> Event:
 # -------------------------------------------------------------------- outputs and pass figures
 
 
-def _outputs(section: Section, laws: list[str], labels: list[str]) -> Outputs:
-    """File names, and the law that is shown.
+def _outputs(section: Section, laws: list[str], labels: list[str], cases: list[str]) -> Outputs:
+    """File names, and what is shown.
 
     Args:
         section: [outputs].
         laws: Labels of the laws that run.
         labels: Labels of the laws in the file, which are others where a law of the user's own runs.
+        cases: Names of the cases.
     """
     shown = section.text("shown", None)
     if shown is not None and shown not in (labels or laws):
         raise section.error(f"shown must be one of the laws {quoted_list(labels or laws)}; got {shown!r}")
+    case = _case(section, "shown_case", cases)
+    columns = section.texts("columns", None, example='["rms_error", "stuck_time"]')
+    with section.blamed("columns"):
+        for name in columns or ():
+            if name not in MEASURES:
+                raise unknown_name("a run", "metric", name, MEASURES)
+    if columns is not None and not 0 < len(columns) == len(set(columns)):
+        raise section.error(f"columns must name one metric at least, each once; got {columns}")
     files = {}
     for word, suffixes in SUFFIXES.items():
         name = files[word] = section.text(word, None)
@@ -259,11 +290,28 @@ def _outputs(section: Section, laws: list[str], labels: list[str]) -> Outputs:
             raise section.error(f"{word} must be a file name ending in {' or '.join(suffixes)}; got {name!r}")
         if len(name.encode()) > MOST_BYTES:
             raise section.error(f"{word} must be a file name of at most {MOST_BYTES} bytes; got {len(name.encode())}")
+    joint = section.text("joint", None)
     section.done()
-    return Outputs(shown=shown if shown in laws else laws[-1], **files)
+    return Outputs(
+        shown=Trial(case or (cases[-1] if cases else ""), shown if shown in laws else laws[-1]),
+        columns=None if columns is None else tuple(columns),
+        joint=joint,
+        **files,
+    )
 
 
-def _figure(section: Section, labels: list[str]) -> PassFigure:
+def _case(section: Section, key: str, cases: list[str]) -> str | None:
+    """The name of a case; None if the key is not there."""
+    case = section.text(key, None)
+    if case is None or case in cases:
+        return case  # type: ignore[no-any-return]
+    if not cases:
+        raise section.error(f"{key} is for a scenario with cases, [cases.{case!r}]; leave it out")
+    raise section.error(f"{key} must be one of {quoted_list(cases)}; got {case!r}")
+
+
+def _figure(section: Section, labels: list[str], cases: list[str]) -> PassFigure:
+    case = _case(section, "case", cases)
     label, metric, joint = section.text("law"), section.text("metric"), section.text("joint", None)
     least, most = section.number("min", -np.inf), section.number("max", np.inf)
     section.done()
@@ -276,4 +324,4 @@ def _figure(section: Section, labels: list[str]) -> PassFigure:
         raise section.error("needs min, max or both")
     if least > most:
         raise section.error(f"min must be <= max, which is {most:g}; got {least:g}")
-    return PassFigure(law=label, metric=metric, joint=joint, least=float(least), most=float(most))
+    return PassFigure(case=case, law=label, metric=metric, joint=joint, least=float(least), most=float(most))

@@ -40,6 +40,12 @@ WORDS: Final = {
     "sensors=taut.Sensors(tip=taut.Accelerometer())": "[plant.sensors.tip]",
     "give environment= too, or leave it out": "leave it out",
     "a plant with takes='": "a plant that takes '",
+    "Motor needs peak=, or stall= and no_load=, or all three": "needs peak, or stall and no_load, or all three",
+    "a motor's curve needs both stall= [N m] and no_load= [rad/s]": "needs both stall [N m] and no_load [rad/s]",
+    "TorqueLoop needs kp= or ki= above zero": "needs kp or ki above zero",
+    "taut.Transmission(stiffness=1e4, ...)  # N m/rad": "stiffness = 1e4 [N m/rad]",
+    "arm.with_gears(ratio=, motor_inertia=), or with_joints(rotor_inertia=)": "give it gears or rotor_inertia",
+    "give the plant substeps=": "give the plant substeps = ",
 }
 """Ways out that are written for Python, as they are written in a scenario."""
 
@@ -145,6 +151,15 @@ class Section:
             return text.replace(name, last, 1)
         return text if key is None or re.match(rf"{re.escape(key)}(?!\w)", text) else f"{key}: {text}"
 
+    def replaced(self, changes: Section, label: str) -> Section:
+        """This table with some of its keys replaced: tables merge, anything else takes the place of what was there.
+
+        Args:
+            changes: The keys with their new values.
+            label: What messages call the file then.
+        """
+        return Section(label, self._name, _merged(self._table, changes._table))
+
     # ---------------------------------------------------------------- values
 
     def __contains__(self, key: str) -> bool:
@@ -235,6 +250,11 @@ class Section:
         return f"{self._name}.{key}" if self._name else key
 
     @property
+    def above(self) -> str:
+        """The whole name of the table that this one is in."""
+        return self._name.rpartition(".")[0]
+
+    @property
     def left(self) -> list[str]:
         """The keys that were not taken yet, in the order of the file."""
         return list(self._table)
@@ -265,6 +285,14 @@ class Section:
             ScenarioError: There is a key that nobody asked for.
         """
         self.only()
+
+
+def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
+    out = dict(old)
+    for key, value in new.items():
+        before = old.get(key)
+        out[key] = _merged(before, value) if isinstance(before, dict) and isinstance(value, dict) else value
+    return out
 
 
 def _shown(value: object) -> str:

@@ -11,20 +11,22 @@ import numpy as np
 from taut.base.errors import UsageError
 from taut.record.metrics import MEASURES
 from taut.record.run import Run
-from taut.record.style import INK, SMALL, WIDTH, colour, legend_above, line, prepared, short_name
+from taut.record.style import DASHED, INK, SMALL, WIDTH, colour, legend_above, line, prepared, short_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["compare"]
+__all__ = ["BARS", "compare"]
 
 BARS: Final = ("rms_error", "peak_error", "effort", "chatter")
 MOST: Final = 8  # runs in one figure
 FAR_APART: Final = 30.0  # ratio of errors above which their axis is logarithmic
 
 
-def compare(runs: Mapping[str, Run], *, title: str = "", measures: Sequence[str] = BARS) -> Figure:
+def compare(
+    runs: Mapping[str, Run], *, title: str = "", measures: Sequence[str] = BARS, joint: str | None = None
+) -> Figure:
     """Error norm over time of several runs, and bars of their metrics, as a matplotlib Figure.
 
     Joints in rad and joints in m have no norm together: each unit has its own axes, and bars of its own.
@@ -33,31 +35,38 @@ def compare(runs: Mapping[str, Run], *, title: str = "", measures: Sequence[str]
         runs: The runs by the name that each gets in the figure.
         title: A title for the figure.
         measures: Names of the metrics to draw as bars.
+        joint: The joint whose motion, error and metrics are drawn, instead of those of all together.
 
     Raises:
         UsageError: No runs, more than eight, one without a position reference.
-        UnknownNameError: There is no such metric.
+        UnknownNameError: There is no such metric, or a run has no such joint.
     """
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-    _check(runs, measures)
-    units = list(dict.fromkeys(unit for run in runs.values() for unit in run.units))
-    bars = {measure: _by_unit(runs, measure) for measure in measures}
+    _check(runs, measures, joint)
+    units = list(dict.fromkeys(unit for run in runs.values() for unit in run.units)) if joint is None else [""]
+    bars = {measure: _by_unit(runs, measure, joint) for measure in measures}
     rows = max(len(values) for values in bars.values())
-    heights = [0.5 + (2.1 if len(units) == 1 else 1.6 * len(units)), rows * (0.3 + 0.22 * len(runs))]
+    over_time = [2.1] if len(units) == 1 else [1.6] * len(units)
+    over_time = over_time if joint is None else [1.9, 1.7]
+    heights = [0.5 + sum(over_time), rows * (0.3 + 0.22 * len(runs))]
     figure = Figure(figsize=(WIDTH, 0.3 + sum(heights)), dpi=150, layout="constrained")
     if title:
         figure.suptitle(title, fontsize=9.5, color=INK, x=0.01, ha="left")
     top, bottom = figure.subfigures(2, 1, height_ratios=heights, squeeze=False)[:, 0]
-    norms = top.subplots(len(units), 1, squeeze=False, sharex=True)[:, 0]
-    for ax, unit in zip(norms, units, strict=True):
+    norms = top.subplots(len(over_time), 1, squeeze=False, sharex=True)[:, 0]
+    if joint is not None:
+        _one_joint(runs, joint, *norms)
+    for ax, unit in zip(norms, units, strict=True) if joint is None else ():
         whose = "" if len(units) == 1 else f" of the joints in {unit}"
         _norms(runs, unit, prepared(ax, f"norm of the tracking error{whose}", f"[{unit}]"))
     norms[-1].set_xlabel("t [s]", fontsize=SMALL, color=INK)
     names = [
         Line2D([], [], color=colour(i), linewidth=2.0, label=short_name(name, 30)) for i, name in enumerate(runs)
     ]
+    if joint is not None:
+        names.append(Line2D([], [], color=INK, linewidth=0.9, linestyle=DASHED, label="reference"))
     legend_above(top, names)
     grid = bottom.subplots(rows, len(bars), squeeze=False)
     for column, (measure, values) in zip(grid.T, bars.items(), strict=True):
@@ -71,7 +80,7 @@ def compare(runs: Mapping[str, Run], *, title: str = "", measures: Sequence[str]
     return figure
 
 
-def _check(runs: Mapping[str, Run], measures: Sequence[str]) -> None:
+def _check(runs: Mapping[str, Run], measures: Sequence[str], joint: str | None) -> None:
     from taut.base.errors import unknown_name
 
     if not isinstance(runs, Mapping) or not all(isinstance(run, Run) for run in runs.values()):
@@ -86,13 +95,32 @@ def _check(runs: Mapping[str, Run], measures: Sequence[str]) -> None:
     for name, run in runs.items():
         if run.error is None or not len(run):
             raise UsageError(f"run '{name}' has no tracking error to compare", name="runs")
+        if joint is not None and joint not in run.joint_names:
+            raise unknown_name(f"run '{name}'", "joint", joint, run.joint_names)
 
 
-def _by_unit(runs: Mapping[str, Run], measure: str) -> dict[str, list[float]]:
+def _by_unit(runs: Mapping[str, Run], measure: str, joint: str | None) -> dict[str, list[float]]:
     """By the metric's unit: its number in each run, NaN where no joint of a run has that unit."""
-    found = [run.metrics.by_unit(measure) for run in runs.values()]
+    found = [run.metrics.by_unit(measure, joint) for run in runs.values()]
     units = dict.fromkeys(unit for numbers in found for unit in numbers)
     return {unit: [numbers.get(unit, math.nan) for numbers in found] for unit in units}
+
+
+def _one_joint(runs: Mapping[str, Run], joint: str, above: Axes, below: Axes) -> None:
+    """Motion of one joint, and its error below."""
+    unit = ""
+    for i, run in enumerate(runs.values()):
+        place = run.joint_names.index(joint)
+        unit = run.units[place]
+        assert run.error is not None
+        line(above, run.t, run.q[:, place], colour(i))
+        line(below, run.t, run.error[:, place], colour(i))
+        line(above, run.t, getattr(run.reference, "q")[:, place], INK, reference=True)  # noqa: B009  (any reference)
+    prepared(above, f"position of {short_name(joint, 40)}", f"q [{unit}]")
+    prepared(below, "tracking error", f"wanted - true [{unit}]")
+    below.axhline(0.0, color=INK, linewidth=0.6)
+    for ax in (above, below):
+        ax.margins(x=0.01)
 
 
 def _norms(runs: Mapping[str, Run], unit: str, ax: Axes) -> None:

@@ -18,6 +18,7 @@ from taut.base.named import Named
 from taut.base.types import Float64Array
 from taut.control.limiting import LIMIT_TERMS
 from taut.record.step import step_response
+from taut.record.sticking import reversal_error, stuck
 
 if TYPE_CHECKING:
     from taut.record.run import Run
@@ -46,6 +47,8 @@ MEASURES: Final = {
     "rms_error": Measure(title="RMS error", unit="{q}", overall="RMS of the error's norm"),
     "peak_error": Measure(title="peak error", unit="{q}", overall="peak of the error's norm"),
     "final_error": Measure(title="final error", unit="{q}", overall="norm of the final error"),
+    "stuck_time": Measure(title="stuck", unit="s", overall="time in which any joint was stuck"),
+    "reversal_error": Measure(title="reversal error", unit="{q}", overall="the largest"),
     "effort": Measure(title="effort", unit="({tau})^2 s", overall="the sum"),
     "peak_torque": Measure(title="peak torque", unit="{tau}", overall="the largest"),
     "saturation_time": Measure(title="saturated", unit="s", overall="time in which any joint's command was cut"),
@@ -68,6 +71,7 @@ class Metrics:
 
     NaN (null in JSON) where a number has no meaning: overshoot, settling time and steady-state error where the
     reference is not constant, or where a joint had no initial error; saturation where nothing limits the command;
+    stuck time and reversal error where the reference does not move, or never turns round;
     an overall number of joints with different units, each of which has its number in `groups`.
 
     Attributes:
@@ -78,6 +82,10 @@ class Metrics:
         rms_error: (n,) [rad | m] root of the mean square of the tracking error.
         peak_error: (n,) [rad | m] largest magnitude of the tracking error.
         final_error: (n,) [rad | m] tracking error of the last tick.
+        stuck_time: (n,) [s] in which the joint rests, slower than 1e-4 rad/s | m/s, while its reference moves,
+            faster than 1e-3: stick-slip, and the rest after each reversal.
+        reversal_error: (n,) [rad | m] largest magnitude of the tracking error in the 0.5 s after the reference
+            begins to move the other way, faster than 1e-3 rad/s | m/s.
         effort: (n,) [(N m)^2 s | N^2 s] integral of tau^2, as in figure 10.12.
         peak_torque: (n,) [N m | N] largest magnitude of tau.
         saturation_time: (n,) [s] in which the limits cut the command.
@@ -105,6 +113,8 @@ class Metrics:
     rms_error: Float64Array
     peak_error: Float64Array
     final_error: Float64Array
+    stuck_time: Float64Array
+    reversal_error: Float64Array
     effort: Float64Array
     peak_torque: Float64Array
     saturation_time: Float64Array
@@ -123,8 +133,11 @@ class Metrics:
         places = zip(self.units["rms_error"], self.units[name], strict=True)
         return " | ".join(dict.fromkeys(unit for of, unit in places if group in (None, of)))
 
-    def by_unit(self, name: str) -> dict[str, float]:
-        """A metric by its unit: the overall number, or one for each group where there is no overall one."""
+    def by_unit(self, name: str, joint: str | None = None) -> dict[str, float]:
+        """A metric by its unit: of one joint; or the overall number, or one for each group where there is none."""
+        if joint is not None:
+            i = self.joint_names.index(joint)
+            return {self.units[name][i]: float(getattr(self, name)[i])}
         if len(self.groups) == 1 or not MEASURES[name].per_unit:
             return {self.unit(name): self.overall[name]}
         return {self.unit(name, group): numbers[name] for group, numbers in self.groups.items()}
@@ -196,6 +209,10 @@ def _per_joint(run: Run, setpoint: bool) -> dict[str, Float64Array]:
     if error is not None and setpoint:
         steps = [step_response(run.t, error[:, i]) for i in range(run.n)]
         columns |= {name: np.array([getattr(step, name) for step in steps]) for name in OF_STEPS}
+    resting = stuck(run)
+    if resting is not None:
+        columns["stuck_time"] = np.sum(resting[:-1] * np.diff(run.t)[:, np.newaxis], axis=0)
+    columns["reversal_error"] = reversal_error(run)
     return columns | _of_torque(run)
 
 
@@ -204,8 +221,11 @@ def _together(run: Run, columns: Mapping[str, Float64Array], joints: list[int]) 
     chosen = {name: values[joints] for name, values in columns.items()}
     numbers = {name: float(np.sum(chosen[name])) for name in ("effort", "chatter", "energy")}
     numbers |= {name: float(np.max(chosen[name])) for name in ("peak_torque", "largest_cut")}
-    numbers |= {name: _worst(chosen[name]) for name in OF_STEPS}
-    numbers |= dict.fromkeys((*NORMS, *TIMES), np.nan)
+    numbers |= {name: _worst(chosen[name]) for name in (*OF_STEPS, "reversal_error")}
+    numbers |= dict.fromkeys((*NORMS, *TIMES, "stuck_time"), np.nan)
+    resting = stuck(run) if len(run) else None
+    if resting is not None and not np.isnan(chosen["stuck_time"]).all():
+        numbers["stuck_time"] = float(np.sum((resting[:-1, joints] == 1.0).any(axis=1) * np.diff(run.t)))
     if len(run) and run.error is not None:
         norm = np.sqrt(np.sum(run.error[:, joints] ** 2, axis=1))
         numbers |= {name: float(number(norm)) for name, number in NORMS.items()}
