@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import taut
+from taut.apps.scenario import load_scenario
 
 SEARCH = 1e-3  # what ten halvings leave of the border, and a run of some seconds of its growth
 
@@ -59,6 +60,15 @@ def test_a_motor_at_its_limit_bounds_ki_by_what_it_leaves_of_the_damping(step: f
     assert simulated < 0.8 * (bounds.b + kd) * kp / bounds.M  # the chapter's bound, of a motor without limits
 
 
+def test_limits_that_know_the_motor_keep_the_integral_from_winding_up() -> None:
+    motor = taut.Actuation(motor=taut.Motor(peak=bounds.PEAK))
+    plant = taut.RigidPlant(bounds.LINK, integrator="rk4", actuation=motor)
+    law = taut.laws.PID(kp=bounds.KP_KD_SATURATED[0], kd=bounds.KP_KD_SATURATED[1], ki=800.0)
+    for limits, settles in ((taut.Limits(tau=bounds.PEAK), True), (None, False)):
+        run = taut.run(taut.compile(law, bounds.LINK, limits=limits), plant, bounds.HOME, duration=40.0, q0=[0.5])
+        assert bool(np.abs(run.q[-3000:]).max() < 1e-6) is settles
+
+
 class TestResolution:
     @pytest.mark.parametrize("resolution", [1e-3, 2e-4])
     def test_one_step_of_an_encoder_asks_for_all_a_motor_has_where_kd_is_too_large(self, resolution: float) -> None:
@@ -101,3 +111,11 @@ class TestBacklash:
         ctrl = taut.compile(taut.laws.PID(kp=100.0, kd=bounds.KD_PLAY), arm)
         run = taut.run(ctrl, plant, bounds.HOME, duration=20.0, q0=[0.05])
         assert np.abs(run.v[-5000:]).max() < 1e-4
+
+    def test_the_scenario_shows_this_joint(self) -> None:
+        scenario = load_scenario("backlash_cycle")
+        case = scenario.cases["backlash"]
+        for label, kp in (("high gain", 100.0), ("low gain", 15.0)):
+            ctrl = taut.compile(case.laws[label], case.arm, rate=case.rate)
+            run = taut.run(ctrl, case.plant, case.reference, duration=case.duration, q0=case.q0)
+            np.testing.assert_array_equal(run.q, bounds.hunting(kp).q)
