@@ -338,8 +338,12 @@ class RigidPlant:
         tau = dyn.inverse_dynamics(self.link_model, q, v, a, self._payload(parameters))
         if "plant.rotor_inertia" in parameters:
             tau = tau + parameters["plant.rotor_inertia"] * a
-        if self.drivetrain.friction is not None:
-            tau = tau - friction_torque(self.drivetrain.values(parameters), v)
+        friction = self.drivetrain.friction
+        if friction is not None:
+            load: Any = np.zeros(self.arm.n)
+            if friction.loaded:
+                load = -dyn.bias(self.link_model, q, v, self._payload(parameters))
+            tau = tau - friction_torque(self.drivetrain.values(parameters), v, tau, load)
         return {**memory, "q": q_new, "v": v_new, "tau": tau}
 
     def _check_step(self, dt: float) -> None:
