@@ -68,19 +68,37 @@ def after_a_kick(
 
 
 def spectral_radius(
-    A: Float64Array, rates: Float64Array, kp: float, kd: float, rate: float, *, at: int = 0, taps: int = 0
+    A: Float64Array,
+    rates: Float64Array,
+    kp: float,
+    kd: float,
+    rate: float,
+    *,
+    at: int = 0,
+    taps: int = 0,
+    differenced: bool = False,
 ) -> float:
-    """Largest eigenvalue of x_dot = A x + rates u with u = -kp x[at] - kd x[at + 1], sampled, held and late by taps."""
+    """Largest eigenvalue of x_dot = A x + rates u with u = -kp x[at] - kd x[at + 1], sampled, held and late by taps.
+
+    The state is x, the position of the tick before, and the commands under way.
+    """
     n, dt = len(A), 1.0 / rate
     step = expm(np.block([[A, rates], [np.zeros((1, n + 1))]]) * dt)  # exact for an input that is held
-    law = np.zeros((1, n))
-    law[0, at], law[0, at + 1] = -kp, -kd
-    if not taps:
-        return float(np.abs(np.linalg.eigvals(step[:n, :n] + step[:n, n:] @ law)).max())
-    loop = np.zeros((n + taps, n + taps))
-    loop[:n, :n], loop[:n, -1:] = step[:n, :n], step[:n, n:]
-    loop[n : n + 1, :n] = law
-    loop[n + 1 :, n:-1] = np.eye(taps - 1)
+    law = np.zeros((1, n + 1 + taps))
+    law[0, at] = -kp
+    if differenced:
+        law[0, at] -= kd / dt
+        law[0, n] = kd / dt
+    else:
+        law[0, at + 1] = -kd
+    loop = np.zeros((n + 1 + taps, n + 1 + taps))
+    loop[:n, :n], loop[n, at] = step[:n, :n], 1.0
+    if taps:
+        loop[:n, -1:] = step[:n, n:]
+        loop[n + 1 : n + 2] = law
+        loop[n + 2 :, n + 1 : -1] = np.eye(taps - 1)
+    else:
+        loop[:n] += step[:n, n:] @ law
     return float(np.abs(np.linalg.eigvals(loop)).max())
 
 
@@ -103,26 +121,35 @@ def marginal(radius: Callable[[float], float], low: float, high: float) -> float
 # ---------------------------------------------------------------- delay
 
 
-def delay_formula(delay: float) -> float:
+def delay_formula(delay: float, *, differenced: bool = False) -> float:
     """kd at kp = kd^2 / 4M: where |L| = 1 the phase of (kd s + kp) / (M s^2) leaves 1.295 M / kd for all delays.
 
-    With omega = x kd / M: |L| = 1 is x^4 = x^2 + 1/16, so x = 1.0290, and atan(4 x) / x = 1.2948.
+    With omega = x kd / M: |L| = 1 is x^4 = x^2 + 1/16, so x = 1.0290, and atan(4 x) / x = 1.2948. A held torque is
+    late by half a period, and so is a differenced velocity; which has the larger part of kd s + kp.
     """
     x = math.sqrt(0.5 * (1.0 + math.sqrt(1.25)))
-    return math.atan(4.0 * x) / x * M / (delay + 0.5 / RATE)  # a held torque is late by half a period
+    return math.atan(4.0 * x) / x * M / (delay + (1.0 if differenced else 0.5) / RATE)
 
 
-def delay_predicted(taps: int) -> float:
-    guess = delay_formula(taps / RATE)
-    return marginal(
-        lambda kd: spectral_radius(*RIGID, kd * kd / (4.0 * M), kd, RATE, taps=taps), 0.5 * guess, 1.5 * guess
-    )
+def delay_predicted(taps: int, *, differenced: bool = False) -> float:
+    guess = delay_formula(taps / RATE, differenced=differenced)
+    return critical(RATE, 0.5 * guess, 1.5 * guess, taps=taps, differenced=differenced)
 
 
-def delay_simulated(taps: int) -> float:
+def delay_simulated(taps: int, *, differenced: bool = False) -> float:
     plant = taut.RigidPlant(LINK, integrator="rk4", actuation=taut.Actuation(delay=taps / RATE))
-    guess = delay_formula(taps / RATE)
-    return border(after_a_kick(plant, critically_damped(M), 3.0), 0.6 * guess, 1.3 * guess)
+    guess = delay_formula(taps / RATE, differenced=differenced)
+    unstable = after_a_kick(plant, critically_damped(M), 3.0, sensing=velocities(differenced))
+    return border(unstable, 0.6 * guess, 1.3 * guess)
+
+
+def critical(rate: float, low: float, high: float, **options: Any) -> float:
+    """The marginal kd of the rigid joint with critically damped gains."""
+    return marginal(lambda kd: spectral_radius(*RIGID, kd * kd / (4.0 * M), kd, rate, **options), low, high)
+
+
+def velocities(differenced: bool) -> taut.Sensing:
+    return taut.Sensing(velocity="difference" if differenced else "measured")
 
 
 # ---------------------------------------------------------------- servo rate
@@ -133,15 +160,16 @@ def rate_formula(rate: float) -> float:
     return 2.0 * M * rate
 
 
-def rate_predicted(rate: float) -> float:
+def rate_predicted(rate: float, *, differenced: bool = False) -> float:
     guess = rate_formula(rate)
-    return marginal(lambda kd: spectral_radius(*RIGID, kd * kd / (4.0 * M), kd, rate), 0.5 * guess, 1.5 * guess)
+    return critical(rate, 0.5 * guess, 1.5 * guess, differenced=differenced)
 
 
-def rate_simulated(rate: float) -> float:
+def rate_simulated(rate: float, *, differenced: bool = False) -> float:
     guess = rate_formula(rate)
-    unstable = after_a_kick(taut.RigidPlant(LINK, integrator="rk4"), critically_damped(M), 1000.0 / rate, rate=rate)
-    return border(unstable, 0.6 * guess, 1.3 * guess)
+    plant = taut.RigidPlant(LINK, integrator="rk4")
+    options = {"rate": rate, "sensing": velocities(differenced)}
+    return border(after_a_kick(plant, critically_damped(M), 1000.0 / rate, **options), 0.5 * guess, 1.3 * guess)
 
 
 # ---------------------------------------------------------------- elasticity

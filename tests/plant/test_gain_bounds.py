@@ -12,18 +12,27 @@ from taut.apps.scenario import load_scenario
 SEARCH = 1e-3  # what ten halvings leave of the border, and a run of some seconds of its growth
 
 
+@pytest.mark.parametrize("differenced", [False, True], ids=["tachometer", "differenced"])
 @pytest.mark.parametrize("taps", [2, 5, 10])
-def test_a_delay_bounds_kd_where_the_sampled_loop_says(taps: int) -> None:
-    predicted = bounds.delay_predicted(taps)
-    assert bounds.delay_simulated(taps) == pytest.approx(predicted, rel=2.0 * SEARCH)
-    assert bounds.delay_formula(taps / bounds.RATE) == pytest.approx(predicted, rel=0.01)
+def test_a_delay_bounds_kd_where_the_sampled_loop_says(taps: int, differenced: bool) -> None:
+    predicted = bounds.delay_predicted(taps, differenced=differenced)
+    assert bounds.delay_simulated(taps, differenced=differenced) == pytest.approx(predicted, rel=2.0 * SEARCH)
+    formula = bounds.delay_formula(taps / bounds.RATE, differenced=differenced)
+    assert formula == pytest.approx(predicted, rel=0.03 if differenced else 0.01)
+
+
+@pytest.mark.parametrize("differenced", [False, True], ids=["tachometer", "differenced"])
+@pytest.mark.parametrize("rate", [50.0, 100.0, 500.0])
+def test_a_servo_rate_bounds_kd_where_the_sampled_loop_says(rate: float, differenced: bool) -> None:
+    predicted = bounds.rate_predicted(rate, differenced=differenced)
+    assert bounds.rate_simulated(rate, differenced=differenced) == pytest.approx(predicted, rel=2.0 * SEARCH)
 
 
 @pytest.mark.parametrize("rate", [50.0, 100.0, 500.0])
-def test_a_servo_rate_bounds_kd_where_a_tick_of_the_damper_turns_the_motion_round(rate: float) -> None:
-    predicted = bounds.rate_predicted(rate)
-    assert bounds.rate_simulated(rate) == pytest.approx(predicted, rel=2.0 * SEARCH)
-    assert bounds.rate_formula(rate) == pytest.approx(predicted, rel=1e-3)
+def test_that_is_where_one_tick_of_the_damper_turns_the_motion_round(rate: float) -> None:
+    """And 30 % lower where velocities are differenced."""
+    assert bounds.rate_formula(rate) == pytest.approx(bounds.rate_predicted(rate), rel=1e-3)
+    assert bounds.rate_predicted(rate, differenced=True) == pytest.approx(0.703 * bounds.rate_formula(rate), rel=1e-2)
 
 
 class TestElasticity:
@@ -119,3 +128,23 @@ class TestBacklash:
             ctrl = taut.compile(case.laws[label], case.arm, rate=case.rate)
             run = taut.run(ctrl, case.plant, case.reference, duration=case.duration, q0=case.q0)
             np.testing.assert_array_equal(run.q, bounds.hunting(kp).q)
+
+
+def test_in_the_scenario_the_borders_lie_between_the_modest_and_the_large_gains() -> None:
+    cases = load_scenario("gain_bounds").cases
+    assert set(cases) == {"ideal", "saturation", "resolution", "delay", "servo rate", "backlash", "elasticity"}
+    borders = {
+        "resolution": ("kd", bounds.resolution_formula(1e-3)),
+        "delay": ("kd", bounds.delay_predicted(5)),
+        "servo rate": ("kd", bounds.rate_predicted(100.0)),
+        "backlash": ("kp", bounds.backlash_formula(0.5)),
+        "elasticity": ("kd", bounds.elasticity_predicted(3.0)),
+    }
+    for name, (gain, border) in borders.items():
+        modest, large = (cases[name].laws[f"{size} gains"].parameters()[gain] for size in ("modest", "large"))
+        assert modest < border < large, name
+    for size, below in (("modest", True), ("large", False)):
+        kp, kd, ki = (cases["saturation"].laws[f"{size} gains"].parameters()[gain] for gain in ("kp", "kd", "ki"))
+        left = bounds.what_a_limit_leaves(float(kp) * 0.5 / bounds.PEAK)
+        assert bool(ki < kp / bounds.M * (bounds.b + kd * left)) is below
+        assert ki < kp / bounds.M * (bounds.b + kd)  # both are within the chapter's bound
