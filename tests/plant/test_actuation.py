@@ -163,7 +163,7 @@ def test_every_part_runs_the_same_in_native_code_and_in_plain_python(drives: dic
         (lambda: taut.Motor(stall=1.0), taut.UsageError, "a motor's curve needs both stall= [N m] and no_load= [rad/s], or neither"),
         (lambda: taut.Motor(peak=-1.0), taut.RangeError, "actuation.motor.peak must be > 0 [N m]; got -1.0"),
         (lambda: taut.ElectricMotor(torque_constant=0.1, resistance=0.0), taut.RangeError, "actuation.motor.resistance must be > 0 [ohm]; got 0.0"),
-        (lambda: taut.ElectricMotor(torque_constant=0.1, resistance=1.0, inductance=0.0), taut.RangeError, "actuation.motor.inductance must be > 0 [H]; got 0.0"),
+        (lambda: taut.ElectricMotor(torque_constant=0.1, resistance=1.0, inductance=0.0), taut.RangeError, "actuation.motor.inductance must be > 0 [H]; got 0.0; leave it out where the current is there at once"),
         (lambda: taut.TorqueLoop(), taut.UsageError, "TorqueLoop needs kp= or ki= above zero; without a loop leave it out"),
         (lambda: taut.TorqueLoop(kp=-1.0), taut.RangeError, "actuation.torque_loop.kp must be >= 0 [1]; got -1.0"),
         (lambda: taut.Ripple(amplitude=5.0, periods=6), taut.RangeError, "actuation.ripple.amplitude must be below 1, a share of the torque; got 5; 5 % is 0.05"),

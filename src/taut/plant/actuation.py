@@ -5,15 +5,16 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
 from taut.arm.description import Arm
 from taut.base import math as tm
-from taut.base.checks import finite_array, finite_scalar, read_only, require_at_least, require_positive
+from taut.base.checks import finite_array, finite_scalar, require_at_least
 from taut.base.errors import RangeError, UsageError
 from taut.base.paths import flatten
+from taut.base.quantity import Quantity, keep_quantities
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.plant.motor import ElectricMotor, Motor, TorqueLoop
 from taut.plant.transmission import Transmission
@@ -35,28 +36,30 @@ class Ripple:
         periods: Periods in one turn of the motor, a whole number: slots, or magnets.
     """
 
+    title: ClassVar[str] = "actuation.ripple"
+    quantities: ClassVar[Mapping[str, Quantity]] = {
+        "amplitude": Quantity(unit="1", rule=">= 0"),
+        "periods": Quantity(unit="1", rule="> 0"),
+    }
+
     amplitude: ArrayLike
     periods: ArrayLike
 
     def __post_init__(self) -> None:
-        amplitude = finite_array("actuation.ripple.amplitude", self.amplitude)
-        require_at_least("actuation.ripple.amplitude", amplitude, 0.0)
+        keep_quantities(self)
+        amplitude, periods = np.asarray(self.amplitude), np.asarray(self.periods)
         if np.any(amplitude >= 1.0):
             raise RangeError(
                 f"actuation.ripple.amplitude must be below 1, a share of the torque; got {float(amplitude.max()):g}; "
                 "5 % is 0.05",
                 name="amplitude",
             )
-        periods = finite_array("actuation.ripple.periods", self.periods)
-        require_positive("actuation.ripple.periods", periods)
         if np.any(periods != np.round(periods)):
             raise RangeError(
                 "actuation.ripple.periods must be a whole number: after one turn of the motor its torque is the same "
                 f"again; got {float(periods[periods != np.round(periods)].flat[0]):g}",
                 name="periods",
             )
-        object.__setattr__(self, "amplitude", read_only(amplitude))
-        object.__setattr__(self, "periods", read_only(periods))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,6 +95,12 @@ class Actuation:
         ['actuation.bandwidth', 'actuation.motor.no_load', 'actuation.motor.peak']
     """
 
+    title: ClassVar[str] = "actuation"
+    quantities: ClassVar[Mapping[str, Quantity]] = {
+        "bandwidth": Quantity(unit="rad/s", rule="> 0", instead="for an ideal torque drive leave it out"),
+        "resolution": Quantity(unit="N m | N", rule="> 0", instead="for an ideal amplifier leave it out"),
+    }
+
     bandwidth: ArrayLike | None = None
     delay: float = 0.0
     resolution: ArrayLike | None = None
@@ -101,26 +110,9 @@ class Actuation:
     torque_loop: TorqueLoop | None = None
 
     def __post_init__(self) -> None:
-        if self.bandwidth is not None:
-            bandwidth = finite_array("actuation.bandwidth", self.bandwidth, unit="rad/s")
-            if np.any(bandwidth <= 0.0):
-                raise RangeError(
-                    f"actuation.bandwidth must be > 0 [rad/s]; got {float(bandwidth.min())!r}; for an ideal torque "
-                    "drive leave it out",
-                    name="actuation.bandwidth",
-                )
-            object.__setattr__(self, "bandwidth", read_only(bandwidth))
+        keep_quantities(self)
         delay = finite_scalar("actuation.delay", self.delay, unit="s")
         require_at_least("actuation.delay", np.asarray(delay), 0.0, unit="s")
-        if self.resolution is not None:
-            resolution = finite_array("actuation.resolution", self.resolution, unit="N m | N")
-            if np.any(resolution <= 0.0):
-                raise RangeError(
-                    f"actuation.resolution must be > 0 [N m | N]; got {float(resolution.min())!r}; for an ideal "
-                    "amplifier leave it out",
-                    name="actuation.resolution",
-                )
-            object.__setattr__(self, "resolution", read_only(resolution))
         for name, kinds in PARTS.items():
             part = getattr(self, name)
             if part is not None and not isinstance(part, kinds):

@@ -4,27 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, ClassVar
 
 import numpy as np
 
 from taut.base import math as tm
-from taut.base.checks import finite_array, read_only, require_at_least, require_positive
 from taut.base.errors import UsageError
+from taut.base.quantity import Quantity, keep_quantities
 from taut.base.types import ArrayLike, Float64Array, Vector
 
 __all__ = ["ElectricMotor", "Motor", "TorqueLoop"]
 
 Values = Mapping[str, Any]
-
-CURVE_UNITS: Final = {"peak": "N m", "stall": "N m", "no_load": "rad/s"}
-ELECTRIC_UNITS: Final = {
-    "torque_constant": "N m/A",
-    "resistance": "ohm",
-    "inductance": "H",
-    "voltage": "V",
-    "current": "A",
-}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,6 +36,13 @@ class Motor:
         RangeError: A limit that is not above zero.
     """
 
+    title: ClassVar[str] = "actuation.motor"
+    quantities: ClassVar[Mapping[str, Quantity]] = {
+        "peak": Quantity(unit="N m", rule="> 0"),
+        "stall": Quantity(unit="N m", rule="> 0"),
+        "no_load": Quantity(unit="rad/s", rule="> 0"),
+    }
+
     peak: ArrayLike | None = None
     stall: ArrayLike | None = None
     no_load: ArrayLike | None = None
@@ -54,7 +52,7 @@ class Motor:
             raise UsageError("a motor's curve needs both stall= [N m] and no_load= [rad/s], or neither", name="stall")
         if self.peak is None and self.stall is None:
             raise UsageError("Motor needs peak=, or stall= and no_load=, or all three; without limits leave it out")
-        _keep_positive(self, "actuation.motor", CURVE_UNITS)
+        keep_quantities(self)
 
     def limited(self, tau: Vector, v: Vector, gear: Float64Array, p: Values) -> Vector:
         """(n,) a torque at the joint, within the curve at joint speeds v."""
@@ -90,6 +88,15 @@ class ElectricMotor:
         RangeError: A number that is not above zero.
     """
 
+    title: ClassVar[str] = "actuation.motor"
+    quantities: ClassVar[Mapping[str, Quantity]] = {
+        "torque_constant": Quantity(unit="N m/A", rule="> 0"),
+        "resistance": Quantity(unit="ohm", rule="> 0"),
+        "inductance": Quantity(unit="H", rule="> 0", instead="leave it out where the current is there at once"),
+        "voltage": Quantity(unit="V", rule="> 0"),
+        "current": Quantity(unit="A", rule="> 0"),
+    }
+
     torque_constant: ArrayLike
     resistance: ArrayLike
     inductance: ArrayLike | None = None
@@ -97,7 +104,7 @@ class ElectricMotor:
     current: ArrayLike | None = None
 
     def __post_init__(self) -> None:
-        _keep_positive(self, "actuation.motor", ELECTRIC_UNITS)
+        keep_quantities(self)
 
     @property
     def stall(self) -> Float64Array:
@@ -116,16 +123,6 @@ class ElectricMotor:
             return np.full(np.shape(self.torque_constant), np.inf)
         no_load: Float64Array = np.asarray(self.voltage) / np.asarray(self.torque_constant)
         return no_load
-
-
-def _keep_positive(motor: Motor | ElectricMotor, where: str, units: Mapping[str, str]) -> None:
-    for name, unit in units.items():
-        value = getattr(motor, name)
-        if value is None:
-            continue
-        array = finite_array(f"{where}.{name}", value, unit=unit)
-        require_positive(f"{where}.{name}", array, unit=unit)
-        object.__setattr__(motor, name, read_only(array))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -150,14 +147,17 @@ class TorqueLoop:
         Chapter, figure 10.1 (a): local feedback of motor current or joint torque.
     """
 
+    title: ClassVar[str] = "actuation.torque_loop"
+    quantities: ClassVar[Mapping[str, Quantity]] = {
+        "kp": Quantity(unit="1", rule=">= 0"),
+        "ki": Quantity(unit="1/s", rule=">= 0"),
+    }
+
     kp: ArrayLike = 0.0
     ki: ArrayLike = 0.0
 
     def __post_init__(self) -> None:
-        for name, unit in (("kp", "1"), ("ki", "1/s")):
-            array = finite_array(f"actuation.torque_loop.{name}", getattr(self, name), unit=unit)
-            require_at_least(f"actuation.torque_loop.{name}", array, 0.0, unit=unit)
-            object.__setattr__(self, name, read_only(array))
+        keep_quantities(self)
         if not np.any(self.kp) and not np.any(self.ki):
             raise UsageError(
                 "TorqueLoop needs kp= or ki= above zero; without a loop leave it out", name="torque_loop"
