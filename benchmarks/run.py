@@ -29,7 +29,7 @@ TICKS = 2000
 def main() -> int:
     """Measure everything, print it, and say which bars are missed."""
     console = Console(width=110)
-    figures = {**tick_figures(), **loop_figures(), **start_figures(), **long_run_figures()}
+    figures = {**tick_figures(), **loop_figures(), **joint_figures(), **start_figures(), **long_run_figures()}
     table = Table("figure", "measured", "bar", title="taut against NumPy + Pinocchio and MuJoCo, Panda, one core")
     missed = []
     for name, figure in figures.items():
@@ -177,6 +177,55 @@ def loop_figures() -> dict[str, dict]:
             "better": "more",
             "note": "(compile from cache included)",
         },
+    }
+
+
+def joint_figures() -> dict[str, dict]:
+    """What real joints cost in the fused loop: gears, Stribeck friction, amplifiers, encoders, and more."""
+    ideal = taut.load_arm("panda").with_joints(viscous=0.0, coulomb=0.0)
+    friction = taut.Friction(viscous=0.5, coulomb=1.0, static=1.5, stribeck=0.05)
+    arm = ideal.with_gears(ratio=100.0, motor_inertia=1e-6).with_friction(friction)
+    law = taut.laws.ComputedTorque(kp=rivals.KP, kd=rivals.KD, ki=rivals.KI)
+    ref = taut.Sine(center=rivals.CENTER, amplitude=rivals.AMPLITUDE, frequency=rivals.FREQUENCY)
+    measured, differenced = (
+        taut.compile(law, ideal, sensing=taut.Sensing(velocity=v)) for v in ("measured", "difference")
+    )
+    encoder = taut.Encoder(resolution=1e-5)
+    seen = taut.Sensors(position=encoder, velocity=None)
+    noisy = taut.Sensors(position=taut.Encoder(resolution=1e-5, noise=1e-6), velocity=None)
+    lag = {"bandwidth": 1000.0}
+    soft = {"stiffness": 1e4, "damping": 1.0}
+
+    def loop(ctrl: taut.Controller, plant: taut.RigidPlant) -> BareLoop:
+        return BareLoop(ctrl, plant, ref, TICKS)
+
+    def joints(sensors: taut.Sensors, substeps: int = 1, **drives: object) -> taut.RigidPlant:
+        return taut.RigidPlant(arm, actuation=taut.Actuation(**lag, **drives), sensors=sensors, substeps=substeps)
+
+    loops = {
+        "bare": loop(measured, taut.RigidPlant(ideal)),
+        "encoders": loop(differenced, taut.RigidPlant(ideal, sensors=seen)),
+        "friction": loop(measured, taut.RigidPlant(arm)),
+        "all": loop(differenced, joints(seen)),
+        "noise": loop(differenced, joints(noisy)),
+        "elastic": loop(differenced, joints(seen, transmission=taut.Transmission(**soft), substeps=4)),
+        "play": loop(differenced, joints(seen, transmission=taut.Transmission(**soft, backlash=1e-3), substeps=4)),
+    }
+    timing = interleaved({name: own.run for name, own in loops.items()}, budget=0.1)
+    share = {name: 100.0 * float(np.median(timing["bare"].rounds / t.rounds)) for name, t in timing.items()}
+
+    def figure(name: str, note: str, bar: float | None = None) -> dict:
+        speed = 1e-6 * TICKS / timing[name].median
+        out = {"value": share[name], "unit": "%", "better": "more", "note": f"({speed:.2f} million steps/s; {note})"}
+        return out if bar is None else {**out, "bar": bar}
+
+    return {
+        "steps of the bare loop that are left with encoders": figure("encoders", "quantised, differenced velocity"),
+        "... with gears and Stribeck friction": figure("friction", "7 joints that stick and slip together"),
+        "... with both, and amplifiers with a lag": figure("all", "every stage at once", bar=25.0),
+        "... and seeded noise": figure("noise", "drawn before the loop, which is not timed"),
+        "... and elastic joints": figure("elastic", "4 steps of the integrator in a period"),
+        "... and play": figure("play", "4 steps of the integrator in a period"),
     }
 
 

@@ -612,6 +612,10 @@ class Parameters(MutableMapping[str, Float64Array]):
     def __contains__(self, path: object) -> bool:
         return path in self._side.parameters
 
+    def get(self, path: str, default: Any = None) -> Any:
+        """The value of a parameter, or the default where there is no such parameter."""
+        return self[path] if path in self._side.parameters else default
+
     def __delitem__(self, path: str) -> None:
         raise UsageError(f"parameter '{path}' cannot be removed; set it", name=path)
 

@@ -55,6 +55,7 @@ class AnyPlant(Protocol):
     @property
     def parameters(self) -> Mapping[str, Float64Array]: ...
     def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array: ...
+    def check_together(self, values: Mapping[str, ArrayLike]) -> None: ...
 
 
 @runtime_checkable
@@ -71,7 +72,6 @@ class ModelPlant(AnyPlant, Protocol):
     def start(self, q: Vector, v: Vector, parameters: Values, dt: float) -> dict[str, Any]: ...
     def measure(self, memory: Values, noise: Values, parameters: Values) -> dict[str, Any]: ...
     def command(self, command: Vector, memory: Values, t: Any) -> dict[str, Any]: ...
-    def check_together(self, values: Mapping[str, ArrayLike]) -> None: ...
     def advance(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]: ...
     def extra(self, before: Values, after: Values) -> dict[str, Any]: ...
 
@@ -300,7 +300,7 @@ class Loop:
 class LoopParameters(MutableMapping[str, Float64Array]):
     """Parameters of a loop by path; a new value is checked like the first one."""
 
-    def __init__(self, side: LawSide, plant: ModelPlant, values: Mapping[str, Float64Array]) -> None:
+    def __init__(self, side: LawSide, plant: AnyPlant, values: Mapping[str, Float64Array]) -> None:
         self._side, self._plant = side, plant
         self._values = {path: read_only(value) for path, value in values.items()}
 
@@ -325,6 +325,13 @@ class LoopParameters(MutableMapping[str, Float64Array]):
         if path in self._side.parameters:
             return read_only(self._side.checked_parameter(path, value))
         return read_only(self._plant.checked_parameter(path, value))
+
+    def __contains__(self, path: object) -> bool:
+        return path in self._values
+
+    def get(self, path: str, default: Any = None) -> Any:
+        """The value of a parameter, or the default where there is no such parameter."""
+        return self._values.get(path, default)
 
     def _require(self, path: str) -> None:
         if path not in self._values:

@@ -110,6 +110,22 @@ CASES: dict[str, tuple[dict[str, Any], str | None, str]] = {
     "a gain that is NaN": ({"laws.PD.kp": NAN}, "laws.PD", "kp must be finite"),
     "a gain that is true": ({"laws.PD.kp": True}, "laws.PD", "kp must be real numbers"),
     "a gain of another size": ({"laws.PD.kp": [1, 2, 3]}, "laws.PD", "kp must be a scalar, (2,) or (2, 2) for 2 joints"),
+    "a law that holds none": ({"laws.PD": {"law": "RaisedGains", "factor": 2}}, "laws.PD", "needs the section [laws.PD.inner]"),
+    "a law that holds an unknown one": (
+        {"laws.PD": {"law": "RaisedGains", "factor": 2, "inner": {"law": "PDI"}}},
+        "laws.PD.inner",
+        "law: taut.laws has no law 'PDI'; did you mean 'PID'",
+    ),
+    "a misspelt gain of a law that is held": (
+        {"laws.PD": {"law": "RaisedGains", "factor": 2, "inner": {"law": "PID", "kp": 1, "kdd": 1}}},
+        "laws.PD.inner",
+        "has no key 'kdd'; did you mean 'kd'?",
+    ),
+    "a dither that is too fast": (
+        {"laws.PD": {"law": "Dither", "amplitude": 1, "frequency": 900}},
+        "laws.PD",
+        "frequency of a Dither must be below",
+    ),
     # [control]
     "a rate of zero": ({"control.rate": 0}, "control", "rate must be > 0 [Hz]; got 0.0"),
     "an endless rate": ({"control.rate": INF}, "control", "rate must be finite; got inf"),
@@ -127,6 +143,14 @@ CASES: dict[str, tuple[dict[str, Any], str | None, str]] = {
         {"control.limits": {}},
         "control.limits",
         "needs one of tau, tau_dot, v and blend at least; for no limits write limits = \"none\"\n",
+    ),
+    "a blend of no time": ({"control.limits": {"blend": 0}}, "control.limits", "blend must be > 0 [s]; got 0.0"),
+    "limits of another arm": ({"control.limits": {"of": "robot"}}, "control.limits", "of must be one of 'arm', 'arm with rate', 'arm with speed'"),
+    "a gain without a speed limit": ({"control.limits": {"tau": 1, "v_gain": 5}}, "control.limits", "v_gain belongs to a speed limit; give v too"),
+    "a speed limit faster than the rate": (
+        {"control.limits": {"v": 1, "v_gain": 5000}, "control.rate": 100},
+        "control.limits",
+        "v_gain must be at most the rate, 100 [1/s]",
     ),
     "limits of another size": ({"control.limits": {"tau": [1, 2, 3]}}, "control.limits", "tau must have shape (2,)"),
     "negative limits": ({"control.limits": {"tau": -1}}, "control.limits", "tau must be > 0"),

@@ -535,3 +535,41 @@ def test_the_demo_makes_a_table_a_picture_a_film_and_a_log(
     again = taut.load_run(tmp_path / "panda_payload.mcap")
     assert again.outcome.ok
     assert again.metrics.overall["rms_error"] < 0.02
+
+
+def test_limits_in_words_and_in_a_table(tmp_path: Path) -> None:
+    def limits(text: str) -> taut.Limits:
+        file = tmp_path / "one.toml"
+        changed_text = changed('model = "planar2"', 'model = "panda"').replace("kd = [8, 4]", "kd = 4")
+        changed_text = changed_text.replace("q = [0.2, 0.3]", 'q = "home"')
+        file.write_text(changed_text.replace("rate = 500", f"limits = {text}"), encoding="utf-8")
+        found = load_scenario(str(file)).limits
+        assert found is not None
+        return found
+
+    panda = taut.load_arm("panda")
+    words = limits('"arm with rate and speed"')
+    np.testing.assert_array_equal(words.v, panda.velocity)
+    np.testing.assert_array_equal(words.tau_dot, 10.0 * panda.effort)
+    table = limits('{ of = "arm with speed", v_gain = 30, blend = 0.2 }')
+    np.testing.assert_array_equal(table.tau, panda.effort)
+    assert (table.v_gain, table.blend, table.tau_dot) == (30.0, 0.2, None)
+    assert limits("{ blend = 0.1 }").given() == {"blend"}
+
+
+def test_a_law_that_holds_a_law_and_one_that_is_added(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "one.toml"
+    text = changed(
+        'law = "GravityPID"\nkp = 50\nkd = [8, 4]\n',
+        'law = ["RaisedGains", "Dither"]\n[laws.PD.Dither]\namplitude = 0.1\nfrequency = 40\n'
+        '[laws.PD.RaisedGains]\nfactor = 3\nwidth = 0.2\n[laws.PD.RaisedGains.inner]\nlaw = "GravityPID"\nkp = 50\n'
+        'kd = 4\nanti_windup = "back-calculation"\ntracking = 20\n',
+    )
+    file.write_text(
+        text.replace("max = 3.0", 'max = 3.0\n[[event]]\nt = 0.1\nset = { "law.Dither.frequency" = 60 }'),
+        encoding="utf-8",
+    )
+    assert main(["run", str(file), "--out", str(tmp_path / "out"), "--json"]) == 0
+    law = load_scenario(str(file)).laws["PD"]
+    assert law.parameters()["RaisedGains.inner.tracking"] == 20.0
+    assert capsys.readouterr().out

@@ -102,6 +102,35 @@ def test_denormal_and_huge_numbers_are_numbers(function: Any, x: float, wanted: 
     assert taut.native(function, x=())(np.array(x)) == wanted
 
 
+@pytest.mark.parametrize(
+    ("low", "high"), [(-1.0, 1.0), (-708.0, 709.0), (-745.2, -708.0), (709.0, 709.78), (-1e-9, 1e-9)]
+)
+def test_the_exponential_is_right_within_one_unit_of_its_last_place(low: float, high: float) -> None:
+    ours = taut.native(lambda x: tm.exp(x), x=50)
+    for x in np.random.default_rng(0).uniform(low, high, (40, 50)):
+        expected = np.exp(x)
+        assert (np.abs(ours(x) - expected) <= np.spacing(expected)).all()
+
+
+def test_the_exponential_has_ends() -> None:
+    x = [
+        0.0,
+        -0.0,
+        np.inf,
+        -np.inf,
+        np.nan,
+        1e308,
+        -1e308,
+        709.782712893384,
+        709.7827128933841,
+        -745.1332191019411,
+        -745.1332191019412,
+    ]
+    with np.errstate(over="ignore"):
+        expected = np.exp(x)
+    np.testing.assert_array_equal(taut.native(lambda x: tm.exp(x), x=len(x))(np.array(x)), expected)
+
+
 def test_equal_squares_differ_by_nothing() -> None:
     """Fused, x x - y y of equal numbers is the rounding of x x, and its root NaN half the time."""
     root = taut.native(lambda x, y: tm.sqrt(x * x - y * y), x=(), y=())

@@ -187,6 +187,34 @@ def test_the_time_itself_may_change_in_the_middle() -> None:
     assert steps[20:].max() < 0.2 * steps[18]
 
 
+@engines
+def test_a_limit_that_changes_acts_at_once_and_leaves_the_blend_alone(engine: Any) -> None:
+    ctrl, unchanged = blending(engine, tau=50.0), blending(engine, tau=50.0)
+    for k in range(60):
+        if k == 20:
+            ctrl.parameters["limits.tau"] = 49.0
+        np.testing.assert_array_equal(ctrl.step(Q, V, REF), unchanged.step(Q, V, REF))
+    ctrl.parameters["limits.tau"] = 1.0
+    np.testing.assert_array_equal(np.abs(ctrl.step(Q, V, REF)), 1.0)
+
+
+@engines
+def test_what_sensing_makes_is_blended_too(engine: Any) -> None:
+    """The start, and another cutoff of a filter, with the velocity that the filter gives."""
+    sensing = taut.Sensing(velocity=taut.LowPass(cutoff=200.0))
+    law, limits = L.GravityPID(kp=50.0, kd=5.0), taut.Limits(blend=0.05)
+    ctrl, unchanged = (taut.compile(law, ARM, limits=limits, sensing=sensing, engine=engine) for _ in range(2))
+    np.testing.assert_allclose(ctrl.step(Q, V, REF), taut.snapshot(ARM, Q).g, rtol=ROUNDING)
+    unchanged.step(Q, V, REF)
+    for k in range(30):
+        for one in (ctrl, unchanged):
+            one.step(Q, V + 0.1 * k, REF)
+    ctrl.parameters["sensing.velocity.cutoff"] = 20.0
+    moved = unchanged.step(Q, V + 9.0, REF)
+    np.testing.assert_allclose(ctrl.step(Q, V + 9.0, REF), moved, rtol=ROUNDING, atol=1e-11)
+    assert np.abs(ctrl.terms["blend"]).max() > 1.0
+
+
 def test_engines_agree_through_changes_of_everything() -> None:
     rng = np.random.default_rng(1)
     ctrls = [blending(engine, tau=8.0, tau_dot=500.0) for engine in ("native", "float")]

@@ -235,3 +235,21 @@ class TestWhatThePlantAdds:
 def test_a_plant_without_lag_or_delay_gives_the_command_at_once() -> None:
     out = run(taut.RigidPlant(taut.load_arm("planar2")), step_of(a=1.0), law=TorqueOf(), duration=0.01)
     np.testing.assert_array_equal(out.tau, out.command)
+
+
+def test_stiff_drives_need_more_torque_where_friction_grows_with_load() -> None:
+    arm = taut.load_arm("planar2").with_joints(viscous=0.0)
+    loaded = arm.with_friction(taut.Friction(coulomb=0.1, load_motor=0.05, load_external=0.02))
+    drives = taut.Actuation(bandwidth=200.0)
+    command = taut.compile(taut.laws.VelocityPI(kp=20.0), arm)
+    upwards = taut.Quintic(q0=arm.home, q1=arm.home + 0.3, duration=0.2)
+    plain, rough = (
+        taut.run(command, taut.RigidPlant(a, takes="velocity", actuation=drives), upwards, duration=0.1)
+        for a in (arm, loaded)
+    )
+    k = 50
+    tau, v = plain.tau[k], plain.v[k]
+    load = -taut.snapshot(arm, plain.q[k], plain.v[k]).h
+    expected = tau + np.sign(v) * (0.1 + np.abs(0.02 * load - 0.05 * tau))
+    np.testing.assert_allclose(rough.q, plain.q, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(rough.tau[k], expected, rtol=1e-9)

@@ -73,16 +73,20 @@ def steps(name: str, count: int = 60) -> Any:
         memory = after
 
 
+@pytest.mark.bars
 @pytest.mark.parametrize("name", CASES)
-def test_power_in_is_power_out_plus_each_loss_plus_what_is_stored(name: str) -> None:
+def test_power_in_is_power_out_plus_each_loss_plus_what_is_stored(name: str, bar: Any) -> None:
+    worst = 0.0
     for _, _, before, after in steps(name):
         w = parts(before, after)
         gone = sum(w[k] for k in ("rotor", "viscous", "dry", "gears", "spring", "damping", "link", "integration"))
         scale = sum(np.abs(value) for value in w.values())
+        worst = max(worst, float((np.abs(w["motor"] - gone) / np.maximum(scale, 1e-300)).max()))
         assert (np.abs(w["motor"] - gone) <= CLOSES * scale).all()
         if "work.electric" in after:
             taken = w["copper"] + w["magnetic"] + w["motor"] + w["conversion"]
             assert (np.abs(w["electric"] - taken) <= CLOSES * scale).all()
+    bar(f"power balance of a step, {name}: what is missing, relative", worst)
 
 
 @pytest.mark.parametrize("name", CASES)

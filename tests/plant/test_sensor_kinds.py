@@ -128,6 +128,36 @@ class TestAnEncoder:
         np.testing.assert_allclose(spread, 5.0 / GEARED.gear, rtol=0.05)
 
 
+class TestBehindAnElasticGear:
+    K = np.array([300.0, 150.0])  # [N m/rad]
+
+    def test_motor_and_link_are_seen_apart_and_the_spring_between_them_is_the_torque_at_the_link(self) -> None:
+        spring = taut.Actuation(transmission=taut.Transmission(stiffness=self.K))
+        steps = 2.0 * np.pi / 2**20
+        sensors = Sensors(
+            position=taut.Encoder(resolution=steps, side="link"),
+            motor=taut.Encoder(resolution=steps),
+            motor_velocity=taut.Tachometer(),
+        )
+        arm = ARM.with_gears(ratio=100.0, motor_inertia=1e-5)
+        plant = taut.RigidPlant(arm, friction=None, actuation=spring, sensors=sensors)
+        wave = taut.Sine(center=[0.0, 0.0], amplitude=[3.0, 1.0], frequency=2.0)
+        out = run(plant, wave, law=SeesMotors(), rate=1e4, duration=0.5)
+        q_motor, wound = out.extra["sensed.q_motor"], out.extra["sensed.q_motor"] - out.extra["sensed.q"]
+        assert (np.abs(wound).max(axis=0) > 0.002).all()
+        shaft = q_motor * arm.gear / steps
+        np.testing.assert_allclose(shaft, np.round(shaft), rtol=0.0, atol=1e-6)
+        rate = (q_motor[2:] - q_motor[:-2]) * 0.5e4
+        assert np.abs(out.extra["sensed.v_motor"][1:-1] - rate).max() < 0.01 * np.abs(rate).max()
+        # The link seen from its end of the spring: its own dynamics take what the spring gives.
+        v = (out.q[2:] - out.q[:-2]) * 0.5e4
+        a = (out.q[2:] - 2.0 * out.q[1:-1] + out.q[:-2]) * 1e8
+        bare = arm.with_joints(rotor_inertia=0.0)
+        needed = [taut.snapshot(bare, q, w).inverse_dynamics(b) for q, w, b in zip(out.q[1:-1], v, a, strict=True)]
+        felt = self.K * wound[1:-1]
+        assert np.abs(felt - needed).max() < 0.02 * np.abs(felt).max()
+
+
 # -------------------------------------------------------------------- torques
 
 
@@ -152,7 +182,7 @@ class TestATorqueSensor:
         np.testing.assert_allclose(seen, [3.0, -3.5])  # of 2.5 + 0.2 + 0.3 and -3.1 - 0.3
 
     def test_has_the_stated_spread_in_a_run(self) -> None:
-        sensors = Sensors(torque=taut.TorqueSensor(noise=[0.05, 0.2], bias=-0.1))
+        sensors = Sensors(torque=taut.TorqueSensor(noise=[0.05, 0.2], bias=-0.1, side="motor"))
         plant = taut.RigidPlant(ARM, adds=STILL, sensors=sensors, environment=Push(F=(0.0,) * 6))
         out = run(plant, HOLD, law=Feels(), duration=10.0)
         off = out.extra["sensed.tau_meas"][1:] - out.tau[:-1]

@@ -107,8 +107,12 @@ class HandPlant:
             raise taut.RangeError(f"{path} must be > 0; got {value!r}")
         return np.asarray(float(value))
 
-    def set_parameter(self, path: str, value: Any) -> None:
-        self._values[path] = self.checked_parameter(path, value)
+    def check_together(self, values: Mapping[str, Any]) -> None:
+        """Any mass goes with everything."""
+
+    def set_parameters(self, values: Mapping[str, Any]) -> None:
+        for path, value in values.items():
+            self._values[path] = self.checked_parameter(path, value)
 
     def reset(self, q: Array, v: Array, dt: float, seed: int = 0) -> None:
         self.q, self.v, self.dt, self.ticks = np.array(q), np.array(v), dt, 0

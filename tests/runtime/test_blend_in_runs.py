@@ -19,6 +19,7 @@ PLANTS: dict[str, Callable[[], Any]] = {
     "fused": lambda: taut.RigidPlant(ARM, adds=("gravity", "coriolis")),
     "hosted": lambda: HandPlant(),
 }
+SHAKY = taut.Sensors(position=taut.Encoder(noise=1e-3), velocity=taut.Tachometer(noise=1e-2))
 CHANGE = taut.Event(t=0.1, set={"law.kp": 60.0, "law.ki": 0.0})
 
 
@@ -87,7 +88,22 @@ def test_fused_and_float_and_mujoco_take_up_the_same() -> None:
 
 
 def test_an_event_with_noisy_sensors_takes_up_the_change_and_not_the_noise() -> None:
-    plant = taut.RigidPlant(ARM, adds=("gravity", "coriolis"), sensors=taut.Sensors(noise_q=1e-3, noise_v=1e-2))
+    plant = taut.RigidPlant(ARM, adds=("gravity", "coriolis"), sensors=SHAKY)
     ctrl = taut.compile(LAW, ARM, limits=taut.Limits(blend=0.05), adds=plant.adds)
     soft, same = (taut.run(ctrl, plant, GOAL, duration=0.2, events=events, seed=3) for events in ([CHANGE], []))
     np.testing.assert_allclose(soft.command[:101], same.command[:101], rtol=0.0, atol=1e-11)
+
+
+def test_a_sensor_that_gets_worse_is_felt_at_once() -> None:
+    """An event that changes the gains too: the blend takes up what the gains do, and not what the sensor does."""
+    plant = taut.RigidPlant(
+        ARM, adds=("gravity", "coriolis"), sensors=taut.Sensors(position=taut.Encoder(noise=1e-4))
+    )
+    ctrl = taut.compile(LAW, ARM, limits=taut.Limits(blend=0.05), adds=plant.adds)
+    worse = {"sensors.position.noise": 0.05}
+    both, sensor = (
+        taut.run(ctrl, plant, GOAL, duration=0.15, events=[taut.Event(t=0.1, set=values)], seed=3)
+        for values in ({**worse, "law.kp": 60.0}, worse)
+    )
+    np.testing.assert_allclose(both.command[100], sensor.command[100], rtol=0.0, atol=1e-11)
+    assert np.abs(sensor.command[100] - sensor.command[99]).max() > 0.5

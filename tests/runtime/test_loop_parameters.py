@@ -144,6 +144,34 @@ def test_an_environment_may_have_negative_numbers() -> None:
     assert loop.parameters["environment.b"] == -1.0
 
 
+def test_a_path_can_be_asked_for_without_knowing_whether_it_is_there() -> None:
+    loop = loop_of()
+    ctrl = taut.compile(taut.laws.PID(kp=1.0), taut.load_arm("planar2"))
+    for parameters in (loop.parameters, ctrl.parameters):
+        assert "law.kp" in parameters
+        assert "law.kpp" not in parameters
+        assert parameters.get("law.kpp") is None
+        assert parameters.get("law.kpp", 3.0) == 3.0
+        assert parameters.get("law.kp") is not None
+
+
+def test_values_that_do_not_go_together_are_refused_and_nothing_changes() -> None:
+    arm = taut.load_arm("planar2").with_friction(taut.Friction(coulomb=0.3, static=0.5))
+    loop = taut.Loop(taut.compile(taut.laws.PID(kp=1.0), arm), taut.RigidPlant(arm), duration=0.1)
+    with pytest.raises(taut.RangeError) as caught:
+        loop.parameters["plant.friction.coulomb"] = 0.6
+    assert str(caught.value) == (
+        "plant.friction.static[0] must be >= plant.friction.coulomb: friction at rest is no less than in motion; got "
+        "0.5 < 0.6 [N m | N]"
+    )
+    loop.parameters["plant.friction.static"] = 0.8
+    loop.parameters["plant.friction.coulomb"] = 0.6
+    together = taut.Event(t=0.05, set={"plant.friction.coulomb": 1.6, "plant.friction.static": 1.8})
+    assert taut.run(loop, events=[together]).outcome.ok
+    with pytest.raises(taut.RangeError, match="friction at rest is no less than in motion"):
+        taut.run(loop, events=[taut.Event(t=0.05, set={"plant.friction.coulomb": 1.6})])
+
+
 def test_a_parameter_cannot_be_removed() -> None:
     with pytest.raises(taut.UsageError, match=r"parameter 'law.kp' cannot be removed; set it"):
         del loop_of().parameters["law.kp"]
@@ -158,3 +186,80 @@ def test_a_loop_can_be_run_again_and_runs_the_same() -> None:
     loop.parameters["law.kp"] = 1.0
     assert np.abs(taut.run(loop).q - first.q).max() > 1e-6
     np.testing.assert_array_equal(first.info["parameters"]["law.kp"], [200.0, 100.0])
+
+
+EVERYTHING: dict[str, Any] = {
+    "actuation": taut.Actuation(
+        bandwidth=500.0,
+        delay=0.002,
+        resolution=0.01,
+        motor=taut.ElectricMotor(torque_constant=0.1, resistance=1.0, inductance=1e-3, voltage=24.0, current=9.0),
+        ripple=taut.Ripple(amplitude=0.02, periods=4),
+        transmission=taut.Transmission(efficiency=0.9, stiffness=[np.inf, 500.0], damping=[0.0, 0.5], backlash=[0.0, 0.01]),
+        torque_loop=taut.TorqueLoop(kp=0.2, ki=5.0),
+    ),
+    "sensors": taut.Sensors(
+        position=taut.Encoder(resolution=1e-3, noise=1e-4, offset=1e-3, side="motor"),
+        velocity=None,
+        torque=taut.TorqueSensor(bias=0.01, noise=0.01),
+        tip=taut.Accelerometer(bias=0.1),
+    ),
+}  # fmt: skip
+
+
+def test_no_parameter_of_any_stage_needs_a_compile_and_each_has_an_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every number of law, sensing, limits, actuation, friction and sensors, changed one by one."""
+    arm = taut.load_arm("planar2").with_gears(ratio=[10.0, 20.0], motor_inertia=1e-3)
+    friction = taut.Friction(
+        viscous=0.2, coulomb=0.2, static=0.4, stribeck=0.1, stribeck_shape=1.5, load_motor=0.05, load_external=0.04,
+        load_motor_static=0.08, load_external_static=0.06,
+    )  # fmt: skip
+    arm = arm.with_friction(friction)
+    law = taut.laws.PID(kp=[60.0, 30.0], kd=[3.0, 1.5], ki=20.0, anti_windup="back-calculation", tracking=4.0)
+    ctrl = taut.compile(
+        law + taut.laws.Dither(amplitude=0.02, frequency=40.0),
+        arm,
+        rate=500.0,
+        sensing=taut.Sensing(velocity=taut.Difference(cutoff=60.0), notch=taut.Notch(frequency=80.0, width=20.0)),
+        limits=taut.Limits(tau=[1.7, 0.9], tau_dot=400.0, v=1.5, blend=0.02),
+    )
+    swing = taut.Sine(center=arm.home, amplitude=0.5, frequency=1.3)
+    loop = taut.Loop(ctrl, taut.RigidPlant(arm, substeps=4, **EVERYTHING), swing, duration=0.3)
+    plain = taut.run(loop)
+    assert plain.outcome.ok, plain.outcome
+
+    def never(*_: Any, **__: Any) -> None:
+        raise AssertionError("it traces or compiles")
+
+    for place in ("taut.codegen.native.compiled", "taut.codegen.loop.compiled", "taut.codegen.loop.trace"):
+        monkeypatch.setattr(place, never)
+    idle = set()
+    for path, value in list(loop.parameters.items()):
+        before = value.copy()
+        if path.endswith("efficiency"):
+            changed = 0.8 * value
+        elif path.endswith("periods"):
+            changed = value + 1.0
+        elif path.endswith(("inertia", "com")) and "payload" in path:
+            changed = value + np.array(
+                [0.3, 0.0, 0.0, 0.0, 0.0, 0.0] if path.endswith("inertia") else [0.1, 0.0, 0.0]
+            )
+            if path.endswith("inertia"):
+                changed = value + np.array([0.3, 0.3, 0.3, 0.0, 0.0, 0.0])
+        elif path in ("plant.friction.coulomb", "plant.friction.load_motor", "plant.friction.load_external"):
+            changed = 0.5 * value
+        else:
+            changed = 1.3 * value + (0.0 if value.any() else 0.5)
+        loop.parameters[path] = changed
+        if np.array_equal(taut.run(loop).q, plain.q):
+            idle.add(path)
+        loop.parameters[path] = before
+    assert idle <= {
+        # Of a payload without mass the place does not matter; PID knows no model.
+        "plant.payload.com", "model.payload.com", "model.payload.mass", "model.payload.inertia",
+        # Sensors that this law does not read; the resolution of one that the inner loop reads.
+        "sensors.torque.noise", "sensors.tip.bias",
+        # Never reached here.
+        "actuation.motor.current", "actuation.motor.voltage",
+    }  # fmt: skip
+    np.testing.assert_array_equal(taut.run(loop).q, plain.q)

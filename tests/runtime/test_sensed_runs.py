@@ -76,19 +76,19 @@ def test_a_fused_loop_a_hosted_run_and_ones_own_steps_see_the_same(sensing: taut
     plant = taut.RigidPlant(ARM, sensors=POOR, adds=("gravity",))
     ctrl = taut.compile(SeenV(), ARM, sensing=sensing, adds=plant.adds, engine=engine)
     out = taut.run(ctrl, plant, SWAY, duration=0.05, seed=5, v0=[0.3, -0.2])
-    loop = taut.Loop(ctrl, plant, SWAY, duration=0.05)
+    numbers = dict(taut.Loop(ctrl, plant, SWAY, duration=0.05).parameters)
     # The same noise, drawn by hand from the run's seed.
     noise = {name: np.random.default_rng([5, *name.encode()]).standard_normal((51, 2)) for name in ("q", "v")}
-    memory = plant.start(out.q[0], out.v[0], loop.parameters, ctrl.dt)
+    memory = plant.start(out.q[0], out.v[0], numbers, ctrl.dt)
     for k in range(51):
         drawn = {name: rows[k] for name, rows in noise.items()}
-        measured = plant.measure(memory, drawn, loop.parameters)
+        measured = plant.measure(memory, drawn, numbers)
         given = [measured["q"], *([measured["v"]] if sensing.needs_velocity else [])]
         tau = ctrl.step(*given, ref=SWAY.at(k * ctrl.dt))
         for name in ("q", "v"):
             scale = max(1.0, float(np.abs(seen(out, name)[k]).max()))
             np.testing.assert_allclose(ctrl.terms[name] / TINY, seen(out, name)[k], rtol=0.0, atol=1e-9 * scale)
-        memory = plant.advance(plant.command(tau, memory, k * ctrl.dt), loop.parameters, ctrl.dt)
+        memory = plant.advance(plant.command(tau, memory, k * ctrl.dt), numbers, ctrl.dt)
     hand = HandPlant()
     hosted = taut.run(
         taut.compile(SeenV(), ARM, sensing=sensing, adds=hand.adds, engine=engine), hand, SWAY, duration=0.05
@@ -161,7 +161,7 @@ class TestARecord:
             for name in columns:
                 np.testing.assert_array_equal(out.extra[name], seen(out, name.removeprefix("sensed.")))
         ctrl = taut.compile(Seen(), ARM)
-        biased = taut.Sensors(torque=taut.TorqueSensor(bias=1.0))
+        biased = taut.Sensors(torque=taut.TorqueSensor(bias=1.0, side="motor"))
         out = taut.run(ctrl, taut.RigidPlant(ARM, sensors=biased), SWAY, duration=0.02)
         np.testing.assert_allclose(out.extra["sensed.tau_meas"][1:], out.tau[:-1] + 1.0)
 

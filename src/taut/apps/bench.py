@@ -125,7 +125,7 @@ class BareLoop:
             return {}, after
 
         example = at, self._values, self._start
-        self.native = NativeLoop(step, loop.substep, 0, inputs, parameters, self.memory, example)
+        self.native = NativeLoop(step, loop.substep, plant.substeps - 1, inputs, parameters, self.memory, example)
         self._outputs = np.zeros((ticks, 0))
         self.ticks = ticks
 

@@ -54,6 +54,28 @@ class LTDL:
         solved = [self._solve_one(column) for column in columns.T.tolist()]
         return _back(solved, (columns.shape[1], columns.shape[0])).T
 
+    def inverse(self) -> Matrix:
+        """A^-1 = L^-1 D^-1 L^-T, symmetric to the last bit: half the work of solving for each column."""
+        n, L = len(self.d), self._l
+        K: list[list[Any]] = []  # rows of L^-1 below the diagonal, where it is 1
+        for i in range(n):
+            row: list[Any] = []
+            for j in range(i):
+                total = -L[i][j]
+                for k in range(j + 1, i):
+                    total = total - L[i][k] * K[k][j]
+                row.append(total)
+            K.append(row)
+        out: list[list[Any]] = [[0.0] * n for _ in range(n)]
+        for j in range(n):
+            weighted = [K[j][k] * self._inverse_d[k] for k in range(j)]
+            for i in range(j, n):
+                total = self._inverse_d[j] if i == j else K[i][j] * self._inverse_d[j]
+                for k in range(j):
+                    total = total + K[i][k] * weighted[k]
+                out[i][j] = out[j][i] = total
+        return _back([x for row in out for x in row], (n, n))
+
     def _solve_one(self, x: list[Any]) -> list[Any]:
         n, L = len(x), self._l
         for k in range(n - 1, -1, -1):  # L^T y = b

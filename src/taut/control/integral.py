@@ -16,7 +16,7 @@ __all__ = ["ANTI_WINDUP", "AntiWindup", "check_tracking", "integrated", "solved"
 
 AntiWindup = Literal["none", "clamping", "back-calculation"]
 ANTI_WINDUP: Final[tuple[AntiWindup, ...]] = ("none", "clamping", "back-calculation")
-DAMPING: Final = 1e-6  # of a matrix ki that is inverted, relative to its trace
+DAMPING: Final = 1e-5  # of a matrix ki that is inverted, relative to its trace
 
 
 def integrated(

@@ -79,7 +79,9 @@ class Limits:
                 "Limits needs one of tau=, tau_dot=, v= and blend= at least; for no limits leave limits=None"
             )
         if self.v_gain is not None and self.v is None:
-            raise UsageError("limits.v_gain belongs to a speed limit; give v= too, or leave it out", name="v_gain")
+            raise UsageError(
+                "limits.v_gain belongs to a speed limit; give v= too, or leave it out", name="limits.v_gain"
+            )
         for name in self.given():
             object.__setattr__(self, name, self.checked(name, getattr(self, name)))
 

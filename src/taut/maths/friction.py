@@ -24,6 +24,7 @@ class DryFriction:
 
     v: Vector  # (n,) velocities after it
     f: Vector  # (n,) its torques [N m | N]; zero for joints without any
+    at_rest: Vector  # (n,) 1.0 for the joints that it holds, else 0.0
     residual: Any  # largest torque by which a further sweep would change it [N m | N]
 
 
@@ -64,42 +65,48 @@ def dry_friction(
         sweeps: Number of sweeps.
     """
     n, k = len(low), len(joints)
-    columns = dt * factors.solve(np.eye(n)[:, list(joints)])  # (n, k) velocities per friction torque
-    response = [[columns[i, b] for b in range(k)] for i in joints]
+    W = factors.inverse()
+    response = [[W[i, j] for j in joints] for i in joints]
     inverse = [1.0 / response[a][a] for a in range(k)]
-    # f_a = c_a - sum of R_ab f_b brings joint a to rest, the others held.
+    # In impulses p = dt f: p_a = c_a - sum of R_ab p_b brings joint a to rest, the others held.
     c = [-v_free[i] * inverse[a] for a, i in enumerate(joints)]
     R = [[response[a][b] * inverse[a] for b in range(k)] for a in range(k)]
-    least, most = [-low[i] for i in joints], [high[i] for i in joints]
+    least, most = [-low[i] * dt for i in joints], [high[i] * dt for i in joints]
     if stop is not None and k == n:
-        halt = [stop[i] for i in joints]
+        halt = [stop[i] * dt for i in joints]
     else:
         halt = list(tm.solve_spd(tm.array(response), -tm.array([v_free[i] for i in joints])))
     within = tm.array([(halt[a] >= least[a]) & (halt[a] <= most[a]) for a in range(k)])
     all_stop = np.all(within)
-    f = [_within(tm.where(all_stop, halt[a], guess[i]), least[a], most[a]) for a, i in enumerate(joints)]
+    p = [_within(tm.where(all_stop, halt[a], guess[i] * dt), least[a], most[a]) for a, i in enumerate(joints)]
 
-    def swept(a: int) -> Any:
-        # The newest torque comes last: only its product waits for the one before.
+    def stopping(a: int) -> Any:
+        """The impulse that brings joint a to rest."""
+        # The newest one comes last: only its product waits for the one before.
         total = c[a]
         for b in (*range(a + 1, k), *range(a)):
-            total = total - R[a][b] * f[b]
-        return _within(total, least[a], most[a])
+            total = total - R[a][b] * p[b]
+        return total
 
     for _ in range(sweeps if k > 1 else 1):
         for a in range(k):
-            f[a] = swept(a)
+            p[a] = _within(stopping(a), least[a], most[a])
+    v, f, at_rest = list(v_free), [0.0] * n, [0.0] * n
     residual: Any = 0.0
-    if k > 1:
-        for a in range(k):
-            residual = tm.maximum(residual, tm.abs(swept(a) - f[a]))
-    v = list(v_free + columns @ tm.array(f))
-    torques: list[Any] = [0.0] * n
     for a, i in enumerate(joints):
-        torques[i] = f[a]
-        held = (f[a] > least[a]) & (f[a] < most[a]) & (tm.abs(v[i]) < REST)
-        v[i] = tm.where(held, 0.0, v[i])
-    return DryFriction(v=tm.array(v), f=tm.array(torques), residual=residual)
+        # What is left to rest is the velocity; of a joint that friction holds it is rounding.
+        total = stopping(a)
+        held = (p[a] > least[a]) & (p[a] < most[a])
+        v[i] = response[a][a] * (p[a] - total)
+        v[i] = tm.where(held & (tm.abs(v[i]) < REST), 0.0, v[i])
+        at_rest[i] = tm.where(held, 1.0, 0.0)
+        f[i] = p[a] / dt
+        if k > 1:
+            residual = tm.maximum(residual, tm.abs(_within(total, least[a], most[a]) - p[a]))
+    for i in set(range(n)) - set(joints):
+        for a, j in enumerate(joints):
+            v[i] = v[i] + W[i, j] * p[a]
+    return DryFriction(v=tm.array(v), f=tm.array(f), at_rest=tm.array(at_rest), residual=residual / dt)
 
 
 def _within(x: Any, least: Any, most: Any) -> Any:

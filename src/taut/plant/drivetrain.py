@@ -41,6 +41,7 @@ class RotorStep:
 
     v: Vector
     f: Vector
+    at_rest: Vector
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -145,14 +146,20 @@ class Drivetrain:
         v_m = memory["v_motor"]
         viscous = _per_joint(0.0 if b is None else b, self.arm.n)
         inertia = _per_joint(rotor, self.arm.n)
-        v_new, f = [], []
+        v_new, f, at_rest = [], [], []
         for i in self.compliant:
             mass = inertia[i] + dt * viscous[i]
             free = (inertia[i] * v_m[i] + dt * (tau[i] - spring[i])) / mass
-            held = 0.0 if limits is None else tm.clip(-free * mass / dt, -limits.low[i], limits.high[i])
+            stop, held, rests = -free * mass / dt, 0.0, 0.0
+            if limits is not None:
+                held = tm.clip(stop, -limits.low[i], limits.high[i])
+                rests = tm.where((stop > -limits.low[i]) & (stop < limits.high[i]), 1.0, 0.0)
             f.append(held)
+            at_rest.append(rests)
             v_new.append(free + dt * held / mass)
-        return RotorStep(v=self.spread(tm.array(v_new)), f=self.spread(tm.array(f)))
+        return RotorStep(
+            v=self.spread(tm.array(v_new)), f=self.spread(tm.array(f)), at_rest=self.spread(tm.array(at_rest))
+        )
 
     def spread(self, of_compliant: Vector) -> Vector:
         """(n,) entries of the compliant joints, zero for the others."""

@@ -338,10 +338,13 @@ class RigidPlant:
         tau = dyn.inverse_dynamics(self.link_model, q, v, a, self._payload(parameters))
         if "plant.rotor_inertia" in parameters:
             tau = tau + parameters["plant.rotor_inertia"] * a
-        if self.drivetrain.friction is not None:
-            tau = tau - friction_torque(self.drivetrain.values(parameters), v)
-        out = {**memory, "q": q_new, "v": v_new, "tau": tau}
-        return {**out, "a": a} if "a" in memory else out
+        friction = self.drivetrain.friction
+        if friction is not None:
+            load: Any = np.zeros(self.arm.n)
+            if friction.loaded:
+                load = -dyn.bias(self.link_model, q, v, self._payload(parameters))
+            tau = tau - friction_torque(self.drivetrain.values(parameters), v, tau, load)
+        return {**memory, "q": q_new, "v": v_new, "tau": tau}
 
     def _check_step(self, dt: float) -> None:
         """Refuse steps that are too long for a transmission."""
@@ -381,7 +384,7 @@ class RigidPlant:
                 M[i, i] = M[i, i] + _entry(rotor, i) + dt * _entry(b, i)
             factors = tm.factor_spd(M)
             v_new = v + dt * factors.solve(rhs)
-            limits, f = None, np.zeros(self.arm.n)
+            limits, f, at_rest = None, np.zeros(self.arm.n), np.zeros(self.arm.n)
             if train.dry:
                 limits = train.limits(values, memory, parameters, v_m, tau, train.merged(load, -spring))
             if limits is not None and train.rigid:
@@ -390,26 +393,24 @@ class RigidPlant:
                     factors, v_new, limits.low, limits.high, memory["friction"], dt,
                     joints=train.rigid, stop=stop, sweeps=self.sweeps,
                 )  # fmt: skip
-                v_new, f = stuck.v, stuck.f
+                v_new, f, at_rest = stuck.v, stuck.f, stuck.at_rest
                 if "friction_residual" in memory:
                     out["friction_residual"] = stuck.residual
             q_new = q + dt * v_new
             if train.compliant:
                 moved = train.rotors(memory, tau, spring, b, limits, rotor, dt)
-                f = train.merged(f, moved.f)
+                f, at_rest = train.merged(f, moved.f), train.merged(at_rest, moved.at_rest)
                 out["v_motor"] = train.merged(v_new, moved.v)
                 out["q_motor"] = train.merged(q_new, q_m + dt * moved.v)
             if limits is not None:
                 out["friction"] = f
                 if train.remembers_rest:
-                    out["at_rest"] = tm.where((f > -limits.low) & (f < limits.high), 1.0, 0.0)
+                    out["at_rest"] = at_rest
         v_end = out.get("v_motor", v_new)
         lost = tm.zeros(self.arm.n) if b is None else b * v_end
         out["tau_link"] = tau + f - lost  # what of the motor's torque arrives behind the gear
         if rotor is not None:
             out["tau_link"] = out["tau_link"] - rotor * (v_end - v_m) / dt
-        if "a" in memory:
-            out["a"] = (v_new - v) / dt
         out["v"], out["q"] = v_new, q_new
         if self.energy:
             work = work_of_step(

@@ -29,7 +29,8 @@ class WrenchSensor:
 
     Frames:
         bias, noise and range are of the sensor's own axes, those of the tool, force first; what it gives is F_ext,
-        in world axes at the tool's origin. The weight of the tool is no part of it.
+        in world axes at the tool's origin, turned there by the tool's true pose. The weight of the tool is no part
+        of it.
 
     Args:
         bias: (6,) or (force, moment), what it reads without load [N, N m].

@@ -54,8 +54,11 @@ class FusedRun:
         self._loop = loop
         side = loop.side
         self._events: dict[int, dict[str, Float64Array]] = {}
+        values = dict(loop.parameters)
         for tick, event in events:
             new = {path: loop.parameters.checked(path, value) for path, value in event.set.items()}
+            values |= new
+            loop.plant.check_together(values)
             self._events.setdefault(tick, {}).update(new)
         self._stops = sorted(self._events)
         self._inputs, self._parameters = Block.of(loop.input_shapes()), Block.of(loop.parameter_shapes())

@@ -23,8 +23,8 @@ class HostPlant(AnyPlant, Protocol):
         """A new value of a parameter, checked, without giving it."""
         ...
 
-    def set_parameter(self, path: str, value: ArrayLike) -> None:
-        """Give a parameter a new value, checked."""
+    def set_parameters(self, values: Mapping[str, ArrayLike]) -> None:
+        """Give parameters new values, each checked, and all together."""
         ...
 
     def reset(self, q: Float64Array, v: Float64Array, dt: float, seed: int) -> None:

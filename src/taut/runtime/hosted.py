@@ -55,15 +55,17 @@ class HostedRun:
         side = ctrl.side
         self._plant, self._ticks, self._side = plant, ticks, side
         self._events: dict[int, dict[str, ArrayLike]] = {}
+        values = dict(plant.parameters)
         for tick, event in events:
             self._events.setdefault(tick, {}).update(event.set)
             for path, value in event.set.items():
                 if path in side.parameters:
                     side.checked_parameter(path, value)
                 elif path in plant.parameters:
-                    plant.checked_parameter(path, value)
+                    values[path] = plant.checked_parameter(path, value)
                 else:
                     raise unknown_name("the run", "parameter", path, [*side.parameters, *plant.parameters])
+            plant.check_together(values)
         self._before = dict(plant.parameters)  # events last as long as the run
         self._kernel = ctrl.recording_kernel(sensed_of(side, plant))
         plant.reset(q, v, side.dt, info["seed"])
@@ -89,8 +91,8 @@ class HostedRun:
         try:
             return self._go(advance, log)
         finally:
-            for path in {path for values in self._events.values() for path in values if path in self._before}:
-                self._plant.set_parameter(path, self._before[path])
+            changed = {path for values in self._events.values() for path in values if path in self._before}
+            self._plant.set_parameters({path: self._before[path] for path in changed})
 
     def _go(self, advance: Callable[[int], None], log: RowLog | None) -> tuple[int, Outcome]:
         running = Outcome(kind="stopped", message="the run is still going on", tick=0)
@@ -150,8 +152,7 @@ class HostedRun:
         for path, value in values.items():
             if path in self._side.parameters:
                 self._kernel.blocks.views("parameters")[path][...] = self._side.checked_parameter(path, value)
-            else:
-                self._plant.set_parameter(path, value)
+        self._plant.set_parameters({path: value for path, value in values.items() if path in self._before})
         return before
 
     def _reference(self, k: int, measured: dict[str, Float64Array]) -> None:

@@ -295,11 +295,27 @@ class MujocoPlant:
             raise unknown_name(f"plant '{self.name}'", "parameter", path, self.parameters, hint=hint)
         return self._settings.checked(path, value)
 
+    def check_together(self, values: Mapping[str, ArrayLike]) -> None:
+        """Refuse values by path that do not go together, each of which is right by itself.
+
+        Raises:
+            RangeError: Less friction at rest than in motion.
+        """
+        if self._settings is not None:
+            self._settings.check_together(values)
+
     def set_parameter(self, path: str, value: ArrayLike) -> None:
         """Give a parameter a new value, which acts from the next step."""
-        checked = self.checked_parameter(path, value)
-        assert self._settings is not None
-        self._settings.put(path, checked)
+        self.set_parameters({path: value})
+
+    def set_parameters(self, values: Mapping[str, ArrayLike]) -> None:
+        """Give parameters new values at once, which act from the next step."""
+        checked = {path: self.checked_parameter(path, value) for path, value in values.items()}
+        self.check_together({**self.parameters, **checked})
+        if self._settings is None or not checked:
+            return
+        for path, value in checked.items():
+            self._settings.put(path, value)
         if self._stage is not None:
             self._stage.take(self._settings.values)
         self._readings.take(self._settings.values)

@@ -104,8 +104,7 @@ class JointStage:
             out["q_motor"] = train.merged(q, q_m + dt * moved.v)
             out["tau_link"] = train.merged(memory["tau_link"], spring)
             if limits is not None and train.remembers_rest:
-                rests = np.asarray((moved.f > -limits.low) & (moved.f < limits.high))
-                out["at_rest"] = train.merged(memory["at_rest"], 1.0 * rests)
+                out["at_rest"] = train.merged(memory["at_rest"], moved.at_rest)
             onto = train.merged(onto, spring)
             half = train.merged(half, np.zeros(self._rig.arm.n))
         return {"tau": given.tau, "onto": onto, "half": half}, out

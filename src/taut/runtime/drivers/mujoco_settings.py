@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,10 +42,13 @@ class Settings:
     def checked(self, path: str, value: ArrayLike) -> Float64Array:
         """A new value in the shape that the parameter has."""
         new = in_compiled_shape(path, self._numbers.checked(path, value), self.values[path].shape)
-        self._numbers.check_together({**self.values, path: new})
         if path.startswith("plant.payload."):
             self._payload(path, new)
         return read_only(new)
+
+    def check_together(self, values: Mapping[str, ArrayLike]) -> None:
+        """Refuse values by path that do not go together, each of which is right by itself."""
+        self._numbers.check_together(values)
 
     def _payload(self, path: str, value: Float64Array) -> Payload:
         values = {name: self.values[f"plant.payload.{name}"] for name in LOAD}
