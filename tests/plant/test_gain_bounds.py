@@ -112,6 +112,13 @@ class TestBacklash:
         assert simulated[0] == pytest.approx(predicted[0], rel=0.1)
         assert simulated[1] == pytest.approx(predicted[1], rel=0.02)
 
+    def test_harmonic_balance_misses_the_slow_cycles_next_to_the_border(self) -> None:
+        """There the link mostly flies, and its wind-up is no sine; the formula of the border does not need one."""
+        assert bounds.backlash_formula() < 26.0
+        assert bounds.cycle_predicted(29.0) is None
+        assert bounds.cycle_predicted(31.0) is not None
+        assert bounds.cycle_simulated(26.0) is not None
+
     def test_without_play_the_same_gains_are_quiet(self) -> None:
         arm = bounds.GEARED.with_friction(taut.Friction(viscous=bounds.b, coulomb=bounds.COULOMB))
         spring = taut.Transmission(**{**bounds.TEETH, "backlash": 0.0})
