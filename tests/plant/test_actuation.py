@@ -35,6 +35,15 @@ def test_ripple_goes_with_the_turns_of_the_motor() -> None:
     assert run.tau.min() < 1.81
 
 
+def test_an_electric_motor_has_its_ripple_too() -> None:
+    """The amplifier gives the current that the motor's nominal constant asks for."""
+    arm = FREE.with_gears(ratio=7.0, motor_inertia=1e-5)
+    motor = taut.ElectricMotor(torque_constant=0.1, resistance=1.0)
+    run = held(arm, 2.0, duration=0.5, motor=motor, ripple=taut.Ripple(amplitude=0.1, periods=4))
+    np.testing.assert_allclose(run.tau, 2.0 * (1.0 + 0.1 * np.sin(4.0 * 7.0 * run.q)), rtol=1e-7)
+    assert run.tau.max() > 2.19
+
+
 class TestSpeedTorqueCurve:
     CURVE = taut.Motor(peak=0.5, stall=0.8, no_load=300.0)
     ARM = FREE.with_gears(ratio=10.0, motor_inertia=1e-6)
@@ -113,6 +122,17 @@ class TestTorqueLoop:
                 memory = plant.advance(memory, p, 1e-4)
         assert memory["tau"][0] == pytest.approx(4.0)  # 100 times its peak
         assert abs(memory["torque_loop"][0]) < 5.0
+
+
+    @pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
+    def test_leaves_what_the_plant_adds_itself(self, plant: Any) -> None:
+        """The sensor has the weight that the plant holds; the loop must not take it for friction's doing."""
+        arm = taut.load_arm("one_joint").with_gears(ratio=100.0, motor_inertia=2e-5)
+        drives = taut.Actuation(torque_loop=taut.TorqueLoop(kp=0.5, ki=50.0))
+        floats = plant(arm, actuation=drives, adds=("gravity",))
+        law = taut.compile(taut.laws.GravityCompensation(kd=0.1), arm, adds=floats.adds)
+        run = taut.run(law, floats, taut.JointMotion(q=[0.5]), duration=0.5, q0=[0.5])
+        np.testing.assert_allclose(run.q, 0.5, rtol=0.0, atol=1e-9)
 
 
 class Wall:

@@ -353,10 +353,11 @@ class RigidPlant:
         q, v, t = memory["q"], memory["v"], memory.get("t", 0.0)
         train, out = self.drivetrain, dict(memory)
         q_m, v_m = memory.get("q_motor", q), memory.get("v_motor", v)
-        given = drive.driven(self.actuation, self.arm, memory, q_m, v_m, parameters, dt)
+        added = self._compensation(q, v, parameters)
+        given = drive.driven(self.actuation, self.arm, memory, q_m, v_m, parameters, dt, added)
         out |= given.memory
         out["tau"] = given.tau
-        tau = given.tau + self._compensation(q, v, parameters)
+        tau = given.tau + added
         force: Any = 0.0
         if self.environment is not None:
             wrench, touched = self._touch(q, v, memory, parameters, t, dt)

@@ -84,10 +84,11 @@ class JointStage:
         train, dt = self._train, parameters["dt"]
         q, v = inputs["q"], inputs["v"]
         q_m, v_m = memory.get("q_motor", q), memory.get("v_motor", v)
-        given = drive.driven(self._actuation, self._rig.arm, memory, q_m, v_m, parameters, dt)
-        out = {**memory, **given.memory}
         payload = PayloadValues.of(subtree(parameters, "plant.payload"))
-        tau = given.tau + compensation(self._model, self._adds, q, v, payload)
+        added = compensation(self._model, self._adds, q, v, payload)
+        given = drive.driven(self._actuation, self._rig.arm, memory, q_m, v_m, parameters, dt, added)
+        out = {**memory, **given.memory}
+        tau = given.tau + added
         load: Any = np.zeros(self._rig.arm.n)
         if train.friction is not None and np.any(train.friction.load_external_static):
             load = dyn.jacobian(self._model, q).T @ inputs["F_ext"] - dyn.bias(self._model, q, v, payload)
