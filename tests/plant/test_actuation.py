@@ -123,7 +123,6 @@ class TestTorqueLoop:
         assert memory["tau"][0] == pytest.approx(4.0)  # 100 times its peak
         assert abs(memory["torque_loop"][0]) < 5.0
 
-
     @pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
     def test_leaves_what_the_plant_adds_itself(self, plant: Any) -> None:
         """The sensor has the weight that the plant holds; the loop must not take it for friction's doing."""

@@ -74,6 +74,17 @@ def test_sensors_give_the_same_numbers_from_the_same_seed() -> None:
     np.testing.assert_allclose(theirs.extra["sensed.v"], ours.extra["sensed.v"], rtol=0.0, atol=1e-3)
 
 
+def test_a_sensor_at_its_range_is_said_in_a_run() -> None:
+    sensors = taut.Sensors(tip=taut.Accelerometer(range=6.0), wrench=taut.WrenchSensor(range=(100.0, 10.0)))
+    ctrl = taut.compile(taut.laws.PID(kp=60.0, kd=6.0), PLANAR, rate=500.0)
+    swing = taut.Sine(center=PLANAR.home, amplitude=0.3, frequency=1.0)
+    out = taut.run(ctrl, taut.MujocoPlant(PLANAR, sensors=sensors), swing, duration=0.6)
+    at_range = int(out.extra["saturated.a_tip"].sum())
+    assert 0 < at_range < len(out)
+    assert f"the sensor of a_tip was at its range in {at_range} of {len(out)} ticks" in out.outcome.message
+    assert not out.extra["saturated.F_ext"].any()
+
+
 class Felt(taut.Law):
     """Moves along, and shows what joint torque and tip acceleration are measured."""
 

@@ -92,9 +92,9 @@ def driven(
 def _electric(
     motor: ElectricMotor, asked: Vector, i: Vector, v: Vector, k: Any, p: Values, bandwidth: Any, dt: Any
 ) -> tuple[Vector, Vector, dict[str, Vector], Vector]:
-    """From the current that is asked for: mean torque at the joint, the current after the step, the work of the supply, and what its limits kept back.
+    """Mean torque at the joint, the current after the step, the work of the supply, and what its limits kept back.
 
-    The voltage is held over the step; the current that it drives is exact, and so are its mean and its heat.
+    The current is what is asked for. The voltage is held over the step; the current that it drives is exact, and so are its mean and its heat.
     """
     R = p["resistance"]
     target = asked

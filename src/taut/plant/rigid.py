@@ -263,12 +263,10 @@ class RigidPlant:
         """
         n = self.arm.n
         rest = np.zeros(n)
-        weight = dyn.gravity_torque(self.model, q, self._payload(parameters))
-        weight = weight - self._compensation(q, rest, parameters)
-        memory: dict[str, Any] = {"q": q, "v": v, "tau": weight, "held": weight}
+        full = dyn.gravity_torque(self.model, q, self._payload(parameters))
+        weight = full - self._compensation(q, rest, parameters)
+        memory: dict[str, Any] = {"q": q, "v": v, "tau": weight, "held": weight, "tau_link": full}
         if self.takes == "torque":
-            full = dyn.gravity_torque(self.model, q, self._payload(parameters))
-            memory["tau_link"] = full
             memory |= drive.start(self.actuation, self.arm, weight, parameters)
             memory |= self.drivetrain.start(q, v, full, parameters)
             if self.drivetrain.dry and len(self.drivetrain.rigid) > 1:
@@ -335,12 +333,12 @@ class RigidPlant:
             q_new = wanted + (e + rate * dt) * decay
             v_new = (rate - omega * (e + rate * dt)) * decay
         a = (v_new - v) / dt
-        tau = dyn.inverse_dynamics(self.link_model, q, v, a, self._payload(parameters))
+        tau = link = dyn.inverse_dynamics(self.link_model, q, v, a, self._payload(parameters))
         if "plant.rotor_inertia" in parameters:
             tau = tau + parameters["plant.rotor_inertia"] * a
         if self.drivetrain.friction is not None:
             tau = tau - friction_torque(self.drivetrain.values(parameters), v)
-        return {**memory, "q": q_new, "v": v_new, "tau": tau}
+        return {**memory, "q": q_new, "v": v_new, "tau": tau, "tau_link": link}
 
     def _check_step(self, dt: float) -> None:
         """Refuse steps that are too long for a transmission."""

@@ -356,6 +356,7 @@ class MujocoPlant:
         if self._stage is not None:
             self._stage.start(q, v, values, dt, self._substeps)
         self._readings.start(seed, self._true(), values)
+        self._saturated = {name: np.zeros(()) for name in self._readings.saturating}
 
     def _steps_in(self, dt: float) -> int:
         if self._settings is not None and self._timestep is None:
