@@ -236,6 +236,34 @@ def test_what_cannot_be_is_refused_in_words(what: str) -> None:
     assert str(caught.value) == message
 
 
+class TestRaisedBackCalculation:
+    """Near rest the integral runs `factor` times as fast, and is driven back as much faster."""
+
+    @staticmethod
+    def compiled(factor: float, tracking: float) -> taut.Controller:
+        inner = L.PID(kp=20.0, kd=2.0, ki=50.0, anti_windup="back-calculation", tracking=tracking)
+        law = L.RaisedGains(inner=inner, factor=factor, width=10.0)
+        return taut.compile(law, taut.load_arm("one_joint"), rate=1000.0, limits=taut.Limits(tau=1.0))
+
+    def test_no_faster_than_the_rate(self) -> None:
+        with pytest.raises(taut.RangeError) as caught:
+            self.compiled(4.0, 500.0)
+        assert str(caught.value) == (
+            "tracking of a law whose gains are raised must be at most the rate over the factor, 250 [1/s], or its "
+            "integral would swing near rest; got 500"
+        )
+        ctrl = self.compiled(2.0, 500.0)
+        with pytest.raises(taut.RangeError, match="at most the rate over the factor"):
+            ctrl.parameters["law.factor"] = 4.0
+        with pytest.raises(taut.RangeError, match="at most the rate over the factor"):
+            ctrl.parameters["law.inner.tracking"] = 800.0
+
+    def test_at_the_rate_it_is_steady(self) -> None:
+        ctrl = self.compiled(4.0, 250.0)
+        out = taut.run(ctrl, taut.RigidPlant(ctrl.arm), taut.JointMotion(q=[1.5]), duration=0.5)
+        assert np.abs(np.diff(out.terms["I"][100:, 0])).max() < 0.05
+
+
 def test_a_frequency_is_checked_when_it_changes_too() -> None:
     ctrl = taut.compile(L.PID(kp=1.0) + L.Dither(amplitude=1.0, frequency=60.0), ARM)
     with pytest.raises(taut.RangeError, match=r"must be below 500 \[Hz\], half the rate of 1000 Hz; got 700"):

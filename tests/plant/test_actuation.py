@@ -35,6 +35,15 @@ def test_ripple_goes_with_the_turns_of_the_motor() -> None:
     assert run.tau.min() < 1.81
 
 
+def test_an_electric_motor_has_its_ripple_too() -> None:
+    """The amplifier gives the current that the motor's nominal constant asks for."""
+    arm = FREE.with_gears(ratio=7.0, motor_inertia=1e-5)
+    motor = taut.ElectricMotor(torque_constant=0.1, resistance=1.0)
+    run = held(arm, 2.0, duration=0.5, motor=motor, ripple=taut.Ripple(amplitude=0.1, periods=4))
+    np.testing.assert_allclose(run.tau, 2.0 * (1.0 + 0.1 * np.sin(4.0 * 7.0 * run.q)), rtol=1e-7)
+    assert run.tau.max() > 2.19
+
+
 class TestSpeedTorqueCurve:
     CURVE = taut.Motor(peak=0.5, stall=0.8, no_load=300.0)
     ARM = FREE.with_gears(ratio=10.0, motor_inertia=1e-6)
@@ -114,6 +123,16 @@ class TestTorqueLoop:
         assert memory["tau"][0] == pytest.approx(4.0)  # 100 times its peak
         assert abs(memory["torque_loop"][0]) < 5.0
 
+    @pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
+    def test_leaves_what_the_plant_adds_itself(self, plant: Any) -> None:
+        """The sensor has the weight that the plant holds; the loop must not take it for friction's doing."""
+        arm = taut.load_arm("one_joint").with_gears(ratio=100.0, motor_inertia=2e-5)
+        drives = taut.Actuation(torque_loop=taut.TorqueLoop(kp=0.5, ki=50.0))
+        floats = plant(arm, actuation=drives, adds=("gravity",))
+        law = taut.compile(taut.laws.GravityCompensation(kd=0.1), arm, adds=floats.adds)
+        run = taut.run(law, floats, taut.JointMotion(q=[0.5]), duration=0.5, q0=[0.5])
+        np.testing.assert_allclose(run.q, 0.5, rtol=0.0, atol=1e-9)
+
 
 class Wall:
     """A stiff spring at the tool along z."""
@@ -166,6 +185,7 @@ def test_every_part_runs_the_same_in_native_code_and_in_plain_python(drives: dic
         (lambda: taut.ElectricMotor(torque_constant=0.1, resistance=1.0, inductance=0.0), taut.RangeError, "actuation.motor.inductance must be > 0 [H]; got 0.0; leave it out where the current is there at once"),
         (lambda: taut.TorqueLoop(), taut.UsageError, "TorqueLoop needs kp= or ki= above zero; without a loop leave it out"),
         (lambda: taut.TorqueLoop(kp=-1.0), taut.RangeError, "actuation.torque_loop.kp must be >= 0 [1]; got -1.0"),
+        (lambda: taut.RigidPlant(FREE, actuation=taut.Actuation(torque_loop=taut.TorqueLoop(kp=1.0)), sensors=taut.Sensors(torque=None)), taut.UsageError, "actuation.torque_loop reads the joint torque sensor behind gear and friction, which these sensors have not got; give sensors=taut.Sensors(torque=taut.TorqueSensor())"),
         (lambda: taut.Ripple(amplitude=5.0, periods=6), taut.RangeError, "actuation.ripple.amplitude must be below 1, a share of the torque; got 5; 5 % is 0.05"),
         (lambda: taut.Ripple(amplitude=0.05, periods=2.5), taut.RangeError, "actuation.ripple.periods must be a whole number: after one turn of the motor its torque is the same again; got 2.5"),
         (lambda: taut.Actuation(resolution=0.0), taut.RangeError, "actuation.resolution must be > 0 [N m | N]; got 0.0; for an ideal amplifier leave it out"),

@@ -84,6 +84,26 @@ class TestPositionDrives:
         np.testing.assert_allclose(out.v[-2], speed, rtol=0.0, atol=ripple)
         np.testing.assert_allclose(out.tau[-2], x.h + arm.viscous * speed + [0.5, -0.4], rtol=0.0, atol=10.0 * ripple)
 
+    @pytest.mark.parametrize("takes", ["velocity", "position"])
+    def test_a_torque_sensor_at_the_link_is_behind_friction_and_rotor(self, takes: str) -> None:
+        arm = taut.load_arm("planar2").with_friction(taut.Friction(viscous=2.0, coulomb=3.0))
+        arm = arm.with_gears(ratio=100.0, motor_inertia=1e-5)
+        read, v = {}, np.array([1.0, -1.0])
+        for side in ("link", "motor"):
+            sensors = taut.Sensors(torque=taut.TorqueSensor(side=side))  # type: ignore[arg-type]
+            plant = taut.RigidPlant(arm, takes=takes, actuation=taut.Actuation(bandwidth=50.0), sensors=sensors)
+            p = {path: np.asarray(value) for path, value in plant.parameters.items()}
+            before = plant.start(arm.home, v, p, DT)
+            after = plant.advance(plant.command(arm.home, before, 0.0), p, DT)
+            read[side] = plant.measure(after, {}, p)["tau_meas"]
+        a = (after["v"] - before["v"]) / DT
+        np.testing.assert_allclose(
+            read["motor"] - read["link"],
+            arm.viscous * v + 3.0 * np.sign(v) + arm.rotor_inertia * a,
+            rtol=0.0,
+            atol=1e-12,
+        )
+
 
 class TestTorqueDrives:
     def test_lag_a_step_exactly_at_the_ticks(self) -> None:

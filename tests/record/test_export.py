@@ -128,3 +128,12 @@ def test_a_missing_pandas_is_named_with_its_remedy(noisy_run: taut.Run, monkeypa
     assert str(refused.value) == (
         "run.to_pandas() needs the package 'pandas', which is not installed; pip install pandas installs it"
     )
+
+
+def test_work_and_residual_have_their_units(tmp_path: Path) -> None:
+    arm = taut.load_arm("planar2").with_friction(taut.Friction(coulomb=0.5))
+    ctrl = taut.compile(taut.laws.PID(kp=20.0, kd=2.0), arm)
+    run = taut.run(ctrl, taut.RigidPlant(arm, energy=True), taut.JointMotion(q=arm.home), duration=0.01)
+    header = run.to_csv(tmp_path / "run.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert "extra.friction_residual [N m]" in header
+    assert "extra.work.dry.1 [J]" in header

@@ -74,6 +74,17 @@ def test_sensors_give_the_same_numbers_from_the_same_seed() -> None:
     np.testing.assert_allclose(theirs.extra["sensed.v"], ours.extra["sensed.v"], rtol=0.0, atol=1e-3)
 
 
+def test_a_sensor_at_its_range_is_said_in_a_run() -> None:
+    sensors = taut.Sensors(tip=taut.Accelerometer(range=6.0), wrench=taut.WrenchSensor(range=(100.0, 10.0)))
+    ctrl = taut.compile(taut.laws.PID(kp=60.0, kd=6.0), PLANAR, rate=500.0)
+    swing = taut.Sine(center=PLANAR.home, amplitude=0.3, frequency=1.0)
+    out = taut.run(ctrl, taut.MujocoPlant(PLANAR, sensors=sensors), swing, duration=0.6)
+    at_range = int(out.extra["saturated.a_tip"].sum())
+    assert 0 < at_range < len(out)
+    assert f"the sensor of a_tip was at its range in {at_range} of {len(out)} ticks" in out.outcome.message
+    assert not out.extra["saturated.F_ext"].any()
+
+
 class Felt(taut.Law):
     """Moves along, and shows what joint torque and tip acceleration are measured."""
 
@@ -149,6 +160,17 @@ def test_parameters_of_every_part_change_in_a_run() -> None:
         np.testing.assert_allclose(changed.q, rigid.q, rtol=0.0, atol=SAME, err_msg=path)
     again: Array = taut.run(ctrl, plant, goal, duration=0.1).q
     np.testing.assert_array_equal(again, plain.q)
+
+
+def test_steps_that_are_too_long_for_a_spring_are_refused_with_what_is_enough() -> None:
+    stiff = taut.Actuation(transmission=taut.Transmission(stiffness=1e6))
+    ctrl = taut.compile(taut.laws.PID(kp=1.0), PLANAR)
+    with pytest.raises(taut.RangeError) as caught:
+        taut.run(ctrl, taut.MujocoPlant(PLANAR, actuation=stiff), duration=0.01)
+    words = str(caught.value)
+    assert "too fast for steps of 0.001 s; give the plant timestep=" in words
+    enough = float(words.partition("timestep=")[2].partition(",")[0])
+    assert taut.run(ctrl, taut.MujocoPlant(PLANAR, actuation=stiff, timestep=enough), duration=0.01).outcome.ok
 
 
 def test_what_does_not_go_together_is_refused_in_words() -> None:

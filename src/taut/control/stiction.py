@@ -22,6 +22,7 @@ __all__ = ["Dither", "RaisedGains"]
 POINTS: Final = ("meas", "ref")
 RAISED: Final = ("kp", "kd")
 INTEGRAL: Final = "e_int"
+TRACKING: Final = "tracking"  # how fast limits drive an integral back [1/s]
 
 
 class Dither(Law):
@@ -104,6 +105,19 @@ class RaisedGains(Law):
                 name="at",
             )
         object.__setattr__(self, "reference", self.inner.reference)
+
+    def check_rate(self, rate: float) -> None:
+        """The integral is driven back faster too, and not faster than the rate [Hz]."""
+        factor = float(np.max(self.factor.as_array()))
+        rates = [gain for path, gain in self.inner.parameters().items() if path.rpartition(".")[2] == TRACKING]
+        largest = max((float(np.max(gain)) for gain in rates), default=0.0)
+        if factor * largest > rate:
+            raise RangeError(
+                f"tracking of a law whose gains are raised must be at most the rate over the factor, "
+                f"{rate / factor:g} [1/s], or its integral would swing near rest; got {largest:g}",
+                name="inner.tracking",
+                value=largest,
+            )
 
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
         v = ref.v if self.at == "ref" else x.v

@@ -9,7 +9,7 @@ from typing import Any
 from taut.arm.description import Arm
 from taut.base import math as tm
 from taut.base.paths import subtree
-from taut.base.types import Vector
+from taut.base.types import ArrayLike, Vector
 from taut.plant.actuation import Actuation, mean_lagged
 from taut.plant.motor import ElectricMotor
 
@@ -40,17 +40,25 @@ def start(actuation: Actuation, arm: Arm, weight: Vector, parameters: Values) ->
 
 
 def driven(
-    actuation: Actuation, arm: Arm, memory: Values, q: Vector, v: Vector, parameters: Values, dt: Any
+    actuation: Actuation,
+    arm: Arm,
+    memory: Values,
+    q: Vector,
+    v: Vector,
+    parameters: Values,
+    dt: Any,
+    added: ArrayLike = 0.0,
 ) -> Driven:
     """One step, dt long, with motors at q and v (joint units) when it starts.
 
-    The order is that of the signals: inner loop, resolution, the motor's curve, the lag, ripple.
+    The order is that of the signals: inner loop, resolution, the motor's curve, the lag, ripple. What the plant adds
+    to the command itself comes after all of them, but the inner loop's sensor has it too.
     """
     p = subtree(parameters, "actuation")
     after: dict[str, Any] = {}
     tau, error = memory["held"], None
     if actuation.torque_loop is not None:
-        error = tau - memory["tau_link"] - parameters.get("sensors.torque.bias", 0.0)
+        error = tau + added - memory["tau_link"] - parameters.get("sensors.torque.bias", 0.0)
         tau = tau + p["torque_loop.kp"] * error + memory["torque_loop"]
     if actuation.resolution is not None:
         tau = p["resolution"] * tm.floor(tau / p["resolution"] + 0.5)
@@ -61,9 +69,9 @@ def driven(
     cut: Any = 0.0  # what the motor's limits keep back, or something of the same sign
     motor, bandwidth = subtree(p, "motor"), p.get("bandwidth")
     if isinstance(actuation.motor, ElectricMotor):
-        k = arm.gear * swing * motor["torque_constant"]  # [N m/A] at the joint
+        k = arm.gear * motor["torque_constant"]  # [N m/A] at the joint; of its ripple the amplifier knows nothing
         tau, after["current"], work, cut = _electric(
-            actuation.motor, tau, memory["current"], v, k, motor, bandwidth, dt
+            actuation.motor, tau / k, memory["current"], v, k * swing, motor, bandwidth, dt
         )
     else:
         if actuation.motor is not None:
@@ -82,14 +90,15 @@ def driven(
 
 
 def _electric(
-    motor: ElectricMotor, tau: Vector, i: Vector, v: Vector, k: Any, p: Values, bandwidth: Any, dt: Any
+    motor: ElectricMotor, asked: Vector, i: Vector, v: Vector, k: Any, p: Values, bandwidth: Any, dt: Any
 ) -> tuple[Vector, Vector, dict[str, Vector], Vector]:
     """Mean torque at the joint, the current after the step, the work of the supply, and what its limits kept back.
 
-    The voltage is held over the step; the current that it drives is exact, and so are its mean and its heat.
+    What is asked for is a current. The voltage is held over the step; the current that it drives is exact, and so are
+    its mean and its heat.
     """
     R = p["resistance"]
-    target = asked = tau / k
+    target = asked
     if motor.current is not None:
         target = tm.clip(target, -p["current"], p["current"])
     goal = target if bandwidth is None else target + (i - target) * tm.exp(-bandwidth * dt)

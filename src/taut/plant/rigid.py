@@ -120,7 +120,7 @@ class RigidPlant:
             )
         adds = Adds.of(self.adds)
         object.__setattr__(self, "adds", adds)
-        self.actuation.check_size(self.arm)
+        self.actuation.check_fit(self.arm, self.sensors)
         require_rotors(self.arm, self.drivetrain.compliant)
         if self.integrator == "rk4":
             self._check_smooth()
@@ -263,12 +263,10 @@ class RigidPlant:
         """
         n = self.arm.n
         rest = np.zeros(n)
-        weight = dyn.gravity_torque(self.model, q, self._payload(parameters))
-        weight = weight - self._compensation(q, rest, parameters)
-        memory: dict[str, Any] = {"q": q, "v": v, "tau": weight, "held": weight}
+        full = dyn.gravity_torque(self.model, q, self._payload(parameters))
+        weight = full - self._compensation(q, rest, parameters)
+        memory: dict[str, Any] = {"q": q, "v": v, "tau": weight, "held": weight, "tau_link": full}
         if self.takes == "torque":
-            full = dyn.gravity_torque(self.model, q, self._payload(parameters))
-            memory["tau_link"] = full
             memory |= drive.start(self.actuation, self.arm, weight, parameters)
             memory |= self.drivetrain.start(q, v, full, parameters)
             if self.drivetrain.dry and len(self.drivetrain.rigid) > 1:
@@ -335,7 +333,7 @@ class RigidPlant:
             q_new = wanted + (e + rate * dt) * decay
             v_new = (rate - omega * (e + rate * dt)) * decay
         a = (v_new - v) / dt
-        tau = dyn.inverse_dynamics(self.link_model, q, v, a, self._payload(parameters))
+        tau = link = dyn.inverse_dynamics(self.link_model, q, v, a, self._payload(parameters))
         if "plant.rotor_inertia" in parameters:
             tau = tau + parameters["plant.rotor_inertia"] * a
         friction = self.drivetrain.friction
@@ -344,23 +342,26 @@ class RigidPlant:
             if friction.loaded:
                 load = -dyn.bias(self.link_model, q, v, self._payload(parameters))
             tau = tau - friction_torque(self.drivetrain.values(parameters), v, tau, load)
-        return {**memory, "q": q_new, "v": v_new, "tau": tau}
+        return {**memory, "q": q_new, "v": v_new, "tau": tau, "tau_link": link}
 
     def _check_step(self, dt: float) -> None:
         """Refuse steps that are too long for a transmission."""
         if self.drivetrain.compliant:
             assert self.actuation.transmission is not None
             M = dyn.mass_matrix(self.link_model, self.arm.home)
-            self.actuation.transmission.check_step(self.arm, dt, np.linalg.inv(M), self.substeps)
+            self.actuation.transmission.check_step(
+                self.arm, dt, np.linalg.inv(M), lambda more: f"substeps={more * self.substeps}"
+            )
 
     def _torque_step(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
         q, v, t = memory["q"], memory["v"], memory.get("t", 0.0)
         train, out = self.drivetrain, dict(memory)
         q_m, v_m = memory.get("q_motor", q), memory.get("v_motor", v)
-        given = drive.driven(self.actuation, self.arm, memory, q_m, v_m, parameters, dt)
+        added = self._compensation(q, v, parameters)
+        given = drive.driven(self.actuation, self.arm, memory, q_m, v_m, parameters, dt, added)
         out |= given.memory
         out["tau"] = given.tau
-        tau = given.tau + self._compensation(q, v, parameters)
+        tau = given.tau + added
         force: Any = 0.0
         if self.environment is not None:
             wrench, touched = self._touch(q, v, memory, parameters, t, dt)

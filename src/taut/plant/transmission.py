@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -135,11 +135,17 @@ class Transmission:
         pushing = tm.where(z > 0.0, tm.maximum(spring, 0.0), tm.minimum(spring, 0.0))
         return tm.where(play, pushing, spring)  # type: ignore[no-any-return]
 
-    def check_step(self, arm: Arm, dt: float, M_inverse: Float64Array, substeps: int) -> None:
+    def check_step(self, arm: Arm, dt: float, M_inverse: Float64Array, way_out: Callable[[int], str]) -> None:
         """A step must be short against the swing of motor against link.
 
+        Args:
+            arm: The arm.
+            dt: Length of a step [s].
+            M_inverse: (n, n) of the links alone.
+            way_out: The words for so many times as many steps.
+
         Raises:
-            RangeError: It is not; the sentence says how many substeps are enough.
+            RangeError: It is not; the sentence says what is enough.
         """
         n = arm.n
         joints = list(self.compliant(n))
@@ -154,11 +160,11 @@ class Transmission:
         worst = int(np.argmax(fast))
         if fast[worst] * dt <= 1.0:
             return
-        needed = int(np.ceil(fast[worst] * dt * substeps))
+        more = int(np.ceil(fast[worst] * dt))
         raise RangeError(
             f"the transmission of joint '{arm.joint_names[joints[worst]]}' swings at {omega[worst]:.3g} rad/s, too "
-            f"fast for steps of {dt:g} s; give the plant substeps={needed}, a softer spring or less damping",
-            name="substeps",
+            f"fast for steps of {dt:g} s; give the plant {way_out(more)}, a softer spring or less damping",
+            name="stiffness",
             value=float(omega[worst] * dt),
         )
 

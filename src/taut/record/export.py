@@ -68,8 +68,12 @@ def units_of(run: Run) -> dict[str, list[str]]:
         "extra.sensed.q_motor": run.units,
         "extra.sensed.v_motor": tuple(f"{unit}/s" for unit in run.units),
         "extra.sensed.a_tip": ("m/s^2",) * 3,
+        "extra.tau_cut": run.effort_units,
     }
     known |= {f"terms.{name}": run.command_units for name in run.terms}
+    if len(set(run.effort_units)) == 1:  # the largest one of any joint
+        known["extra.friction_residual"] = run.effort_units[:1]
+    known |= {f"extra.{name}": ("J",) * run.n for name in run.extra if name.startswith("work.")}
     out = {}
     for name, columns in column_names(run).items():
         units = known.get(name, ())

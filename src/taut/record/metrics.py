@@ -84,8 +84,8 @@ class Metrics:
         final_error: (n,) [rad | m] tracking error of the last tick.
         stuck_time: (n,) [s] in which the joint rests, slower than 1e-4 rad/s | m/s, while its reference moves,
             faster than 1e-3: stick-slip, and the rest after each reversal.
-        reversal_error: (n,) [rad | m] largest magnitude of the tracking error in the 0.5 s after the reference
-            begins to move the other way, faster than 1e-3 rad/s | m/s.
+        reversal_error: (n,) [rad | m] largest magnitude of the tracking error after the reference began to move the
+            other way, faster than 1e-3 rad/s | m/s, until halfway to its next reversal.
         effort: (n,) [(N m)^2 s | N^2 s] integral of tau^2, as in figure 10.12.
         peak_torque: (n,) [N m | N] largest magnitude of tau.
         saturation_time: (n,) [s] in which the limits cut the command.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -11,11 +12,10 @@ from taut.base.types import Float64Array
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = ["MOVING", "RESTING", "REVERSAL", "reversal_error", "stuck"]
+__all__ = ["MOVING", "RESTING", "reversal_error", "stuck"]
 
 RESTING: Final = 1e-4  # [rad/s | m/s] a joint that is slower than this rests
 MOVING: Final = 1e-3  # [rad/s | m/s] a reference that is faster than this moves
-REVERSAL: Final = 0.5  # [s] that the error after a reversal is looked at
 
 
 def stuck(run: Run) -> Float64Array | None:
@@ -32,9 +32,10 @@ def stuck(run: Run) -> Float64Array | None:
 
 
 def reversal_error(run: Run) -> Float64Array:
-    """(n,) the largest error in the 0.5 s that follow each reversal of the reference; NaN without a reversal.
+    """(n,) the largest error between a reversal of the reference and halfway to the next; NaN without a reversal.
 
     A reference reverses in the tick in which it first moves (|v_ref| > 1e-3) the other way, after a rest or not.
+    After its last reversal all that is left of the run counts.
     """
     wanted, error = _wanted(run), run.error
     out = np.full(run.n, np.nan)
@@ -43,9 +44,10 @@ def reversal_error(run: Run) -> Float64Array:
     for i in range(run.n):
         ways = np.where(np.abs(wanted[:, i]) > MOVING, np.sign(wanted[:, i]), 0.0)
         ticks = np.flatnonzero(ways)
-        turns = ticks[1:][ways[ticks[1:]] != ways[ticks[:-1]]]
-        after = [np.abs(error[(run.t >= run.t[k]) & (run.t <= run.t[k] + REVERSAL), i]).max() for k in turns]
-        out[i] = max(after, default=np.nan)
+        turns = ticks[1:][ways[ticks[1:]] != ways[ticks[:-1]]].tolist()
+        halfway = [(k + following) // 2 for k, following in pairwise(turns)]
+        windows = zip(turns, [*halfway, len(error) - 1], strict=False)
+        out[i] = max((np.abs(error[k : end + 1, i]).max() for k, end in windows), default=np.nan)
     return out
 
 

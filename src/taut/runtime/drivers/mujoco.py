@@ -130,7 +130,7 @@ class MujocoPlant:
             if not isinstance(given, part):
                 got = type(given).__name__
                 raise UsageError(f"{name} must be taut.{part.__name__}(...); got {got}", name=name)
-        drives.check_size(arm)
+        drives.check_fit(arm, seen)
         seen.check(arm, touched=True)
         left = arm.friction if friction == "arm" and not what.friction else None
         train = Drivetrain(arm=arm, friction=left, transmission=drives.transmission)
@@ -356,6 +356,7 @@ class MujocoPlant:
         if self._stage is not None:
             self._stage.start(q, v, values, dt, self._substeps)
         self._readings.start(seed, self._true(), values)
+        self._saturated = {name: np.zeros(()) for name in self._readings.saturating}
 
     def _steps_in(self, dt: float) -> int:
         if self._settings is not None and self._timestep is None:

@@ -84,10 +84,11 @@ class JointStage:
         train, dt = self._train, parameters["dt"]
         q, v = inputs["q"], inputs["v"]
         q_m, v_m = memory.get("q_motor", q), memory.get("v_motor", v)
-        given = drive.driven(self._actuation, self._rig.arm, memory, q_m, v_m, parameters, dt)
-        out = {**memory, **given.memory}
         payload = PayloadValues.of(subtree(parameters, "plant.payload"))
-        tau = given.tau + compensation(self._model, self._adds, q, v, payload)
+        added = compensation(self._model, self._adds, q, v, payload)
+        given = drive.driven(self._actuation, self._rig.arm, memory, q_m, v_m, parameters, dt, added)
+        out = {**memory, **given.memory}
+        tau = given.tau + added
         load: Any = np.zeros(self._rig.arm.n)
         if train.friction is not None and np.any(train.friction.load_external_static):
             load = dyn.jacobian(self._model, q).T @ inputs["F_ext"] - dyn.bias(self._model, q, v, payload)
@@ -125,7 +126,7 @@ class JointStage:
         if self._train.compliant:
             assert self._actuation.transmission is not None
             M = dyn.mass_matrix(model_of(arm.with_joints(rotor_inertia=0.0)), arm.home)
-            self._actuation.transmission.check_step(arm, h, np.linalg.inv(M), steps)
+            self._actuation.transmission.check_step(arm, h, np.linalg.inv(M), lambda more: f"timestep={h / more:.3g}")
         n = arm.n
         if self._loop is None:
             self._inputs = Block.of({"q": (n,), "v": (n,), "F_ext": (6,)})

@@ -58,8 +58,14 @@ class SensorStage:
             self._loop = kind(self._read, self._read, 0, self._inputs, self._parameters, Block(), example)
             self._row, self._out = np.zeros((1, self._inputs.size)), np.zeros((1, self._loop.outputs.size))
             self._seen = {path: view[0] for path, view in self._inputs.views(self._row).items()}
-            self._given = {path: view[0] for path, view in self._loop.outputs.views(self._out).items()}
+            self._given = {path: view[0, ...] for path, view in self._loop.outputs.views(self._out).items()}
         self.take(parameters)
+
+    @property
+    def saturating(self) -> tuple[str, ...]:
+        """What `read` gives besides measurements: whether those that have a range are at it."""
+        assert self._loop is not None
+        return tuple(path for path in self._given if path.startswith("saturated."))
 
     def take(self, parameters: Values) -> None:
         """New values of the parameters, by path, in a run or between two."""

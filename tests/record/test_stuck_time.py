@@ -49,16 +49,18 @@ def test_all_joints_together_are_stuck_while_any_is(make_run: Any) -> None:
     assert m.overall["stuck_time"] == pytest.approx(1.0)
 
 
-def test_reversal_error_is_the_largest_in_the_half_second_after_each_turn(make_run: Any) -> None:
+def test_reversal_error_is_the_largest_until_halfway_to_the_next_turn(make_run: Any) -> None:
     v_ref = np.where((T < 1.0) | (T >= 3.0), 0.2, -0.2)
     error = np.full_like(T, 0.01)
     error[T == 0.5] = 9.0  # before the first turn
-    error[np.isclose(T, 1.4)] = -0.3
-    error[np.isclose(T, 1.6)] = 8.0  # too late
+    error[np.isclose(T, 1.9)] = -0.3
+    error[np.isclose(T, 2.2)] = 8.0  # nearer to the next turn
     error[np.isclose(T, 3.5)] = 0.2
     run = make_run(T, -error, v_ref=v_ref[:, np.newaxis])
     assert run.metrics.reversal_error[0] == pytest.approx(0.3)
     assert run.metrics.overall["reversal_error"] == pytest.approx(0.3)
+    error[-1] = 0.5  # after the last turn all that is left counts
+    assert make_run(T, -error, v_ref=v_ref[:, np.newaxis]).metrics.reversal_error[0] == pytest.approx(0.5)
 
 
 def test_a_turn_after_a_rest_counts_when_the_reference_moves_again(make_run: Any) -> None:
