@@ -217,6 +217,50 @@ def test_a_new_value_is_checked_like_the_first_one(path: str, value: float, mess
     assert str(caught.value) == message
 
 
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (
+            "actuation.transmission.stiffness", np.inf,
+            "actuation.transmission.stiffness of joint 'joint2' got inf, and the plant was made with this joint elastic; "
+            "make another plant for that, or give one number per joint",
+        ),
+        (
+            "actuation.transmission.stiffness", 500.0,
+            "actuation.transmission.stiffness of joint 'joint1' got 500, and the plant was made with this joint rigid; "
+            "make another plant for that, or give one number per joint",
+        ),
+        (
+            "plant.rotor_inertia", 0.0,
+            "joint 'joint2' has an elastic transmission or backlash, so its motor moves by itself and needs a rotor: "
+            "arm.with_gears(ratio=, motor_inertia=), or with_joints(rotor_inertia=)",
+        ),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
+def test_which_joints_give_way_does_not_change_in_a_run(plant: Any, path: str, value: float, message: str) -> None:
+    arm = taut.load_arm("planar2").with_gears(ratio=50.0, motor_inertia=1e-4)
+    drives = taut.Actuation(transmission=taut.Transmission(stiffness=[np.inf, 1e3]))
+    made = plant(arm, actuation=drives)
+    with pytest.raises(taut.TautError) as caught:
+        made.checked_parameter(path, value)
+    assert str(caught.value) == message
+    assert made.checked_parameter("actuation.transmission.stiffness", [np.inf, 500.0])[1] == 500.0
+    assert made.checked_parameter("plant.rotor_inertia", [0.0, 0.1])[0] == 0.0
+
+
+@pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
+@pytest.mark.parametrize(("sensor", "got"), [(None, "None"), (taut.TorqueSensor(side="motor"), "one at the motor")])
+def test_an_inner_loop_needs_the_sensor_that_it_reads(plant: Any, sensor: Any, got: str) -> None:
+    drives = taut.Actuation(torque_loop=taut.TorqueLoop(ki=5.0))
+    with pytest.raises(taut.UsageError) as caught:
+        plant(FREE, actuation=drives, sensors=taut.Sensors(torque=sensor))
+    assert str(caught.value) == (
+        "actuation.torque_loop reads the torque sensor at the link, behind gear and friction; sensors.torque is "
+        f"{got}; give sensors=taut.Sensors(torque=taut.TorqueSensor()), or leave the loop out"
+    )
+
+
 def test_rotors_make_the_arm_heavier_at_its_own_joint_alone() -> None:
     """Reflected inertia is G^2 I on the diagonal of M, in model and plant alike."""
     arm = taut.load_arm("planar2")

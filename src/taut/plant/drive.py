@@ -94,7 +94,7 @@ def _electric(
 ) -> tuple[Vector, Vector, dict[str, Vector], Vector]:
     """Mean torque at the joint, the current after the step, the work of the supply, and what its limits kept back.
 
-    The current is what is asked for. The voltage is held over the step; the current that it drives is exact, and so are its mean and its heat.
+    The voltage is held over the step; the current that it drives is exact, and so are its mean and its heat.
     """
     R = p["resistance"]
     target = asked

@@ -163,14 +163,20 @@ class Transmission:
         )
 
 
-def require_rotors(arm: Arm, joints: tuple[int, ...]) -> None:
+def require_rotors(arm: Arm, joints: tuple[int, ...], rotor_inertia: Float64Array | None = None) -> None:
     """A motor that moves apart from its link needs a rotor.
+
+    Args:
+        arm: The arm.
+        joints: Those whose motor does.
+        rotor_inertia: (n,) seen at the joints [kg m^2 | kg]; the arm's own if left out.
 
     Raises:
         UsageError: One has none.
     """
+    rotor = arm.rotor_inertia if rotor_inertia is None else rotor_inertia
     for i in joints:
-        if arm.joints[i].rotor_inertia <= 0.0:
+        if rotor[i] <= 0.0:
             raise UsageError(
                 f"joint '{arm.joint_names[i]}' has an elastic transmission or backlash, so its motor moves by itself "
                 "and needs a rotor: arm.with_gears(ratio=, motor_inertia=), or with_joints(rotor_inertia=)",

@@ -21,7 +21,7 @@ from taut.maths.compensation import compensation
 from taut.maths.model import PayloadValues, model_of
 from taut.plant.actuation import Actuation, delayed
 from taut.plant.drivetrain import Drivetrain
-from taut.plant.numbers import PlantNumbers
+from taut.plant.numbers import PlantNumbers, require_torque_sensor
 from taut.plant.sensors import Sensors
 from taut.plant.transmission import require_rotors
 from taut.runtime.drivers.mujoco_attach import Inertias, attached
@@ -135,6 +135,7 @@ class MujocoPlant:
         left = arm.friction if friction == "arm" and not what.friction else None
         train = Drivetrain(arm=arm, friction=left, transmission=drives.transmission)
         require_rotors(arm, train.compliant)
+        require_torque_sensor(drives, seen)
         options = ModelOptions(
             drivetrain=train,
             limits=limits,
