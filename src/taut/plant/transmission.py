@@ -26,6 +26,8 @@ class Transmission:
     Model:        power: the motor drives, P_out = efficiency P_in; the load drives, P_in = efficiency P_out back
                   as a friction of the gear: |f| <= (1 - efficiency) |tau| against motion that the motor drives,
                   |f| <= (1 / efficiency - 1) |tau| against motion that the load drives; at rest it sticks
+                  tau is the motor's torque, what accelerates its rotor included: a motor without torque is driven
+                  back without loss; what a load alone holds is a taut.Friction(load_external=...)
                   play and elasticity: tau_link = K z(delta) + D delta_dot where the teeth touch, delta = q_motor - q,
                   z(delta) = delta beyond +-backlash / 2, else 0; the rotor then has a motion of its own,
                   B a_motor = tau - friction - tau_link, and friction acts on its side
