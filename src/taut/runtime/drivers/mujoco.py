@@ -152,6 +152,12 @@ class MujocoPlant:
                 "friction=None",
                 name="integrator",
             )
+        if integrator == "rk4" and train.compliant:
+            raise UsageError(
+                "rk4 moves the arm alone, and an elastic transmission or backlash moves the motors too; use "
+                "integrator='discrete'",
+                name="integrator",
+            )
         self._timestep = None if timestep is None else positive_scalar("timestep", timestep, unit="s")
         rig = built(arm, None if scene is None else read_scene(scene), options, what)
         self._name = f"MujocoPlant({arm.name})"
