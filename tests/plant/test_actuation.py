@@ -44,6 +44,17 @@ def test_an_electric_motor_has_its_ripple_too() -> None:
     assert run.tau.max() > 2.19
 
 
+@pytest.mark.parametrize("inductance", [None, 1e-3])
+def test_an_arm_that_is_too_heavy_for_its_amplifier_begins_with_no_more_than_its_current(inductance: Any) -> None:
+    arm = taut.load_arm("one_joint")
+    motor = taut.ElectricMotor(torque_constant=0.1, resistance=1.0, inductance=inductance, current=2.0)
+    law = taut.compile(taut.laws.GravityCompensation(), arm)
+    plant = taut.RigidPlant(arm, actuation=taut.Actuation(motor=motor, bandwidth=50.0))
+    run = taut.run(law, plant, taut.JointMotion(q=[0.0]), duration=0.02, q0=[0.0])
+    assert run.command[0, 0] == pytest.approx(0.981)
+    np.testing.assert_allclose(run.tau, 0.2, rtol=1e-9)
+
+
 class TestSpeedTorqueCurve:
     CURVE = taut.Motor(peak=0.5, stall=0.8, no_load=300.0)
     ARM = FREE.with_gears(ratio=10.0, motor_inertia=1e-6)
