@@ -172,21 +172,24 @@ def _same(a: Payload | None, b: Payload | None) -> bool:
 
 
 def _check_start(side: LawSide, plant: AnyPlant) -> None:
-    """Limits of rate and speed count from the torque that holds the arm, none where the plant adds gravity."""
-    ours, theirs = side.adds.gravity, Adds.of(plant.adds).gravity
-    starts, brakes = "limits.tau_applied" in side.probe.shapes, "limits.v_gain" in side.parameters
-    if side.probe.kind != "torque" or not (starts or brakes) or ours == theirs:
+    """Limits of rate and speed count from torques that the model has, less what the plant adds."""
+    if side.probe.kind != "torque":
         return
-    how = "adds gravity itself" if theirs else "does not add gravity"
-    what = (
-        "torque that the controller starts from"
-        if starts
-        else "acceleration that the controller's speed limit expects"
-    )
-    raise MatchError(
-        f"plant '{plant.name}' {how}, and the {what} says otherwise; compile with adds=plant.adds",
-        name="gravity",
-    )
+    starts, brakes = "limits.tau_applied" in side.probe.shapes, "limits.v_gain" in side.parameters
+    counted = {"gravity": starts or brakes, "coriolis": brakes}
+    for name, counts in counted.items():
+        ours, theirs = getattr(side.adds, name), getattr(Adds.of(plant.adds), name)
+        if not counts or ours == theirs:
+            continue
+        how = f"adds {name} itself" if theirs else f"does not add {name}"
+        what = (
+            "torque that the controller starts from"
+            if starts and name == "gravity"
+            else "acceleration that the controller's speed limit expects"
+        )
+        raise MatchError(
+            f"plant '{plant.name}' {how}, and the {what} says otherwise; compile with adds=plant.adds", name=name
+        )
 
 
 class Loop:

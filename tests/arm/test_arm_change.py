@@ -13,7 +13,7 @@ from arm_urdf_text import as_urdf
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taut.arm.description import BASE, Arm, Payload
+from taut.arm.description import BASE, Arm, Friction, Payload
 from taut.arm.load import load_arm
 from taut.arm.rules import check_inertia
 from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeLink, assemble
@@ -358,3 +358,20 @@ def test_a_tool_is_named_by_a_text() -> None:
         load_arm("planar2").with_tool(None)  # type: ignore[arg-type]
     with pytest.raises(UnknownNameError, match=r"^a joint of .* is named by a text; got 0$"):
         load_arm("planar2").subset([0])  # type: ignore[list-item]
+
+
+def test_friction_at_rest_that_is_as_in_motion_stays_so() -> None:
+    """Friction(coulomb=1.0) says nothing of rest; another coulomb then counts at rest too."""
+    arm = load_arm("planar2").with_friction(Friction(coulomb=1.0, load_motor=0.1))
+    for coulomb in (0.5, 2.0):
+        assert arm.with_joints(coulomb=coulomb).friction.static.tolist() == [coulomb, coulomb]
+    assert arm.with_joints(load_motor=0.2).friction.load_motor_static.tolist() == [0.2, 0.2]
+    apart = load_arm("planar2").with_friction(Friction(coulomb=1.0, static=[1.0, 1.5]))
+    assert apart.with_joints(coulomb=0.5).friction.static.tolist() == [0.5, 1.5]
+
+
+def test_a_moved_home_keeps_the_doubt_of_a_rotor() -> None:
+    with pytest.warns(RuntimeWarning, match="hard to believe"):
+        arm = load_arm("planar2").with_joints(lower=0.6, upper=2.0, rotor_inertia=5e4)
+    assert any("hard to believe" in note for note in arm.notes)
+    assert any("home of" in note for note in arm.notes)

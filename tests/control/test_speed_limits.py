@@ -135,6 +135,8 @@ class TestASpeedLimit:
             "plant 'RigidPlant(planar2)' does not add gravity, and the acceleration that the controller's speed limit "
             "expects says otherwise; compile with adds=plant.adds"
         )
+        with pytest.raises(taut.MatchError, match=r"does not add coriolis, and the acceleration .* says otherwise"):
+            taut.run(ctrl, taut.RigidPlant(ARM, adds=("gravity",)), duration=0.1)
 
     def test_asks_for_a_velocity_even_where_the_law_does_not(self) -> None:
         ctrl = taut.compile(Asked(), ARM, limits=taut.Limits(v=1.0))

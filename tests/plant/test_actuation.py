@@ -44,6 +44,17 @@ def test_an_electric_motor_has_its_ripple_too() -> None:
     assert run.tau.max() > 2.19
 
 
+@pytest.mark.parametrize("inductance", [None, 1e-3])
+def test_an_arm_that_is_too_heavy_for_its_amplifier_begins_with_no_more_than_its_current(inductance: Any) -> None:
+    arm = taut.load_arm("one_joint")
+    motor = taut.ElectricMotor(torque_constant=0.1, resistance=1.0, inductance=inductance, current=2.0)
+    law = taut.compile(taut.laws.GravityCompensation(), arm)
+    plant = taut.RigidPlant(arm, actuation=taut.Actuation(motor=motor, bandwidth=50.0))
+    run = taut.run(law, plant, taut.JointMotion(q=[0.0]), duration=0.02, q0=[0.0])
+    assert run.command[0, 0] == pytest.approx(0.981)
+    np.testing.assert_allclose(run.tau, 0.2, rtol=1e-9)
+
+
 class TestSpeedTorqueCurve:
     CURVE = taut.Motor(peak=0.5, stall=0.8, no_load=300.0)
     ARM = FREE.with_gears(ratio=10.0, motor_inertia=1e-6)
@@ -185,7 +196,6 @@ def test_every_part_runs_the_same_in_native_code_and_in_plain_python(drives: dic
         (lambda: taut.ElectricMotor(torque_constant=0.1, resistance=1.0, inductance=0.0), taut.RangeError, "actuation.motor.inductance must be > 0 [H]; got 0.0; leave it out where the current is there at once"),
         (lambda: taut.TorqueLoop(), taut.UsageError, "TorqueLoop needs kp= or ki= above zero; without a loop leave it out"),
         (lambda: taut.TorqueLoop(kp=-1.0), taut.RangeError, "actuation.torque_loop.kp must be >= 0 [1]; got -1.0"),
-        (lambda: taut.RigidPlant(FREE, actuation=taut.Actuation(torque_loop=taut.TorqueLoop(kp=1.0)), sensors=taut.Sensors(torque=None)), taut.UsageError, "actuation.torque_loop reads the joint torque sensor behind gear and friction, which these sensors have not got; give sensors=taut.Sensors(torque=taut.TorqueSensor())"),
         (lambda: taut.Ripple(amplitude=5.0, periods=6), taut.RangeError, "actuation.ripple.amplitude must be below 1, a share of the torque; got 5; 5 % is 0.05"),
         (lambda: taut.Ripple(amplitude=0.05, periods=2.5), taut.RangeError, "actuation.ripple.periods must be a whole number: after one turn of the motor its torque is the same again; got 2.5"),
         (lambda: taut.Actuation(resolution=0.0), taut.RangeError, "actuation.resolution must be > 0 [N m | N]; got 0.0; for an ideal amplifier leave it out"),
@@ -216,6 +226,50 @@ def test_a_new_value_is_checked_like_the_first_one(path: str, value: float, mess
     with pytest.raises(taut.RangeError) as caught:
         loop.parameters[path] = value
     assert str(caught.value) == message
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (
+            "actuation.transmission.stiffness", np.inf,
+            "actuation.transmission.stiffness of joint 'joint2' got inf, and the plant was made with this joint elastic; "
+            "make another plant for that, or give one number per joint",
+        ),
+        (
+            "actuation.transmission.stiffness", 500.0,
+            "actuation.transmission.stiffness of joint 'joint1' got 500, and the plant was made with this joint rigid; "
+            "make another plant for that, or give one number per joint",
+        ),
+        (
+            "plant.rotor_inertia", 0.0,
+            "joint 'joint2' has an elastic transmission or backlash, so its motor moves by itself and needs a rotor: "
+            "arm.with_gears(ratio=, motor_inertia=), or with_joints(rotor_inertia=)",
+        ),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
+def test_which_joints_give_way_does_not_change_in_a_run(plant: Any, path: str, value: float, message: str) -> None:
+    arm = taut.load_arm("planar2").with_gears(ratio=50.0, motor_inertia=1e-4)
+    drives = taut.Actuation(transmission=taut.Transmission(stiffness=[np.inf, 1e3]))
+    made = plant(arm, actuation=drives)
+    with pytest.raises(taut.TautError) as caught:
+        made.checked_parameter(path, value)
+    assert str(caught.value) == message
+    assert made.checked_parameter("actuation.transmission.stiffness", [np.inf, 500.0])[1] == 500.0
+    assert made.checked_parameter("plant.rotor_inertia", [0.0, 0.1])[0] == 0.0
+
+
+@pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
+@pytest.mark.parametrize(("sensor", "got"), [(None, "None"), (taut.TorqueSensor(side="motor"), "one at the motor")])
+def test_an_inner_loop_needs_the_sensor_that_it_reads(plant: Any, sensor: Any, got: str) -> None:
+    drives = taut.Actuation(torque_loop=taut.TorqueLoop(ki=5.0))
+    with pytest.raises(taut.UsageError) as caught:
+        plant(FREE, actuation=drives, sensors=taut.Sensors(torque=sensor))
+    assert str(caught.value) == (
+        "actuation.torque_loop reads the torque sensor at the link, behind gear and friction; sensors.torque is "
+        f"{got}; give sensors=taut.Sensors(torque=taut.TorqueSensor()), or leave the loop out"
+    )
 
 
 def test_rotors_make_the_arm_heavier_at_its_own_joint_alone() -> None:

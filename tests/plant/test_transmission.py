@@ -49,6 +49,14 @@ class TestEfficiency:
         for share in (0.81, 1.0, 1.24):
             assert not held(HANGING, share * WEIGHT, duration=1.0, actuation=self.gears(0.8)).v[1:].any()
 
+    def test_a_motor_that_is_off_is_driven_back_without_loss(self) -> None:
+        """The loss is a share of the motor's torque; what a load alone holds is friction of the load."""
+        fallen = [held(HANGING, 0.0, actuation=self.gears(efficiency)).q[-1, 0] for efficiency in (1.0, 0.4)]
+        assert fallen[0] < -0.03
+        assert fallen[1] == pytest.approx(fallen[0], abs=1e-9)
+        worm = HANGING.with_friction(taut.Friction(load_external=1.01))
+        assert held(worm, 0.0, duration=1.0).q[-1, 0] == 0.0
+
     @pytest.mark.parametrize(
         ("tau", "v0", "share"), [(2.0, 1.0, 0.8), (-2.0, -1.0, 0.8), (-2.0, 9.0, 1.25), (2.0, -9.0, 1.25)]
     )

@@ -209,7 +209,7 @@ EVERYTHING: dict[str, Any] = {
 
 def test_no_parameter_of_any_stage_needs_a_compile_and_each_has_an_effect(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every number of law, sensing, limits, actuation, friction and sensors, changed one by one."""
-    arm = taut.load_arm("planar2").with_gears(ratio=[10.0, 20.0], motor_inertia=1e-3)
+    arm = taut.load_arm("planar2").with_gravity([0.0, -2.0, 0.0]).with_gears(ratio=[10.0, 20.0], motor_inertia=1e-3)
     friction = taut.Friction(
         viscous=0.2, coulomb=0.2, static=0.4, stribeck=0.1, stribeck_shape=1.5, load_motor=0.05, load_external=0.04,
         load_motor_static=0.08, load_external_static=0.06,
@@ -221,7 +221,7 @@ def test_no_parameter_of_any_stage_needs_a_compile_and_each_has_an_effect(monkey
         arm,
         rate=500.0,
         sensing=taut.Sensing(velocity=taut.Difference(cutoff=60.0), notch=taut.Notch(frequency=80.0, width=20.0)),
-        limits=taut.Limits(tau=[1.7, 0.9], tau_dot=400.0, v=1.5, blend=0.02),
+        limits=taut.Limits(tau=[8.0, 4.0], tau_dot=400.0, v=1.5, blend=0.02),
     )
     swing = taut.Sine(center=arm.home, amplitude=0.5, frequency=1.3)
     loop = taut.Loop(ctrl, taut.RigidPlant(arm, substeps=4, **EVERYTHING), swing, duration=0.3)

@@ -192,3 +192,11 @@ def test_what_does_not_go_together_is_refused_in_words() -> None:
             taut.load_arm("planar2"), integrator="rk4",
             actuation=taut.Actuation(transmission=taut.Transmission(efficiency=0.9)),
         )  # fmt: skip
+    with pytest.raises(taut.UsageError) as caught_too:
+        taut.MujocoPlant(
+            PLANAR, integrator="rk4", actuation=taut.Actuation(transmission=taut.Transmission(stiffness=1e3)),
+        )  # fmt: skip
+    assert str(caught_too.value) == (
+        "rk4 moves the arm alone, and an elastic transmission or backlash moves the motors too; use "
+        "integrator='discrete'"
+    )

@@ -144,6 +144,8 @@ def joints_replaced(arm: Arm, values: Mapping[str, ArrayLike | Mapping[str, floa
         changed: dict[str, Any] = {
             name: float(column[i]) for name, column in columns.items() if _given(values[name], joint.name)
         }
+        if changed.keys() >= set(FRICTION_FIELDS):  # a whole Friction, which says "as in motion" in numbers
+            changed |= {at_rest: None for at_rest, moving in AT_REST.items() if changed[at_rest] == changed[moving]}
         joints.append(dataclasses.replace(joint, **changed))
         problems += [
             Problem(object=joint.name, attribute=attribute, message=f"joint '{joint.name}': {text}")
@@ -160,7 +162,7 @@ def joints_replaced(arm: Arm, values: Mapping[str, ArrayLike | Mapping[str, floa
     if not moved:
         return made
     note = f"home of {quoted_list(moved)} was moved into the new limits"
-    return dataclasses.replace(made, home=home, notes=(*arm.notes, note))
+    return dataclasses.replace(made, home=home, notes=(*made.notes, note))
 
 
 def _given(value: ArrayLike | Mapping[str, float], joint: str) -> bool:

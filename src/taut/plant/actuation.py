@@ -17,7 +17,6 @@ from taut.base.paths import flatten
 from taut.base.quantity import Quantity, keep_quantities
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.plant.motor import ElectricMotor, Motor, TorqueLoop
-from taut.plant.sensors import Sensors
 from taut.plant.transmission import Transmission
 
 __all__ = ["Actuation", "Ripple", "delayed", "lagged", "mean_lagged"]
@@ -130,19 +129,12 @@ class Actuation:
         """The parts that are there which only a torque command goes through."""
         return tuple(name for name in ("resolution", *PARTS) if getattr(self, name) is not None)
 
-    def check_fit(self, arm: Arm, sensors: Sensors) -> None:
-        """Each number must be a scalar or have one entry per joint, and an inner loop needs its sensor.
+    def check_size(self, arm: Arm) -> None:
+        """Each number must be a scalar or have one entry per joint.
 
         Raises:
             ShapeError: One has another size.
-            UsageError: A torque loop without a joint torque sensor at the link.
         """
-        if self.torque_loop is not None and (sensors.torque is None or sensors.torque.side != "link"):
-            raise UsageError(
-                "actuation.torque_loop reads the joint torque sensor behind gear and friction, which these sensors "
-                "have not got; give sensors=taut.Sensors(torque=taut.TorqueSensor())",
-                name="torque_loop",
-            )
         for name, values in self.parameters().items():
             if np.ndim(values):
                 finite_array(f"actuation.{name}", values, shape=(arm.n,), joints=arm.joint_names, allow_infinite=True)

@@ -28,10 +28,14 @@ class Driven:
 
 
 def start(actuation: Actuation, arm: Arm, weight: Vector, parameters: Values) -> dict[str, Any]:
-    """The drives' memory at the start: they give the torque that holds the arm, as its brakes did before."""
+    """The drives' memory at the start: they hold the arm, as its brakes did before, or give all they can."""
     memory: dict[str, Any] = {}
     if isinstance(actuation.motor, ElectricMotor):
-        memory["current"] = weight / (arm.gear * parameters["actuation.motor.torque_constant"])
+        current = weight / (arm.gear * parameters["actuation.motor.torque_constant"])
+        if actuation.motor.current is not None:
+            most = parameters["actuation.motor.current"]
+            current = tm.clip(current, -most, most)
+        memory["current"] = current
     elif actuation.bandwidth is not None:
         memory["motor"] = weight
     if actuation.torque_loop is not None:

@@ -137,7 +137,8 @@ class TorqueLoop:
                   tau_link follows tau with the pole -ki / (1 + kp), where the drive is fast enough
                   what the loop can do ends where it is as fast as the drive: its lag, and one step of delay
 
-    It reads the joint torque sensor: `Sensors(torque=...)`, its bias included.
+    It reads the joint torque sensor at the link: `Sensors(torque=...)`, its bias included; noise and steps of that
+    sensor are those of the controller's ticks, and the loop, which is faster, has none.
 
     Args:
         kp: Proportional gain [1].

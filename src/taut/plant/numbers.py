@@ -11,17 +11,19 @@ import numpy as np
 from taut.arm.description import Arm
 from taut.arm.friction import AT_REST, check_at_rest
 from taut.base.checks import finite_array, require_at_least, require_positive
-from taut.base.errors import ShapeError
+from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.paths import flatten
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.lawside import checked_payload_entry
 from taut.plant.actuation import Actuation
 from taut.plant.drivetrain import Drivetrain
 from taut.plant.sensors import Sensors
+from taut.plant.transmission import require_rotors
 
-__all__ = ["PlantNumbers"]
+__all__ = ["PlantNumbers", "require_torque_sensor"]
 
 STIFFNESS: Final = "actuation.transmission.stiffness"  # which is infinite for a joint that is rigid
+ROTOR: Final = "plant.rotor_inertia"
 FRICTION: Final = "plant.friction."
 
 
@@ -64,6 +66,8 @@ class PlantNumbers:
                 f"{path} has shape {shape}; got shape {new.shape}; make the plant with a value of the new shape",
                 name=path,
             )
+        if path == STIFFNESS:
+            self._check_kept_apart(new)
         if path.startswith("actuation."):
             self.actuation.checked(path.partition(".")[2], new)
         elif path == f"{FRICTION}stribeck_shape":
@@ -71,7 +75,27 @@ class PlantNumbers:
         else:
             joints = self.arm.joint_names if shape == (self.arm.n,) else None
             require_at_least(path, new, 0.0, joints=joints)
+        if path == ROTOR:
+            require_rotors(self.arm, self.drivetrain.compliant, np.broadcast_to(new, shape))
         return np.broadcast_to(new, shape)
+
+    def _check_kept_apart(self, stiffness: Float64Array) -> None:
+        """Which joints are rigid is known when a plant is made.
+
+        Raises:
+            RangeError: Another joint is.
+        """
+        compliant = self.drivetrain.compliant
+        for i, value in enumerate(np.broadcast_to(stiffness, (self.arm.n,))):
+            if np.isinf(value) == (i in compliant):
+                was = "elastic" if i in compliant else "rigid"
+                raise RangeError(
+                    f"{STIFFNESS} of joint '{self.arm.joint_names[i]}' got {value:g}, and the plant was made with "
+                    f"this joint {was}; make another plant for that, or give one number per joint",
+                    name=STIFFNESS,
+                    joint=self.arm.joint_names[i],
+                    value=float(value),
+                )
 
     @staticmethod
     def check_together(values: Mapping[str, ArrayLike]) -> None:
@@ -84,3 +108,19 @@ class PlantNumbers:
             rest = values.get(FRICTION + at_rest)
             if rest is not None:
                 check_at_rest(rest, values.get(FRICTION + moving, 0.0), at_rest, prefix=FRICTION)
+
+
+def require_torque_sensor(actuation: Actuation, sensors: Sensors) -> None:
+    """An inner torque loop reads the torque behind gear and friction.
+
+    Raises:
+        UsageError: There is no sensor of it.
+    """
+    if actuation.torque_loop is None or (sensors.torque is not None and sensors.torque.side == "link"):
+        return
+    got = "None" if sensors.torque is None else "one at the motor"
+    raise UsageError(
+        "actuation.torque_loop reads the torque sensor at the link, behind gear and friction; sensors.torque is "
+        f"{got}; give sensors=taut.Sensors(torque=taut.TorqueSensor()), or leave the loop out",
+        name="torque_loop",
+    )

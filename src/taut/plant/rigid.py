@@ -28,7 +28,7 @@ from taut.plant import drive
 from taut.plant.actuation import Actuation, delayed, lagged
 from taut.plant.drivetrain import Drivetrain
 from taut.plant.environment import Environment
-from taut.plant.numbers import PlantNumbers
+from taut.plant.numbers import PlantNumbers, require_torque_sensor
 from taut.plant.sensors import Sensors
 from taut.plant.transmission import require_rotors
 from taut.plant.work import work_of_step, work_parts
@@ -120,8 +120,9 @@ class RigidPlant:
             )
         adds = Adds.of(self.adds)
         object.__setattr__(self, "adds", adds)
-        self.actuation.check_fit(self.arm, self.sensors)
+        self.actuation.check_size(self.arm)
         require_rotors(self.arm, self.drivetrain.compliant)
+        require_torque_sensor(self.actuation, self.sensors)
         if self.integrator == "rk4":
             self._check_smooth()
         if self.takes != "torque":

@@ -26,6 +26,8 @@ class Transmission:
     Model:        power: the motor drives, P_out = efficiency P_in; the load drives, P_in = efficiency P_out back
                   as a friction of the gear: |f| <= (1 - efficiency) |tau| against motion that the motor drives,
                   |f| <= (1 / efficiency - 1) |tau| against motion that the load drives; at rest it sticks
+                  tau is the motor's torque, what accelerates its rotor included: a motor without torque is driven
+                  back without loss; what a load alone holds is a taut.Friction(load_external=...)
                   play and elasticity: tau_link = K z(delta) + D delta_dot where the teeth touch, delta = q_motor - q,
                   z(delta) = delta beyond +-backlash / 2, else 0; the rotor then has a motion of its own,
                   B a_motor = tau - friction - tau_link, and friction acts on its side
@@ -169,14 +171,20 @@ class Transmission:
         )
 
 
-def require_rotors(arm: Arm, joints: tuple[int, ...]) -> None:
+def require_rotors(arm: Arm, joints: tuple[int, ...], rotor_inertia: Float64Array | None = None) -> None:
     """A motor that moves apart from its link needs a rotor.
+
+    Args:
+        arm: The arm.
+        joints: Those whose motor does.
+        rotor_inertia: (n,) seen at the joints [kg m^2 | kg]; the arm's own if left out.
 
     Raises:
         UsageError: One has none.
     """
+    rotor = arm.rotor_inertia if rotor_inertia is None else rotor_inertia
     for i in joints:
-        if arm.joints[i].rotor_inertia <= 0.0:
+        if rotor[i] <= 0.0:
             raise UsageError(
                 f"joint '{arm.joint_names[i]}' has an elastic transmission or backlash, so its motor moves by itself "
                 "and needs a rotor: arm.with_gears(ratio=, motor_inertia=), or with_joints(rotor_inertia=)",

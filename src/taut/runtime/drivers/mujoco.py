@@ -21,7 +21,7 @@ from taut.maths.compensation import compensation
 from taut.maths.model import PayloadValues, model_of
 from taut.plant.actuation import Actuation, delayed
 from taut.plant.drivetrain import Drivetrain
-from taut.plant.numbers import PlantNumbers
+from taut.plant.numbers import PlantNumbers, require_torque_sensor
 from taut.plant.sensors import Sensors
 from taut.plant.transmission import require_rotors
 from taut.runtime.drivers.mujoco_attach import Inertias, attached
@@ -130,11 +130,12 @@ class MujocoPlant:
             if not isinstance(given, part):
                 got = type(given).__name__
                 raise UsageError(f"{name} must be taut.{part.__name__}(...); got {got}", name=name)
-        drives.check_fit(arm, seen)
+        drives.check_size(arm)
         seen.check(arm, touched=True)
         left = arm.friction if friction == "arm" and not what.friction else None
         train = Drivetrain(arm=arm, friction=left, transmission=drives.transmission)
         require_rotors(arm, train.compliant)
+        require_torque_sensor(drives, seen)
         options = ModelOptions(
             drivetrain=train,
             limits=limits,
@@ -149,6 +150,12 @@ class MujocoPlant:
             raise UsageError(
                 f"rk4 needs smooth forces, and arm '{arm.name}' has {what_sticks}; use integrator='discrete', or "
                 "friction=None",
+                name="integrator",
+            )
+        if integrator == "rk4" and train.compliant:
+            raise UsageError(
+                "rk4 moves the arm alone, and an elastic transmission or backlash moves the motors too; use "
+                "integrator='discrete'",
                 name="integrator",
             )
         self._timestep = None if timestep is None else positive_scalar("timestep", timestep, unit="s")
