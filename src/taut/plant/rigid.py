@@ -15,23 +15,22 @@ import numpy as np
 from taut.arm.description import COMMANDS, Arm, CommandKind, Payload
 from taut.base import math as tm
 from taut.base.checks import finite_array, one_of
-from taut.base.errors import RangeError, ShapeError, UsageError, quoted_list, unknown_name
+from taut.base.errors import RangeError, ShapeError, UsageError, unknown_name
 from taut.base.paths import subtree
-from taut.base.types import Array, ArrayLike, Float64Array, Vector
+from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
-from taut.maths.compensation import compensation
-from taut.maths.friction import SWEEPS, dry_friction
-from taut.maths.friction_law import friction_torque
-from taut.maths.model import Model, PayloadValues, model_of
+from taut.maths.friction import SWEEPS
+from taut.maths.model import Model, model_of
 from taut.plant import drive
-from taut.plant.actuation import Actuation, delayed, lagged
+from taut.plant.actuation import Actuation, delayed
 from taut.plant.drivetrain import Drivetrain
 from taut.plant.environment import Environment
+from taut.plant.motion import Motion, payload_of
 from taut.plant.numbers import PlantNumbers, require_torque_sensor
 from taut.plant.sensors import Sensors
 from taut.plant.transmission import require_rotors
-from taut.plant.work import work_of_step, work_parts
+from taut.plant.work import work_parts
 
 __all__ = ["RigidPlant"]
 
@@ -209,9 +208,15 @@ class RigidPlant:
         return model_of(self.arm)
 
     @cached_property
-    def link_model(self) -> Model:
-        """The same without its rotors, whose inertia is a parameter."""
-        return model_of(self.arm.with_joints(rotor_inertia=0.0))
+    def _motion(self) -> Motion:
+        return Motion(
+            arm=self.arm,
+            train=self.drivetrain,
+            actuation=self.actuation,
+            environment=self.environment,
+            adds=Adds.of(self.adds),
+            sweeps=self.sweeps,
+        )
 
     @property
     def parameters(self) -> dict[str, Float64Array]:
@@ -264,8 +269,8 @@ class RigidPlant:
         """
         n = self.arm.n
         rest = np.zeros(n)
-        full = dyn.gravity_torque(self.model, q, self._payload(parameters))
-        weight = full - self._compensation(q, rest, parameters)
+        full = dyn.gravity_torque(self.model, q, payload_of(parameters))
+        weight = full - self._motion.compensation(q, rest, parameters)
         memory: dict[str, Any] = {"q": q, "v": v, "tau": weight, "held": weight, "tau_link": full}
         if self.takes == "torque":
             memory |= drive.start(self.actuation, self.arm, weight, parameters)
@@ -281,7 +286,7 @@ class RigidPlant:
             touched = self.environment.start(dyn.pose(self.model, q))
             memory |= {f"environment.{name}": value for name, value in touched.items()}
             memory["t"] = 0.0
-            memory["F_ext"], _ = self._touch(q, v, memory, parameters, 0.0, dt / self.substeps)
+            memory["F_ext"], _ = self._motion.touch(q, v, memory, parameters, 0.0, dt / self.substeps)
         if self.sensors.tip is not None:
             memory["a"] = rest
         return memory
@@ -311,176 +316,20 @@ class RigidPlant:
 
     def advance(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
         """Memory after one step of the integrator, dt long, under what stands at the drives."""
-        step = self._torque_step if self.takes == "torque" else self._driven_step
-        out = step(memory, parameters, dt)
+        if self.takes == "torque":
+            smooth = self.integrator == "rk4"
+            out = self._motion.torque_step(memory, parameters, dt, smooth=smooth, work=self._work_parts)
+        else:
+            out = self._motion.driven_step(self.takes, memory, parameters, dt)
         if self.sensors.tip is not None:
             out["a"] = (out["v"] - memory["v"]) / dt
         return out
-
-    def _driven_step(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
-        """Stiff drives: their loop decides the motion, and the torque is what that takes."""
-        q, v, wanted = memory["q"], memory["v"], memory["held"]
-        omega = parameters["actuation.bandwidth"]
-        if self.takes == "velocity":
-            v_new = lagged(wanted, v, omega, dt)
-            # The exact integral of the exponential approach.
-            q_new = q + wanted * dt + (v - wanted) * ((1.0 - tm.exp(-omega * dt)) / omega)
-        else:
-            # Critically damped: e(t) = (e0 + (v + omega e0) t) exp(-omega t), exact over the step.
-            e = -self.arm.difference(wanted, q)  # a continuous joint goes the short way round
-            wanted = q - e
-            rate = v + omega * e
-            decay = tm.exp(-omega * dt)
-            q_new = wanted + (e + rate * dt) * decay
-            v_new = (rate - omega * (e + rate * dt)) * decay
-        a = (v_new - v) / dt
-        tau = link = dyn.inverse_dynamics(self.link_model, q, v, a, self._payload(parameters))
-        if "plant.rotor_inertia" in parameters:
-            tau = tau + parameters["plant.rotor_inertia"] * a
-        friction = self.drivetrain.friction
-        if friction is not None:
-            load: Any = np.zeros(self.arm.n)
-            if friction.loaded:
-                load = -dyn.bias(self.link_model, q, v, self._payload(parameters))
-            tau = tau - friction_torque(self.drivetrain.values(parameters), v, tau, load)
-        return {**memory, "q": q_new, "v": v_new, "tau": tau, "tau_link": link}
 
     def _check_step(self, dt: float) -> None:
         """Refuse steps that are too long for a transmission."""
         if self.drivetrain.compliant:
             assert self.actuation.transmission is not None
-            M = dyn.mass_matrix(self.link_model, self.arm.home)
+            M = dyn.mass_matrix(self._motion.link_model, self.arm.home)
             self.actuation.transmission.check_step(
                 self.arm, dt, np.linalg.inv(M), lambda more: f"substeps={more * self.substeps}"
             )
-
-    def _torque_step(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
-        q, v, t = memory["q"], memory["v"], memory.get("t", 0.0)
-        train, out = self.drivetrain, dict(memory)
-        q_m, v_m = memory.get("q_motor", q), memory.get("v_motor", v)
-        added = self._compensation(q, v, parameters)
-        given = drive.driven(self.actuation, self.arm, memory, q_m, v_m, parameters, dt, added)
-        out |= given.memory
-        out["tau"] = given.tau
-        tau = given.tau + added
-        force: Any = 0.0
-        if self.environment is not None:
-            wrench, touched = self._touch(q, v, memory, parameters, t, dt)
-            out["F_ext"], out["t"] = wrench, t + dt
-            out |= {f"environment.{name}": value for name, value in touched.items()}
-            force = dyn.jacobian(self.model, q).T @ wrench
-        values, rotor = train.values(parameters), parameters.get("plant.rotor_inertia")
-        b, spring = values.viscous, tau
-        if self.integrator == "rk4":
-            q_new, v_new = self._rk4(q, v, given.tau, memory, parameters, t, dt)
-            f: Any = np.zeros(self.arm.n)
-            limits = None
-        else:
-            payload = self._payload(parameters)
-            load = force - dyn.bias(self.model, q, v, payload)
-            if train.compliant:
-                spring = train.spring(q, v, memory, parameters)
-            M = dyn.mass_matrix(self.link_model, q, payload)
-            rhs = train.merged(tau if b is None else tau - b * v, spring) + load
-            for i in train.rigid:
-                M[i, i] = M[i, i] + _entry(rotor, i) + dt * _entry(b, i)
-            factors = tm.factor_spd(M)
-            v_new = v + dt * factors.solve(rhs)
-            limits, f, at_rest = None, np.zeros(self.arm.n), np.zeros(self.arm.n)
-            if train.dry:
-                limits = train.limits(values, memory, parameters, v_m, tau, train.merged(load, -spring))
-            if limits is not None and train.rigid:
-                stop = None if train.compliant else -(rhs + M @ v / dt)
-                stuck = dry_friction(
-                    factors, v_new, limits.low, limits.high, memory["friction"], dt,
-                    joints=train.rigid, stop=stop, sweeps=self.sweeps,
-                )  # fmt: skip
-                v_new, f, at_rest = stuck.v, stuck.f, stuck.at_rest
-                if "friction_residual" in memory:
-                    out["friction_residual"] = stuck.residual
-            q_new = q + dt * v_new
-            if train.compliant:
-                moved = train.rotors(memory, tau, spring, b, limits, rotor, dt)
-                f, at_rest = train.merged(f, moved.f), train.merged(at_rest, moved.at_rest)
-                out["v_motor"] = train.merged(v_new, moved.v)
-                out["q_motor"] = train.merged(q_new, q_m + dt * moved.v)
-            if limits is not None:
-                out["friction"] = f
-                if train.remembers_rest:
-                    out["at_rest"] = at_rest
-        v_end = out.get("v_motor", v_new)
-        lost = tm.zeros(self.arm.n) if b is None else b * v_end
-        out["tau_link"] = tau + f - lost  # what of the motor's torque arrives behind the gear
-        if rotor is not None:
-            out["tau_link"] = out["tau_link"] - rotor * (v_end - v_m) / dt
-        out["v"], out["q"] = v_new, q_new
-        if self.energy:
-            work = work_of_step(
-                train, memory, out, (out.get("q_motor", q_new) - q_m, q_new - q),
-                tau=tau, given=given.tau, f=f, limits=limits, lost=lost, through=out["tau_link"], spring=spring,
-                rotor=rotor, parameters=parameters, electric=given.work, dt=dt,
-            )  # fmt: skip
-            out |= {f"work.{name}": memory[f"work.{name}"] + work[name] for name in self._work_parts}
-        return out
-
-    def _compensation(self, q: Vector, v: Vector, parameters: Values) -> Array:
-        """(n,) what the plant adds to a torque command itself, friction apart."""
-        return compensation(self.model, Adds.of(self.adds), q, v, self._payload(parameters))
-
-    def _payload(self, parameters: Values) -> PayloadValues:
-        return PayloadValues.of(subtree(parameters, "plant.payload"))
-
-    def _touch(
-        self, q: Vector, v: Vector, memory: Values, parameters: Values, t: Any, dt: Any
-    ) -> tuple[Array, dict[str, Any]]:
-        assert self.environment is not None
-        before = subtree(memory, "environment")
-        wrench, after = self.environment.wrench(
-            dyn.pose(self.model, q),
-            dyn.twist(self.model, q, v),
-            t,
-            before,
-            subtree(parameters, "environment"),
-            dt,
-        )
-        who = type(self.environment).__name__
-        if np.shape(wrench) != (6,):
-            raise ShapeError(
-                f"{who}.wrench must give shape (6,), force first; got shape {np.shape(wrench)}", name=who
-            )
-        if set(after) != set(before):
-            raise UsageError(
-                f"{who}.wrench must give back the memory that {who}.start made, {quoted_list(sorted(before))}; got "
-                f"{quoted_list(sorted(after)) or 'none'}",
-                name=who,
-            )
-        return wrench, after
-
-    def _rk4(
-        self, q: Vector, v: Vector, tau: Vector, memory: Values, parameters: Values, t: Any, dt: Any
-    ) -> tuple[Vector, Vector]:
-        payload, rotor = self._payload(parameters), parameters.get("plant.rotor_inertia")
-
-        def rates(q: Vector, v: Vector, t: Any) -> tuple[Vector, Vector]:
-            force = tau + self._compensation(q, v, parameters)
-            if "plant.friction.viscous" in parameters:
-                force = force - parameters["plant.friction.viscous"] * v
-            if self.environment is not None:
-                wrench, _ = self._touch(q, v, memory, parameters, t, dt)
-                force = force + dyn.jacobian(self.model, q).T @ wrench
-            return v, dyn.forward_dynamics(self.link_model, q, v, force, payload, damping=rotor)
-
-        half = 0.5 * dt
-        v1, a1 = rates(q, v, t)
-        v2, a2 = rates(q + half * v1, v + half * a1, t + half)
-        v3, a3 = rates(q + half * v2, v + half * a2, t + half)
-        v4, a4 = rates(q + dt * v3, v + dt * a3, t + dt)
-        sixth = dt / 6.0
-        return q + sixth * (v1 + 2.0 * (v2 + v3) + v4), v + sixth * (a1 + 2.0 * (a2 + a3) + a4)
-
-
-def _entry(value: Any, i: int) -> Any:
-    """Of a scalar or of one number per joint; nothing is zero."""
-    if value is None:
-        return 0.0
-    return value[i] if np.ndim(value) else value

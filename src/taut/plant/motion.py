@@ -1,0 +1,244 @@
+"""How a rigid arm moves in one step: under stiff drives, or under torques that motors, gears and friction pass on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from taut.arm.description import Arm, CommandKind
+from taut.base import math as tm
+from taut.base.errors import ShapeError, UsageError, quoted_list
+from taut.base.paths import subtree
+from taut.base.types import Array, Vector
+from taut.maths import dynamics as dyn
+from taut.maths.adds import Adds
+from taut.maths.compensation import compensation
+from taut.maths.friction import dry_friction
+from taut.maths.friction_law import friction_torque
+from taut.maths.model import Model, PayloadValues, model_of
+from taut.plant import drive
+from taut.plant.actuation import Actuation, lagged
+from taut.plant.drivetrain import Drivetrain, FrictionLimits
+from taut.plant.environment import Environment
+from taut.plant.work import work_of_step
+
+__all__ = ["Motion", "payload_of"]
+
+Values = Mapping[str, Any]
+
+
+def payload_of(parameters: Values) -> PayloadValues:
+    """What the tool carries, by a plant's parameters."""
+    return PayloadValues.of(subtree(parameters, "plant.payload"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Moved:
+    """An arm after a step, and what moved it."""
+
+    q: Vector
+    v: Vector
+    f: Vector  # dry friction, and losses of the gears
+    spring: Vector  # what compliant joints put on their links
+    limits: FrictionLimits | None = None
+    memory: dict[str, Any] = field(default_factory=dict)  # of friction and rotors
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """Steps of an arm with its drives, friction and environment, as pure functions of the plant's memory.
+
+    Args:
+        arm: The arm.
+        train: Its rotors, friction and transmissions.
+        actuation: Its drives.
+        environment: What touches it, if anything.
+        adds: What the plant adds to a torque command itself.
+        sweeps: Of projected Gauss-Seidel in a step.
+    """
+
+    arm: Arm
+    train: Drivetrain
+    actuation: Actuation
+    environment: Environment | None
+    adds: Adds
+    sweeps: int
+
+    @cached_property
+    def model(self) -> Model:
+        """The constants of the arm."""
+        return model_of(self.arm)
+
+    @cached_property
+    def link_model(self) -> Model:
+        """The same without its rotors, whose inertia is a parameter."""
+        return model_of(self.arm.with_joints(rotor_inertia=0.0))
+
+    def compensation(self, q: Vector, v: Vector, parameters: Values) -> Array:
+        """(n,) what the plant adds to a torque command itself, friction apart."""
+        return compensation(self.model, self.adds, q, v, payload_of(parameters))
+
+    def touch(
+        self, q: Vector, v: Vector, memory: Values, parameters: Values, t: Any, dt: Any
+    ) -> tuple[Array, dict[str, Any]]:
+        """(6,) F_ext at a state, and the environment's memory after it."""
+        assert self.environment is not None
+        before = subtree(memory, "environment")
+        wrench, after = self.environment.wrench(
+            dyn.pose(self.model, q),
+            dyn.twist(self.model, q, v),
+            t,
+            before,
+            subtree(parameters, "environment"),
+            dt,
+        )
+        who = type(self.environment).__name__
+        if np.shape(wrench) != (6,):
+            raise ShapeError(
+                f"{who}.wrench must give shape (6,), force first; got shape {np.shape(wrench)}", name=who
+            )
+        if set(after) != set(before):
+            raise UsageError(
+                f"{who}.wrench must give back the memory that {who}.start made, {quoted_list(sorted(before))}; got "
+                f"{quoted_list(sorted(after)) or 'none'}",
+                name=who,
+            )
+        return wrench, after
+
+    def driven_step(self, takes: CommandKind, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
+        """Stiff drives: their loop decides the motion, and the torque is what that takes."""
+        q, v, wanted = memory["q"], memory["v"], memory["held"]
+        omega = parameters["actuation.bandwidth"]
+        if takes == "velocity":
+            v_new = lagged(wanted, v, omega, dt)
+            # The exact integral of the exponential approach.
+            q_new = q + wanted * dt + (v - wanted) * ((1.0 - tm.exp(-omega * dt)) / omega)
+        else:
+            # Critically damped: e(t) = (e0 + (v + omega e0) t) exp(-omega t), exact over the step.
+            e = -self.arm.difference(wanted, q)  # a continuous joint goes the short way round
+            wanted = q - e
+            rate = v + omega * e
+            decay = tm.exp(-omega * dt)
+            q_new = wanted + (e + rate * dt) * decay
+            v_new = (rate - omega * (e + rate * dt)) * decay
+        a = (v_new - v) / dt
+        tau = link = dyn.inverse_dynamics(self.link_model, q, v, a, payload_of(parameters))
+        if "plant.rotor_inertia" in parameters:
+            tau = tau + parameters["plant.rotor_inertia"] * a
+        friction = self.train.friction
+        if friction is not None:
+            load: Any = np.zeros(self.arm.n)
+            if friction.loaded:
+                load = -dyn.bias(self.link_model, q, v, payload_of(parameters))
+            tau = tau - friction_torque(self.train.values(parameters), v, tau, load)
+        return {**memory, "q": q_new, "v": v_new, "tau": tau, "tau_link": link}
+
+    def torque_step(
+        self, memory: Values, parameters: Values, dt: Any, *, smooth: bool, work: tuple[str, ...]
+    ) -> dict[str, Any]:
+        """Memory after a step under what stands at the drives: by the fourth-order scheme where it is `smooth`."""
+        q, v, t = memory["q"], memory["v"], memory.get("t", 0.0)
+        q_m, v_m = memory.get("q_motor", q), memory.get("v_motor", v)
+        added = self.compensation(q, v, parameters)
+        given = drive.driven(self.actuation, self.arm, memory, q_m, v_m, parameters, dt, added)
+        out = {**memory, **given.memory, "tau": given.tau}
+        tau, force = given.tau + added, None
+        if self.environment is not None:
+            wrench, touched = self.touch(q, v, memory, parameters, t, dt)
+            out |= {"F_ext": wrench, "t": t + dt} | {f"environment.{name}": x for name, x in touched.items()}
+            force = dyn.jacobian(self.model, q).T @ wrench
+        if smooth:
+            q_new, v_new = self._rk4(q, v, given.tau, memory, parameters, t, dt)
+            moved = _Moved(q=q_new, v=v_new, f=np.zeros(self.arm.n), spring=tau)
+        else:
+            moved = self._euler(tau, force, memory, parameters, dt)
+        out |= {**moved.memory, "q": moved.q, "v": moved.v}
+        b, rotor = self.train.values(parameters).viscous, parameters.get("plant.rotor_inertia")
+        v_end = out.get("v_motor", moved.v)
+        lost = tm.zeros(self.arm.n) if b is None else b * v_end
+        out["tau_link"] = tau + moved.f - lost  # what of the motor's torque arrives behind the gear
+        if rotor is not None:
+            out["tau_link"] = out["tau_link"] - rotor * (v_end - v_m) / dt
+        if work:
+            ways = out.get("q_motor", moved.q) - q_m, moved.q - q
+            done = work_of_step(
+                self.train, memory, out, ways,
+                tau=tau, given=given.tau, f=moved.f, limits=moved.limits, lost=lost, through=out["tau_link"],
+                spring=moved.spring, rotor=rotor, parameters=parameters, electric=given.work, dt=dt,
+            )  # fmt: skip
+            out |= {f"work.{name}": memory[f"work.{name}"] + done[name] for name in work}
+        return out
+
+    def _euler(self, tau: Vector, force: Vector | None, memory: Values, parameters: Values, dt: Any) -> _Moved:
+        """Semi-implicit Euler, with viscous friction at the end of the step and dry friction that sticks."""
+        q, v, train = memory["q"], memory["v"], self.train
+        payload, values = payload_of(parameters), train.values(parameters)
+        b, rotor = values.viscous, parameters.get("plant.rotor_inertia")
+        load = -dyn.bias(self.model, q, v, payload)
+        if force is not None:
+            load = load + force
+        spring = train.spring(q, v, memory, parameters) if train.compliant else tau
+        M = dyn.mass_matrix(self.link_model, q, payload)
+        rhs = train.merged(tau if b is None else tau - b * v, spring) + load
+        for i in train.rigid:
+            M[i, i] = M[i, i] + _entry(rotor, i) + dt * _entry(b, i)
+        factors = tm.factor_spd(M)
+        v_new = v + dt * factors.solve(rhs)
+        after: dict[str, Any] = {}
+        limits, f, at_rest = None, np.zeros(self.arm.n), np.zeros(self.arm.n)
+        if train.dry:
+            v_m = memory.get("v_motor", v)
+            limits = train.limits(values, memory, parameters, v_m, tau, train.merged(load, -spring))
+        if limits is not None and train.rigid:
+            stop = None if train.compliant else -(rhs + M @ v / dt)
+            stuck = dry_friction(
+                factors, v_new, limits.low, limits.high, memory["friction"], dt,
+                joints=train.rigid, stop=stop, sweeps=self.sweeps,
+            )  # fmt: skip
+            v_new, f, at_rest = stuck.v, stuck.f, stuck.at_rest
+            if "friction_residual" in memory:
+                after["friction_residual"] = stuck.residual
+        q_new = q + dt * v_new
+        if train.compliant:
+            rotors = train.rotors(memory, tau, spring, b, limits, rotor, dt)
+            f, at_rest = train.merged(f, rotors.f), train.merged(at_rest, rotors.at_rest)
+            after["v_motor"] = train.merged(v_new, rotors.v)
+            after["q_motor"] = train.merged(q_new, memory["q_motor"] + dt * rotors.v)
+        if limits is not None:
+            after["friction"] = f
+            if train.remembers_rest:
+                after["at_rest"] = at_rest
+        return _Moved(q=q_new, v=v_new, f=f, spring=spring, limits=limits, memory=after)
+
+    def _rk4(
+        self, q: Vector, v: Vector, tau: Vector, memory: Values, parameters: Values, t: Any, dt: Any
+    ) -> tuple[Vector, Vector]:
+        payload, rotor = payload_of(parameters), parameters.get("plant.rotor_inertia")
+
+        def rates(q: Vector, v: Vector, t: Any) -> tuple[Vector, Vector]:
+            force = tau + self.compensation(q, v, parameters)
+            if "plant.friction.viscous" in parameters:
+                force = force - parameters["plant.friction.viscous"] * v
+            if self.environment is not None:
+                wrench, _ = self.touch(q, v, memory, parameters, t, dt)
+                force = force + dyn.jacobian(self.model, q).T @ wrench
+            return v, dyn.forward_dynamics(self.link_model, q, v, force, payload, damping=rotor)
+
+        half = 0.5 * dt
+        v1, a1 = rates(q, v, t)
+        v2, a2 = rates(q + half * v1, v + half * a1, t + half)
+        v3, a3 = rates(q + half * v2, v + half * a2, t + half)
+        v4, a4 = rates(q + dt * v3, v + dt * a3, t + dt)
+        sixth = dt / 6.0
+        return q + sixth * (v1 + 2.0 * (v2 + v3) + v4), v + sixth * (a1 + 2.0 * (a2 + a3) + a4)
+
+
+def _entry(value: Any, i: int) -> Any:
+    """Of a scalar or of one number per joint; nothing is zero."""
+    if value is None:
+        return 0.0
+    return value[i] if np.ndim(value) else value
