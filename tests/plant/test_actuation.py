@@ -284,3 +284,67 @@ def test_rotors_make_the_arm_heavier_at_its_own_joint_alone() -> None:
     assert np.abs(taut.run(law, plant, ref, duration=0.5).metrics.peak_error).max() < 1e-3
     lighter = [taut.Event(t=0.0, set={"plant.rotor_inertia": 0.0})]
     assert np.abs(taut.run(law, plant, ref, duration=0.5, events=lighter).metrics.peak_error).max() > 5e-3
+
+
+class TestStepsThatAreTooLong:
+    """What answers within a step is refused before it swings up, with how many steps are enough."""
+
+    def refused(self, plant: taut.RigidPlant) -> str:
+        with pytest.raises(taut.RangeError) as caught:
+            taut.run(taut.compile(taut.laws.PID(kp=1.0), plant.arm), plant, duration=0.1)
+        return str(caught.value)
+
+    def test_for_the_steep_curve_of_a_motor_without_a_rotor(self) -> None:
+        arm = FREE.with_joints(gear=200.0)
+        motor = taut.Motor(stall=0.5, no_load=30.0)
+        message = self.refused(taut.RigidPlant(arm, actuation=taut.Actuation(motor=motor)))
+        assert message == (
+            "the motor of joint 'joint1' loses torque with speed so steeply that its joint answers in 0.00075 s, too "
+            "fast for steps of 0.001 s; give the plant substeps=2, or the joint its rotor's inertia: "
+            "arm.with_gears(ratio=, motor_inertia=)"
+        )
+        enough = taut.RigidPlant(arm, actuation=taut.Actuation(motor=motor), substeps=2)
+        push = taut.compile(taut.laws.PID(kp=1.0), arm)
+        run = taut.run(push, enough, taut.JointMotion(q=[1e4]), duration=1.0)
+        assert run.v[-1, 0] == pytest.approx(30.0 / 200.0, rel=1e-3)
+
+    def test_for_a_motor_under_a_voltage(self) -> None:
+        arm = FREE.with_joints(gear=200.0)
+        motor = taut.ElectricMotor(torque_constant=0.1, resistance=0.5, voltage=24.0)
+        assert "give the plant substeps=2," in self.refused(
+            taut.RigidPlant(arm, actuation=taut.Actuation(motor=motor))
+        )
+        free = taut.ElectricMotor(torque_constant=0.1, resistance=0.5)  # a supply without end holds any current
+        plant = taut.RigidPlant(arm, actuation=taut.Actuation(motor=free))
+        assert taut.run(taut.compile(taut.laws.PID(kp=1.0), arm), plant, duration=0.1).outcome.ok
+
+    def test_for_an_inner_loop_that_reads_the_step_before(self) -> None:
+        loop = taut.TorqueLoop(kp=1.5)
+        message = self.refused(taut.RigidPlant(FREE, actuation=taut.Actuation(torque_loop=loop)))
+        assert message == (
+            "actuation.torque_loop.kp of joint 'joint1' must be below 1 for steps of 0.001 s, since the loop reads the "
+            "torque of the step before; lower it, or give the drive a bandwidth"
+        )
+        fast = taut.RigidPlant(FREE, actuation=taut.Actuation(torque_loop=taut.TorqueLoop(kp=3.0), bandwidth=3000.0))
+        assert self.refused(fast).endswith("lower it, or give the plant substeps=2")
+        left, mean = np.exp(-3.0), (1.0 - np.exp(-3.0)) / 3.0
+        most = (1.0 + left) / (1.0 + left - 2.0 * mean)
+        for kp, stable in ((0.97 * most, True), (1.03 * most, False)):
+            drives = taut.Actuation(torque_loop=taut.TorqueLoop(kp=kp), bandwidth=3000.0)
+            plant = taut.RigidPlant(FREE, actuation=drives)
+            p = {path: value.copy() if value.ndim else value[()] for path, value in plant.parameters.items()}
+            memory = taut.RigidPlant(FREE, actuation=taut.Actuation(torque_loop=taut.TorqueLoop(kp=0.1), bandwidth=3000.0)).start(
+                np.zeros(1), np.zeros(1), p, 1e-3
+            )  # fmt: skip
+            for k in range(2000):
+                memory = plant.advance(plant.command(np.ones(1), memory, k * 1e-3), p, 1e-3)
+            assert bool(abs(memory["tau"][0]) < 10.0) is stable
+
+    def test_a_rotor_that_takes_most_of_the_torque_lets_the_loop_be_steeper(self) -> None:
+        arm = FREE.with_gears(ratio=100.0, motor_inertia=2e-4)  # 2 kg m^2 before a link of 0.5
+        loop = taut.TorqueLoop(kp=4.5)  # a fifth of the torque arrives at once
+        plant = taut.RigidPlant(arm, actuation=taut.Actuation(torque_loop=loop))
+        assert taut.run(taut.compile(taut.laws.PID(kp=1.0), arm), plant, duration=0.5).outcome.ok
+        assert "must be below 5 for" in self.refused(
+            taut.RigidPlant(arm, actuation=taut.Actuation(torque_loop=taut.TorqueLoop(kp=5.5)))
+        )

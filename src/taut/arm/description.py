@@ -369,7 +369,8 @@ class Arm:
     def with_servo(self, servos: Servo | Mapping[str, Servo]) -> Arm:
         """A copy with the friction and the rotor inertia of a servo in every joint, or of one each by joint name.
 
-        Effort and speed limits stay what they were; `with_joints(effort=servo.stall_torque)` changes them.
+        A servo's numbers are those of its output, so that the gear ratio of such a joint is 1. Effort and
+        speed limits stay what they were; `with_joints(effort=servo.stall_torque)` changes them.
 
         Raises:
             UnknownNameError: The arm has no such joint.

@@ -116,7 +116,7 @@ def with_servos(arm: Arm, servos: Servo | Mapping[str, Servo]) -> Arm:
     columns: dict[str, Float64Array] = {
         name: np.array(getattr(arm.friction, name), dtype=np.float64) for name in FRICTION_FIELDS
     }
-    columns["rotor_inertia"] = arm.rotor_inertia.copy()
+    columns["rotor_inertia"], columns["gear"] = arm.rotor_inertia.copy(), arm.gear.copy()
     for name, servo in by_joint.items():
         i = arm.joint_index(name)
         if not isinstance(servo, Servo):  # callers without a type checker
@@ -132,4 +132,5 @@ def with_servos(arm: Arm, servos: Servo | Mapping[str, Servo]) -> Arm:
         for field in FRICTION_FIELDS:
             columns[field][i] = float(np.asarray(getattr(servo.friction, field)))
         columns["rotor_inertia"][i] = servo.rotor_inertia
+        columns["gear"][i] = 1.0  # all of a servo's numbers are those of its output
     return arm.with_joints(**columns)

@@ -34,7 +34,8 @@ class Dither(Law):
                   that is viscous friction (2 mu / (pi V)) v near rest, which holds no joint, but slows it down
                   it needs A well above the static friction, and f well above what the loop follows
 
-    The frequency must be below half the rate of the controller, where a sampled sine is no sine any more.
+    The frequency must be below half the rate of the controller, where a sampled sine is no sine any more. Another
+    frequency in a run is another phase at once; `Limits(blend=)` takes the jump up.
 
     References:
         Section 10.2.1.4 a closer look at friction. Armstrong-Helouvry, Dupont and Canudas de Wit (1994), section 4.

@@ -54,6 +54,13 @@ class Motor:
             raise UsageError("Motor needs peak=, or stall= and no_load=, or all three; without limits leave it out")
         keep_quantities(self)
 
+    def braking(self, gear: Float64Array) -> Float64Array:
+        """(n,) how much less torque there is at the joint per speed, where the curve is the limit [N m s/rad]."""
+        if self.stall is None or self.no_load is None:
+            return np.zeros(len(gear))
+        slope: Float64Array = gear**2 * np.asarray(self.stall) / np.asarray(self.no_load)
+        return slope
+
     def limited(self, tau: Vector, v: Vector, gear: Float64Array, p: Values) -> Vector:
         """(n,) a torque at the joint, within the curve at joint speeds v."""
         high: Any = None
@@ -105,6 +112,13 @@ class ElectricMotor:
 
     def __post_init__(self) -> None:
         keep_quantities(self)
+
+    def braking(self, gear: Float64Array) -> Float64Array:
+        """(n,) how much less torque there is at the joint per speed, where the voltage is the limit [N m s/rad]."""
+        if self.voltage is None:
+            return np.zeros(len(gear))
+        slope: Float64Array = (gear * np.asarray(self.torque_constant)) ** 2 / np.asarray(self.resistance)
+        return slope
 
     @property
     def stall(self) -> Float64Array:

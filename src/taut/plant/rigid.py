@@ -29,6 +29,7 @@ from taut.plant.environment import Environment
 from taut.plant.motion import Motion, payload_of
 from taut.plant.numbers import PlantNumbers, require_torque_sensor
 from taut.plant.sensors import Sensors
+from taut.plant.step_length import require_short_steps
 from taut.plant.transmission import require_rotors
 from taut.plant.work import work_parts
 
@@ -278,7 +279,12 @@ class RigidPlant:
             if self.drivetrain.dry and len(self.drivetrain.rigid) > 1:
                 memory["friction_residual"] = 0.0
             memory |= {f"work.{name}": tm.zeros(n) for name in self._work_parts}
-            self._check_step(dt / self.substeps)
+            require_short_steps(
+                self.drivetrain,
+                self.actuation,
+                dt / self.substeps,
+                lambda more: f"substeps={more * self.substeps}",
+            )
         taps = self.actuation.taps(dt)
         if taps:
             memory["delay"] = tm.stack([{"torque": weight, "velocity": rest, "position": q}[self.takes]] * taps)
@@ -324,12 +330,3 @@ class RigidPlant:
         if self.sensors.tip is not None:
             out["a"] = (out["v"] - memory["v"]) / dt
         return out
-
-    def _check_step(self, dt: float) -> None:
-        """Refuse steps that are too long for a transmission."""
-        if self.drivetrain.compliant:
-            assert self.actuation.transmission is not None
-            M = dyn.mass_matrix(self._motion.link_model, self.arm.home)
-            self.actuation.transmission.check_step(
-                self.arm, dt, np.linalg.inv(M), lambda more: f"substeps={more * self.substeps}"
-            )

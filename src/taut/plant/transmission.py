@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -136,39 +136,6 @@ class Transmission:
         play = p["backlash"] > 0.0
         pushing = tm.where(z > 0.0, tm.maximum(spring, 0.0), tm.minimum(spring, 0.0))
         return tm.where(play, pushing, spring)  # type: ignore[no-any-return]
-
-    def check_step(self, arm: Arm, dt: float, M_inverse: Float64Array, way_out: Callable[[int], str]) -> None:
-        """A step must be short against the swing of motor against link.
-
-        Args:
-            arm: The arm.
-            dt: Length of a step [s].
-            M_inverse: (n, n) of the links alone.
-            way_out: The words for so many times as many steps.
-
-        Raises:
-            RangeError: It is not; the sentence says what is enough.
-        """
-        n = arm.n
-        joints = list(self.compliant(n))
-        if not joints:
-            return
-        rotor = arm.rotor_inertia[joints]
-        mobility = 1.0 / rotor + np.diag(M_inverse)[joints]
-        K = np.broadcast_to(self.stiffness, (n,))[joints]  # type: ignore[arg-type]
-        D = np.broadcast_to(self.damping, (n,))[joints]
-        omega = np.sqrt(K * mobility)
-        fast = np.maximum(omega, 2.0 * D * mobility)
-        worst = int(np.argmax(fast))
-        if fast[worst] * dt <= 1.0:
-            return
-        more = int(np.ceil(fast[worst] * dt))
-        raise RangeError(
-            f"the transmission of joint '{arm.joint_names[joints[worst]]}' swings at {omega[worst]:.3g} rad/s, too "
-            f"fast for steps of {dt:g} s; give the plant {way_out(more)}, a softer spring or less damping",
-            name="stiffness",
-            value=float(omega[worst] * dt),
-        )
 
 
 def require_rotors(arm: Arm, joints: tuple[int, ...], rotor_inertia: Float64Array | None = None) -> None:

@@ -19,6 +19,7 @@ from taut.maths.model import PayloadValues, model_of
 from taut.plant import drive
 from taut.plant.actuation import Actuation
 from taut.plant.drivetrain import Drivetrain
+from taut.plant.step_length import require_short_steps
 from taut.runtime.drivers.mujoco_rig import Rig
 
 __all__ = ["JointStage", "LinkTorque"]
@@ -123,10 +124,7 @@ class JointStage:
         memory |= drive.start(self._actuation, arm, weight, parameters)
         started = self._train.start(q, v, full, parameters)
         memory |= {name: value for name, value in started.items() if name != "friction"}
-        if self._train.compliant:
-            assert self._actuation.transmission is not None
-            M = dyn.mass_matrix(model_of(arm.with_joints(rotor_inertia=0.0)), arm.home)
-            self._actuation.transmission.check_step(arm, h, np.linalg.inv(M), lambda more: f"timestep={h / more:.3g}")
+        require_short_steps(self._train, self._actuation, h, lambda more: f"timestep={h / more:.3g}")
         n = arm.n
         if self._loop is None:
             self._inputs = Block.of({"q": (n,), "v": (n,), "F_ext": (6,)})
