@@ -126,7 +126,7 @@ class JointStage:
         if self._train.compliant:
             assert self._actuation.transmission is not None
             M = dyn.mass_matrix(model_of(arm.with_joints(rotor_inertia=0.0)), arm.home)
-            self._actuation.transmission.check_step(arm, h, np.linalg.inv(M), lambda more: f"timestep={h / more:.3g}")
+            self._actuation.transmission.check_step(arm, h, np.linalg.inv(M), lambda more: f"timestep={h / more:.9g}")
         n = arm.n
         if self._loop is None:
             self._inputs = Block.of({"q": (n,), "v": (n,), "F_ext": (6,)})
