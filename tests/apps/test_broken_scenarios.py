@@ -132,6 +132,16 @@ CASES: dict[str, tuple[dict[str, Any], str | None, str]] = {
     "a rate that is text": ({"control.rate": "fast"}, "control", "rate must be a number; got 'fast'"),
     "a rate that no controller has": ({"control.rate": 1e9}, "control", "rate must be between 0.001 and 1e+06 [Hz]; got 1e+09"),
     "another velocity": ({"control.velocity": "diff"}, "control", "velocity must be one of 'measured', 'difference'"),
+    "the kinds of velocity": (
+        {"control.velocity": 80},
+        "control",
+        "velocity must be one of 'measured', 'difference', or a table with kind = one of 'low-pass', 'difference', 'kalman'; got 80\n",
+    ),
+    "sensing in its own table": (
+        {"control.sensing": {"velocity": "difference"}},
+        "control",
+        "has no key 'sensing'; it takes 'F_ext', 'limits', 'notch', 'rate', 'tau_meas', 'velocity'\n",
+    ),
     "limits of an arm that states none": ({"control.limits": "arm"}, "control", "limits: planar2: arm 'planar2' states no"),
     "the way out of it": (
         {"control.limits": "arm"},
@@ -308,6 +318,15 @@ CASES: dict[str, tuple[dict[str, Any], str | None, str]] = {
         {"plant.actuation": {"motor": {}}},
         "plant.actuation.motor",
         "needs peak, or stall and no_load, or all three; without limits leave it out\n",
+    ),
+    "a spring too stiff for MuJoCo's steps": (
+        {
+            "plant.kind": "mujoco",
+            "plant.gears": {"ratio": 100, "motor_inertia": 1e-6},
+            "plant.actuation": {"transmission": {"stiffness": 5e4}},
+        },
+        "plant",
+        "timestep: the transmission of joint 'joint2' swings at 2.35e+03 rad/s, too fast for steps of 0.001 s; give the plant timestep = 0.000333333333,",
     ),
     "half a curve": ({"plant.actuation": {"motor": {"stall": 1}}}, "plant.actuation.motor", "needs both stall [N m] and no_load [rad/s], or neither\n"),
     "an electric motor without a constant": ({"plant.actuation": {"motor": {"resistance": 1}}}, "plant.actuation.motor", "needs the key 'torque_constant'"),

@@ -217,6 +217,12 @@ class TestMjcf:
         assert creep['<option noslip_iterations="10"/>'] < 1e-3 * creep[""]
 
 
+def test_a_joint_that_is_not_there_has_no_words() -> None:
+    words = to_urdf_dynamics(taut.load_arm("one_joint"))
+    with pytest.raises(taut.UnknownNameError, match=r"^the arm has no joint 'joint2'; did you mean 'joint1'\?$"):
+        words.xml("joint2")
+
+
 @pytest.mark.parametrize("write", [to_urdf_dynamics, to_mjcf_joints])
 def test_only_an_arm_has_joints_with_names(write: object) -> None:
     with pytest.raises(UsageError, match=r"takes an Arm; got Friction; arm.with_friction\(...\) makes one"):

@@ -42,6 +42,11 @@ def test_the_share_of_the_rotors_is_that_of_the_mass_matrix() -> None:
     np.testing.assert_array_equal(taut.rotor_share(arm), taut.rotor_share(arm, arm.home))
 
 
+def test_only_an_arm_has_rotors() -> None:
+    with pytest.raises(taut.UsageError, match=r"^rotor_share takes an Arm from taut\.load_arm; got str$"):
+        taut.rotor_share("panda")  # type: ignore[arg-type]
+
+
 def test_a_matched_gear_has_half_of_the_inertia() -> None:
     arm = taut.load_arm("one_joint")
     link = float(taut.snapshot(arm, [0.0]).M[0, 0])

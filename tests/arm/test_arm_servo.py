@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import sys
 import types
@@ -167,6 +168,17 @@ class TestTheFileOfTheSo101:
             servo.stall_torque  # noqa: B018
         with pytest.raises(UsageError, match="the no-load speed of a servo needs its 'torque_constant', 'voltage'"):
             Servo(friction=Friction(), rotor_inertia=0.0).no_load_speed  # noqa: B018
+
+    def test_the_way_out_gives_what_a_file_lacks(self, tmp_path: Path) -> None:
+        lacking = {name: value for name, value in STS3215.items() if name != "R"}
+        servo = taut.load_servo(written(tmp_path, lacking), voltage=24.0)
+        with pytest.raises(UsageError) as caught:
+            servo.stall_torque  # noqa: B018
+        assert str(caught.value) == (
+            "the stall torque of a servo needs its 'resistance'; give it: dataclasses.replace(servo, "
+            "resistance=...), or taut.Servo(...)"
+        )
+        assert dataclasses.replace(servo, resistance=2.0).stall_torque > 0.0
 
     def test_a_motor_that_is_not_there_is_noted(self, tmp_path: Path) -> None:
         data = {key: value for key, value in STS3215.items() if key not in ("R", "q_offset")}

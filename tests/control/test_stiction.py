@@ -272,3 +272,10 @@ def test_a_frequency_is_checked_when_it_changes_too() -> None:
     event = taut.Event(t=0.1, set={"law.Dither.frequency": 700.0})
     with pytest.raises(taut.RangeError, match="half the rate"):
         taut.run(ctrl, taut.RigidPlant(ARM), duration=0.2, events=[event])
+
+
+def test_a_dither_without_a_frequency_is_refused() -> None:
+    law = taut.laws.PID(kp=1.0) + taut.laws.Dither(amplitude=1.0, frequency=0.0)
+    with pytest.raises(taut.RangeError) as caught:
+        taut.compile(law, taut.load_arm("planar2"))
+    assert str(caught.value) == "frequency must be > 0 [Hz]; got 0.0"

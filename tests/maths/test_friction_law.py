@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taut import Friction
+from taut import Friction, ShapeError
 from taut import math as tm
 from taut.base.graph import Graph
 from taut.base.scalar import Scalar, tracing
@@ -208,3 +208,29 @@ def test_numbers_and_symbols_give_the_same() -> None:
                 entry.node if isinstance(entry, Scalar) else graph.const(entry) for entry in limit(tm.array(entries))
             ]
         np.testing.assert_allclose(graph.evaluate(nodes, x.tolist()), limit(x), rtol=SAME)
+
+
+MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
+    "nothing": (lambda: Friction(coulomb=None), "friction.coulomb must be numbers [N m | N]; got None"),  # type: ignore[arg-type]
+    "no numbers": (lambda: Friction(viscous=[]), "friction.viscous must be one number or one per joint; got shape (0,)"),
+    "two sizes": (
+        lambda: Friction(viscous=[1.0, 1.0], coulomb=[0.5, 0.5, 0.5]),
+        "friction.coulomb must be one number or 2, one per joint as friction.viscous; got shape (3,)",
+    ),
+    "two sizes at rest": (
+        lambda: Friction(coulomb=[0.5, 0.5], static=[1.0, 1.0, 1.0]),
+        "friction.static must be one number or 2, one per joint as friction.coulomb; got shape (3,)",
+    ),
+    "two sizes of one": (
+        lambda: Friction(coulomb=[0.5], load_motor=[0.1, 0.1]),
+        "friction.load_motor must be one number or 1, one per joint as friction.coulomb; got shape (2,)",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_friction_of_joints_is_numbers_for_the_same_joints(name: str) -> None:
+    make, message = MISTAKES[name]
+    with pytest.raises(ShapeError) as caught:
+        make()
+    assert str(caught.value) == message

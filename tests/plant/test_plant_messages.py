@@ -37,7 +37,7 @@ CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
     (
         lambda: taut.RigidPlant(ARM, "none"),  # type: ignore[arg-type]
         taut.UsageError,
-        "friction must be 'arm' or None; got 'none'",
+        "friction must be 'arm' or None; got 'none'; another friction is the arm's: arm.with_friction(...)",
     ),
     (
         lambda: taut.RigidPlant(ARM, integrator="euler"),  # type: ignore[arg-type]

@@ -402,6 +402,8 @@ CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
     (lambda: taut.WrenchSensor(bias=[1.0, 2.0, 3.0]), taut.ShapeError, "wrench_sensor.bias must be (force, moment) or six numbers [N, N m]; got shape (3,)"),
     (lambda: taut.WrenchSensor(range=(100.0, 0.0)), taut.RangeError, "wrench_sensor.range[1] must be > 0 [N, N m]; got 0.0; leave it out for a sensor without end"),
     (lambda: taut.Accelerometer(range=0.0), taut.RangeError, "accelerometer.range must be > 0 [m/s^2]; got 0.0; leave it out for a sensor without end"),
+    (lambda: taut.RigidPlant(ARM, sensors=Sensors(position=taut.Encoder(resolution=4096))), taut.RangeError, "sensors.position.resolution of joint 'joint1' must be at most a turn, 6.283 [rad]; got 4096; N counts in a turn are steps of 2*pi/N"),
+    (lambda: taut.RigidPlant(ARM, sensors=Sensors(motor=taut.Encoder(resolution=1e-3))).checked_parameter("sensors.motor.resolution", 7.0), taut.RangeError, "sensors.motor.resolution of joint 'joint1' must be at most a turn, 6.283 [rad]; got 7; N counts in a turn are steps of 2*pi/N"),
     (lambda: Sensors(position=None), taut.UsageError, "sensors.position must be taut.Encoder(...); got NoneType"),  # type: ignore[arg-type]
     (lambda: Sensors(velocity=taut.Encoder()), taut.UsageError, "sensors.velocity must be taut.Tachometer(...) or None; got Encoder"),  # type: ignore[arg-type]
     (lambda: Sensors(motor=taut.Encoder(side="link")), taut.UsageError, "sensors.motor is at the motor; got side='link'; leave side out, or give it as position="),

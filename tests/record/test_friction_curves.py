@@ -104,7 +104,9 @@ def test_what_cannot_be_drawn_is_told() -> None:
         plot_friction([Friction()])  # type: ignore[arg-type]
     with pytest.raises(UsageError, match=r"'a' must be a taut\.Friction; got float"):
         plot_friction({"a": 1.0})  # type: ignore[dict-item]
-    with pytest.raises(ShapeError, match="'a' must be the friction of one joint, each number a scalar"):
+    with pytest.raises(
+        ShapeError, match="'a' must be the friction of one joint, each number a scalar; got coulomb of shape"
+    ):
         plot_friction({"a": Friction(coulomb=[0.1, 0.2])})
     with pytest.raises(UsageError, match="a figure has 1 to 12 panels of friction; got 0"):
         plot_friction({})

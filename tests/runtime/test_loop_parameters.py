@@ -172,6 +172,20 @@ def test_values_that_do_not_go_together_are_refused_and_nothing_changes() -> Non
         taut.run(loop, events=[taut.Event(t=0.05, set={"plant.friction.coulomb": 1.6})])
 
 
+def test_a_spring_that_a_parameter_makes_too_stiff_for_the_steps_is_refused_when_the_run_begins() -> None:
+    arm = taut.load_arm("planar2").with_gears(ratio=10.0, motor_inertia=1e-3)
+    soft = taut.Actuation(transmission=taut.Transmission(stiffness=200.0))
+    loop = taut.Loop(
+        taut.compile(taut.laws.PID(kp=1.0), arm), taut.RigidPlant(arm, actuation=soft, substeps=3), duration=0.1
+    )
+    assert taut.run(loop).outcome.ok
+    loop.parameters["actuation.transmission.stiffness"] = 1e6
+    with pytest.raises(
+        taut.RangeError, match=r"too fast for steps of 0\.000333333 s; give the plant substeps=\d+, a softer"
+    ):
+        taut.run(loop)
+
+
 def test_a_parameter_cannot_be_removed() -> None:
     with pytest.raises(taut.UsageError, match=r"parameter 'law.kp' cannot be removed; set it"):
         del loop_of().parameters["law.kp"]

@@ -162,8 +162,9 @@ def test_parameters_of_every_part_change_in_a_run() -> None:
     np.testing.assert_array_equal(again, plain.q)
 
 
-def test_steps_that_are_too_long_for_a_spring_are_refused_with_what_is_enough() -> None:
-    stiff = taut.Actuation(transmission=taut.Transmission(stiffness=1e6))
+@pytest.mark.parametrize("stiffness", [1e5, 1e6, 3e6])
+def test_steps_that_are_too_long_for_a_spring_are_refused_with_what_is_enough(stiffness: float) -> None:
+    stiff = taut.Actuation(transmission=taut.Transmission(stiffness=stiffness))
     ctrl = taut.compile(taut.laws.PID(kp=1.0), PLANAR)
     with pytest.raises(taut.RangeError) as caught:
         taut.run(ctrl, taut.MujocoPlant(PLANAR, actuation=stiff), duration=0.01)

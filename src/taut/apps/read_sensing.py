@@ -7,12 +7,14 @@ from typing import Any, Final
 
 from taut.apps.toml import Section
 from taut.arm.description import Arm
+from taut.base.errors import quoted_list
 from taut.control.filters import LowPass, Notch
 from taut.control.sensing import FILTERED, VELOCITIES, Sensing
 from taut.control.velocity import Difference, Kalman
 
-__all__ = ["read_sensing"]
+__all__ = ["SENSED", "read_sensing"]
 
+SENSED: Final = ("velocity", "notch", *FILTERED)  # the keys of [control] that are read here
 KINDS: Final[Mapping[str, Any]] = {"low-pass": LowPass, "difference": Difference, "kalman": Kalman}
 KEYS: Final[Mapping[str, tuple[str, ...]]] = {
     "low-pass": ("cutoff", "order"),
@@ -42,9 +44,14 @@ def read_sensing(section: Section, arm: Arm, rate: float) -> Sensing:
     elif isinstance(given, str) and given in KINDS and given not in VELOCITIES:
         numbers = ", ".join(f"{name} = ..." for name in REQUIRED[given])
         raise section.error(f'velocity = "{given}" needs its numbers: {{ kind = "{given}", {numbers} }}')
+    elif given is not None and given not in VELOCITIES:
+        raise section.error(
+            f"velocity must be one of {quoted_list(VELOCITIES)}, or a table with kind = one of "
+            f"{quoted_list(KINDS)}; got {given!r}"
+        )
     else:
         parts["velocity"] = section.word("velocity", VELOCITIES, "measured")
-    for name in ("notch", *FILTERED):
+    for name in SENSED[1:]:
         if name in section:
             kind, cls = ("notch", Notch) if name == "notch" else ("low-pass", LowPass)
             parts[name] = _part(section.section(name), name, kind, cls, arm, rate)

@@ -17,7 +17,7 @@ from taut.apps.read_arm import read_arm
 from taut.apps.read_laws import read_law, read_limits
 from taut.apps.read_plant import Plant, read_plant
 from taut.apps.read_reference import read_reference
-from taut.apps.read_sensing import read_sensing
+from taut.apps.read_sensing import SENSED, read_sensing
 from taut.apps.toml import Section, read_toml
 from taut.arm.description import Arm
 from taut.base.checks import positive_scalar
@@ -227,7 +227,7 @@ def _control(section: Section, arm: Arm) -> tuple[float, Sensing, Limits | None]
         raise section.error(f"rate must be between {RATES[0]:g} and {RATES[1]:g} [Hz]; got {rate:g}")
     sensing = read_sensing(section, arm, rate)
     limits = read_limits(section, arm, rate)
-    section.done()
+    section.only(*SENSED)
     return rate, sensing, limits
 
 

@@ -46,6 +46,7 @@ WORDS: Final = {
     "taut.Transmission(stiffness=1e4, ...)  # N m/rad": "stiffness = 1e4 [N m/rad]",
     "arm.with_gears(ratio=, motor_inertia=), or with_joints(rotor_inertia=)": "give it gears or rotor_inertia",
     "give the plant substeps=": "give the plant substeps = ",
+    "give the plant timestep=": "give the plant timestep = ",
 }
 """Ways out that are written for Python, as they are written in a scenario."""
 

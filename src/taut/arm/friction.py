@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Final
 
@@ -60,6 +61,7 @@ class Friction:
 
     Raises:
         RangeError: A negative number, or less friction at rest than in motion.
+        ShapeError: Neither one number nor one per joint, or for another number of joints than the others.
 
     Example:
         >>> Friction(coulomb=0.5, static=0.8).static.tolist()
@@ -86,17 +88,18 @@ class Friction:
         kept: dict[str, Float64Array] = {}
         for name, unit in FRICTION_UNITS.items():
             given = getattr(self, name)
-            if given is None:
+            if given is None and name in AT_REST:
                 kept[name] = kept[AT_REST[name]]
                 continue
             values = finite_array(f"friction.{name}", given, unit=unit)
-            if values.ndim > 1:
+            if values.ndim > 1 or not values.size:
                 raise ShapeError(
                     f"friction.{name} must be one number or one per joint; got shape {values.shape}", name=name
                 )
             check = require_positive if name == "stribeck_shape" else _not_negative
             check(f"friction.{name}", values, unit=unit)
             kept[name] = values
+        _require_one_size(kept)
         for name, moving in AT_REST.items():
             check_at_rest(kept[name], kept[moving], name)
         for name, values in kept.items():
@@ -123,6 +126,20 @@ FRICTION_FIELDS: Final = tuple(field.name for field in fields(Friction))
 
 def _not_negative(name: str, values: Float64Array, *, unit: str) -> None:
     require_at_least(name, values, 0.0, unit=unit)
+
+
+def _require_one_size(kept: Mapping[str, Float64Array]) -> None:
+    """What is given per joint is so for the same number of joints."""
+    first, size = "", 0
+    for name, values in kept.items():
+        if values.ndim and first and len(values) != size:
+            raise ShapeError(
+                f"friction.{name} must be one number or {size}, one per joint as friction.{first}; got shape "
+                f"{values.shape}",
+                name=name,
+            )
+        if values.ndim and not first:
+            first, size = name, len(values)
 
 
 def check_at_rest(at_rest: ArrayLike, moving: ArrayLike, name: str, prefix: str = "friction.") -> None:

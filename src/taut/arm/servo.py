@@ -103,11 +103,17 @@ class Servo:
         missing = [name for name in names if getattr(self, name) is None]
         if missing:
             raise UsageError(
-                f"the {what} of a servo needs its {quoted_list(missing)}; give it: "
-                f"taut.load_servo(path, voltage=...), or taut.Servo(...)",
+                f"the {what} of a servo needs its {quoted_list(missing)}; give it: {_way_out(missing)}",
                 name=missing[0],
             )
         return [float(getattr(self, name)) for name in names]
+
+
+def _way_out(missing: list[str]) -> str:
+    """A file has no voltage, and a loader asks for it; what else is missing only the one who has the servo knows."""
+    if missing == ["voltage"]:
+        return "taut.load_servo(path, voltage=...), or taut.Servo(...)"
+    return f"dataclasses.replace(servo, {', '.join(f'{name}=...' for name in missing)}), or taut.Servo(...)"
 
 
 def with_servos(arm: Arm, servos: Servo | Mapping[str, Servo]) -> Arm:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from xml.sax.saxutils import quoteattr
 
 from taut.arm.description import Arm, Joint
-from taut.base.errors import UsageError, quoted_list
+from taut.base.errors import UsageError, quoted_list, unknown_name
 
 __all__ = ["JointWords", "to_mjcf_joints", "to_urdf_dynamics"]
 
@@ -27,7 +27,13 @@ class JointWords:
     notes: tuple[str, ...]
 
     def xml(self, joint: str) -> str:
-        """The element of one joint as text."""
+        """The element of one joint as text.
+
+        Raises:
+            UnknownNameError: The arm has no such joint.
+        """
+        if joint not in self.attributes:
+            raise unknown_name("the arm", "joint", joint, self.attributes)
         values = " ".join(f'{name}="{value!r}"' for name, value in self.attributes[joint].items())
         named = f" name={quoteattr(joint)}" if self.element == "joint" else ""
         return f"<{self.element}{named} {values}/>"

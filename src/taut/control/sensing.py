@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any, Final, Literal, TypeAlias
 
 from taut.arm.description import Arm
-from taut.base.checks import one_of
 from taut.base.errors import UsageError
 from taut.base.paths import subtree
 from taut.base.quantity import Quantified
@@ -57,12 +56,12 @@ class Sensing:
     tau_meas: LowPass | None = None
 
     def __post_init__(self) -> None:
-        if isinstance(self.velocity, str):
-            one_of("velocity", self.velocity, VELOCITIES)
-        elif not isinstance(self.velocity, (LowPass, Difference, Kalman)):
+        word = isinstance(self.velocity, str)
+        if self.velocity not in VELOCITIES if word else not isinstance(self.velocity, (LowPass, Difference, Kalman)):
+            got = repr(self.velocity) if word else type(self.velocity).__name__
             raise UsageError(
                 "velocity must be 'measured', 'difference', taut.LowPass(...), taut.Difference(...) or "
-                f"taut.Kalman(...); got {type(self.velocity).__name__}",
+                f"taut.Kalman(...); got {got}",
                 name="velocity",
             )
         for name, kind in (("notch", Notch), *((name, LowPass) for name in FILTERED)):

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from taut.base import math as tm
-from taut.base.checks import one_of
+from taut.base.checks import one_of, require_positive
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.types import Array, Vector
 from taut.control.command import Command, Torque
@@ -49,6 +49,7 @@ class Dither(Law):
             _require_per_joint(name, getattr(self, name))
 
     def check_rate(self, rate: float) -> None:
+        require_positive("frequency", np.asarray(self.frequency.as_array()), unit="Hz")
         largest = float(np.max(self.frequency.as_array()))
         if largest >= rate / 2.0:
             raise RangeError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from taut.arm.description import Arm
+from taut.base.errors import UsageError
 from taut.base.types import ArrayLike, Float64Array
 from taut.maths.snapshot import snapshot
 
@@ -22,6 +23,7 @@ def rotor_share(arm: Arm, q: ArrayLike | None = None) -> Float64Array:
         q: (n,) positions [rad | m]; the home pose if left out.
 
     Raises:
+        UsageError: Not an arm.
         ShapeError: Wrong number of entries.
         RangeError: NaN or infinite entries.
 
@@ -35,6 +37,8 @@ def rotor_share(arm: Arm, q: ArrayLike | None = None) -> Float64Array:
     References:
         Chapter, section 10.2.1.5 the effect of gearing, and 10.2.2.1 for what follows for decentralised control.
     """
+    if not isinstance(arm, Arm):  # callers without a type checker
+        raise UsageError(f"rotor_share takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
     M = snapshot(arm, arm.home if q is None else q).M
     share: Float64Array = arm.rotor_inertia / np.diag(M)
     return share

@@ -54,11 +54,11 @@ class Motor:
             raise UsageError("Motor needs peak=, or stall= and no_load=, or all three; without limits leave it out")
         keep_quantities(self)
 
-    def braking(self, gear: Float64Array) -> Float64Array:
+    def braking(self, gear: Float64Array, p: Values) -> Float64Array:
         """(n,) how much less torque there is at the joint per speed, where the curve is the limit [N m s/rad]."""
-        if self.stall is None or self.no_load is None:
+        if self.stall is None:
             return np.zeros(len(gear))
-        slope: Float64Array = gear**2 * np.asarray(self.stall) / np.asarray(self.no_load)
+        slope: Float64Array = gear**2 * p["stall"] / p["no_load"]
         return slope
 
     def limited(self, tau: Vector, v: Vector, gear: Float64Array, p: Values) -> Vector:
@@ -113,11 +113,11 @@ class ElectricMotor:
     def __post_init__(self) -> None:
         keep_quantities(self)
 
-    def braking(self, gear: Float64Array) -> Float64Array:
+    def braking(self, gear: Float64Array, p: Values) -> Float64Array:
         """(n,) how much less torque there is at the joint per speed, where the voltage is the limit [N m s/rad]."""
         if self.voltage is None:
             return np.zeros(len(gear))
-        slope: Float64Array = (gear * np.asarray(self.torque_constant)) ** 2 / np.asarray(self.resistance)
+        slope: Float64Array = (gear * p["torque_constant"]) ** 2 / p["resistance"]
         return slope
 
     @property

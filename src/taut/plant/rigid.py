@@ -5,6 +5,7 @@ Written like a law, so that it runs on floats, is fused with a controller into o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -98,7 +99,11 @@ class RigidPlant:
         one_of("integrator", self.integrator, INTEGRATORS)
         one_of("takes", self.takes, COMMANDS)
         if self.friction not in ("arm", None):
-            raise UsageError(f"friction must be 'arm' or None; got {self.friction!r}", name="friction")
+            raise UsageError(
+                f"friction must be 'arm' or None; got {_named(self.friction)}; another friction is the arm's: "
+                "arm.with_friction(...)",
+                name="friction",
+            )
         for name in ("substeps", "sweeps"):
             number = getattr(self, name)
             if isinstance(number, bool) or not isinstance(number, int):
@@ -282,8 +287,9 @@ class RigidPlant:
             require_short_steps(
                 self.drivetrain,
                 self.actuation,
+                parameters,
                 dt / self.substeps,
-                lambda more: f"substeps={more * self.substeps}",
+                lambda more: f"substeps={math.ceil(more * self.substeps)}",
             )
         taps = self.actuation.taps(dt)
         if taps:
@@ -330,3 +336,7 @@ class RigidPlant:
         if self.sensors.tip is not None:
             out["a"] = (out["v"] - memory["v"]) / dt
         return out
+
+
+def _named(value: object) -> str:
+    return repr(value) if isinstance(value, (str, int, float)) else f"a {type(value).__name__}"

@@ -11,7 +11,7 @@ import numpy as np
 
 from taut.arm.description import Arm
 from taut.base.checks import finite_array
-from taut.base.errors import ShapeError, UsageError
+from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.maths.model import Model
@@ -22,6 +22,8 @@ from taut.plant.tool_sensors import Accelerometer, WrenchSensor
 __all__ = ["SENSORS", "Sensors"]
 
 Values = Mapping[str, Any]
+
+TURN: Final = 2.0 * np.pi  # [rad]
 
 SENSORS: Final[Mapping[str, tuple[str, type[Sensor]]]] = {
     "position": ("q", Encoder),
@@ -134,6 +136,7 @@ class Sensors:
 
         Raises:
             ShapeError: A number that is neither a scalar nor one per joint or axis.
+            RangeError: An encoder with steps of more than a turn.
             UsageError: A wrench sensor with faults where nothing touches the tool.
         """
         for name, (_, sensor) in self._there(touched=True).items():
@@ -142,6 +145,8 @@ class Sensors:
                 if values.ndim:
                     path, joints = f"sensors.{name}.{word}", _joints_of(name, arm)
                     finite_array(path, values, shape=(size,), joints=joints, allow_infinite=True)
+                if isinstance(sensor, Encoder) and word == "resolution":
+                    _require_within_a_turn(f"sensors.{name}.{word}", values, arm)
         if not touched and self.wrench is not None and numbers_of(self.wrench):
             raise UsageError(
                 "sensors.wrench is for a plant that something touches; give environment= too, or leave it out",
@@ -166,6 +171,8 @@ class Sensors:
                 f"{path} has shape {shape}; got shape {new.shape}; make the plant with a value of the new shape",
                 name=path,
             )
+        if isinstance(sensor, Encoder) and word == "resolution":
+            _require_within_a_turn(path, new, arm)
         return np.broadcast_to(new, shape)
 
     # ---------------------------------------------------------------- the pure function
@@ -187,6 +194,18 @@ class Sensors:
             if cut is not None:
                 out[f"saturated.{measurement}"] = cut
         return out
+
+
+def _require_within_a_turn(path: str, resolution: ArrayLike, arm: Arm) -> None:
+    """A step of an encoder is a turn of its shaft at most: 4096 counts are no resolution of 4096 rad."""
+    for joint, step in zip(arm.joints, np.broadcast_to(np.asarray(resolution), (arm.n,)), strict=True):
+        if joint.kind != "prismatic" and step > TURN:
+            raise RangeError(
+                f"{path} of joint '{joint.name}' must be at most a turn, {TURN:.4g} [rad]; got {float(step):g}; N "
+                "counts in a turn are steps of 2*pi/N",
+                name=path,
+                value=float(step),
+            )
 
 
 def _joints_of(name: str, arm: Arm) -> tuple[str, ...] | None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
+from taut.arm.description import Arm
 from taut.base.errors import RangeError
+from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.maths.dynamics import mass_matrix
 from taut.maths.model import model_of
@@ -15,15 +18,19 @@ from taut.plant.drivetrain import Drivetrain
 
 __all__ = ["require_short_steps"]
 
-WayOut = Callable[[int], str]
+WayOut = Callable[[float], str]
+Values = Mapping[str, Any]
 
 
-def require_short_steps(train: Drivetrain, actuation: Actuation, dt: float, way_out: WayOut) -> None:
+def require_short_steps(
+    train: Drivetrain, actuation: Actuation, parameters: Values, dt: float, way_out: WayOut
+) -> None:
     """Refuse steps that are too long for a motor, an inner loop or a transmission, with the arm at home.
 
     Args:
         train: Rotors and transmissions.
         actuation: The drives.
+        parameters: The plant's parameters by path, as the run begins with them.
         dt: Length of a step [s].
         way_out: The words for so many times as many steps.
 
@@ -32,57 +39,56 @@ def require_short_steps(train: Drivetrain, actuation: Actuation, dt: float, way_
     """
     if actuation.motor is None and actuation.torque_loop is None and not train.compliant:
         return
-    rotor = train.arm.rotor_inertia
+    n = train.arm.n
+    p = {path: np.broadcast_to(value, (n,)) for path, value in subtree(parameters, "actuation").items()}
+    rotor = np.broadcast_to(parameters.get("plant.rotor_inertia", 0.0), (n,))
     links = mass_matrix(model_of(train.arm.with_joints(rotor_inertia=0.0)), train.arm.home)
     geared = np.diag(np.linalg.inv(links + np.diag(rotor))).copy()  # acceleration per torque of each motor
     for i in train.compliant:
         geared[i] = 1.0 / rotor[i]
-    _check_motor(train, actuation, dt, geared, way_out)
-    _check_torque_loop(train, actuation, dt, geared, way_out)
-    _check_springs(train, dt, np.diag(np.linalg.inv(links)), way_out)
+    if actuation.motor is not None:
+        _check_motor(
+            train.arm, actuation.motor.braking(train.arm.gear, subtree(p, "motor")) * geared * dt, dt, way_out
+        )
+    if actuation.torque_loop is not None:
+        share = 1.0 - rotor * geared  # of the motor's torque that a rigid gear passes on at once
+        share[list(train.compliant)] = 0.0
+        _check_torque_loop(train.arm, p, share, dt, way_out)
+    if train.compliant:
+        joints = list(train.compliant)
+        both = 1.0 / rotor[joints] + np.diag(np.linalg.inv(links))[joints]
+        _check_springs(train.arm, joints, subtree(p, "transmission"), both, dt, way_out)
 
 
-def _check_motor(train: Drivetrain, actuation: Actuation, dt: float, mobility: Float64Array, way_out: WayOut) -> None:
+def _check_motor(arm: Arm, fast: Float64Array, dt: float, way_out: WayOut) -> None:
     """Its torque falls with speed, as a damper's does, and is that of the speed when a step begins."""
-    if actuation.motor is None:
-        return
-    fast = actuation.motor.braking(train.arm.gear) * mobility * dt
     i = int(np.argmax(fast))
     if fast[i] <= 1.0:
         return
-    enough = way_out(int(np.ceil(fast[i])))
+    enough = way_out(fast[i])
     raise RangeError(
-        f"the motor of joint '{train.arm.joint_names[i]}' loses torque with speed so steeply that its joint answers "
+        f"the motor of joint '{arm.joint_names[i]}' loses torque with speed so steeply that its joint answers "
         f"in {dt / fast[i]:.3g} s, too fast for steps of {dt:g} s; give the plant {enough}, or the joint its "
         "rotor's inertia: arm.with_gears(ratio=, motor_inertia=)",
         name="motor",
     )
 
 
-def _check_torque_loop(
-    train: Drivetrain, actuation: Actuation, dt: float, mobility: Float64Array, way_out: WayOut
-) -> None:
+def _check_torque_loop(arm: Arm, p: Values, share: Float64Array, dt: float, way_out: WayOut) -> None:
     """It reads what the motor gave in the last step, which alternates where kp share is too large.
 
     A lag of left = exp(-omega dt) over a step, and mean = (1 - left) / (omega dt), has a root at -1 for
     kp share (1 + left - 2 mean) = 1 + left; without a lag for kp share = 1.
     """
-    if actuation.torque_loop is None:
-        return
-    arm = train.arm
-    share = 1.0 - arm.rotor_inertia * mobility  # of the motor's torque that a rigid gear passes on at once
-    share[list(train.compliant)] = 0.0
-    left, mean = np.zeros(arm.n), np.zeros(arm.n)
-    if actuation.bandwidth is not None:
-        steps = np.asarray(actuation.bandwidth) * dt + np.zeros(arm.n)
-        left = np.exp(-steps)
-        mean = (1.0 - left) / steps
+    left, mean, kp = np.zeros(arm.n), np.zeros(arm.n), p["torque_loop.kp"]
+    if "bandwidth" in p:
+        left = np.exp(-p["bandwidth"] * dt)
+        mean = (1.0 - left) / (p["bandwidth"] * dt)
     most = (1.0 + left) / np.maximum(share * (1.0 + left - 2.0 * mean), 1e-300)
-    kp = np.asarray(actuation.torque_loop.kp) + np.zeros(arm.n)
     i = int(np.argmax(kp / most))
     if kp[i] < most[i]:
         return
-    slower = "the drive a bandwidth" if actuation.bandwidth is None else f"the plant {way_out(2)}"
+    slower = f"the plant {way_out(2.0)}" if "bandwidth" in p else "the drive a bandwidth"
     raise RangeError(
         f"actuation.torque_loop.kp of joint '{arm.joint_names[i]}' must be below {most[i]:.3g} for steps of {dt:g} "
         f"s, since the loop reads the torque of the step before; lower it, or give {slower}",
@@ -90,22 +96,16 @@ def _check_torque_loop(
     )
 
 
-def _check_springs(train: Drivetrain, dt: float, mobility: Float64Array, way_out: WayOut) -> None:
-    """The swing of motor against link."""
-    if not train.compliant:
-        return
-    assert train.transmission is not None
-    joints, n = list(train.compliant), train.arm.n
-    both = 1.0 / train.arm.rotor_inertia[joints] + mobility[joints]
-    K = np.broadcast_to(np.asarray(train.transmission.stiffness), (n,))[joints]
-    D = np.broadcast_to(np.asarray(train.transmission.damping), (n,))[joints]
+def _check_springs(arm: Arm, joints: list[int], p: Values, both: Float64Array, dt: float, way_out: WayOut) -> None:
+    """The swing of motor against link, whose accelerations per torque are `both` together."""
+    K, D = p["stiffness"][joints], p["damping"][joints]
     omega = np.sqrt(K * both)
     fast = np.maximum(omega, 2.0 * D * both) * dt
     i = int(np.argmax(fast))
     if fast[i] <= 1.0:
         return
     raise RangeError(
-        f"the transmission of joint '{train.arm.joint_names[joints[i]]}' swings at {omega[i]:.3g} rad/s, too fast "
-        f"for steps of {dt:g} s; give the plant {way_out(int(np.ceil(fast[i])))}, a softer spring or less damping",
+        f"the transmission of joint '{arm.joint_names[joints[i]]}' swings at {omega[i]:.3g} rad/s, too fast "
+        f"for steps of {dt:g} s; give the plant {way_out(fast[i])}, a softer spring or less damping",
         name="stiffness",
     )

@@ -131,8 +131,14 @@ def _panels(friction: Arm | Friction | Mapping[str, Friction], joints: Iterable[
     for title, one in friction.items():
         if not isinstance(one, Friction):
             raise UsageError(f"'{title}' must be a taut.Friction; got {type(one).__name__}", name=str(title))
-        if any(np.size(getattr(one, name)) != 1 for name in FRICTION_FIELDS):
-            raise ShapeError(f"'{title}' must be the friction of one joint, each number a scalar", name=str(title))
+        for name in FRICTION_FIELDS:
+            shape = np.shape(getattr(one, name))
+            if shape not in ((), (1,)):
+                raise ShapeError(
+                    f"'{title}' must be the friction of one joint, each number a scalar; got {name} of shape "
+                    f"{shape}; plot_friction(friction) draws each joint of it",
+                    name=str(title),
+                )
         panels.append(_panel(str(title), _entry(one, 0)))
     return panels
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -124,7 +125,9 @@ class JointStage:
         memory |= drive.start(self._actuation, arm, weight, parameters)
         started = self._train.start(q, v, full, parameters)
         memory |= {name: value for name, value in started.items() if name != "friction"}
-        require_short_steps(self._train, self._actuation, h, lambda more: f"timestep={h / more:.3g}")
+        require_short_steps(
+            self._train, self._actuation, parameters, h, lambda more: f"timestep={dt / math.ceil(more * steps):.9g}"
+        )
         n = arm.n
         if self._loop is None:
             self._inputs = Block.of({"q": (n,), "v": (n,), "F_ext": (6,)})
