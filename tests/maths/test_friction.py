@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import taut
 from taut.base.linalg import factor_spd
 from taut.base.types import Float64Array
-from taut.maths.friction import dry_friction
+from taut.maths.friction import SWEEPS, dry_friction
 
 DT = 1e-3
 EXACT = 1e-9  # what a thousand sweeps leave, relative to the largest speed
@@ -45,7 +45,7 @@ def random_problem(seed: int, n: int) -> tuple[Float64Array, Float64Array, Float
 
 
 def solved(
-    M: Float64Array, v_free: Float64Array, limit: Float64Array, guess: Float64Array, sweeps: int = 10
+    M: Float64Array, v_free: Float64Array, limit: Float64Array, guess: Float64Array, sweeps: int = SWEEPS
 ) -> tuple[Float64Array, Float64Array]:
     stop = -M @ v_free / DT
     done = dry_friction(
@@ -66,7 +66,7 @@ class TestAgainstEveryCombination:
 
     @settings(max_examples=30, deadline=None, derandomize=True)
     @given(st.integers(0, 2**32 - 1))
-    def test_ten_sweeps_a_tick_get_there_when_the_load_rests(self, seed: int) -> None:
+    def test_the_sweeps_of_a_tick_get_there_when_the_load_rests(self, seed: int) -> None:
         """What the memory of the last step's torques is for."""
         M, v_free, limit = random_problem(seed, 3)
         expected, _ = brute_force(M, v_free, limit, DT)
@@ -130,7 +130,7 @@ class TestAgainstEveryCombination:
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 6))
 def test_friction_never_exceeds_its_limit_and_only_takes_energy(seed: int, n: int) -> None:
-    """Also where ten sweeps from a bad guess are far from the solution."""
+    """Also from a bad guess."""
     M, v_free, limit = random_problem(seed, n)
     guess = np.random.default_rng(seed).normal(size=n) * 300.0
     v, f = solved(M, v_free, limit, guess, sweeps=100)

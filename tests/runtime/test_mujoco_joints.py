@@ -44,7 +44,7 @@ def both(arm: taut.Arm, drives: dict[str, Any], *, limits: Any = None, **options
     ctrl = taut.compile(law, arm, rate=200.0, sensing=options.pop("sensing", None))
     swing = taut.Sine(center=arm.home, amplitude=[0.4, 0.3], frequency=[1.0, 1.7])
     common = {"actuation": taut.Actuation(**drives), **options}
-    rigid = taut.RigidPlant(arm, substeps=5, sweeps=60, **common)
+    rigid = taut.RigidPlant(arm, substeps=5, **common)
     mujoco = taut.MujocoPlant(arm, limits=limits, timestep=1e-3, **common)
     one, other = (taut.run(ctrl, plant, swing, duration=0.6, q0=arm.home + 0.1, seed=5) for plant in (rigid, mujoco))
     return one, other
@@ -105,7 +105,7 @@ def test_torque_and_acceleration_are_measured_where_their_sensors_are(name: str)
     ctrl = taut.compile(Felt(kp=40.0), arm, rate=500.0)
     swing = taut.Sine(center=arm.home, amplitude=0.3, frequency=1.0)
     plants = (
-        taut.RigidPlant(arm, substeps=2, sweeps=60, **options),
+        taut.RigidPlant(arm, substeps=2, **options),
         taut.MujocoPlant(arm, limits=None, timestep=1e-3, **options),
     )
     ours, theirs = (taut.run(ctrl, plant, swing, duration=0.4) for plant in plants)
@@ -155,7 +155,7 @@ def test_parameters_of_every_part_change_in_a_run() -> None:
     for path, value in changes.items():
         changed = taut.run(ctrl, plant, goal, duration=0.1, events=[taut.Event(t=0.02, set={path: value})])
         assert np.abs(changed.q - plain.q).max() > 1e-6, path
-        twin = taut.RigidPlant(arm, sweeps=60, actuation=taut.Actuation(**drives))
+        twin = taut.RigidPlant(arm, actuation=taut.Actuation(**drives))
         rigid = taut.run(ctrl, twin, goal, duration=0.1, events=[taut.Event(t=0.02, set={path: value})])
         np.testing.assert_allclose(changed.q, rigid.q, rtol=0.0, atol=SAME, err_msg=path)
     again: Array = taut.run(ctrl, plant, goal, duration=0.1).q

@@ -71,8 +71,9 @@ class RigidPlant:
         environment: What touches the tool, if anything; then the wrench is measured too.
         adds: What the plant adds to a torque command itself: "gravity", "coriolis", and "friction", which cancels the
             arm's own, so that none is left.
-        sweeps: Of projected Gauss-Seidel in each step, for joints that dry friction holds together. What a further
-            one would change is the run's column friction_residual [N m | N].
+        sweeps: Of projected Gauss-Seidel in each step, for joints that dry friction holds together; half of them
+            before those that it holds are solved for exactly. What a further one would change is the run's column
+            friction_residual [N m | N].
         energy: Keep account of the work of each part of the drives: columns work.motor, work.dry, ... [J], see
             `taut.plant.work`.
 
