@@ -79,6 +79,7 @@ class Law:
     """
 
     reference: ClassVar[type[Sample]] = JointMotion
+    ignores_reference: ClassVar[bool] = False  # such a law adds to, and is held by, laws of every kind of sample
     uses_memory: ClassVar[bool] = False
 
     def __init_subclass__(cls) -> None:
@@ -187,6 +188,16 @@ class Law:
                     f"{way_out}",
                     name=path,
                 )
+
+    @property
+    def controlled_frame(self) -> str | None:
+        """The frame that this law, or a law that it holds, controls; None for the arm's tool."""
+        own: str | None = vars(self).get("tool")
+        return own or next((frame for law in self.children().values() if (frame := law.controlled_frame)), None)
+
+    def at_rest(self, x: Snapshot) -> Sample:
+        """The sample that asks this law to stay as in the snapshot."""
+        return self.reference.at_rest(x, self.controlled_frame)
 
     def check_rates(self, rate: float) -> None:
         """Every law that has a `check_rate` must fit the rate, with the gains that it has now.

@@ -200,12 +200,16 @@ class LawSide:
 
     def _first_run(self, q: Float64Array) -> tuple[Snapshot, Command, dict[str, Any]]:
         """Two ticks at rest at q: what was asked for, the command, the memory."""
-        measured, ref = self.measurements_at_rest(q), self.law.reference.at_rest(q)
+        measured, ref = self.measurements_at_rest(q), self.at_rest(q)
         x = self._snapshot(measured, np.zeros(self.arm.n), self._own_parameters, {})
         law = self.law.bound(subtree(self._own_parameters, "law"))
         _, after = call(law, x, ref, initial_memory(law, x, ref), self.dt)
         command, after = call(law, x, ref, after, self.dt)
         return x, command, after
+
+    def at_rest(self, q: Float64Array) -> Sample:
+        """The sample that asks to stay at joint positions q."""
+        return self.law.at_rest(Snapshot(self.model, q=q, v=np.zeros(self.arm.n)))
 
     def _check_filtered(self, used: set[str]) -> None:
         """A filter of what the law does not use would be a number that changes nothing."""
