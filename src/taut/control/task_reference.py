@@ -29,7 +29,7 @@ class TaskMotion(Sample):
     Frames:
         `pose` is T_WD, of the desired tool frame D in the world. With frame="world" `twist` is the velocity of D's
         origin and its angular velocity, in world axes, and `acceleration` the rate of both. With frame="tool" they
-        are the body twist of D and the rate of its numbers, as twists of the textbook are; they are kept in world axes.
+        are the body twist of D and the rate of its numbers, as the textbook's are; they are kept in world axes.
 
     Args:
         pose: Where the tool is to be.
