@@ -154,6 +154,18 @@ class Law:
             return self.children()[head].gain_field(rest)
         return type(self).__dict__[head], field_units(type(self)).get(head, "")
 
+    def gain_size(self, path: str) -> int | None:
+        """Entries of the gain behind a path where it is a vector; None for one per joint."""
+        head, _, rest = path.partition(".")
+        if rest:
+            return self.children()[head].gain_size(rest)
+        size: int | str | None = type(self).__dict__[head].size
+        return int(getattr(self, size)) if isinstance(size, str) else size
+
+    def gives(self, gain: str) -> bool:
+        """Whether an optional gain was given, and has a meaning."""
+        return gain in self.gains()
+
     def bound(self, values: Mapping[str, Any]) -> Law:
         """A copy whose gains are `values` by path: symbols while traced, numbers in the float engine."""
         own = {name: GainValue(values[name], name) for name in self.gains()}
@@ -177,7 +189,7 @@ class Law:
             ShapeError: A gain has another size.
         """
         for path, values in self.parameters().items():
-            declared = self.gain_field(path)[0].size
+            declared = self.gain_size(path)
             size = n if declared is None else declared
             if values.ndim and values.shape[0] != size:
                 ours = type(self).__module__.startswith("taut.")

@@ -13,7 +13,9 @@ from taut.control.joint import (
     GravityPID,
     VelocityPI,
 )
+from taut.control.nullspace import LimitAvoidance, Manipulability, Posture
 from taut.control.stiction import Dither, RaisedGains
+from taut.control.task import TaskComputedTorque
 
 __all__ = [
     "PID",
@@ -25,6 +27,10 @@ __all__ = [
     "Dither",
     "RaisedGains",
     "VelocityPI",
+    "TaskComputedTorque",
+    "Posture",
+    "LimitAvoidance",
+    "Manipulability",
     "Sum",
 ]
 
