@@ -1,7 +1,7 @@
 """Laws for the motion that a task leaves free: posture, joint limits, manipulability.
 
-They are laws of joint accelerations, tau = M a, that ask for no reference. Held in the field `null` of a task law they
-act through its dynamically consistent projector; alone, or added to others, they act in full.
+They are laws of joint accelerations, tau = M a, that ask for no reference. Held in the field `null` of a task law
+they act through its dynamically consistent projector; alone, or added to others, they act in full.
 """
 
 from __future__ import annotations
