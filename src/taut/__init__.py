@@ -62,6 +62,10 @@ if TYPE_CHECKING:
     from taut.control.sensing import Sensing as Sensing
     from taut.control.task_error import Coordinates as Coordinates
     from taut.control.task_reference import TaskMotion as TaskMotion
+    from taut.control.task_samples import TaskSamples as TaskSamples
+    from taut.control.task_trajectory import Circle as Circle
+    from taut.control.task_trajectory import Line as Line
+    from taut.control.task_trajectory import Screw as Screw
     from taut.control.trajectory import Cubic as Cubic
     from taut.control.trajectory import JerkLimited as JerkLimited
     from taut.control.trajectory import Quintic as Quintic
@@ -134,6 +138,8 @@ _HOME: Final = {
     "control.sensing": ("Sensing",),
     "control.task_error": ("Coordinates",),
     "control.task_reference": ("TaskMotion",),
+    "control.task_samples": ("TaskSamples",),
+    "control.task_trajectory": ("Circle", "Line", "Screw"),
     "control.trajectory": ("Cubic", "JerkLimited", "Quintic", "Samples", "Sine", "Spline", "Trapezoidal"),
     "control.velocity": ("Difference", "Kalman"),
     "controller": ("Controller", "compile"),
