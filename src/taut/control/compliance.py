@@ -112,7 +112,8 @@ def _turned(R: Rotation, C: Matrix) -> Matrix:
 def modal_damping(inertia: LTDL, K: Matrix, zeta: Any, V: Vector) -> Vector:
     """(k,) B V with the damping ratio zeta in each mode of inertia and stiffness.
 
-    With inertia = U U^T, B = 2 zeta U (U^-1 K U^-T)^(1/2) U^T: each generalised eigenvector of K and the inertia has 2 zeta omega_n, exactly.
+    With inertia = U U^T, B = 2 zeta U (U^-1 K U^-T)^(1/2) U^T:
+    each generalised eigenvector of K and the inertia has 2 zeta omega_n, exactly.
 
     References:
         Albu-Schaffer, Ott and Hirzinger (2003), IEEE ICRA, double diagonalisation.

@@ -51,7 +51,7 @@ class TaskComputedTorque(Law):
         coordinates: With error="coordinates": what is controlled.
         error_max: (2,) largest error that the spring answers [m, rad]; no bound if left out.
         null: A law for the motion that the task leaves free, `Posture()` if not said, None for none: its torque
-            goes through the dynamically consistent projector, N^T = I - J^T Lambda J M^-1, and does not move the tool.
+            goes through the dynamically consistent projector, N^T = I - J^T Lambda J M^-1, which the tool does not feel.
         tool: The frame that is controlled; the arm's tool if left out.
 
     References:
