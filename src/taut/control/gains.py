@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, ClassVar, Self, overload
 
 import numpy as np
@@ -157,11 +158,12 @@ class Gain:
         minimum: The smallest allowed entry, 0 for a gain that must not be negative. A matrix must be symmetric
             positive semidefinite instead.
         maximum: The largest allowed entry, if there is one.
-        size: Number of entries of a vector; the number of joints if left out, 3 for a gain on positions of the tool.
-            A name stands for what the law has under it, such as "dimensions".
+        size: Number of entries of a vector; the number of joints if left out, 3 for a gain on positions of the tool,
+            0 for one number only. A name stands for what the law has under it, such as "dimensions".
         optional: Whether it may be left out altogether; then the law has no such gain (`law.gives("B")`).
         pairs: Whether (linear, angular) stands for six entries, three of each.
         scalar: Whether one number serves; of a gain with two units it does not.
+        function: Whether a function may stand in its place, which the law evaluates; then it is no parameter.
         where: Another field of the law and the value it must have for this gain to have a meaning, such as
             ("anti_windup", "back-calculation"); elsewhere it is no parameter, and must not be given.
 
@@ -170,6 +172,7 @@ class Gain:
 
     __slots__ = (
         "_default",
+        "function",
         "maximum",
         "minimum",
         "name",
@@ -192,6 +195,7 @@ class Gain:
         optional: bool = False,
         pairs: bool = False,
         scalar: bool = True,
+        function: bool = False,
     ) -> None:
         self._default = _hashable(default)
         self.minimum = minimum
@@ -201,6 +205,7 @@ class Gain:
         self.optional = optional
         self.pairs = pairs
         self.scalar = scalar
+        self.function = function
         self.name = ""
         self.owner: type | None = None
 
@@ -219,11 +224,13 @@ class Gain:
             raise AttributeError(self.name)
         return self._default
 
-    def __set__(self, obj: object, value: ArrayLike | None) -> None:
+    def __set__(self, obj: object, value: ArrayLike | Callable[..., Any] | None) -> None:
         from taut.control.law import field_units
 
-        if value is None and self.optional:
-            obj.__dict__[self.name] = None
+        if callable(value) or (value is None and self.optional):
+            if callable(value) and not self.function:
+                raise UsageError(f"{self.name} must be numbers; got a function", name=self.name)
+            obj.__dict__[self.name] = value
             return
         unit = field_units(type(obj)).get(self.name, "")
         obj.__dict__[self.name] = GainValue(self.checked(value, unit), self.name)
@@ -249,6 +256,10 @@ class Gain:
                 f"{f' [{unit}]' if unit else ''}; got {float(array):g} alone",
                 name=name,
                 value=float(array),
+            )
+        if self.size == 0 and array.ndim:
+            raise ShapeError(
+                f"{name} must be one number{f' [{unit}]' if unit else ''}; got shape {array.shape}", name=name
             )
         if self.pairs and array.shape == (2,):
             array = np.repeat(array, 3)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from taut.base.errors import unknown_name
 from taut.control.combine import Sum
 from taut.control.friction import FrictionCompensation
+from taut.control.impedance import Impedance, Stiffness
 from taut.control.joint import (
     PID,
     ComputedTorque,
@@ -28,6 +29,8 @@ __all__ = [
     "RaisedGains",
     "VelocityPI",
     "TaskComputedTorque",
+    "Impedance",
+    "Stiffness",
     "Posture",
     "LimitAvoidance",
     "Manipulability",

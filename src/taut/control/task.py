@@ -14,6 +14,7 @@ from taut.control.command import Command, Terms, Torque
 from taut.control.gains import Gain, GainValue, Memory
 from taut.control.integral import ANTI_WINDUP, AntiWindup, check_tracking, integrated
 from taut.control.law import Law, MemoryView, call
+from taut.control.nullspace import Posture
 from taut.control.task_error import ERRORS, Coordinates, ErrorKind, check_coordinates, dimensions, task_error
 from taut.control.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
@@ -39,8 +40,8 @@ class TaskComputedTorque(Law):
                   so omega_n = sqrt(kp), zeta = kd / (2 sqrt(kp)) for ki = 0
                   a sampled loop tends to this as dt falls
 
-    The spring kp X_e may be bounded: error_max=(linear, angular) puts X_e / sqrt(1 + |X_e|^2 / error_max^2) in its
-    place, part by part; what the bound takes is the term `bound`.
+    The spring kp X_e may be bounded: error_max=(linear, angular) puts X_e / sqrt(1 + r^2) in its place, part by
+    part, with r the length of the part over its error_max; what the bound takes is the term `bound`.
 
     Frames:
         World axes at the tool for "decoupled", the tool's own for "body", the world's origin for "space".
@@ -49,8 +50,8 @@ class TaskComputedTorque(Law):
         error: "decoupled", "body", "space" or "coordinates".
         coordinates: With error="coordinates": what is controlled.
         error_max: (2,) largest error that the spring answers [m, rad]; no bound if left out.
-        null: A law for the motion that the task leaves free, such as `taut.laws.Posture()`: its torque goes through
-            the dynamically consistent projector, N^T = I - J^T Lambda J M^-1, and does not move the tool.
+        null: A law for the motion that the task leaves free, `Posture()` if not said, None for none: its torque
+            goes through the dynamically consistent projector, I - J^T Lambda J M^-1, which the tool does not feel.
         tool: The frame that is controlled; the arm's tool if left out.
 
     References:
@@ -65,7 +66,7 @@ class TaskComputedTorque(Law):
     error: ErrorKind = "decoupled"
     coordinates: Coordinates | None = None
     error_max: Gain = Gain(optional=True, size=2)  # [m, rad]
-    null: Law | None = None
+    null: Law | None = Posture()
     tool: str | None = None
     anti_windup: AntiWindup = "clamping"
     tracking: Gain = Gain(10.0, where=("anti_windup", "back-calculation"))  # [1/s]
