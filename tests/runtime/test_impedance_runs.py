@@ -163,7 +163,7 @@ def test_the_acceleration_of_the_tick_before_serves_below_twice_the_inertia_and_
     )
     for factor in (0.5, 1.9):
         law = impedance(K=(200.0, 2.0), D=factor * Lam, B=(30.0, 0.3), zeta=None, feedback="acceleration")
-        run = taut.run(taut.compile(law, arm), plant, ref, duration=2.0)
+        run = taut.run(taut.compile(law, arm), plant, ref, duration=4.0)
         assert run.outcome.ok
         assert np.abs(run.v[-1]).max() <= 0.02 * np.abs(run.v).max()
     with pytest.raises(taut.RangeError, match=r"at this pose they are 2\.1\d* to 2\.\d+; change D"):
