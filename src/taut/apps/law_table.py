@@ -102,6 +102,6 @@ def _row(cls: type[Law]) -> LawRow:
         closed_loop=section(cls, "Closed loop"),
         gains={name: units.get(name, "") for name in gains},
         command=side.probe.kind,
-        reference=cls.reference.__name__,
+        reference="none" if cls.ignores_reference else cls.reference.__name__,
         needs=("q", *side.needs),
     )

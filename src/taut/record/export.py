@@ -38,8 +38,10 @@ def arrays(run: Run) -> dict[str, Float64Array]:
 def column_names(run: Run) -> dict[str, list[str]]:
     """Names of the numbers in one row of each array."""
     out = {}
+    grown = type(run.reference).fields(run.n + 1)  # six entries of a twist are no joints of an arm with six
+    fixed = {f"reference.{name}" for name, shape in grown.items() if shape != (run.n + 1,)}
     for name, array in columns_of(run).items():
-        if array.shape[1:] == (run.n,) and not name.startswith("extra."):
+        if array.shape[1:] == (run.n,) and not name.startswith("extra.") and name not in fixed:
             out[name] = [f"{name}.{joint}" for joint in run.joint_names]
         elif array.ndim == 1:
             out[name] = [name]
