@@ -167,7 +167,7 @@ class Circle:
         >>> ring.at(2.0).p.round(6).tolist(), round(ring.radius, 6)
         ([0.3, 0.0, 0.3], 0.1)
         >>> arc = Circle.through(T0=Pose([0.5, 0.0, 0.3]), via=[0.4, 0.1, 0.3], end=[0.3, 0.0, 0.3], duration=1.0)
-        >>> arc.angle == np.pi
+        >>> round(arc.angle, 9) == round(np.pi, 9)
         True
     """
 
