@@ -197,3 +197,26 @@ def borders_with_the_worst(hand: Hand, limit: float) -> tuple[float, float]:
     )  # fmt: skip
     plant = display.plant(thing, integrator="semi-implicit-euler", substeps=SUBSTEPS)
     return predicted, border(lambda K: grows(pressed(display, K, 4.0, plant)), predicted, steps=7)
+
+
+# -------------------------------------------------------------------- encoder steps
+
+STEP = 1e-4  # [m] of the encoder
+FRICTIONS = (0.0, 0.25, 0.5, 0.9, 1.1, 1.5, 2.0)  # in K STEP / 2
+STEP_STIFFNESSES = (500.0, 1000.0, 1800.0)  # [N/m], all below 2 b / T = 2000
+
+
+def hunting(K: float, ratio: float) -> float:
+    """[m] that a pressed spring swings, peak to peak, in the last second of ten, by the Coulomb friction it has."""
+    arm = slide(push=0.0).with_friction(taut.Friction(viscous=DAMPING, coulomb=0.5 * ratio * K * STEP))
+    sensors = taut.Sensors(position=taut.Encoder(resolution=STEP))
+    plant = taut.RigidPlant(arm, sensors=sensors, substeps=50)
+    ctrl = spring()
+    ctrl.parameters["law.kp"] = K
+    run = taut.run(ctrl, plant, taut.JointMotion(q=[0.37 * STEP]), duration=10.0, q0=[5.3 * STEP])
+    return float(np.ptp(run.q[-round(RATE) :, 0]))
+
+
+@cache
+def spring() -> taut.Controller:
+    return taut.compile(taut.laws.PID(kp=1.0), slide(push=0.0), rate=RATE)

@@ -193,3 +193,17 @@ def test_semi_implicit_euler_without_substeps_flatters_a_wall() -> None:
     assert flattered > 100.0 * real
     many = taut.stiffness_limits(mass=0.2, damping=1.0, B=0.5, integrator="semi-implicit-euler", substeps=100)
     assert many.stable == pytest.approx(real, rel=0.02)
+
+
+class TestEncoderSteps:
+    """No eigenvalue knows them: a spring on steps hunts, and Coulomb friction of K step / 2 ends it (Abbott, Okamura)."""
+
+    @pytest.mark.parametrize("K", haptic.STEP_STIFFNESSES)
+    def test_a_spring_hunts_on_them_though_it_is_passive_without(self, K: float) -> None:
+        assert taut.stiffness_limits(mass=haptic.MASS, damping=haptic.DAMPING).passive > K
+        assert haptic.hunting(K, 0.0) > 0.3 * haptic.STEP
+
+    @pytest.mark.parametrize("K", haptic.STEP_STIFFNESSES)
+    def test_coulomb_friction_of_half_a_step_of_the_spring_ends_it(self, K: float) -> None:
+        assert haptic.hunting(K, 0.5) > 1e-3 * haptic.STEP
+        assert haptic.hunting(K, 1.1) < 1e-9

@@ -291,11 +291,7 @@ def _number(value: float) -> str:
 
 def _answer(good: bool, yes: str, no: str, factor: float) -> str:
     if math.isinf(factor):
-        limit = "with any multiple of K" if good else "and would be with any"
-    elif factor == 0.0:
-        limit = "with any part of K"
-    else:
-        limit = f"up to {factor:.3g} K"
+        return f"{yes}, with any multiple of K" if good else no
     if good:
-        return f"{yes}, {limit}" if factor > 0.0 else yes
-    return f"{no}; it is not {limit}" if factor > 0.0 else f"{no}, {limit}"
+        return f"{yes}, up to {factor:.3g} K" if factor > 0.0 else yes
+    return f"{no}; up to {factor:.3g} K it is not so" if factor > 0.0 else f"{no}, with any part of K"
