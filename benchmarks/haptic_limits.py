@@ -58,8 +58,8 @@ PANELS = (
         display=lambda x: replace(BASE, damping=x),
     ),
     Panel(
-        title="virtual damping", along="B [N s/m]", scale=1.0, at=(0.0, 2.0, 10.0, 30.0, 60.0, 90.0, 120.0),
-        display=lambda x: replace(BASE, B=x), log=False,
+        title="virtual damping", along="B [N s/m]", scale=1.0, at=(0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0),
+        display=lambda x: replace(BASE, B=x),
     ),
     Panel(
         title="low-pass of the difference, B = 5", along="cut-off [Hz]", scale=1.0,
@@ -80,7 +80,17 @@ def main() -> None:
         drawn(ax, panel, table)
     steps(axes[5], console)
     handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=5, fontsize=SMALL, frameon=False, labelcolor=INK)
+    figure.legend(
+        handles,
+        labels,
+        loc="outside upper left",
+        ncols=5,
+        columnspacing=1.0,
+        handlelength=1.5,
+        fontsize=SMALL,
+        frameon=False,
+        labelcolor=INK,
+    )
     figure.savefig(folder / "haptic_limits.png", dpi=150)
     console.print(table)
     ranges(console).savefig(folder / "haptic_kinds.png", dpi=150)
@@ -143,6 +153,7 @@ def steps(ax: Axes, console: Console) -> None:
         table.add_row(f"{K:g}", *(f"{swing:.3f}" for swing in swings))
     ax.axvline(1.0, color=INK, linestyle=DASHED, linewidth=0.9)
     ax.set_yscale("symlog", linthresh=1e-3)
+    ax.set_ylim(-5e-4, 10.0)
     ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
     console.print(table)
 

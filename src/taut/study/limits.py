@@ -54,7 +54,7 @@ class StiffnessLimits:
 
     @property
     def formula_passive(self) -> float:
-        """(b - |B|) / (T/2 + delay), from b > K (T/2 + delay) + |B|, Colgate's where there is no delay."""
+        """(b - abs(B)) / (T/2 + delay), from b > K (T/2 + delay) + abs(B), Colgate's where there is no delay."""
         b, B = self._dampings
         return max(b - abs(B), 0.0) / (0.5 * self.loop.T + self.loop.delay)
 
