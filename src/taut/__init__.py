@@ -102,6 +102,13 @@ if TYPE_CHECKING:
     from taut.runtime.drivers.mujoco import MujocoPlant as MujocoPlant
     from taut.runtime.events import Event as Event
     from taut.runtime.simulate import run as run
+    from taut.study.limits import StiffnessCheck as StiffnessCheck
+    from taut.study.limits import StiffnessLimits as StiffnessLimits
+    from taut.study.limits import check_stiffness as check_stiffness
+    from taut.study.limits import stiffness_limits as stiffness_limits
+    from taut.study.sampled import SampledLoop as SampledLoop
+    from taut.study.tip import check_stiffness_at as check_stiffness_at
+    from taut.study.tip import safe_stiffness as safe_stiffness
 
 _HOME: Final = {
     "arm.description": ("Arm", "Friction", "Payload"),
@@ -159,6 +166,9 @@ _HOME: Final = {
     "runtime.drivers.mujoco": ("MujocoPlant",),
     "runtime.events": ("Event",),
     "runtime.simulate": ("run",),
+    "study.limits": ("StiffnessCheck", "StiffnessLimits", "check_stiffness", "stiffness_limits"),
+    "study.sampled": ("SampledLoop",),
+    "study.tip": ("check_stiffness_at", "safe_stiffness"),
 }
 _MODULES: Final = {"dynamics": "maths.dynamics", "laws": "control.laws", "math": "base.math"}
 _WHERE: Final = {name: module for module, names in _HOME.items() for name in names}
