@@ -69,6 +69,7 @@ if TYPE_CHECKING:
     from taut.control.trajectory import Trapezoidal as Trapezoidal
     from taut.control.velocity import Difference as Difference
     from taut.control.velocity import Kalman as Kalman
+    from taut.control.wrist import Wrist as Wrist
     from taut.controller import Controller as Controller
     from taut.controller import compile as compile
     from taut.loop import Loop as Loop
@@ -132,6 +133,7 @@ _HOME: Final = {
     "control.sensing": ("Sensing",),
     "control.trajectory": ("Cubic", "JerkLimited", "Quintic", "Samples", "Sine", "Spline", "Trapezoidal"),
     "control.velocity": ("Difference", "Kalman"),
+    "control.wrist": ("Wrist",),
     "controller": ("Controller", "compile"),
     "loop": ("Loop",),
     "maths.gearing": ("rotor_share",),

@@ -140,6 +140,7 @@ class FusedRun:
             measured = self._loop.measured(subtree(memory, "plant"), row, parameters)
         try:
             side.check_finite({name: measured[name] for name in ("q", *side.takes) if name in measured}, k)
+            side.check_reading(measured, memory, k)
         except RangeError as error:
             if self.tape.is_sane(k):
                 message = f"{error} (t = {float(row['t']):.6g} s)"
