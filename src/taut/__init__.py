@@ -99,6 +99,9 @@ if TYPE_CHECKING:
     from taut.runtime.drivers.mujoco import MujocoPlant as MujocoPlant
     from taut.runtime.events import Event as Event
     from taut.runtime.simulate import run as run
+    from taut.study.wrist import WristCalibration as WristCalibration
+    from taut.study.wrist import calibrate_wrist as calibrate_wrist
+    from taut.study.wrist_poses import calibration_poses as calibration_poses
 
 _HOME: Final = {
     "arm.description": ("Arm", "Friction", "Payload"),
@@ -154,6 +157,8 @@ _HOME: Final = {
     "runtime.drivers.mujoco": ("MujocoPlant",),
     "runtime.events": ("Event",),
     "runtime.simulate": ("run",),
+    "study.wrist": ("WristCalibration", "calibrate_wrist"),
+    "study.wrist_poses": ("calibration_poses",),
 }
 _MODULES: Final = {"dynamics": "maths.dynamics", "laws": "control.laws", "math": "base.math"}
 _WHERE: Final = {name: module for module, names in _HOME.items() for name in names}

@@ -1,0 +1,1 @@
+"""What runs and readings mean: calibration."""
