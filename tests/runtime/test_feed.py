@@ -251,7 +251,7 @@ class OtherSample(Sample):
         return cls()
 
     @classmethod
-    def at_rest(cls, q: Array) -> OtherSample:
+    def at_rest(cls, x: Any, tool: str | None) -> OtherSample:
         return cls()
 
 

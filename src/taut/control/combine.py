@@ -78,7 +78,8 @@ def added(first: Law, second: Law) -> Sum:
     Raises:
         UsageError: The two follow different kinds of reference.
     """
-    if first.reference is not second.reference:
+    follows = second.reference if first.ignores_reference else first.reference
+    if not second.ignores_reference and second.reference is not follows:
         raise UsageError(
             f"{type(first).__name__} follows {first.reference.__name__} and {type(second).__name__} "
             f"{second.reference.__name__}; only laws that follow the same kind of reference add"
@@ -92,5 +93,6 @@ def added(first: Law, second: Law) -> Sum:
                 unique = f"{name}{k}"
             parts[unique] = part
     made = Sum(parts=parts)
-    object.__setattr__(made, "reference", first.reference)
+    object.__setattr__(made, "reference", follows)
+    object.__setattr__(made, "ignores_reference", first.ignores_reference and second.ignores_reference)
     return made

@@ -29,6 +29,7 @@ def integrated(
     tracking: GainValue,
     *,
     acceleration: bool = False,
+    cut: Vector | None = None,
 ) -> Vector:
     """(n,) the integral of the error after this tick, e_int + e dt, less what keeps it from winding up.
 
@@ -48,6 +49,7 @@ def integrated(
         ki: The gain that the integral is multiplied with.
         tracking: How fast it is driven back [1/s].
         acceleration: Whether the integral is an acceleration rather than a torque.
+        cut: What limits took, in the directions of the error; that of the joints' torques if left out.
 
     References:
         Astrom and Hagglund, PID Controllers (1995), section 3.5.
@@ -56,9 +58,11 @@ def integrated(
     if scheme == "none":
         return grown
     if scheme == "clamping":
-        held: Vector = tm.where(x.tau_cut * e > 0.0, e_int, grown)
+        taken = x.tau_cut if cut is None else cut
+        held: Vector = tm.where(taken * e > 0.0, e_int, grown)
         return held
-    cut = tm.solve_spd(x.M_factors, x.tau_cut) if acceleration else x.tau_cut
+    if cut is None:
+        cut = tm.solve_spd(x.M_factors, x.tau_cut) if acceleration else x.tau_cut
     driven: Vector = grown - (tracking @ solved(ki, cut)) * dt
     return driven
 

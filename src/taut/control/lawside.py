@@ -152,6 +152,7 @@ class LawSide:
             x, command, after = self._first_run(self.arm.home)
         except NumericalError:  # a law that inverts what is singular at home
             x, command, after = self._first_run(self.arm.home + 0.1 * np.cos(np.arange(self.arm.n)))
+        self.check_start(x.q, self._own_parameters)
         added = self._limit_terms(command)
         shapes = {f"law.{path}": np.shape(as_array(v, path)) for path, v in flatten(after).items()}
         n = (self.arm.n,)
@@ -200,12 +201,26 @@ class LawSide:
 
     def _first_run(self, q: Float64Array) -> tuple[Snapshot, Command, dict[str, Any]]:
         """Two ticks at rest at q: what was asked for, the command, the memory."""
-        measured, ref = self.measurements_at_rest(q), self.law.reference.at_rest(q)
+        measured, ref = self.measurements_at_rest(q), self.at_rest(q)
         x = self._snapshot(measured, np.zeros(self.arm.n), self._own_parameters, {})
         law = self.law.bound(subtree(self._own_parameters, "law"))
         _, after = call(law, x, ref, initial_memory(law, x, ref), self.dt)
         command, after = call(law, x, ref, after, self.dt)
         return x, command, after
+
+    def at_rest(self, q: Float64Array) -> Sample:
+        """The sample that asks to stay at joint positions q."""
+        return self.law.at_rest(Snapshot(self.model, q=q, v=np.zeros(self.arm.n)))
+
+    def check_start(self, q: Float64Array, parameters: Mapping[str, Any]) -> None:
+        """The law must have a meaning where a run starts.
+
+        Raises:
+            RangeError: A gain that has none there.
+        """
+        payload = _payload_of(parameters)
+        x = Snapshot(self.model, q=q, v=np.zeros(self.arm.n), payload=payload)
+        self.law.bound(subtree(parameters, "law")).check_states(x)
 
     @property
     def needs(self) -> tuple[str, ...]:

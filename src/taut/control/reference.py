@@ -15,6 +15,7 @@ import numpy as np
 from taut.base.checks import finite_array, finite_scalar, positive_scalar, vector
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.types import Array, ArrayLike, Float64Array
+from taut.maths.snapshot import Snapshot
 
 __all__ = [
     "Chunk",
@@ -49,8 +50,13 @@ class Sample(ABC):
 
     @classmethod
     @abstractmethod
-    def at_rest(cls, q: Array) -> Self:
-        """The sample that asks to stay at joint positions q."""
+    def at_rest(cls, x: Snapshot, tool: str | None) -> Self:
+        """The sample that asks to stay as in the snapshot.
+
+        Args:
+            x: The arm at the state to stay at.
+            tool: The frame that the law controls; None for the arm's tool.
+        """
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
@@ -96,9 +102,9 @@ class JointMotion(Sample):
         return made
 
     @classmethod
-    def at_rest(cls, q: Array) -> Self:
-        zero = np.zeros(len(q))
-        return cls.of({"q": np.array(q, dtype=np.float64), "v": zero, "a": zero})
+    def at_rest(cls, x: Snapshot, tool: str | None) -> Self:  # noqa: ARG003
+        zero = np.zeros(x.n)
+        return cls.of({"q": np.array(x.q, dtype=np.float64), "v": zero, "a": zero})
 
     def __repr__(self) -> str:
         if self.q.dtype == object:
