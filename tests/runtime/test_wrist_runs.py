@@ -140,6 +140,23 @@ def test_inertia_of_the_tool_stays_in_as_the_docs_say(kind: str) -> None:
     assert np.abs(felt - wanted).max() < 0.02 * np.abs(wanted).max()
 
 
+@kinds
+@pytest.mark.parametrize(("D", "holds"), [((4.0, 0.02), True), ((4.0, 0.2), False)])
+def test_an_inertia_far_above_the_arms_own_makes_the_tools_inertia_a_loop_as_the_docs_say(
+    D: tuple[float, float], holds: bool, kind: str
+) -> None:
+    panda, gripper = taut.load_arm("panda"), taut.Payload(mass=0.73, com=(0.01, 0.0, 0.06))
+    sensors = taut.Sensors(wrench=taut.WrenchSensor(noise=(0.1, 0.005), tool=gripper))
+    plant: Any = (taut.RigidPlant if kind == "rigid" else taut.MujocoPlant)(panda, friction=None, sensors=sensors)
+    known = taut.Sensing(wrist=taut.Wrist(mass=gripper.mass, com=gripper.com))
+    law = taut.laws.Impedance(K=(400.0, 30.0), zeta=1.0, D=D)
+    out = taut.run(taut.compile(law, panda, sensing=known), plant, duration=0.5)
+    off = max(np.linalg.norm(taut.snapshot(panda, q).T().p - taut.snapshot(panda, panda.home).T().p) for q in out.q)
+    assert (off < 1e-3) == holds, off
+    if not holds:
+        assert off > 0.05
+
+
 # -------------------------------------------------------------------- faults
 
 
