@@ -73,7 +73,7 @@ class EnvironmentStage:
             example[0][:n] = q
             self._loop = kind(self._step, self._step, 0, self._inputs, self._parameters, self._memory, example)
             self._row, self._out = np.zeros((1, self._inputs.size)), np.zeros((1, self._loop.outputs.size))
-            self._seen = {path: view[0] for path, view in self._inputs.views(self._row).items()}
+            self._seen = self._inputs.views(self._row)
             self._given = {path: view[0] for path, view in self._loop.outputs.views(self._out).items()}
         self._flat, self._h, self._t = self._memory.pack(memory), h, 0.0
         self.take(parameters)
@@ -99,7 +99,7 @@ class EnvironmentStage:
     def before(self, q: Float64Array, v: Float64Array) -> Float64Array:
         """(n,) the force on the joints in MuJoCo's next step."""
         assert self._loop is not None
-        self._seen["q"][...], self._seen["v"][...], self._seen["t"][...] = q, v, self._t
+        self._seen["q"][0], self._seen["v"][0], self._seen["t"][0] = q, v, self._t
         done = self._loop.run(self._row, self._flat_parameters, self._flat, self._out)
         self.sane = self.sane and done == 1
         self._t += self._h
