@@ -85,7 +85,8 @@ class TestBothPlants:
     def test_too_long_steps_are_refused_in_mujoco_with_its_word(self) -> None:
         wall = taut.StiffWall(point=tool().p, normal=[0, 0, 1], stiffness=3e7)
         with pytest.raises(
-            taut.RangeError, match=r"too fast for steps of 0.001 s; give the plant timestep=0\.000\d+, or a softer environment"
+            taut.RangeError,
+            match=r"too fast for steps of 0.001 s; give the plant timestep=0\.000\d+, or a softer environment",
         ):
             run(taut.MujocoPlant(PANDA, environment=wall))
 
