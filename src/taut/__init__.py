@@ -60,6 +60,7 @@ if TYPE_CHECKING:
     from taut.control.reference import hold as hold
     from taut.control.reference import stream as stream
     from taut.control.sensing import Sensing as Sensing
+    from taut.control.task_error import Coordinates as Coordinates
     from taut.control.task_reference import TaskMotion as TaskMotion
     from taut.control.trajectory import Cubic as Cubic
     from taut.control.trajectory import JerkLimited as JerkLimited
@@ -140,6 +141,7 @@ _HOME: Final = {
     "control.limits": ("Limits",),
     "control.reference": ("JointMotion", "chunk", "hold", "stream"),
     "control.sensing": ("Sensing",),
+    "control.task_error": ("Coordinates",),
     "control.task_reference": ("TaskMotion",),
     "control.trajectory": ("Cubic", "JerkLimited", "Quintic", "Samples", "Sine", "Spline", "Trapezoidal"),
     "control.velocity": ("Difference", "Kalman"),

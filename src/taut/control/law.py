@@ -71,6 +71,7 @@ class Law:
       with memory, a dict of the new memory by name;
     * optionally `start(self, x, ref) -> dict`: memory that starts from the measured state;
     * optionally `check_rate(self, rate)`, which refuses gains that have no meaning at that rate [Hz];
+    * optionally `check_state(self, x)`, which refuses gains that have no meaning at the state where a run starts;
     * `reference`, the kind of sample it follows (JointMotion unless said).
 
     Laws add: `FeedForward() + PID(kp=..., kd=...)`. A law must not inherit from another one: it holds it in a field.
@@ -154,6 +155,18 @@ class Law:
             return self.children()[head].gain_field(rest)
         return type(self).__dict__[head], field_units(type(self)).get(head, "")
 
+    def gain_size(self, path: str) -> int | None:
+        """Entries of the gain behind a path where it is a vector; None for one per joint."""
+        head, _, rest = path.partition(".")
+        if rest:
+            return self.children()[head].gain_size(rest)
+        size: int | str | None = type(self).__dict__[head].size
+        return int(getattr(self, size)) if isinstance(size, str) else size
+
+    def gives(self, gain: str) -> bool:
+        """Whether an optional gain was given, and has a meaning."""
+        return gain in self.gains()
+
     def bound(self, values: Mapping[str, Any]) -> Law:
         """A copy whose gains are `values` by path: symbols while traced, numbers in the float engine."""
         own = {name: GainValue(values[name], name) for name in self.gains()}
@@ -177,7 +190,7 @@ class Law:
             ShapeError: A gain has another size.
         """
         for path, values in self.parameters().items():
-            declared = self.gain_field(path)[0].size
+            declared = self.gain_size(path)
             size = n if declared is None else declared
             if values.ndim and values.shape[0] != size:
                 ours = type(self).__module__.startswith("taut.")
@@ -210,6 +223,18 @@ class Law:
         check: Callable[[float], None] | None = getattr(self, "check_rate", None)
         if check is not None:
             check(rate)
+
+    def check_states(self, x: Snapshot) -> None:
+        """Every law that has a `check_state` must fit the state of a snapshot, with the gains that it has now.
+
+        Raises:
+            RangeError: A gain that has no meaning there.
+        """
+        for law in self.children().values():
+            law.check_states(x)
+        check: Callable[[Snapshot], None] | None = getattr(self, "check_state", None)
+        if check is not None:
+            check(x)
 
     def __add__(self, other: Law) -> Law:
         from taut.control.combine import added
@@ -358,6 +383,7 @@ RESERVED: Final = frozenset(name for name in vars(Law) if not name.startswith("_
     "command",
     "start",
     "check_rate",
+    "check_state",
 }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from taut.base.errors import unknown_name
 from taut.control.combine import Sum
 from taut.control.friction import FrictionCompensation
+from taut.control.impedance import Impedance, Stiffness
 from taut.control.joint import (
     PID,
     ComputedTorque,
@@ -13,7 +14,9 @@ from taut.control.joint import (
     GravityPID,
     VelocityPI,
 )
+from taut.control.nullspace import LimitAvoidance, Manipulability, Posture
 from taut.control.stiction import Dither, RaisedGains
+from taut.control.task import TaskComputedTorque
 
 __all__ = [
     "PID",
@@ -25,6 +28,12 @@ __all__ = [
     "Dither",
     "RaisedGains",
     "VelocityPI",
+    "TaskComputedTorque",
+    "Impedance",
+    "Stiffness",
+    "Posture",
+    "LimitAvoidance",
+    "Manipulability",
     "Sum",
 ]
 

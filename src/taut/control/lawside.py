@@ -152,6 +152,7 @@ class LawSide:
             x, command, after = self._first_run(self.arm.home)
         except NumericalError:  # a law that inverts what is singular at home
             x, command, after = self._first_run(self.arm.home + 0.1 * np.cos(np.arange(self.arm.n)))
+        self.check_start(x.q, self._own_parameters)
         added = self._limit_terms(command)
         shapes = {f"law.{path}": np.shape(as_array(v, path)) for path, v in flatten(after).items()}
         n = (self.arm.n,)
@@ -210,6 +211,16 @@ class LawSide:
     def at_rest(self, q: Float64Array) -> Sample:
         """The sample that asks to stay at joint positions q."""
         return self.law.at_rest(Snapshot(self.model, q=q, v=np.zeros(self.arm.n)))
+
+    def check_start(self, q: Float64Array, parameters: Mapping[str, Any]) -> None:
+        """The law must have a meaning where a run starts.
+
+        Raises:
+            RangeError: A gain that has none there.
+        """
+        payload = PayloadValues.of(subtree(parameters, "model.payload"))
+        x = Snapshot(self.model, q=q, v=np.zeros(self.arm.n), payload=payload)
+        self.law.bound(subtree(parameters, "law")).check_states(x)
 
     def _check_filtered(self, used: set[str]) -> None:
         """A filter of what the law does not use would be a number that changes nothing."""
