@@ -66,9 +66,10 @@ def _equation_first(lines: Sequence[str]) -> list[str]:
 
 def law_rows() -> list[LawRow]:
     """Every law of taut.laws that stands on its own."""
-    return [_row(getattr(laws, name)) for name in laws.__all__ if name != "Sum"]
+    return [_row(getattr(laws, name)) for name in laws.__all__ if name not in OF_OTHERS]
 
 
+OF_OTHERS: Final = ("Sum", "SideBySide")  # which are made of other laws
 BESIDES: Final = {"Impedance": {"zeta": 1.0}}  # which needs this or another gain
 
 

@@ -372,19 +372,21 @@ def sample_rows(trajectory: Trajectory, times: Float64Array, kind: type[Sample],
                 name=f"ref.{name}",
                 rule="finite",
             )
-    if kind.fields(n).get("R") == (3, 3):
-        _check_rotations(table["R"], times)
+    for name, shape in kind.fields(n).items():
+        if shape == (3, 3) and (name == "R" or name.endswith("_R")):
+            _check_rotations(name, table[name], times)
     return table
 
 
-def _check_rotations(R: Float64Array, times: Float64Array) -> None:
+def _check_rotations(name: str, R: Float64Array, times: Float64Array) -> None:
     """A trajectory of a user's own may give any matrix."""
     error = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2))
     if error.size and error.max() > ROTATION_TOLERANCE:
         row = int(np.argmax(error > ROTATION_TOLERANCE))
         raise RangeError(
-            f"ref.R must be orthonormal; at t = {times[row]:g} s R^T R differs from the identity by {error[row]:.2g}",
-            name="ref.R",
+            f"ref.{name} must be orthonormal; at t = {times[row]:g} s R^T R differs from the identity by "
+            f"{error[row]:.2g}",
+            name=f"ref.{name}",
             value=float(error[row]),
             rule="orthonormal",
         )
