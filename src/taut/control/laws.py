@@ -14,6 +14,7 @@ from taut.control.joint import (
     VelocityPI,
 )
 from taut.control.stiction import Dither, RaisedGains
+from taut.control.via_joint_space import ViaJointSpace
 
 __all__ = [
     "PID",
@@ -25,6 +26,7 @@ __all__ = [
     "Dither",
     "RaisedGains",
     "VelocityPI",
+    "ViaJointSpace",
     "Sum",
 ]
 
