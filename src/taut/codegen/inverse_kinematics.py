@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from taut.base.errors import RangeError, UsageError
 from taut.base.pose import Pose
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.function import NativeFunction, native
+from taut.maths import dynamics as dyn
 from taut.maths.ik import DIRECTIONS, Directions, IkOutcome, Task, task_of
 from taut.maths.ik_search import posture_step, search_step
 from taut.maths.model import model_of
@@ -26,6 +27,9 @@ STEPS: Final = 100  # of a search from one start
 LEVEL: Final = 1e-9  # slope of the error, without dimension, under which it does not fall any more
 STUBBORN: Final = 1e5  # damping at which no step was better for long
 POSTURE_STEPS: Final = 60
+WATCHED: Final = 20  # steps in which the cost must fall by something
+FALLING: Final = 0.999
+NEARLY_SINGULAR: Final = 1e-2  # singular value, without dimension: the arm is stretched out, or about to be
 ROUNDING: Final = 1e-9  # [rad | m] by which a position may be beyond a limit that was written with few digits
 AT_REST: Final = 1e-9  # [rad | m] a step along the free motion under which the posture is the nearest one
 
@@ -74,9 +78,9 @@ def inverse_kinematics(
     """Joint positions that bring a frame of the arm to a pose.
 
     Law:
-        Levenberg-Marquardt steps dq = (J^T J + mu |e| I)^-1 J^T e, kept where |e| falls; a joint at its limit that the
-        gradient J^T e would drive beyond it is held. Arms with joints to spare then go along their free motion to the
-        posture that is nearest to the wanted one. Joints that turn further than once end within half a turn of q0
+        Levenberg-Marquardt steps dq = (J^T J + mu |e| I)^-1 J^T e, kept where |e| falls; a joint at its limit that
+        the gradient J^T e would drive beyond it is held. Arms with joints to spare then go along their free motion to
+        the position that is nearest to the posture. Joints that turn further than once end within half a turn of q0
         where their limits allow.
 
     Args:
@@ -145,14 +149,15 @@ class _Search:
     def __init__(self, arm: Arm, frame: str, directions: Directions, respect_limits: bool) -> None:
         self.arm = arm
         self.task: Task = task_of(arm, frame, directions)
-        self.asked = {"all": 6, "pointing": 5, "position": 3}[directions]
         self.turns = TURN * np.array([unit == "rad" for unit in arm.units])  # (n,) what a whole turn is
         n = arm.n
         self.lower = np.array(arm.lower) if respect_limits else np.full(n, -np.inf)
         self.upper = np.array(arm.upper) if respect_limits else np.full(n, np.inf)
         model, task, lower, upper = model_of(arm), self.task, self.lower, self.upper
         self.search = native(
-            lambda state, target: search_step(model, task, state, target, lower, upper), state=2 * n + 6, target=12 + n
+            lambda state, target: search_step(model, task, state, target, lower, upper),
+            state=2 * n + 6,
+            target=12 + n,
         )
         self.posture: NativeFunction | None = None
         if task.size < n:
@@ -202,27 +207,30 @@ class _Search:
         rng = np.random.default_rng(seed)
         low, high = np.maximum(self.lower, q0 - math.pi), np.minimum(self.upper, q0 + math.pi)
         low, high = np.where(self.lower > -np.inf, self.lower, low), np.where(self.upper < np.inf, self.upper, high)
-        iterations = best.iterations
-        for k in range(restarts):
+        iterations, starts = best.iterations, 1
+        for _ in range(restarts):
             found = self._from(rng.uniform(low, high), target, within)
-            iterations += found.iterations
+            iterations, starts = iterations + found.iterations, starts + 1
             if found.cost < best.cost:
                 best = found
             if _solved(found, within):
                 break
-        return _Found(**{**vars(best), "iterations": iterations, "starts": k + 2})
+        return _Found(**{**vars(best), "iterations": iterations, "starts": starts})
 
     def _from(self, q: Float64Array, target: Float64Array, within: tuple[float, float]) -> _Found:
         n, step = self.arm.n, self.search.call
         state = np.concatenate([q, q, [math.inf, 1.0, 0.0, 0.0, 0.0, 0.0]])
         linear, angular = within
         done = level = False
-        count = 0
+        count, before = 0, math.inf
         while not done and count < STEPS:
             state = step(state, target)
             count += 1
             trust, left, turn, slope = state[2 * n + 1 : 2 * n + 5].tolist()
             level = slope < LEVEL or trust > STUBBORN
+            if count % WATCHED == 0:
+                cost = float(state[2 * n])
+                level, before = level or cost > FALLING * before, cost
             done = level or (left < linear and turn < angular)
         cost = float(state[2 * n])
         error = float(state[2 * n + 2]), float(state[2 * n + 3])
@@ -257,7 +265,10 @@ class _Search:
             return IkOutcome.STALLED
         if found.held.any():
             return IkOutcome.AT_LIMIT
-        return IkOutcome.FEWER_JOINTS if self.task.rank < self.asked else IkOutcome.OUT_OF_REACH
+        model, task = model_of(self.arm), self.task
+        rows = task.seen(dyn.pose(model, found.q, task.frame), dyn.jacobian(model, found.q, task.frame))
+        regular = np.linalg.matrix_rank(rows, tol=NEARLY_SINGULAR) == task.rank
+        return IkOutcome.FEWER_JOINTS if regular and task.rank < task.asked else IkOutcome.OUT_OF_REACH
 
     def _to_posture(
         self, found: _Found, posture: Float64Array, pose: Pose, within: tuple[float, float]
@@ -267,14 +278,15 @@ class _Search:
         posture = found.q + self.arm.difference(posture, found.q)
         target = np.concatenate([pose.p, pose.R.ravel(), posture])
         state = np.concatenate([found.q, np.zeros(n + 4)])
-        best, nearest, error, count = found.q, math.inf, found.error, 0
+        best, error, count, first = found.q, found.error, 0, math.inf
         for _ in range(POSTURE_STEPS):
             before = state
             state = step(state, target)
             count += 1
             left, turn, away, moved = state[2 * n :].tolist()  # the first three of the state before this step
-            if left < within[0] and turn < within[1] and away < nearest:
-                best, nearest, error = before[:n], away, (left, turn)
+            first = min(first, away) if count == 1 else first
+            if left < within[0] and turn < within[1] and away <= first:
+                best, error = before[:n], (left, turn)
             if moved < AT_REST:
                 break
         return best.copy(), error, count
@@ -293,5 +305,5 @@ def _solved(found: _Found, within: tuple[float, float]) -> bool:
 
 
 @functools.lru_cache(maxsize=32)
-def _search_of(arm: Arm, frame: str, directions: Directions, respect_limits: bool) -> Any:
+def _search_of(arm: Arm, frame: str, directions: Directions, respect_limits: bool) -> _Search:
     return _Search(arm, frame, directions, respect_limits)

@@ -348,7 +348,8 @@ def initial_memory(law: Law, x: Snapshot, ref: Sample) -> dict[str, Any]:
     for field in dataclasses.fields(law):  # type: ignore[arg-type]  # every law is a dataclass
         if isinstance(type(law).__dict__.get(field.name), Memory):
             values[field.name] = law.__dict__[field.name]
-    values |= {name: initial_memory(child, x, ref) for name, child in law.children().items()}
+    for name, child in law.children().items():  # one that is made to follow something else starts at rest
+        values[name] = initial_memory(child, x, ref if isinstance(ref, child.reference) else child.at_rest(x))
     start: Callable[[Snapshot, Sample], Mapping[str, Any]] | None = getattr(law, "start", None)
     if start is not None:
         values |= start(x, ref)

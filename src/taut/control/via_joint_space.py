@@ -25,7 +25,6 @@ from taut.maths.ik import (
     Resolved,
     Task,
     damping_near_singularity,
-    held_joints,
     jacobian_rate,
     shortened,
     task_of,
@@ -36,6 +35,7 @@ __all__ = ["ViaJointSpace", "via_joint_space"]
 
 MOST_STEPS: Final = 10
 ARRIVED: Final = 1e-5  # [m, rad] an error under which the tool's target is met
+MOVING: Final = 1e-3  # share of full speed above which the joints are on their way
 NEVER: Final = 1e-30  # keeps a quotient finite
 
 
@@ -51,18 +51,19 @@ class ViaJointSpace(Law):
                   q_des itself is off by c |q_pred - q*|^2 after one step, c about 1 [1/rad], with q_pred the last
                   solution carried on by v_des and a_des: dt^3/6 times the joints' jerk from what is wanted
 
-    J^-1 is the inverse, with joints to spare the pseudo-inverse, with too few least squares (a radian counts as much as
-    a third of the reach). Joints to spare go to `posture`, where they started if it is left out, at the rate `pull`:
-    closed paths of the tool then end as closed paths of the joints.
+    J^-1 is the inverse, with joints to spare the pseudo-inverse, with too few least squares (a radian counts as much
+    as a third of the reach). Joints to spare go to `posture`, where they started if it is left out, at the rate
+    `pull`: closed paths of the tool then end as closed paths of the joints.
 
-    Limits: a joint at its limit that would go beyond it is held, and the others go on without it; its v_des and a_des
-    are zero. Near a singularity J J^T is damped, by at most damping^2 (without dimension), and not at all beyond
-    twice that; v_des as a whole never exceeds the arm's own speed limits.
+    Limits: a joint goes towards its limit no faster than the way that is left over `rise`; one that would is held to
+    that, with the v_des and a_des that it means, and the others make up for it as well as they can. Near a
+    singularity J J^T is damped, by at most damping^2 (without dimension), and not at all beyond twice that; v_des as
+    a whole never exceeds the arm's own speed limits.
 
     A target that jumps, or starts elsewhere, is approached at no more than `speed`, which is reached from rest in the
-    time `rise`, and v_des says so. What is unreachable is approached as far as it goes. In a run,
-    `run.extra["law.ik_error"]` (k, 2) is what is left [m, rad], `run.extra["law.ik_outcome"]` how each tick ended:
-    `IkOutcome.of(...)`; `ctrl.memory` has both after a step.
+    time `rise`, and v_des says so; one that moves without a twist is followed with a lag. What is unreachable is
+    approached as far as it goes. In a run, `run.extra["law.ik_error"]` (k, 2) is what is left [m, rad] and
+    `run.extra["law.ik_outcome"]` how each tick ended, `taut.IkOutcome.of(...)`; after a step `ctrl.memory` has both.
 
     References:
         Section 10.2.3 task space motion control, equations 10.28 to 10.30.
@@ -119,9 +120,7 @@ class ViaJointSpace(Law):
             "ik_outcome": IkOutcome.SOLVED.code,
         }
 
-    def command(
-        self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: Any
-    ) -> tuple[Command, dict[str, Any]]:
+    def command(self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: Any) -> tuple[Command, dict[str, Any]]:
         wanted = self._joint_motion(x, ref, memory, dt)
         sample = JointMotion.of({"q": wanted.memory["q_des"], "v": wanted.v, "a": wanted.memory["a_des"]})
         command, after = call(self.inner, x, sample, memory["inner"], dt)
@@ -129,23 +128,28 @@ class ViaJointSpace(Law):
 
     def _joint_motion(self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: Any) -> _Wanted:
         arm, task = x.arm, task_of(x.arm, self.tool, self.directions)
-        q, free = memory.q_des, 1.0 - memory.held
-        lower, upper = tm.minimum(arm.lower, q), tm.maximum(arm.upper, q)  # from beyond a limit only back
+        q, held, rise = memory.q_des, memory.held, self.rise.as_array()[()]
+        # Towards a limit no faster than the way that is left over the rise; from beyond one only back.
+        slowest, fastest = (tm.minimum(arm.lower, q) - q) / rise, (tm.maximum(arm.upper, q) - q) / rise
+        free = 1.0 - tm.abs(held)
+        forced = tm.where(held > 0.0, fastest, tm.where(held < 0.0, slowest, 0.0))
         onward = dt * shortened(memory.v_des + 0.5 * dt * memory.a_des, arm.velocity)
-        q_pred = tm.clip(q + onward, lower, upper)
+        q_pred = q + tm.clip(onward, dt * slowest, dt * fastest)
         at = q_pred
         for _ in range(self.steps - 1):
-            at = tm.clip(at + self._seen(x, at, ref, task, free).step, lower, upper)
+            at = at + self._seen(x, at, ref, task, free).step
         seen = self._seen(x, at, ref, task, free)
         ahead = at - q_pred + seen.step
         share, pace = self._paced(ahead, memory.pace, arm.velocity, dt)
-        q_new = tm.clip(q + shortened(q_pred - q + share * ahead, arm.velocity * dt), lower, upper)
+        moved = shortened(q_pred - q + share * ahead, arm.velocity * dt)
+        q_new = q + tm.clip(moved, dt * slowest, dt * fastest)
 
-        v, a, wish = self._rates(x, at, ref, task, seen, free, self._posture(x, memory))
-        moving = v + share * ahead / dt
-        pushed = wish + seen.J.T @ seen.solved.multipliers(seen.e) / dt  # where a held joint would go
-        held = held_joints(q_new, tm.where(memory.held > 0.5, pushed, moving), lower, upper)
-        v, a = (1.0 - held) * v, (1.0 - held) * a
+        rates = self._rates(x, at, ref, task, seen, free, forced, self._posture(x, memory))
+        pushed = rates.wish + seen.J.T @ seen.solved.multipliers(seen.e) / dt  # where a held joint would go
+        wish = tm.where(free > 0.5, rates.v + share * ahead / dt, pushed)
+        held = tm.where(wish > fastest, 1.0, tm.where(wish < slowest, -1.0, 0.0))
+        v = tm.clip(rates.v, slowest, fastest)
+        a = tm.where(held > 0.0, -fastest / rise, tm.where(held < 0.0, -slowest / rise, rates.a))
 
         left = tm.array(task.left(seen.T, ref.pose, dyn.jacobian(x.model, at, self.tool) @ (q_new - at)))
         new = {
@@ -156,7 +160,7 @@ class ViaJointSpace(Law):
             "pace": pace,
             "posture": memory.posture,
             "ik_error": left,
-            "ik_outcome": _outcome(left, held, seen.damping, share, task, self.directions),
+            "ik_outcome": _outcome(left, held, seen.damping, (q_new - q) / (dt * self.speed.as_array()), task),
         }
         return _Wanted(v=shortened(v + (q_new - q_pred) / dt, arm.velocity), memory=new)
 
@@ -194,29 +198,35 @@ class ViaJointSpace(Law):
         return share, share * time / dt
 
     def _rates(
-        self, x: Snapshot, q: Vector, ref: TaskMotion, task: Task, seen: _Seen, free: Vector, posture: Array
-    ) -> tuple[Vector, Vector, Vector]:
-        """v_des, a_des, and where held joints would go [rad/s | m/s]."""
-        arm, T, J = x.arm, seen.T, seen.J
+        self,
+        x: Snapshot,
+        q: Vector,
+        ref: TaskMotion,
+        task: Task,
+        seen: _Seen,
+        free: Vector,
+        forced: Vector,
+        posture: Array,
+    ) -> _Rates:
+        """Equations 10.29 and 10.30 for the free joints; the others move as they must."""
+        arm, T, J, rise = x.arm, seen.T, seen.J, self.rise.as_array()[()]
         solve = Resolved(J, free, seen.damping + TINY)
-        b = task.seen(T, ref.twist)
-        redundant = task.size < x.n
-        null = None
-        if redundant:
-            pull = self.pull.as_array()[()]
-            null = free * shortened(pull * arm.difference(posture, q), tm.minimum(self.speed.as_array(), arm.velocity))
-        fast = solve(b, null)
+        b = task.seen(T, ref.twist) - J @ forced
+        redundant, pull = task.size < x.n, self.pull.as_array()[()]
+        towards = pull * arm.difference(posture, q)
+        null = free * shortened(towards, tm.minimum(self.speed.as_array(), arm.velocity)) if redundant else None
+        fast = solve(b, null) + forced
         push = J.T @ solve.multipliers(b, null)
-        wish = push if null is None else push + pull * arm.difference(posture, q)
+        wish = push + (towards if redundant else forced)
         v = shortened(fast, arm.velocity)
         slowed = tm.sqrt((v @ v + NEVER) / (fast @ fast + NEVER))
         J_W, J_W_rate = dyn.jacobian(x.model, q, self.tool), jacobian_rate(x.model, q, v, self.tool)
-        omega = J_W[3:] @ v
-        J_rate = task.seen_rate(T, omega, J_W, J_W_rate)
-        wanted = task.seen_rate(T, omega, slowed * ref.twist, slowed * slowed * ref.acceleration)
+        J_rate = task.seen_rate(T, J_W[3:] @ v, J_W, J_W_rate)
+        wanted = task.seen_rate(T, J_W[3:] @ v, slowed * ref.twist, slowed * slowed * ref.acceleration)
         if redundant:
             null = free * (J_rate.T @ (slowed * solve.multipliers(b, null)) - pull * v)
-        return v, solve(wanted - J_rate @ v, null), wish
+        a = solve(wanted - J_rate @ v + J @ (forced / rise), null)
+        return _Rates(v=v, a=a, wish=wish)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,6 +242,15 @@ class _Seen:
 
 
 @dataclass(frozen=True, kw_only=True)
+class _Rates:
+    """Velocities and accelerations of the joints; where held ones would go."""
+
+    v: Vector  # (n,) [rad/s | m/s]
+    a: Vector  # (n,) [rad/s^2 | m/s^2]
+    wish: Vector  # (n,) [rad/s | m/s]
+
+
+@dataclass(frozen=True, kw_only=True)
 class _Wanted:
     """What the inner law is to follow, and what is remembered."""
 
@@ -239,13 +258,12 @@ class _Wanted:
     memory: dict[str, Any]
 
 
-def _outcome(left: Array, held: Vector, damping: Any, share: Any, task: Task, directions: Directions) -> Any:
+def _outcome(left: Array, held: Vector, damping: Any, motion: Vector, task: Task) -> Any:
     """The code of how a tick ended."""
-    asked = {"all": 6, "pointing": 5, "position": 3}[directions]
-    rest = IkOutcome.FEWER_JOINTS if task.rank < asked else IkOutcome.STALLED
+    rest = IkOutcome.FEWER_JOINTS if task.rank < task.asked else IkOutcome.STALLED
     code = tm.where(damping > 0.0, IkOutcome.SINGULAR.code, rest.code)
-    code = tm.where(np.sum(held) > 0.5, IkOutcome.AT_LIMIT.code, code)
-    code = tm.where(share < 1.0, IkOutcome.CATCHING_UP.code, code)
+    code = tm.where(np.sum(tm.abs(held)) > 0.5, IkOutcome.AT_LIMIT.code, code)
+    code = tm.where(tm.norm(motion) > MOVING, IkOutcome.CATCHING_UP.code, code)
     return tm.where(tm.maximum(left[0], left[1]) < ARRIVED, IkOutcome.SOLVED.code, code)
 
 

@@ -1,4 +1,4 @@
-"""Inverse kinematics: the error of a pose, the rows of J that belong to it, and damped Newton steps; floats and symbols.
+"""Inverse kinematics: the error of a pose, its rows of J, and damped Newton steps; for floats and symbols.
 
 Rows are without dimension: metres are divided by a length of the arm, so that they compare with radians. What a joint
 must not do is left out by a mask, `free`, of ones and zeros.
@@ -44,7 +44,8 @@ __all__ = [
 ]
 
 Directions = Literal["all", "pointing", "position"]
-DIRECTIONS: Final[tuple[Directions, ...]] = ("all", "pointing", "position")
+SIZES: Final[dict[Directions, int]] = {"all": 6, "pointing": 5, "position": 3}
+DIRECTIONS: Final = tuple(SIZES)
 TINY: Final = 1e-12
 LENGTH_OF_REACH: Final = 1.0 / 3.0  # one radian counts as much as a third of the reach
 
@@ -54,10 +55,12 @@ class IkOutcome(enum.Enum):
 
     SOLVED = "the tool is at the target"
     AT_LIMIT = "a joint is at its limit, and the others cannot make up for it"
-    SINGULAR = "the arm is singular or stretched out, and the error that is left lies where its joints do not lead"
+    SINGULAR = "the arm is singular or stretched out, and what is left of the error lies where its joints do not lead"
     CATCHING_UP = "the target is further away than the joints may go in a tick; they are on their way"
     OUT_OF_REACH = "no start that was tried leads to the target; this is as near as the arm got"
-    FEWER_JOINTS = "the joints move the tool in fewer directions than were asked for; what is left of the error is least"
+    FEWER_JOINTS = (
+        "the joints move the tool in fewer directions than were asked for; what is left of the error is least"
+    )
     STALLED = "the error still fell when the steps were used up"
 
     @property
@@ -68,7 +71,7 @@ class IkOutcome(enum.Enum):
     @classmethod
     def of(cls, code: float) -> IkOutcome:
         """The outcome behind a number."""
-        return list(cls)[round(code)]
+        return list(cls)[round(float(code))]
 
 
 # -------------------------------------------------------------------- what is asked of the tool
@@ -87,6 +90,11 @@ class Task:
     rows: tuple[int, ...]  # of the directions, those in which any joint moves the frame
     rank: int  # in how many directions joints move it, away from singularities
     length: float  # [m] that counts as much as a radian
+
+    @property
+    def asked(self) -> int:
+        """Number of directions."""
+        return SIZES[self.directions]
 
     @property
     def size(self) -> int:
@@ -149,8 +157,7 @@ def task_of(arm: Arm, frame: str | None, directions: Directions) -> Task:
     """The task, with the rows that this arm has. Found at a few random positions."""
     model, reached = model_of(arm), reach(arm)
     length = LENGTH_OF_REACH * reached if 0.0 < reached < math.inf else 1.0
-    sizes: dict[Directions, int] = {"all": 6, "pointing": 5, "position": 3}
-    whole = Task(frame=frame, directions=directions, rows=tuple(range(sizes[directions])), rank=0, length=length)
+    whole = Task(frame=frame, directions=directions, rows=tuple(range(SIZES[directions])), rank=0, length=length)
     rng = np.random.default_rng(0)
     found = []
     for _ in range(3):
@@ -212,21 +219,24 @@ class Resolved:
     def multipliers(self, b: Array, null: Array | None = None) -> Array:
         """What J^T is applied to: its transpose says where each joint would go, free or not."""
         if not _redundant(self._J):
-            return b - self._J @ self(b)
-        rest = b if null is None else b - self._Jf @ null
-        return self._factors.solve(rest)
+            rest: Vector = b - self._J @ self(b)
+            return rest
+        return self._factors.solve(b if null is None else b - self._Jf @ null)
 
     def __call__(self, b: Array, null: Array | None = None) -> Vector:
         """(n,) x; `null`, which only redundant arms heed, is where the free motion goes."""
         if not _redundant(self._J):
             x: Vector = self._free * self._factors.solve(self._Jf.T @ b)
-            return x
-        x = self._Jf.T @ self.multipliers(b, null)
-        return x if null is None else x + self._free * null
+        else:
+            x = self._Jf.T @ self.multipliers(b, null)
+            if null is not None:
+                x = x + self._free * null
+        return x
 
 
 def _redundant(J: Matrix) -> bool:
-    return J.shape[0] < J.shape[1]
+    rows, columns = J.shape
+    return bool(rows < columns)
 
 
 def _normal(Jf: Matrix, free: Vector, damping: Any) -> Matrix:

@@ -16,6 +16,7 @@ from taut.maths.model import Model
 __all__ = ["posture_step", "search_step"]
 
 LONGEST: Final = 1.0  # [rad | m] step of the search
+LITTLE: Final = 1e-6  # damping that a chain with fewer directions than rows needs, and that others do not feel
 LONGEST_POSTURE: Final = 0.2  # [rad | m] step along the free motion, where the task is followed to first order
 
 
@@ -62,7 +63,7 @@ def posture_step(
     T = dyn.pose(model, q, task.frame)
     J, e = task.seen(T, dyn.jacobian(model, q, task.frame)), task.error(T, T_des)
     free, wanted = 1.0 - held, target[12:] - q
-    solve = Resolved(J, free, 1e-9)
+    solve = Resolved(J, free, LITTLE)
     step = shortened(solve(e, free * wanted), LONGEST_POSTURE)
     wish = wanted + J.T @ solve.multipliers(e, free * wanted)
     new = tm.clip(q + step, lower, upper)
