@@ -59,7 +59,7 @@ def test_targets_within_reach_are_found(name: str, share: Share, bar: Bar) -> No
 def test_targets_of_arms_that_nobody_has_seen_are_found(share: Share, bar: Bar) -> None:
     """Chains and trees with joints of all kinds about any axes."""
     found = asked = 0
-    for seed in range(share(100)):
+    for seed in range(share(60)):
         rng = np.random.default_rng(1000 + seed)
         arm = torso(rng) if seed % 4 == 0 else random_tree(rng, int(rng.integers(6, 9)), branches=False)
         arm = dataclasses.replace(arm, payload=taut.Payload())
@@ -110,15 +110,16 @@ class TestArmsOfFiveJoints:
         task = task_of(self.ARM, None, "all")
         assert np.abs(task.seen(x.T(), x.J()).T @ task.error(x.T(), target)).max() <= 1e-6
 
-    def test_point_where_they_are_told(self) -> None:
-        q, spun = self.ARM.home + 0.2, taut.Pose(rpy=[0.0, 0.0, 1.0])
-        target = taut.snapshot(self.ARM, q).T() @ spun
-        found = taut.inverse_kinematics(self.ARM, target, directions="pointing")
-        T = taut.snapshot(self.ARM, found.q).T()
-        assert found.ok
-        assert np.abs(T.p - target.p).max() < 1e-6
-        assert np.abs(T.R[:, 2] - target.R[:, 2]).max() < 1e-6
-        assert np.linalg.norm(pin.log3(np.array(target.R.T @ T.R))) > 0.5  # the spin was left free
+
+def test_a_tool_that_may_spin_points_where_it_is_told() -> None:
+    arm = taut.load_arm("ur10")
+    target = taut.snapshot(arm, arm.home + 0.2).T() @ taut.Pose(rpy=[0.0, 0.0, 1.0])
+    found = taut.inverse_kinematics(arm, target, directions="pointing")
+    T = taut.snapshot(arm, found.q).T()
+    assert found.ok
+    assert np.abs(T.p - target.p).max() < 1e-6
+    assert np.abs(T.R[:, 2] - target.R[:, 2]).max() < 1e-6
+    assert np.linalg.norm(pin.log3(np.array(target.R.T @ T.R))) > 0.1  # the spin was left free
 
 
 class TestWhatCannotBeReached:

@@ -89,7 +89,7 @@ def inverse_kinematics(
         q0: (n,) where the search starts [rad | m]; home if left out. Further starts are random.
         frame: The frame; the arm's tool if left out.
         posture: (n,) what redundant arms stay near to [rad | m]; q0 if left out.
-        directions: "all" six; "position"; "pointing", for arms of five joints: position, and the frame's z axis.
+        directions: "all" six; "position"; "pointing", for tools that may spin: position, and where z points.
         tolerance: How much error may be left [m, rad].
         restarts: How many random starts are tried where q0 does not lead to the target.
         seed: Of the random starts.

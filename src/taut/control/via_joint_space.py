@@ -79,7 +79,7 @@ class ViaJointSpace(Law):
     directions: Directions = "all"
     posture: ArrayLike | None = None  # [rad | m]
     pull: Gain = Gain(1.0)  # [1/s]
-    damping: Gain = Gain(0.05, minimum=1e-6)
+    damping: Gain = Gain(0.1, minimum=1e-6)
     speed: Gain = Gain(1.0, minimum=1e-6)  # [rad/s | m/s]
     rise: Gain = Gain(0.1, minimum=1e-3)  # [s]
 
@@ -113,6 +113,7 @@ class ViaJointSpace(Law):
             "q_des": x.q,
             "v_des": zero,
             "a_des": zero,
+            "v_asked": zero,
             "held": zero,
             "pace": 0.0,
             "posture": x.q,
@@ -122,7 +123,7 @@ class ViaJointSpace(Law):
 
     def command(self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: Any) -> tuple[Command, dict[str, Any]]:
         wanted = self._joint_motion(x, ref, memory, dt)
-        sample = JointMotion.of({"q": wanted.memory["q_des"], "v": wanted.v, "a": wanted.memory["a_des"]})
+        sample = JointMotion.of({"q": wanted.q, "v": wanted.v, "a": wanted.a})
         command, after = call(self.inner, x, sample, memory["inner"], dt)
         return command, {**wanted.memory, "inner": after}
 
@@ -162,7 +163,12 @@ class ViaJointSpace(Law):
             "ik_error": left,
             "ik_outcome": _outcome(left, held, seen.damping, (q_new - q) / (dt * self.speed.as_array()), task),
         }
-        return _Wanted(v=shortened(v + (q_new - q_pred) / dt, arm.velocity), memory=new)
+        # Where joints catch up, or may not go as fast as they should, the rate of what is asked is what it is.
+        asked = shortened(v + (q_new - q_pred) / dt, arm.velocity)
+        limited = tm.where(share < 1.0, 1.0, tm.where(rates.slowed < 1.0, 1.0, 0.0))
+        seen_rate = shortened((asked - memory.v_asked) / dt, arm.velocity / rise)
+        new["v_asked"] = asked
+        return _Wanted(q=q_new, v=asked, a=tm.where(limited > 0.5, seen_rate, a), memory=new)
 
     def _posture(self, x: Snapshot, memory: MemoryView) -> Array:
         if self.posture is None:
@@ -189,12 +195,9 @@ class ViaJointSpace(Law):
         Full speed is reached in the time `rise` and left in the same, as if the way were straight.
         """
         rise = self.rise.as_array()[()]
-        times = tm.abs(ahead) / tm.minimum(self.speed.as_array(), velocity)
-        time = times[0]
-        for i in range(1, len(times)):
-            time = tm.maximum(time, times[i])
+        time = tm.maximum(NEVER, _largest(tm.abs(ahead) / tm.minimum(self.speed.as_array(), velocity)))
         fastest = tm.minimum(tm.minimum(1.0, pace + dt / rise), tm.sqrt(2.0 * time / rise))
-        share = tm.minimum(1.0, fastest * dt / tm.maximum(time, NEVER))
+        share = tm.minimum(1.0, fastest * dt / time)
         return share, share * time / dt
 
     def _rates(
@@ -218,15 +221,16 @@ class ViaJointSpace(Law):
         fast = solve(b, null) + forced
         push = J.T @ solve.multipliers(b, null)
         wish = push + (towards if redundant else forced)
-        v = shortened(fast, arm.velocity)
-        slowed = tm.sqrt((v @ v + NEVER) / (fast @ fast + NEVER))
+        worst = _largest(tm.abs(fast) / arm.velocity)
+        slowed = 1.0 / tm.maximum(1.0, worst)
+        v = slowed * fast
         J_W, J_W_rate = dyn.jacobian(x.model, q, self.tool), jacobian_rate(x.model, q, v, self.tool)
         J_rate = task.seen_rate(T, J_W[3:] @ v, J_W, J_W_rate)
         wanted = task.seen_rate(T, J_W[3:] @ v, slowed * ref.twist, slowed * slowed * ref.acceleration)
         if redundant:
             null = free * (J_rate.T @ (slowed * solve.multipliers(b, null)) - pull * v)
         a = solve(wanted - J_rate @ v + J @ (forced / rise), null)
-        return _Rates(v=v, a=a, wish=wish)
+        return _Rates(v=v, a=shortened(a, arm.velocity / rise), wish=wish, slowed=slowed)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,13 +252,16 @@ class _Rates:
     v: Vector  # (n,) [rad/s | m/s]
     a: Vector  # (n,) [rad/s^2 | m/s^2]
     wish: Vector  # (n,) [rad/s | m/s]
+    slowed: Any  # share of the speed that equation 10.29 asks for
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Wanted:
     """What the inner law is to follow, and what is remembered."""
 
+    q: Vector
     v: Vector  # with the way that is caught up
+    a: Vector
     memory: dict[str, Any]
 
 
@@ -265,6 +272,13 @@ def _outcome(left: Array, held: Vector, damping: Any, motion: Vector, task: Task
     code = tm.where(np.sum(tm.abs(held)) > 0.5, IkOutcome.AT_LIMIT.code, code)
     code = tm.where(tm.norm(motion) > MOVING, IkOutcome.CATCHING_UP.code, code)
     return tm.where(tm.maximum(left[0], left[1]) < ARRIVED, IkOutcome.SOLVED.code, code)
+
+
+def _largest(values: Vector) -> Any:
+    out = values[0]
+    for value in values[1:]:
+        out = tm.maximum(out, value)
+    return out
 
 
 def _require_scalar(name: str, gain: GainValue) -> None:
@@ -280,7 +294,7 @@ def via_joint_space(
     directions: Directions = "all",
     posture: ArrayLike | None = None,
     pull: float = 1.0,
-    damping: float = 0.05,
+    damping: float = 0.1,
     speed: ArrayLike = 1.0,
     rise: float = 0.1,
 ) -> ViaJointSpace:
@@ -290,7 +304,7 @@ def via_joint_space(
         law: A law of joint motion, or a sum of them.
         steps: Newton steps in a tick. One is enough where the reference has twist and acceleration.
         tool: The frame that is to follow; the arm's tool if left out.
-        directions: "all" six; "position"; "pointing", for arms of five joints: position, and the frame's z axis.
+        directions: "all" six; "position"; "pointing", for tools that may spin: position, and where z points.
         posture: (n,) where joints to spare go [rad | m]; where they started if left out.
         pull: How fast they go there [1/s]; 0 leaves them alone.
         damping: Of J J^T at a singularity, as the singular value that it is the square of, without dimension.
