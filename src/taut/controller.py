@@ -22,13 +22,13 @@ from taut.codegen.layout import Block
 from taut.codegen.program import Program, Values, failure, trace
 from taut.control.describe import PARAMETER_UNITS, all_laws, gain_units, section, short, summary, title
 from taut.control.law import Law
-from taut.control.lawside import AT_TOOL, HELD, TOLD, LawSide, Probe
+from taut.control.lawside import HELD, TOLD, LawSide, Probe
 from taut.control.limiting import take_up
 from taut.control.limits import Limits
 from taut.control.reference import Sample, Trajectory
 from taut.control.sensing import Sensing
 from taut.maths.adds import Adds
-from taut.maths.snapshot import MEASUREMENTS, measurement_shapes
+from taut.maths.snapshot import AT_TOOL, MEASUREMENTS, measurement_shapes
 
 __all__ = ["BoundKernel", "Controller", "compile", "take_up_change"]
 
@@ -337,6 +337,7 @@ class Controller:
         for path in ("q", "ref.q"):  # in the first tick alone: nothing must stop an arm that moves already
             if path in self._inputs:
                 require_radians(path, self._inputs[path], self.arm)
+        self.side.check_start(self._inputs["q"].copy(), self.parameters)
         if TOLD in self._inputs:
             told = self._torque_at_start
             self._inputs[TOLD][...] = told is not None
@@ -400,17 +401,36 @@ class Controller:
         Raises:
             UsageError: There was no tick yet.
         """
+        outputs = self._last_tick("terms", _Functions(self.side, record=True))
+        return Named(f"the controller's {title(self.law)}", "term", subtree(outputs, "terms"))
+
+    @property
+    def sensed(self) -> Mapping[str, Float64Array]:
+        """What the law saw in the last tick, by measurement, computed when asked for: after all filters.
+
+        With `taut.Wrist(range=...)` also saturated.F_ext: 1.0 if the reading was at the end of its range.
+
+        Raises:
+            UsageError: There was no tick yet.
+        """
+        names = ("q", "v", *(name for name in self.side.takes if name != "v"))
+        outputs = self._last_tick("sensed", _Functions(self.side, record=True, sensed=names))
+        seen = subtree(outputs, "sensed") | {name: outputs[name] for name in self.side.sensing.tells}
+        return Named("the controller's sensing", "measurement", seen)
+
+    def _last_tick(self, what: str, functions: _Functions) -> dict[str, Float64Array]:
+        """The last tick once more, on floats, with all that it can give."""
         if self.ticks == 0:
-            raise UsageError("there are no terms before the first tick; call step first", name="terms")
-        blocks, functions = self._kernel.blocks, _Functions(self.side, record=True)
+            kind = "terms" if what == "terms" else "measurements"
+            raise UsageError(f"there are no {kind} before the first tick; call step first", name=what)
+        blocks = self._kernel.blocks
         inputs = blocks.layout["inputs"].views(blocks.seen.copy())
         inputs["t"][...] = (self.ticks - 1) * self.dt
         parameters = blocks.layout["parameters"].views(self.parameters.at_tick(self.ticks))
         memory = blocks.layout["memory"].views(blocks.before)
         with np.errstate(all="ignore"):
             outputs, _ = functions.tick(inputs, parameters, memory)
-        terms = {name: np.array(value, dtype=np.float64) for name, value in subtree(outputs, "terms").items()}
-        return Named(f"the controller's {title(self.law)}", "term", terms)
+        return {name: np.array(value, dtype=np.float64) for name, value in outputs.items()}
 
     @property
     def memory(self) -> Mapping[str, Float64Array]:
@@ -474,8 +494,9 @@ class _Functions:
         tick = self._side.tick(self.measured(inputs), self.sample(inputs), memory, parameters, parameters[DT])
         terms = {f"terms.{name}": value for name, value in tick.terms.items()} if self._record else {}
         sensed = {f"sensed.{name}": tick.seen[name] for name in self._sensed}
+        told = {name: tick.seen[name] for name in self._side.sensing.tells} if self._record else {}
         kept = {path: tick.memory[path] for path in self._side.recorded} if self._record else {}
-        return {"command": tick.command, **terms, **sensed, **kept}, tick.memory
+        return {"command": tick.command, **terms, **sensed, **told, **kept}, tick.memory
 
     def start(self, inputs: Values, parameters: Values, memory: Values) -> tuple[Values, Values]:  # noqa: ARG002
         return self._side.start(self.measured(inputs), self.sample(inputs), parameters), {}
@@ -506,10 +527,11 @@ def _kernel_of(
     terms = {f"terms.{name}": (n,) for name in probe.terms} if record else {}
     sensed_sizes = {f"sensed.{name}": sizes[name] for name in sensed}
     kept = {path: probe.shapes[path] for path in side.recorded} if record else {}
+    told = dict.fromkeys(side.sensing.tells, ()) if record else {}
     inputs = Block.of({"t": (), "q": (n,), **{name: sizes[name] for name in side.takes}, **ref_fields, **held})
     parameters = Block.of({path: value.shape for path, value in side.parameters.items()} | {DT: ()})
     memory = Block.of(probe.shapes)
-    blocks = Blocks(inputs, parameters, memory, Block.of({"command": (n,), **terms, **sensed_sizes, **kept}))
+    blocks = Blocks(inputs, parameters, memory, Block.of({"command": (n,), **terms, **sensed_sizes, **told, **kept}))
     parameters.pack({**side.parameters, DT: side.dt}, blocks.parameters)
     functions = _Functions(side, record=record, sensed=sensed)
     if engine == "float":
@@ -569,6 +591,7 @@ def _not_finite(side: LawSide, kernel: Kernel) -> TautError:
     joints, blocks = side.arm.joint_names, kernel.blocks
     try:
         side.check_finite(blocks.views("inputs"), kernel.count)
+        side.check_reading(blocks.views("inputs"), blocks.views("memory"), kernel.count)
     except RangeError as error:
         return error
     law = type(side.law).__name__

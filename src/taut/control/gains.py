@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, ClassVar, Self, overload
 
 import numpy as np
@@ -157,14 +158,32 @@ class Gain:
         minimum: The smallest allowed entry, 0 for a gain that must not be negative. A matrix must be symmetric
             positive semidefinite instead.
         maximum: The largest allowed entry, if there is one.
-        size: Number of entries of a vector; the number of joints if left out, 3 for a gain on positions of the tool.
+        size: Number of entries of a vector; the number of joints if left out, 3 for a gain on positions of the tool,
+            0 for one number only. A name stands for what the law has under it, such as "dimensions".
+        optional: Whether it may be left out altogether; then the law has no such gain (`law.gives("B")`).
+        pairs: Whether (linear, angular) stands for six entries, three of each.
+        scalar: Whether one number serves; of a gain with two units it does not.
+        function: Whether a function may stand in its place, which the law evaluates; then it is no parameter.
         where: Another field of the law and the value it must have for this gain to have a meaning, such as
-            ("anti_windup", "back-calculation"); elsewhere it is no parameter, and must not be given.
+            ("anti_windup", "back-calculation"), or ... for any value but None; elsewhere it is no parameter, and must
+            not be given.
 
     Shape: scalar, (size,), or (size, size). Applied with `@`.
     """
 
-    __slots__ = ("_default", "maximum", "minimum", "name", "owner", "size", "where")
+    __slots__ = (
+        "_default",
+        "function",
+        "maximum",
+        "minimum",
+        "name",
+        "optional",
+        "owner",
+        "pairs",
+        "scalar",
+        "size",
+        "where",
+    )
 
     def __init__(
         self,
@@ -172,14 +191,22 @@ class Gain:
         *,
         minimum: float = 0.0,
         maximum: float = np.inf,
-        size: int | None = None,
-        where: tuple[str, str] | None = None,
+        size: int | str | None = None,
+        where: tuple[str, Any] | None = None,
+        optional: bool = False,
+        pairs: bool = False,
+        scalar: bool = True,
+        function: bool = False,
     ) -> None:
         self._default = _hashable(default)
         self.minimum = minimum
         self.maximum = maximum
         self.size = size
         self.where = where
+        self.optional = optional
+        self.pairs = pairs
+        self.scalar = scalar
+        self.function = function
         self.name = ""
         self.owner: type | None = None
 
@@ -194,21 +221,30 @@ class Gain:
     def __get__(self, obj: object | None, owner: type) -> Any:
         if obj is not None:
             return obj.__dict__[self.name]
-        if self._default is None:  # how a dataclass learns that a field has no default
+        if self._default is None and not self.optional:  # how a dataclass learns that a field has no default
             raise AttributeError(self.name)
         return self._default
 
-    def __set__(self, obj: object, value: ArrayLike) -> None:
+    def __set__(self, obj: object, value: ArrayLike | Callable[..., Any] | None) -> None:
         from taut.control.law import field_units
 
+        if callable(value) or (value is None and self.optional):
+            if callable(value) and not self.function:
+                raise UsageError(f"{self.name} must be numbers; got a function", name=self.name)
+            obj.__dict__[self.name] = value
+            return
         unit = field_units(type(obj)).get(self.name, "")
         obj.__dict__[self.name] = GainValue(self.checked(value, unit), self.name)
 
     def has_meaning(self, law: object) -> bool:
         """Whether it is a gain of this law, with the fields that the law has."""
-        return self.where is None or getattr(law, self.where[0]) == self.where[1]
+        if self.where is None:
+            return True
+        field, value = self.where
+        given = getattr(law, field)
+        return given is not None if value is ... else bool(given == value)
 
-    def checked(self, value: ArrayLike, unit: str = "", name: str | None = None) -> Float64Array:
+    def checked(self, value: ArrayLike | None, unit: str = "", name: str | None = None) -> Float64Array:
         """`value` as a gain.
 
         Raises:
@@ -217,8 +253,21 @@ class Gain:
                 semidefinite.
         """
         name = name or self.name
-        given = value.as_array() if isinstance(value, GainValue) else value
+        given: Any = value.as_array() if isinstance(value, GainValue) else value
         array = finite_array(name, given, unit=unit)
+        if array.ndim == 0 and not self.scalar:
+            raise ShapeError(
+                f"{name} needs one number for metres and one for radians, {name}=(linear, angular), or six, or (6, 6)"
+                f"{f' [{unit}]' if unit else ''}; got {float(array):g} alone",
+                name=name,
+                value=float(array),
+            )
+        if self.size == 0 and array.ndim:
+            raise ShapeError(
+                f"{name} must be one number{f' [{unit}]' if unit else ''}; got shape {array.shape}", name=name
+            )
+        if self.pairs and array.shape == (2,):
+            array = np.repeat(array, 3)
         if array.ndim > 2 or (array.ndim == 2 and array.shape[0] != array.shape[1]) or not array.size:
             raise ShapeError(
                 f"{name} must be a scalar, (n,) or (n, n){f' [{unit}]' if unit else ''}; got shape {array.shape}",

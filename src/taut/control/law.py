@@ -71,6 +71,7 @@ class Law:
       with memory, a dict of the new memory by name;
     * optionally `start(self, x, ref) -> dict`: memory that starts from the measured state;
     * optionally `check_rate(self, rate)`, which refuses gains that have no meaning at that rate [Hz];
+    * optionally `check_state(self, x, rate)`, which refuses gains that have no meaning where a run starts;
     * `reference`, the kind of sample it follows (JointMotion unless said);
     * `recorded`, the entries of its memory that a run keeps as further columns (none unless said).
 
@@ -156,6 +157,18 @@ class Law:
             return self.children()[head].gain_field(rest)
         return type(self).__dict__[head], field_units(type(self)).get(head, "")
 
+    def gain_size(self, path: str) -> int | None:
+        """Entries of the gain behind a path where it is a vector; None for one per joint."""
+        head, _, rest = path.partition(".")
+        if rest:
+            return self.children()[head].gain_size(rest)
+        size: int | str | None = type(self).__dict__[head].size
+        return int(getattr(self, size)) if isinstance(size, str) else size
+
+    def gives(self, gain: str) -> bool:
+        """Whether an optional gain was given, and has a meaning."""
+        return gain in self.gains()
+
     def bound(self, values: Mapping[str, Any]) -> Law:
         """A copy whose gains are `values` by path: symbols while traced, numbers in the float engine."""
         own = {name: GainValue(values[name], name) for name in self.gains()}
@@ -179,7 +192,7 @@ class Law:
             ShapeError: A gain has another size.
         """
         for path, values in self.parameters().items():
-            declared = self.gain_field(path)[0].size
+            declared = self.gain_size(path)
             size = n if declared is None else declared
             if values.ndim and values.shape[0] != size:
                 ours = type(self).__module__.startswith("taut.")
@@ -190,6 +203,10 @@ class Law:
                     f"{way_out}",
                     name=path,
                 )
+
+    def seen_by(self, child: str, x: Snapshot, ref: Sample) -> tuple[Snapshot, Sample]:  # noqa: ARG002
+        """What a law that this one holds sees and follows."""
+        return x, ref
 
     @property
     def controlled_frame(self) -> str | None:
@@ -212,6 +229,18 @@ class Law:
         check: Callable[[float], None] | None = getattr(self, "check_rate", None)
         if check is not None:
             check(rate)
+
+    def check_states(self, x: Snapshot, rate: float) -> None:
+        """Every law that has a `check_state` must fit the state of a snapshot, with the gains that it has now.
+
+        Raises:
+            RangeError: A gain that has no meaning there.
+        """
+        for law in self.children().values():
+            law.check_states(x, rate)
+        check: Callable[[Snapshot, float], None] | None = getattr(self, "check_state", None)
+        if check is not None:
+            check(x, rate)
 
     def __add__(self, other: Law) -> Law:
         from taut.control.combine import added
@@ -287,9 +316,9 @@ def _check_arguments(cls: type[Law]) -> None:
             if isinstance(gain, Gain) and not gain.has_meaning(self):
                 assert gain.where is not None
                 other, value = gain.where
+                case = f"{other}=" if value is ... else f"{other}='{value}'"
                 raise UsageError(
-                    f"{cls.__name__}: {name} is for {other}='{value}', and this one has {getattr(self, other)!r}; "
-                    "leave it out",
+                    f"{cls.__name__}: {name} is for {case}, and this one has {getattr(self, other)!r}; leave it out",
                     name=name,
                 )
         for name, value in list(vars(self).items()):
@@ -348,8 +377,7 @@ def initial_memory(law: Law, x: Snapshot, ref: Sample) -> dict[str, Any]:
     for field in dataclasses.fields(law):  # type: ignore[arg-type]  # every law is a dataclass
         if isinstance(type(law).__dict__.get(field.name), Memory):
             values[field.name] = law.__dict__[field.name]
-    for name, child in law.children().items():  # one that is made to follow something else starts at rest
-        values[name] = initial_memory(child, x, ref if isinstance(ref, child.reference) else child.at_rest(x))
+    values |= {name: initial_memory(child, *law.seen_by(name, x, ref)) for name, child in law.children().items()}
     start: Callable[[Snapshot, Sample], Mapping[str, Any]] | None = getattr(law, "start", None)
     if start is not None:
         values |= start(x, ref)
@@ -361,6 +389,7 @@ RESERVED: Final = frozenset(name for name in vars(Law) if not name.startswith("_
     "command",
     "start",
     "check_rate",
+    "check_state",
 }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from taut.base.errors import unknown_name
 from taut.control.combine import Sum
 from taut.control.friction import FrictionCompensation
+from taut.control.impedance import Impedance, Stiffness
 from taut.control.joint import (
     PID,
     ComputedTorque,
@@ -13,8 +14,11 @@ from taut.control.joint import (
     GravityPID,
     VelocityPI,
 )
+from taut.control.nullspace import LimitAvoidance, Manipulability, Posture
+from taut.control.side_by_side import SideBySide
 from taut.control.stiction import Dither, RaisedGains
 from taut.control.via_joint_space import ViaJointSpace
+from taut.control.task import TaskComputedTorque
 
 __all__ = [
     "PID",
@@ -27,7 +31,14 @@ __all__ = [
     "RaisedGains",
     "VelocityPI",
     "ViaJointSpace",
+    "TaskComputedTorque",
+    "Impedance",
+    "Stiffness",
+    "Posture",
+    "LimitAvoidance",
+    "Manipulability",
     "Sum",
+    "SideBySide",
 ]
 
 

@@ -107,6 +107,10 @@ class ViaJointSpace(Law):
         if self.posture is not None:
             object.__setattr__(self, "posture", finite_array("posture", self.posture, unit="rad | m"))
 
+    def seen_by(self, child: str, x: Snapshot, ref: Sample) -> tuple[Snapshot, Sample]:  # noqa: ARG002
+        """The law that it holds begins with a rest where the arm is."""
+        return x, JointMotion.at_rest(x, None)
+
     def start(self, x: Snapshot, ref: TaskMotion) -> dict[str, Any]:  # noqa: ARG002
         zero = np.zeros(x.n)
         return {

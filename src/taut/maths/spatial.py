@@ -25,6 +25,8 @@ __all__ = [
     "rotated",
     "rotation_exp",
     "rotation_log",
+    "rotation_log_and_curve",
+    "turned_back",
 ]
 
 SMALL: Final = 1e-4  # below this square of an angle [rad^2] a series is more accurate than the formula
@@ -66,6 +68,19 @@ def _half_angle(R: Rotation) -> tuple[Vector3, Any, Any]:
     x2 = s2 / (w * w + s2)  # sin^2: asin(x) / x = 1 + x^2/6 + 3 x^4/40 + 15 x^6/336
     ratio = tm.where(small, 1.0 + x2 * (1.0 / 6.0 + x2 * (3.0 / 40.0 + x2 * (15.0 / 336.0))), ratio)
     return 2.0 * ratio * vector, s2, 1.0 - ratio * w
+
+
+def rotation_log_and_curve(R: Rotation) -> tuple[Vector3, Any]:
+    """(3,) rotation vector w of R, and c of its rates: J^-1 f = f - w x f / 2 + c w x (w x f), see `turned_back`."""
+    w, _, defect = _half_angle(R)
+    return w, _curve(w[0] * w[0] + w[1] * w[1] + w[2] * w[2], defect)
+
+
+def turned_back(w: Vector3, c: Any, f: Vector3, sign: float = 1.0) -> Vector3:
+    """(3,) inverse left Jacobian of the rotation vector w times f; with sign -1 the right one."""
+    turned = tm.cross(w, f)
+    out: Vector3 = f - 0.5 * sign * turned + c * tm.cross(w, turned)
+    return out
 
 
 def rotation_log(R: Rotation) -> Vector3:
@@ -133,12 +148,8 @@ def adjoint(T: Pose) -> Matrix:
 
 def pose_log(T: Pose) -> Twist:
     """(6,) the constant twist that leads from the identity to T in one second [m, rad]."""
-    w, _, defect = _half_angle(T.R)
-    p = T.p
-    c = _curve(w[0] * w[0] + w[1] * w[1] + w[2] * w[2], defect)
-    turned = tm.cross(w, p)
-    v = p - 0.5 * turned + c * tm.cross(w, turned)
-    return tm.array([*v, *w])
+    w, c = rotation_log_and_curve(T.R)
+    return tm.array([*turned_back(w, c, T.p), *w])
 
 
 def pose_exp(xi: Twist) -> Pose:

@@ -1,0 +1,154 @@
+"""What laws of impedance share: the axes of K, B and D, the spring as the gradient of its energy, designed damping.
+
+Everything is in the axes C of the gains: those of the world, of the reference ("task") or of the tool; with another
+error than "decoupled", in the coordinates of that error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from taut.base import math as tm
+from taut.base.errors import UsageError
+from taut.base.linalg import LTDL, times_square_root
+from taut.base.types import Array, Matrix, Rotation, Vector, Wrench
+from taut.control.gains import GainValue
+from taut.control.task_error import Coordinates, ErrorKind, TaskError, task_error
+from taut.control.task_reference import TaskMotion
+from taut.maths.snapshot import Snapshot
+from taut.maths.spatial import pose_log_rate, rotated, turned_back
+
+__all__ = ["FRAMES", "Compliance", "GainFrame", "check_frame", "modal_damping", "six_gains"]
+
+GainFrame = Literal["world", "task", "tool"]
+FRAMES: Final[tuple[GainFrame, ...]] = ("world", "task", "tool")
+SMALL: Final = 1e-4  # [rad^2]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Compliance:
+    """The error of a pose in the axes of the gains, and the way back of wrenches."""
+
+    error: TaskError
+    kind: ErrorKind
+    frame: GainFrame
+    R: Rotation | None  # R_WC, None for the world and for other errors
+    X: Vector  # (k,) desired minus actual
+    V: Vector  # (k,)
+
+    @classmethod
+    def of(
+        cls,
+        kind: ErrorKind,
+        frame: GainFrame,
+        x: Snapshot,
+        ref: TaskMotion,
+        tool: str | None,
+        coordinates: Coordinates | None,
+    ) -> Compliance:
+        """That of a tool and its reference."""
+        error = task_error(kind, x, ref, tool, coordinates)
+        R = {"world": None, "task": ref.R, "tool": x.T(tool).R}[frame] if kind == "decoupled" else None
+        X, V = (error.X, error.V) if R is None else (rotated(R.T, error.X), rotated(R.T, error.V))
+        return cls(error=error, kind=kind, frame=frame, R=R, X=X, V=V)
+
+    def inwards(self, six: Array) -> Array:
+        """What the law computes in the coordinates of the error, in the axes of the gains."""
+        return six if self.R is None else rotated(self.R.T, six)
+
+    def outwards(self, six: Array) -> Array:
+        """The way back."""
+        return six if self.R is None else rotated(self.R, six)
+
+    def matrix_outwards(self, C: Matrix) -> Matrix:
+        """(k, k) a symmetric matrix of the gains' axes in the coordinates of the error."""
+        return C if self.R is None else _turned(self.R, C)
+
+    def matrix_inwards(self, C: Matrix) -> Matrix:
+        """(k, k) the way back."""
+        return C if self.R is None else _turned(self.R.T, C)
+
+    def wrench(self, force: Array) -> Wrench:
+        """(k,) what pulls the tool where the potential X . force falls: the rate of X turns a spring into its wrench.
+
+        -X-dot = A V of the tool at a resting reference, and the wrench A^T force. For forces along X it is the force
+        itself; for a stiffness that differs by direction the rest is what makes the spring conservative.
+        """
+        if self.kind == "coordinates":
+            return force
+        if self.kind in ("body", "space"):
+            out: Wrench = pose_log_rate(self.X if self.kind == "body" else -self.X).T @ force
+            return out
+        w = self.X[3:]
+        angle2 = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
+        c = _curve(angle2)
+        moment = turned_back(w, c, force[3:], -1.0 if self.frame == "tool" else 1.0)
+        if self.frame == "tool":
+            moment = moment + tm.cross(self.X[:3], force[:3])
+        return tm.array([*force[:3], *moment])
+
+
+def _curve(angle2: Any) -> Any:
+    """(1 - (a/2) / tan(a/2)) / a^2."""
+    small = angle2 < SMALL
+    safe = tm.where(small, 1.0, angle2)
+    half = 0.5 * tm.sqrt(safe)
+    series = 1.0 / 12.0 + angle2 * (1.0 / 720.0 + angle2 * (1.0 / 30240.0))
+    return tm.where(small, series, (1.0 - half * tm.cos(half) / tm.sin(half)) / safe)
+
+
+def _turned(R: Rotation, C: Matrix) -> Matrix:
+    """(6, 6) of one set of axes in another, block by block."""
+    out = tm.zeros((6, 6))
+    for i in (0, 3):
+        for j in (0, 3):
+            out[i : i + 3, j : j + 3] = R @ C[i : i + 3, j : j + 3] @ R.T
+    return out
+
+
+def modal_damping(inertia: LTDL, K: Matrix, zeta: Any, V: Vector) -> Vector:
+    """(k,) B V with the damping ratio zeta in each mode of inertia and stiffness.
+
+    With inertia = U U^T, B = 2 zeta U (U^-1 K U^-T)^(1/2) U^T:
+    each generalised eigenvector of K and the inertia has 2 zeta omega_n, exactly.
+
+    References:
+        Albu-Schaffer, Ott and Hirzinger (2003), IEEE ICRA, double diagonalisation.
+    """
+    mapped = times_square_root(inertia.between_roots(K), inertia.times_root_transposed(V))
+    out: Vector = 2.0 * zeta * inertia.times_root(mapped)
+    return out
+
+
+def six_gains(value: Any, size: int, name: str) -> GainValue:
+    """What a function of the pose gives as a gain: a pair, one per direction, or a matrix.
+
+    Raises:
+        UsageError: It gives something else.
+    """
+    array = tm.array(value) if not isinstance(value, np.ndarray) else value
+    if size == 6 and array.shape == (2,):
+        array = tm.array([array[0]] * 3 + [array[1]] * 3)
+    if array.shape not in ((size,), (size, size)):
+        raise UsageError(
+            f"{name} as a function of the pose must give (linear, angular), ({size},) or ({size}, {size}); got shape "
+            f"{array.shape}",
+            name=name,
+        )
+    return GainValue(array, name)
+
+
+def check_frame(frame: str, kind: str) -> None:
+    """Axes are chosen for the decoupled error; the others bring their own.
+
+    Raises:
+        UsageError: Both.
+    """
+    if frame != "world" and kind != "decoupled":
+        raise UsageError(
+            f"frame='{frame}' is for error='decoupled'; error='{kind}' has coordinates of its own; leave frame out",
+            name="frame",
+        )

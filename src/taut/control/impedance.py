@@ -1,0 +1,328 @@
+"""Impedance control: section 10.5 of the chapter, equations 10.46 to 10.49."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from taut.base import math as tm
+from taut.base.checks import one_of
+from taut.base.errors import RangeError, UsageError
+from taut.base.linalg import factor_spd
+from taut.base.types import Array, Vector, Wrench
+from taut.control.command import Command, Terms, Torque
+from taut.control.compliance import FRAMES, Compliance, GainFrame, check_frame, modal_damping, six_gains
+from taut.control.gains import Gain, GainValue
+from taut.control.law import Law, MemoryView
+from taut.control.nullspace import Posture
+from taut.control.task import bounded, check_error_max, check_null, null_torque
+from taut.control.task_error import ERRORS, Coordinates, ErrorKind, check_coordinates, dimensions
+from taut.control.task_reference import TaskMotion
+from taut.maths.snapshot import Snapshot
+from taut.maths.task_inertia import TaskInertia
+
+__all__ = ["Impedance", "Stiffness"]
+
+Feedback = Literal["wrench", "acceleration"]
+FEEDBACKS: Final[tuple[Feedback, ...]] = ("wrench", "acceleration")
+Coriolis = Literal["cancel", "keep"]
+CORIOLIS: Final[tuple[Coriolis, ...]] = ("cancel", "keep")
+
+
+class Impedance(Law):
+    """Impedance control: the tool answers a wrench like a mass, a damper and a spring.
+
+    Law:          without D   tau = J^T (Lambda (a_des - J-dot v) + B V_e + K X_e) + h
+                  feedback="wrench", D with a wrist sensor:  a = D^-1 (F_ext + B V_e + K X_e)
+                    tau = J^T (Lambda (a_des + a - J-dot v) - F_ext) + h
+                  feedback="acceleration", the chapter's form, with V-dot of the tick before:
+                    tau = J^T (Lambda (V-dot - J-dot v) + D (a_des - V-dot) + B V_e + K X_e) + h          eq. 10.49
+    Closed loop:  D V_e-dot + B V_e + K X_e = -F_ext, with an exact model and no friction; without D the arm's own
+                    Lambda(q) stands in its place                                              eq. 10.46, 10.48
+                  with X_des at rest the deviation x = -X_e obeys D x_ddot + B x_dot + K x = F_ext
+                  a tracking error is what F_ext makes, K^-1 F_ext at rest, and what the model does not know
+                  feedback="acceleration" is an algebraic loop, closed a tick late: stable where the eigenvalues of
+                    Lambda^-1 (D + B dt / 2) are above 0 and below 2, and refused where a run starts elsewhere
+                  a sampled loop is passive at constant gains and X_des with B and friction of K dt / 2 and more
+                  coriolis="keep" leaves C v where it is: then without D the energy of arm and spring falls at the
+                    rate V . B V, which that of the cancelled form does about rest only
+
+    The wrench of the spring is the gradient of X_e . K X_e / 2, so that a stiffness that differs by direction gains
+    nothing along a closed path; it is K X_e itself where X_e is along an axis of K. With zeta= the damping is
+    designed at each pose from K and the inertia that is felt, D or Lambda(q): zeta is the damping ratio of each mode.
+
+    Frames:
+        frame= names the axes of K, B and D: "world", "task" (of the reference pose) or "tool".
+
+    Args:
+        K: Stiffness: (linear, angular), (6,) or (6, 6), or a function of the pose, which needs `tank`.
+        B: Damping; or zeta.
+        zeta: Damping ratio of every mode, in place of B.
+        D: Inertia to be felt; that of the arm if left out.
+        feedback: With D, what makes the difference: "wrench", a wrist sensor, or "acceleration".
+        error: "decoupled", "body", "space" or "coordinates": see `taut.laws.TaskComputedTorque`.
+        coordinates: With error="coordinates": what is controlled.
+        error_max: (2,) largest error that the spring answers [m, rad], smoothly; what it takes is the term `bound`.
+        tank: Most energy that changes of K and D may bring in [J]. New values then come in over `settle` seconds, as
+            far as the tank pays for them; damping fills it.
+        settle: Time constant of such changes [s].
+        coriolis: "cancel" or "keep".
+        null: A law for the motion that the task leaves free; None to leave it free.
+        tool: The frame that is controlled; the arm's tool if left out.
+
+    References:
+        Section 10.5 impedance control. Hogan (1985), ASME J. Dynamic Systems 107. Ferraguti, Secchi and Fantuzzi
+        (2013), IEEE ICRA, on the tank.
+    """
+
+    reference = TaskMotion
+    K: Gain = Gain(size="dimensions", pairs=True, scalar=False, function=True)  # [N/m, N m/rad]
+    B: Gain = Gain(size="dimensions", pairs=True, scalar=False, optional=True)  # [N s/m, N m s/rad]
+    zeta: Gain = Gain(optional=True, size=0)  # [-]
+    D: Gain = Gain(size="dimensions", pairs=True, scalar=False, optional=True)  # [kg, kg m^2]
+    feedback: Feedback = "wrench"
+    frame: GainFrame = "world"
+    error: ErrorKind = "decoupled"
+    coordinates: Coordinates | None = None
+    error_max: Gain = Gain(optional=True, size=2)  # [m, rad]
+    tank: Gain = Gain(optional=True, size=0)  # [J]
+    settle: Gain = Gain(0.1, minimum=1e-6, size=0, where=("tank", ...))  # [s]
+    coriolis: Coriolis = "cancel"
+    null: Law | None = Posture()
+    tool: str | None = None
+
+    def __post_init__(self) -> None:
+        one_of("error", self.error, ERRORS)
+        one_of("feedback", self.feedback, FEEDBACKS)
+        one_of("frame", self.frame, FRAMES)
+        one_of("coriolis", self.coriolis, CORIOLIS)
+        check_frame(self.frame, self.error)
+        check_coordinates(self.error, self.coordinates, type(self).__name__)
+        check_error_max(self.error_max if self.gives("error_max") else None, self.error)
+        check_null(self.null)
+        _check_damping(self.gives("B"), self.gives("zeta"))
+        if self.gives("D"):
+            _check_inertia(self.D)
+        if callable(self.K) and not self.gives("tank"):
+            raise UsageError(
+                "K as a function of the pose needs tank= [J], which keeps it from bringing in energy at its borders; "
+                "a wall or a groove is a law to add: + taut.laws.VirtualWall(...)",
+                name="tank",
+            )
+
+    @property
+    def dimensions(self) -> int:
+        """Entries of the error: 6, or those of the coordinates."""
+        return dimensions(self.error, self.coordinates)
+
+    def check_state(self, x: Snapshot, rate: float) -> None:
+        """The algebraic loop of feedback="acceleration" is stable where 0 < eig(Lambda^-1 (D + B dt / 2)) < 2."""
+        if not self.gives("D") or self.feedback != "acceleration":
+            return
+        ref = TaskMotion.at_rest(x, self.tool)
+        felt = Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
+        inverse = felt.error.J @ x.M_factors.solve(felt.error.J.T)
+        K, D, size = self._stiffness(x).matrix(self.dimensions), self.D.matrix(self.dimensions), self.dimensions
+        if self.gives("B"):
+            B = self.B.matrix(size)
+        else:
+            zeta, factors = self.zeta.as_array(), factor_spd(D)
+            B = np.column_stack([modal_damping(factors, K, zeta, column) for column in np.eye(size)])
+        ratios = np.linalg.eigvals(inverse @ felt.matrix_outwards(D + B * (0.5 / rate)))
+        low, high = float(np.min(ratios.real)), float(np.max(ratios.real))
+        if not 0.0 < low <= high < 2.0:
+            raise RangeError(
+                "feedback='acceleration' uses the acceleration of the tick before, which is stable where the "
+                "eigenvalues of Lambda^-1 (D + B dt / 2) are above 0 and below 2; at this pose they are "
+                f"{low:.3g} to {high:.3g}; "
+                "change D, or take feedback='wrench' with a wrist sensor",
+                name="D",
+                value=high,
+                rule="0 < eig(Lambda^-1 (D + B dt / 2)) < 2",
+            )
+
+    def start(self, x: Snapshot, ref: TaskMotion) -> Mapping[str, Any]:
+        memory: dict[str, Any] = {}
+        if self.gives("tank"):
+            memory["K_now"] = self._stiffness(x).as_array()
+            memory["energy"] = self.tank.as_array()
+            if self.gives("D"):
+                memory["D_now"] = self.D.as_array()
+        if self.gives("D") and self.feedback == "acceleration":
+            felt = Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
+            memory["V_last"] = felt.error.J @ x.v
+        return memory
+
+    def _stiffness(self, x: Snapshot) -> GainValue:
+        K: Any = self.K
+        return six_gains(K(x.T(self.tool)), self.dimensions, "K") if callable(K) else self.K
+
+    def command(
+        self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: float
+    ) -> tuple[Command, dict[str, object]]:
+        felt = Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
+        error, after = felt.error, dict[str, object]()
+        inertia = TaskInertia.of(error.J, x.M_factors)
+        K, D = self._stiffness(x), self.D if self.gives("D") else None
+        if self.gives("tank"):
+            K, D, share = self._paid(felt, K, D, memory, dt)
+            after |= {"K_now": K.as_array()} | ({} if D is None else {"D_now": D.as_array()})
+        spring = Terms(P=K @ felt.X)
+        if self.gives("error_max"):
+            spring = spring + Terms(bound=K @ (bounded(felt.X, self.error_max) - felt.X))
+        damping = self._damping(felt, K, D, inertia)
+        if self.gives("tank"):
+            after["energy"] = self._filled(memory.energy, share, felt.V @ damping, dt)
+        wrench = spring.mapped(felt.wrench) + Terms(D=damping)
+        cancels = self.coriolis == "cancel"
+        motion = Terms(feedforward=error.acceleration)
+        if cancels:
+            motion = motion + Terms(nonlinear=-error.Jdot_v)
+        if D is None:
+            F = wrench.mapped(felt.outwards) + inertia.Lambda @ motion
+        elif self.feedback == "wrench":
+            F_ext = _at_frame(self, x, inertia)
+            solved = factor_spd(D.matrix(self.dimensions))
+            a = (wrench + Terms(sensor=felt.inwards(F_ext))).mapped(solved.solve).mapped(felt.outwards)
+            F = inertia.Lambda @ (a + motion) - Terms(sensor=F_ext)
+        else:
+            V = error.J @ x.v
+            V_dot = (V - memory.V_last) / dt
+            after["V_last"] = V
+            lag = felt.outwards(D @ felt.inwards(error.acceleration - V_dot))
+            F = wrench.mapped(felt.outwards) + Terms(inertia=lag)
+            F = F + inertia.Lambda @ (motion + Terms(inertia=V_dot) - Terms(feedforward=error.acceleration))
+        tau = error.J.T @ F + Terms(nonlinear=x.h if cancels else x.g)
+        if self.null is not None:
+            free, after["null"] = null_torque(self.null, x, ref, memory["null"], dt, inertia)
+            tau = tau + free
+        return Torque(tau), after
+
+    def _damping(self, felt: Compliance, K: GainValue, D: GainValue | None, inertia: TaskInertia) -> Vector:
+        """(k,) B V_e in the axes of the gains."""
+        if self.gives("B"):
+            out: Vector = self.B @ felt.V
+            return out
+        matrix = felt.matrix_inwards(inertia.Lambda) if D is None else D.matrix(self.dimensions)
+        return modal_damping(factor_spd(matrix), K.matrix(self.dimensions), self.zeta.as_array(), felt.V)
+
+    def _paid(
+        self, felt: Compliance, K: GainValue, D: GainValue | None, memory: MemoryView, dt: Any
+    ) -> tuple[GainValue, GainValue | None, Any]:
+        """The gains after this tick on their way to new ones, as far as the tank pays; and what it paid [J]."""
+        settled = dt / tm.maximum(self.settle.as_array(), dt)
+        dK = GainValue((K.as_array() - memory.K_now) * settled, "K")
+        cost = 0.5 * (felt.X @ (dK @ felt.X))
+        dD = None
+        if D is not None:
+            dD = GainValue((D.as_array() - memory.D_now) * settled, "D")
+            cost = cost + 0.5 * (felt.V @ (dD @ felt.V))
+        short = cost > memory.energy
+        share = tm.where(short, memory.energy / tm.where(short, cost, 1.0), 1.0)
+        back = 0.0 if self.gives("error_max") else 1.0  # of a bounded spring less comes back than X K X / 2 says
+        paid = tm.where(cost > 0.0, share * cost, back * cost)
+        now = GainValue(memory.K_now + share * dK.as_array(), "K")
+        return now, None if dD is None else GainValue(memory.D_now + share * dD.as_array(), "D"), paid
+
+    def _filled(self, energy: Any, paid: Any, dissipated: Any, dt: Any) -> Any:
+        """[J] in the tank after this tick."""
+        return tm.clip(energy - paid + tm.maximum(dissipated, 0.0) * dt, 0.0, self.tank.as_array())
+
+
+def _at_frame(law: Impedance, x: Snapshot, inertia: TaskInertia) -> Wrench:
+    """The measured wrench in the coordinates of the error."""
+    F = x.F_ext
+    p = x.T(law.tool).p
+    if law.tool is not None and law.tool != x.arm.tool:
+        F = tm.array([*F[:3], *(F[3:] + tm.cross(x.T().p - p, F[:3]))])
+    if law.error == "body":
+        R = x.T(law.tool).R
+        return tm.array([*(R.T @ F[:3]), *(R.T @ F[3:])])
+    if law.error == "space":
+        return tm.array([*F[:3], *(F[3:] + tm.cross(p, F[:3]))])
+    if law.error == "coordinates":
+        out: Array = inertia.Lambda @ inertia.acceleration(x.J(law.tool).T @ F)
+        return out
+    return F
+
+
+def _check_damping(B: bool, zeta: bool) -> None:
+    if B and zeta:
+        raise UsageError(
+            "Impedance takes B or zeta, not both: zeta designs B from K and the inertia; leave one of them out",
+            name="zeta",
+        )
+    if not B and not zeta:
+        raise UsageError(
+            "Impedance needs its damping: B=(linear, angular) [N s/m, N m s/rad], or zeta=0.7 for the damping "
+            "ratio of every mode",
+            name="zeta",
+        )
+
+
+def _check_inertia(D: GainValue) -> None:
+    """An inertia is inverted, so that none of its directions may be zero."""
+    values = np.asarray(D.as_array())
+    least = float(np.linalg.eigvalsh(values)[0]) if values.ndim == 2 else float(values.min())
+    if least <= 0.0:
+        raise RangeError(
+            f"D must be > 0 [kg, kg m^2] in every direction; its least is {least:g}; leave D out for the arm's own "
+            "inertia",
+            name="D",
+            value=least,
+            rule="> 0",
+        )
+
+
+class Stiffness(Law):
+    """Stiffness control: a spring alone, with the arm's weight compensated.
+
+    Law:          tau = J^T K X_e + g(q) - kd v                                  eq. 10.49 with K only
+    Closed loop:  M a + C v + kd v = J^T (K X_e + F_ext): F_ext = -K X_e at rest
+                  the energy of arm and spring falls at the rate v . kd v, and stays with kd = 0
+
+    Frames:
+        frame= names the axes of K: "world", "task" (of the reference pose) or "tool".
+
+    Args:
+        K: Stiffness: (linear, angular), (6,) or (6, 6).
+        kd: Joint damping.
+        error: "decoupled", "body", "space" or "coordinates": see `taut.laws.TaskComputedTorque`.
+        coordinates: With error="coordinates": what is controlled.
+        error_max: (2,) largest error that the spring answers [m, rad]; what it takes is the term `bound`.
+        tool: The frame that is controlled; the arm's tool if left out.
+
+    References:
+        Section 10.5 impedance control. Salisbury (1980), IEEE CDC, active stiffness control.
+    """
+
+    reference = TaskMotion
+    K: Gain = Gain(size="dimensions", pairs=True, scalar=False)  # [N/m, N m/rad]
+    kd: Gain = Gain(0.0)  # [N m s/rad | N s/m]
+    frame: GainFrame = "world"
+    error: ErrorKind = "decoupled"
+    coordinates: Coordinates | None = None
+    error_max: Gain = Gain(optional=True, size=2)  # [m, rad]
+    tool: str | None = None
+
+    def __post_init__(self) -> None:
+        one_of("error", self.error, ERRORS)
+        one_of("frame", self.frame, FRAMES)
+        check_frame(self.frame, self.error)
+        check_coordinates(self.error, self.coordinates, type(self).__name__)
+        check_error_max(self.error_max if self.gives("error_max") else None, self.error)
+
+    @property
+    def dimensions(self) -> int:
+        """Entries of the error: 6, or those of the coordinates."""
+        return dimensions(self.error, self.coordinates)
+
+    def command(self, x: Snapshot, ref: TaskMotion) -> Command:
+        felt = Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
+        spring = Terms(P=self.K @ felt.X)
+        if self.gives("error_max"):
+            spring = spring + Terms(bound=self.K @ (bounded(felt.X, self.error_max) - felt.X))
+        wrench = spring.mapped(felt.wrench).mapped(felt.outwards)
+        return Torque(felt.error.J.T @ wrench + Terms(gravity=x.g, D=-(self.kd @ x.v)))
