@@ -17,8 +17,8 @@ from taut.control.joint import (
 from taut.control.nullspace import LimitAvoidance, Manipulability, Posture
 from taut.control.side_by_side import SideBySide
 from taut.control.stiction import Dither, RaisedGains
-from taut.control.via_joint_space import ViaJointSpace
 from taut.control.task import TaskComputedTorque
+from taut.control.via_joint_space import ViaJointSpace
 
 __all__ = [
     "PID",
