@@ -125,8 +125,8 @@ class LTDL:
     def least_direction(self, steps: int = 1) -> Array:
         """A unit vector along the eigenvector of the smallest eigenvalue, by inverse iteration.
 
-        It starts from x in L x = e_k with k the smallest pivot: x . A x is that pivot, and |x| >= 1. Each step divides
-        what is left of the others by the ratio of their eigenvalues to the smallest.
+        It starts from x in L x = e_k with k the smallest pivot: x . A x is that pivot, and |x| >= 1. Each step
+        divides what is left of the others by the ratio of their eigenvalues to the smallest.
         """
         n, smallest = len(self.d), self.d[0]
         x: list[Any] = [1.0] + [0.0] * (n - 1)

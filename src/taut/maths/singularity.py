@@ -1,7 +1,7 @@
 """Through singularities: the joint accelerations that a task asks for, calm where the arm cannot follow.
 
-Where J loses rank, the inverse asks for any speed and any torque. Here only the direction that is nearly lost is
-damped, what it asks of the joints is held within what the joints can do, and away from singularities nothing is changed.
+Where J loses rank its inverse asks for any speed and any torque. Here the direction that is nearly lost is damped and
+nothing else, what it asks of the joints is held within what they can do, and away from singularities nothing changes.
 """
 
 from __future__ import annotations
@@ -19,55 +19,48 @@ from taut.base import math as tm
 from taut.base.linalg import factor_spd
 from taut.base.types import Float64Array, Matrix, Vector
 from taut.maths.snapshot import Snapshot
+from taut.maths.task_inertia import least_direction
 
-__all__ = ["BORDER", "DAMPING", "SHARE", "Resolved", "resolve", "singular_border"]
+__all__ = ["Resolved", "Sizes", "resolve", "sizes_of"]
 
-BORDER: Final = 0.1  # smallest singular value of J below which an arm of human size is near a singularity
-DAMPING: Final = 0.1  # lambda, in parts of the border
-SHARE: Final = 0.1  # of the torque that gravity and Coriolis forces leave, which motion may use near a singularity
+BORDER: Final = 0.1  # smallest singular value of J under which an arm of 0.9 m and more is near a singularity
+DAMPING: Final = 0.1  # lambda at the singularity, in parts of the border
+SHARE: Final = 0.1  # of the torque that gravity and Coriolis forces leave: what motion may use near a singularity
 TOP_SPEED: Final = 0.97  # of a joint's limit
-TINY: Final = 1e-10  # of the largest eigenvalues: keeps pivots from zero
-FULL: Final = 0.9  # of the border, where limits act in full
-LEAST_ROOM: Final = 0.05  # of the effort, where gravity takes all of it
-STEEP: Final = 0.5  # of the border, where damping acts in full
+LEAST_ROOM: Final = 0.05  # of the effort: what is taken to be left where gravity takes all of it
+FULL: Final = 0.9  # of the border: where limits act in full
+STEEP: Final = 0.5  # of the border: where damping acts in full
+TINY: Final = 1e-10  # keeps the pivots of what is to be inverted from zero
+ENDLESS: Final = 1.4  # [m] reach of an arm whose slides have no ends
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sizes:
-    """What the lengths of an arm say about a task: its border, and how rotations weigh against positions."""
+    """What an arm's reach says about its tasks."""
 
-    border: float
-    length: float  # [m/rad]
+    border: float  # of the smallest singular value of J, in m and rad
+    length: float  # [m/rad] how a rotation weighs against a way, in what is given up
 
 
 @functools.lru_cache(maxsize=64)
-def sizes(arm: Arm) -> Sizes:
-    """Lengths of an arm, from its reach; those of an arm of 1.4 m if it has no end."""
-    r = reach(arm)
-    r = 1.4 if not np.isfinite(r) or r <= 0.0 else r
-    return Sizes(border=BORDER * min(1.0, r / 0.9), length=0.36 * r)
-
-
-def singular_border(arm: Arm) -> float:
-    """The smallest singular value of J [m, rad per unit of the joints] under which `resolve` may act."""
-    return sizes(arm).border
+def sizes_of(arm: Arm) -> Sizes:
+    """Border and length of an arm: 0.1, less where it reaches less than 0.9 m, and about a third of its reach."""
+    longest = reach(arm)
+    if not 0.0 < longest < np.inf:
+        longest = ENDLESS
+    return Sizes(border=BORDER * min(1.0, longest / 0.9), length=0.36 * longest)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Resolved:
-    """What the joints do for a task: accelerations, a linear map of the task's, and what becomes of the torque."""
+    """What the joints do for a task."""
 
-    total: Vector  # (n,) accelerations of the joints, before `scale` [rad/s^2 | m/s^2]
+    accelerations: Vector  # (n,) of the joints, before `scale` [rad/s^2 | m/s^2]
+    of: Callable[[Vector], Vector]  # (n,) what a part (k,) of the task's acceleration has in them: a linear map
     scale: Any  # of the torque of motion; 1 away from singularities
-    lost: Any  # 0 to 1: how much of the nearly lost direction is taken
-    held: Any  # memory: how much of the limits still acts
-    share_of: Callable[[Vector], Vector]  # (n,) what a task acceleration (k,) has in `total`
-    M: Matrix
-    project_acceleration: Callable[[Vector], Vector]
-
-    def torque(self, accelerations: Any) -> Any:
-        """(n,) torques for accelerations of the joints, or named terms of them that add up to `total`."""
-        return self.scale * (self.M @ accelerations)
+    lost: Any  # 0 to 1: how much of the nearly lost direction is given up
+    held: Any  # memory: how far the limits of a singularity still act
+    project: Callable[[Vector], Vector]  # (n,) N^T tau, the part of torques that does not move the task
 
 
 def resolve(
@@ -80,86 +73,127 @@ def resolve(
     damping: Any = DAMPING,
     share: Any = SHARE,
 ) -> Resolved:
-    """..."""
-    k, n = J.shape
-    size, v, arm = sizes(x.arm), x.v, x.arm
+    """Joint accelerations for a task acceleration: J^# a away from singularities, and calm through them.
+
+    Law:          v_c = v_g + rho v_u,  v_g + v_u = v + (J_d^# (a + k J v) - k v) / k,  q_ddot = s k (c v_c - v)
+                  J^# = M^-1 J^T Lambda for n > k joints; for n <= k the least-squares inverse (J^T W J)^-1 J^T W,
+                    W weighing a rotation against a way with a third of the arm's reach
+                  J_d^# the same, damped by lambda^2 along the one direction in which J moves least
+                  v_u   what that direction asks of the joints; rho <= 1 leaves of it what their speed limits allow
+                  c <= 1 brings the rest within the speed limits, s <= 1 the torque of motion M q_ddot within `share`
+                    of what h leaves of the effort
+                  lambda = 0 and rho = c = s = 1 where J moves everything by more than the border: q_ddot = J^# a.
+                    rho, c and s act on until nothing is left to cut: what a singularity leaves behind is worked off
+                    within the limits
+    Closed loop:  near a singularity v follows v_c at the rate k, so that no joint gets faster than its limit, and
+                  motion in the lost direction dies out at the rate k; what is given up is along that direction only
+
+    Args:
+        x: The arm at its measured state.
+        J: (k, n) Jacobian of the task.
+        a: (k,) acceleration of the task less J-dot v.
+        rate: k, at which joints settle where the task does not move them [1/s]: the damping of the task.
+        held: Memory, zero at the start.
+        damping: lambda at the singularity, in parts of the border.
+        share: Of the torque that h leaves, what motion may use near a singularity.
+
+    References:
+        Nakamura and Hanafusa (1986), ASME J. Dynamic Systems 108. Chiaverini (1997), IEEE Transactions on Robotics
+        and Automation 13 (3).
+    """
+    (k, n), arm, size = J.shape, x.arm, sizes_of(x.arm)
+    wide = n > k
     weight = np.ones(k)
     if k == 6:
         weight[3:] = size.length**2
-    wide = n > k
     if wide:
-        back = x.M_factors.solve(J.T)
+        back, side = x.M_factors.solve(J.T), np.eye(k)
         factors = factor_spd(J @ back + TINY * tm.eye(k))
-        u = factor_spd(J @ J.T + TINY * tm.eye(k)).least_direction()
-        moved = J.T @ u
-        r = u / weight
+        u = least_direction(J)
+        moved, r = J.T @ u, u / weight
         r = r / (u @ r)
     else:
-        side = (weight[:, None] * J).T
+        back, side = np.eye(n), (weight[:, None] * J).T
         factors = factor_spd(side @ J + TINY * tm.eye(n))
-        r = factors.least_direction()
-        moved = J @ r
-
-    solve = factors.solve
-    z = solve(r)
+        u = r = factors.least_direction()
+        moved = J @ u
+    square = moved @ moved  # not under that of the least singular value, whatever u is
+    z = factors.solve(r)
     inside = r @ z
-    plain = moved @ moved
-    ratio = 1.0 / (inside * (plain + TINY)) if wide else 1.0
-    lam2 = ratio * _ramp(plain, size.border, STEEP) * (damping * size.border) ** 2
-    f = 1.0 / (1.0 + lam2 * inside)
-    near = tm.maximum(held, _ramp(plain, size.border, FULL))
-    lost_motion = (back @ z if wide else z) * f
+    scale = 1.0 / (inside * (square + TINY)) if wide else 1.0  # from the kinetic to the kinematic measure
+    extra = scale * _ramp(square, size.border, STEEP) * (damping * size.border) ** 2
+    kept = 1.0 / (1.0 + extra * inside)
+    near = tm.maximum(held, _ramp(square, size.border, FULL))
+    lost_way = (back @ z if wide else z) * kept
 
-    def along(b: Vector) -> Any:  # of the least direction
-        return u @ b if wide else r @ (side @ b)
+    def along(b: Vector) -> Any:
+        return u @ (b if wide else side @ b)
+
+    def solved(b: Vector) -> Vector:
+        y = factors.solve(b)
+        out: Vector = y - z * (extra * kept * (r @ y))
+        return out
 
     def damped(b: Vector) -> Vector:
-        y = solve(b if wide else side @ b)
-        y = y - z * (lam2 * f * (r @ y))
-        return back @ y if wide else y
+        return back @ solved(b) if wide else solved(side @ b)
 
-    asked = a + (near if wide else 1.0) * rate * (J @ v)
-    part = lost_motion * along(asked)
+    calm = (
+        near if wide else 1.0
+    )  # the motion that a task of fewer directions leaves free is damped near singularities
+    asked = a + (calm * rate) * (J @ x.v)
     target = damped(asked)
     if wide:
-        target = target + ((1.0 - near) * rate) * v
-    limit = TOP_SPEED * rate * arm.velocity
-    other = target - part
-    rho: Any = 1.0
-    bounded = [i for i in range(n) if np.isfinite(arm.velocity[i])]
-    for i in bounded:
-        room = limit[i] - tm.where(part[i] > 0.0, other[i], -other[i])
-        rho = tm.minimum(rho, tm.maximum(room, 0.0) / (tm.abs(part[i]) + 1e-9))
-    wanted = other + rho * part
-    most: Any = 1.0
-    for i in bounded:
-        most = tm.maximum(most, tm.abs(wanted[i]) / limit[i])
-    rest = near * (1.0 - rho)
-    slow = 1.0 - near * (1.0 - 1.0 / most)
-    total = slow * (target - rest * part) - rate * v
-    tau, use = x.M @ total, 1.0
-    for i in range(n):
-        if np.isfinite(arm.effort[i]):
-            room = tm.maximum(arm.effort[i] - tm.abs(x.h[i]), LEAST_ROOM * arm.effort[i]) * share
-            use = tm.minimum(use, room / (tm.abs(tau[i]) + 1e-9))
-    cutting = tm.minimum(tm.minimum(rho, 1.0 / most), use) < 1.0
+        target = target + ((1.0 - near) * rate) * x.v
+    part = lost_way * along(asked)
+    rho, slow = _within(part, target - part, (TOP_SPEED * rate) * arm.velocity, arm.velocity)
+    given_up = near * (1.0 - rho)
+    slowed = 1.0 - near * (1.0 - slow)
+    accelerations = slowed * (target - given_up * part) - rate * x.v
+    use = _use(x.M @ accelerations, x.h, arm.effort, share)
 
-    def share_of(b: Vector) -> Vector:
-        return slow * (damped(b) - lost_motion * (rest * along(b)))
+    def of(b: Vector) -> Vector:
+        out: Vector = slowed * (damped(b) - lost_way * (given_up * along(b)))
+        return out
+
+    def project(tau: Vector) -> Vector:
+        moving = J.T @ solved(back.T @ tau) if wide else x.M @ damped(J @ x.M_factors.solve(tau))
+        out: Vector = tau - moving
+        return out
 
     return Resolved(
-        total=total,
+        accelerations=accelerations,
+        of=of,
         scale=1.0 - near * (1.0 - use),
-        lost=1.0 - f,
-        held=tm.where(cutting, near, 0.0),
-        share_of=share_of,
-        M=x.M,
-        project_acceleration=lambda b: b - damped(J @ b),
+        lost=1.0 - kept * (1.0 - given_up),
+        held=tm.where(tm.minimum(tm.minimum(rho, slow), use) < 1.0, near, 0.0),
+        project=project,
     )
 
 
 def _ramp(square: Any, border: float, full: float) -> Any:
     """0 where the square of a singular value is above border^2, 1 below (full border)^2, smooth between."""
-    top = border * border
-    s = tm.clip((top - square) / ((1.0 - full * full) * top), 0.0, 1.0)
+    s = tm.clip((border * border - square) / ((1.0 - full * full) * border * border), 0.0, 1.0)
     return s * s * (3.0 - 2.0 * s)
+
+
+def _within(part: Vector, other: Vector, limit: Vector, velocity: Float64Array) -> tuple[Any, Any]:
+    """The largest rho <= 1 that keeps |other + rho part| within limits, and the factor that brings the sum there."""
+    rho: Any = 1.0
+    most: Any = 1.0
+    joints = [i for i, top in enumerate(velocity) if np.isfinite(top)]
+    for i in joints:
+        room = limit[i] - tm.where(part[i] > 0.0, other[i], -other[i])
+        rho = tm.minimum(rho, tm.maximum(room, 0.0) / (tm.abs(part[i]) + TINY))
+    for i in joints:
+        most = tm.maximum(most, tm.abs(other[i] + rho * part[i]) / limit[i])
+    return rho, 1.0 / most
+
+
+def _use(tau: Vector, h: Vector, effort: Float64Array, share: Any) -> Any:
+    """The factor <= 1 that brings torques of motion within a share of what h leaves of the effort."""
+    use: Any = 1.0
+    for i, most in enumerate(effort):
+        if np.isfinite(most):
+            room = tm.maximum(most - tm.abs(h[i]), LEAST_ROOM * most)
+            use = tm.minimum(use, share * room / (tm.abs(tau[i]) + TINY))
+    return use
