@@ -60,7 +60,7 @@ class Resolved:
     scale: Any  # of the torque of motion; 1 away from singularities
     lost: Any  # 0 to 1: how much of the nearly lost direction is given up
     held: Any  # memory: how far the limits of a singularity still act
-    project: Callable[[Vector], Vector]  # (n,) N^T tau, the part of torques that does not move the task
+    project: Callable[[Vector], Vector]  # (n,) N^T tau, which does not move the task; none near
 
 
 def resolve(
@@ -87,6 +87,7 @@ def resolve(
                     within the limits
     Closed loop:  near a singularity v follows v_c at the rate k, so that no joint gets faster than its limit, and
                   motion in the lost direction dies out at the rate k; what is given up is along that direction only
+                  N^T tau_0 fades out towards a singularity, where the rate k takes its place
 
     Args:
         x: The arm at its measured state.
@@ -157,7 +158,7 @@ def resolve(
 
     def project(tau: Vector) -> Vector:
         moving = J.T @ solved(back.T @ tau) if wide else x.M @ damped(J @ x.M_factors.solve(tau))
-        out: Vector = tau - moving
+        out: Vector = (1.0 - near) * (tau - moving)
         return out
 
     return Resolved(

@@ -57,10 +57,9 @@ class TaskInertia:
         inverse = factor_spd(J @ W + TINY * tm.eye(len(J))).inverse()
         u = least_direction(J)
         z = inverse @ u
-        shown = u @ z  # 1 / (u . Lambda u) would be what u has of J M^-1 J^T alone
-        half = 0.5 * most
+        shown, half = u @ z, 0.5 * most
         over = tm.maximum(shown - half, 0.0)
-        wanted = half + half * over / (half + over)  # half at half, `most` for all that is much more
+        wanted = half + half * over / (half + over)  # tends to `most`, with the slope 1 at half of it
         left = tm.where(shown > half, wanted / shown, 1.0)
         return cls(J=J, Minv_JT=W, Lambda=inverse - z[:, None] * (z * ((1.0 - left) / shown)))
 
