@@ -154,7 +154,7 @@ def test_terms_add_up_to_the_torque_near_a_singularity() -> None:
     ctrl = taut.compile(taut.laws.TaskComputedTorque(kp=100.0, kd=20.0), arm)
     x = stretched(0.05)
     T = x.T()
-    tau = ctrl.step(x.q, x.v, taut.TaskMotion(pose=taut.Pose(T.p + [0.1, 0.0, 0.05], R=T.R)))
+    tau = ctrl.step(x.q, x.v, taut.TaskMotion(pose=taut.Pose(np.add(T.p, [0.1, 0.0, 0.05]), R=T.R)))
     assert np.abs(sum(ctrl.terms.values()) - tau).max() < 1e-9
     assert np.abs(ctrl.terms["singularity"]).max() > 0.1
 
