@@ -31,9 +31,9 @@ WAYS = {
 }
 TITLES = {
     "wrist": "wrist aligned",
-    "shoulder": "over the shoulder's axis",
-    "beyond": "0.1 m beyond reach, and back",
-    "elbow": "elbow straight, and back",
+    "shoulder": "over the shoulder axis",
+    "beyond": "beyond reach and back",
+    "elbow": "elbow straight and back",
 }
 COLOUR = dict(zip(WAYS, (COLOURS[7], COLOURS[0], COLOURS[1]), strict=True))
 SHOWN = {"wrist": 1, "shoulder": 0, "beyond": 0, "elbow": 0}  # of the sixteen
