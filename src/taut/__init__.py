@@ -112,6 +112,7 @@ if TYPE_CHECKING:
     from taut.runtime.drivers.mujoco import MujocoPlant as MujocoPlant
     from taut.runtime.events import Event as Event
     from taut.runtime.simulate import run as run
+    from taut.study.impedance import check_impedance as check_impedance
     from taut.study.limits import StiffnessCheck as StiffnessCheck
     from taut.study.limits import StiffnessLimits as StiffnessLimits
     from taut.study.limits import check_stiffness as check_stiffness
@@ -185,6 +186,7 @@ _HOME: Final = {
     "runtime.drivers.mujoco": ("MujocoPlant",),
     "runtime.events": ("Event",),
     "runtime.simulate": ("run",),
+    "study.impedance": ("check_impedance",),
     "study.limits": ("StiffnessCheck", "StiffnessLimits", "check_stiffness", "stiffness_limits"),
     "study.sampled": ("SampledLoop",),
     "study.tip": ("check_stiffness_at", "safe_stiffness"),

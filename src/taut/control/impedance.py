@@ -124,7 +124,7 @@ class Impedance(Law):
         ref = TaskMotion.at_rest(x, self.tool)
         felt = Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
         inverse = felt.error.J @ x.M_factors.solve(felt.error.J.T)
-        K, D, size = self._stiffness(x).matrix(self.dimensions), self.D.matrix(self.dimensions), self.dimensions
+        K, D, size = self.stiffness(x).matrix(self.dimensions), self.D.matrix(self.dimensions), self.dimensions
         if self.gives("B"):
             B = self.B.matrix(size)
         else:
@@ -146,7 +146,7 @@ class Impedance(Law):
     def start(self, x: Snapshot, ref: TaskMotion) -> Mapping[str, Any]:
         memory: dict[str, Any] = {}
         if self.gives("tank"):
-            memory["K_now"] = self._stiffness(x).as_array()
+            memory["K_now"] = self.stiffness(x).as_array()
             memory["energy"] = self.tank.as_array()
             if self.gives("D"):
                 memory["D_now"] = self.D.as_array()
@@ -155,7 +155,8 @@ class Impedance(Law):
             memory["V_last"] = felt.error.J @ x.v
         return memory
 
-    def _stiffness(self, x: Snapshot) -> GainValue:
+    def stiffness(self, x: Snapshot) -> GainValue:
+        """K at a pose."""
         K: Any = self.K
         return six_gains(K(x.T(self.tool)), self.dimensions, "K") if callable(K) else self.K
 
@@ -165,7 +166,7 @@ class Impedance(Law):
         felt = Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
         error, after = felt.error, dict[str, object]()
         inertia = TaskInertia.of(error.J, x.M_factors)
-        K, D = self._stiffness(x), self.D if self.gives("D") else None
+        K, D = self.stiffness(x), self.D if self.gives("D") else None
         if self.gives("tank"):
             K, D, share = self._paid(felt, K, D, memory, dt)
             after |= {"K_now": K.as_array()} | ({} if D is None else {"D_now": D.as_array()})

@@ -161,6 +161,7 @@ class GravityCompensation(Law):
         Section 10.2.2.2 centralised multi-joint control.
     """
 
+    ignores_reference = True
     kd: Gain = Gain(0.0)  # [N m s/rad | N s/m]
 
     def command(self, x: Snapshot, ref: JointMotion) -> Command:  # noqa: ARG002
