@@ -146,7 +146,7 @@ def resolve(
     if wide:
         target = target + ((1.0 - near) * rate) * x.v
     part = lost_way * along(asked)
-    rho, slow = _within(part, target - part, (TOP_SPEED * rate) * arm.velocity, arm.velocity)
+    rho, slow = _within(part, target - part, TOP_SPEED * rate, arm.velocity)
     given_up = near * (1.0 - rho)
     slowed = 1.0 - near * (1.0 - slow)
     accelerations = slowed * (target - given_up * part) - rate * x.v
@@ -177,24 +177,29 @@ def _ramp(square: Any, border: float, full: float) -> Any:
     return s * s * (3.0 - 2.0 * s)
 
 
-def _within(part: Vector, other: Vector, limit: Vector, velocity: Float64Array) -> tuple[Any, Any]:
+def _within(part: Vector, other: Vector, scale: Any, velocity: Float64Array) -> tuple[Any, Any]:
     """The largest rho <= 1 that keeps |other + rho part| within limits, and the factor that brings the sum there."""
-    rho: Any = 1.0
-    most: Any = 1.0
     joints = [i for i, top in enumerate(velocity) if np.isfinite(top)]
+    shares = [1.0]
     for i in joints:
-        room = limit[i] - tm.where(part[i] > 0.0, other[i], -other[i])
-        rho = tm.minimum(rho, tm.maximum(room, 0.0) / (tm.abs(part[i]) + TINY))
-    for i in joints:
-        most = tm.maximum(most, tm.abs(other[i] + rho * part[i]) / limit[i])
-    return rho, 1.0 / most
+        room = scale * velocity[i] - tm.where(part[i] > 0.0, other[i], -other[i])
+        shares.append(room / (tm.abs(part[i]) + TINY))
+    rho = tm.maximum(0.0, _folded(tm.minimum, shares))
+    sizes = [tm.abs(other[i] + rho * part[i]) * (1.0 / velocity[i]) for i in joints]
+    return rho, scale / _folded(tm.maximum, [scale, *sizes])
 
 
 def _use(tau: Vector, h: Vector, effort: Float64Array, share: Any) -> Any:
     """The factor <= 1 that brings torques of motion within a share of what h leaves of the effort."""
-    use: Any = 1.0
-    for i, most in enumerate(effort):
-        if np.isfinite(most):
-            room = tm.maximum(most - tm.abs(h[i]), LEAST_ROOM * most)
-            use = tm.minimum(use, share * room / (tm.abs(tau[i]) + TINY))
-    return use
+    joints = [i for i, most in enumerate(effort) if np.isfinite(most)]
+    rooms = [tm.maximum(effort[i] - tm.abs(h[i]), LEAST_ROOM * effort[i]) for i in joints]
+    most = _folded(tm.maximum, [share, *(tm.abs(tau[i]) / room for i, room in zip(joints, rooms, strict=True))])
+    return share / most
+
+
+def _folded(pick: Callable[[Any, Any], Any], values: list[Any]) -> Any:
+    """The smallest or largest of some numbers, by pairs: short chains are fast."""
+    while len(values) > 1:
+        pairs = [pick(a, b) for a, b in zip(values[::2], values[1::2], strict=False)]
+        values = pairs + values[len(pairs) * 2 :]
+    return values[0]
