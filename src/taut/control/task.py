@@ -8,7 +8,7 @@ import numpy as np
 
 from taut.base import math as tm
 from taut.base.checks import one_of, require_positive
-from taut.base.errors import UsageError
+from taut.base.errors import ShapeError, UsageError
 from taut.base.types import Vector
 from taut.control.command import Command, Terms, Torque
 from taut.control.gains import Gain, GainValue, Memory
@@ -51,7 +51,8 @@ class TaskComputedTorque(Law):
         coordinates: With error="coordinates": what is controlled.
         error_max: (2,) largest error that the spring answers [m, rad]; no bound if left out.
         null: A law for the motion that the task leaves free, `Posture()` if not said, None for none: its torque
-            goes through the dynamically consistent projector, N^T = I - J^T Lambda J M^-1, which the tool does not feel.
+            goes through the dynamically consistent projector, N^T = I - J^T Lambda J M^-1, which the tool does not
+            feel.
         tool: The frame that is controlled; the arm's tool if left out.
 
     References:
@@ -65,7 +66,7 @@ class TaskComputedTorque(Law):
     e_int: Memory = Memory(0.0)  # [m s, rad s]
     error: ErrorKind = "decoupled"
     coordinates: Coordinates | None = None
-    error_max: Gain = Gain(optional=True, size=2)  # [m, rad]
+    error_max: Gain = Gain(optional=True, size=2, minimum=1e-9)  # [m, rad]
     null: Law | None = Posture()
     tool: str | None = None
     anti_windup: AntiWindup = "clamping"
@@ -110,8 +111,7 @@ def bounded(X: Vector, most: GainValue) -> Vector:
     """(6,) the error, smoothly bounded part by part: X / sqrt(1 + |X|^2 / most^2)."""
     parts = []
     for k, part in enumerate((X[:3], X[3:])):
-        size = most[k] if most.ndim else most[()]
-        square = (part[0] * part[0] + part[1] * part[1] + part[2] * part[2]) / (size * size)
+        square = (part[0] * part[0] + part[1] * part[1] + part[2] * part[2]) / (most[k] * most[k])
         parts.extend(part / tm.sqrt(1.0 + square))
     return tm.array(parts)
 
@@ -120,11 +120,18 @@ def check_error_max(error_max: GainValue | None, error: str) -> None:
     """A bound of the spring is positive, and for errors that have a linear and an angular part.
 
     Raises:
+        ShapeError: It is not two numbers.
         UsageError: It is given for coordinates.
         RangeError: It is not positive.
     """
     if error_max is None:
         return
+    if error_max.shape != (2,):
+        raise ShapeError(
+            "error_max needs one number for metres and one for radians, error_max=(linear, angular) [m, rad]; got "
+            f"shape {error_max.shape}",
+            name="error_max",
+        )
     if error == "coordinates":
         raise UsageError(
             "error_max=(linear, angular) bounds the errors of a pose, and error='coordinates' has others; leave "
