@@ -40,8 +40,8 @@ class TaskComputedTorque(Law):
                   so omega_n = sqrt(kp), zeta = kd / (2 sqrt(kp)) for ki = 0
                   a sampled loop tends to this as dt falls
 
-    The spring kp X_e may be bounded: error_max=(linear, angular) puts X_e / sqrt(1 + |X_e|^2 / error_max^2) in its
-    place, part by part; what the bound takes is the term `bound`.
+    The spring kp X_e may be bounded: error_max=(linear, angular) puts X_e / sqrt(1 + X_e . X_e / error_max^2) in the
+    place of X_e, part by part; what the bound takes is the term `bound`.
 
     Frames:
         World axes at the tool for "decoupled", the tool's own for "body", the world's origin for "space".
@@ -108,7 +108,7 @@ class TaskComputedTorque(Law):
 
 
 def bounded(X: Vector, most: GainValue) -> Vector:
-    """(6,) the error, smoothly bounded part by part: X / sqrt(1 + |X|^2 / most^2)."""
+    """(6,) the error, smoothly bounded part by part: X / sqrt(1 + X . X / most^2)."""
     parts = []
     for k, part in enumerate((X[:3], X[3:])):
         square = (part[0] * part[0] + part[1] * part[1] + part[2] * part[2]) / (most[k] * most[k])
