@@ -60,6 +60,8 @@ if TYPE_CHECKING:
     from taut.control.reference import hold as hold
     from taut.control.reference import stream as stream
     from taut.control.sensing import Sensing as Sensing
+    from taut.control.side_by_side import SideBySide as SideBySide
+    from taut.control.side_by_side import together as together
     from taut.control.task_error import Coordinates as Coordinates
     from taut.control.task_reference import TaskMotion as TaskMotion
     from taut.control.trajectory import Cubic as Cubic
@@ -71,6 +73,7 @@ if TYPE_CHECKING:
     from taut.control.trajectory import Trapezoidal as Trapezoidal
     from taut.control.velocity import Difference as Difference
     from taut.control.velocity import Kalman as Kalman
+    from taut.control.wrist import Wrist as Wrist
     from taut.controller import Controller as Controller
     from taut.controller import compile as compile
     from taut.loop import Loop as Loop
@@ -81,6 +84,15 @@ if TYPE_CHECKING:
     from taut.plant.actuation import Actuation as Actuation
     from taut.plant.actuation import Ripple as Ripple
     from taut.plant.environment import Environment as Environment
+    from taut.plant.environment import Environments as Environments
+    from taut.plant.environment_held import Hand as Hand
+    from taut.plant.environment_held import Handle as Handle
+    from taut.plant.environment_push import Push as Push
+    from taut.plant.environment_springs import Damper as Damper
+    from taut.plant.environment_springs import Spring as Spring
+    from taut.plant.environment_wall import StiffWall as StiffWall
+    from taut.plant.environment_will import BandNoise as BandNoise
+    from taut.plant.environment_will import Oscillation as Oscillation
     from taut.plant.joint_sensors import Encoder as Encoder
     from taut.plant.joint_sensors import Tachometer as Tachometer
     from taut.plant.joint_sensors import TorqueSensor as TorqueSensor
@@ -100,6 +112,16 @@ if TYPE_CHECKING:
     from taut.runtime.drivers.mujoco import MujocoPlant as MujocoPlant
     from taut.runtime.events import Event as Event
     from taut.runtime.simulate import run as run
+    from taut.study.limits import StiffnessCheck as StiffnessCheck
+    from taut.study.limits import StiffnessLimits as StiffnessLimits
+    from taut.study.limits import check_stiffness as check_stiffness
+    from taut.study.limits import stiffness_limits as stiffness_limits
+    from taut.study.sampled import SampledLoop as SampledLoop
+    from taut.study.tip import check_stiffness_at as check_stiffness_at
+    from taut.study.tip import safe_stiffness as safe_stiffness
+    from taut.study.wrist import WristCalibration as WristCalibration
+    from taut.study.wrist import calibrate_wrist as calibrate_wrist
+    from taut.study.wrist_poses import calibration_poses as calibration_poses
 
 _HOME: Final = {
     "arm.description": ("Arm", "Friction", "Payload"),
@@ -132,16 +154,23 @@ _HOME: Final = {
     "control.limits": ("Limits",),
     "control.reference": ("JointMotion", "chunk", "hold", "stream"),
     "control.sensing": ("Sensing",),
+    "control.side_by_side": ("SideBySide", "together"),
     "control.task_error": ("Coordinates",),
     "control.task_reference": ("TaskMotion",),
     "control.trajectory": ("Cubic", "JerkLimited", "Quintic", "Samples", "Sine", "Spline", "Trapezoidal"),
     "control.velocity": ("Difference", "Kalman"),
+    "control.wrist": ("Wrist",),
     "controller": ("Controller", "compile"),
     "loop": ("Loop",),
     "maths.gearing": ("rotor_share",),
     "maths.snapshot": ("Snapshot", "snapshot"),
     "plant.actuation": ("Actuation", "Ripple"),
-    "plant.environment": ("Environment",),
+    "plant.environment": ("Environment", "Environments"),
+    "plant.environment_held": ("Hand", "Handle"),
+    "plant.environment_push": ("Push",),
+    "plant.environment_springs": ("Damper", "Spring"),
+    "plant.environment_wall": ("StiffWall",),
+    "plant.environment_will": ("BandNoise", "Oscillation"),
     "plant.joint_sensors": ("Encoder", "Tachometer", "TorqueSensor"),
     "plant.motor": ("ElectricMotor", "Motor", "TorqueLoop"),
     "plant.rigid": ("RigidPlant",),
@@ -156,6 +185,11 @@ _HOME: Final = {
     "runtime.drivers.mujoco": ("MujocoPlant",),
     "runtime.events": ("Event",),
     "runtime.simulate": ("run",),
+    "study.limits": ("StiffnessCheck", "StiffnessLimits", "check_stiffness", "stiffness_limits"),
+    "study.sampled": ("SampledLoop",),
+    "study.tip": ("check_stiffness_at", "safe_stiffness"),
+    "study.wrist": ("WristCalibration", "calibrate_wrist"),
+    "study.wrist_poses": ("calibration_poses",),
 }
 _MODULES: Final = {"dynamics": "maths.dynamics", "laws": "control.laws", "math": "base.math"}
 _WHERE: Final = {name: module for module, names in _HOME.items() for name in names}

@@ -23,6 +23,7 @@ ARMS = {
     "xarm7": taut.load_arm("xarm7"),
     "so101": taut.load_arm("so101"),
 }
+BOUNDED = taut.compile(taut.laws.TaskComputedTorque(kp=100.0, kd=20.0, error_max=(0.05, 0.2)), PANDA, engine="float")
 STEP = 2e-4  # [s] of differences
 DIFFERENCE = 1e-8  # what they are worth, relative to the rates: a fifth derivative times STEP^4 / 30, and rounding
 LOGARITHM = 1e-13  # of Pinocchio's and SciPy's logarithms, away from pi
@@ -237,6 +238,36 @@ class TestTheJacobian:
         x = taut.snapshot(PANDA, q, v)
         action = se3(taut.Pose(x.T().p, R=np.eye(3))).toActionMatrix()
         assert np.abs(error_at("space", PANDA, q, v, target.at(0.0)).J - action @ x.J()).max() < 1e-14
+
+
+class TestTheBoundOfTheSpring:
+    MAX = (0.05, 0.2)
+
+    def spring(self, away: Array) -> tuple[Array, Array]:
+        """(6,) kp X and what the terms P and bound accelerate the tool with, at a goal that far away."""
+        q = np.array(PANDA.home)
+        x = taut.snapshot(PANDA, q)
+        goal = taut.Pose.of(rotation_exp(away[3:]) @ x.T().R, x.T().p + away[:3])
+        BOUNDED.step(q, np.zeros(7), taut.TaskMotion(pose=goal))
+        pull = BOUNDED.terms["P"] + BOUNDED.terms["bound"]
+        return 100.0 * away, x.J() @ np.linalg.solve(x.M, pull)
+
+    @pytest.mark.parametrize("size", [1e-6, 1e-2, 0.1, 1.0, 2.5])
+    def test_pulls_along_the_error_and_never_by_more(self, size: float) -> None:
+        away = size * np.array([0.5, -0.4, 0.3, -0.6, 0.7, 0.3])
+        plain, got = self.spring(away)
+        for part, most in ((slice(0, 3), self.MAX[0]), (slice(3, 6), self.MAX[1])):
+            length = np.linalg.norm(away[part])
+            np.testing.assert_allclose(got[part], plain[part] / np.sqrt(1.0 + (length / most) ** 2), rtol=1e-8)
+            assert np.linalg.norm(got[part]) < 100.0 * most
+
+    def test_is_smooth_where_the_error_vanishes(self) -> None:
+        """Its slope is kp there: what it takes falls with the third power."""
+        taken = []
+        for size in (1e-2, 1e-3):
+            plain, got = self.spring(size * np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+            taken.append(plain[0] - got[0])
+        assert np.log10(taken[0] / taken[1]) == pytest.approx(3.0, abs=0.02)
 
 
 class TestAnotherFrame:

@@ -9,12 +9,15 @@ import numpy as np
 
 from taut.apps.read_arm import read_true_arm
 from taut.apps.read_drives import made_from, read_actuation
+from taut.apps.read_environment import read_environment
 from taut.apps.read_joints import friction_word
 from taut.apps.toml import Section, file_beside
-from taut.arm.description import Arm
+from taut.arm.description import Arm, Payload
 from taut.maths.adds import Adds
+from taut.plant.readings import Sensor
 from taut.plant.rigid import RigidPlant
 from taut.plant.sensors import SENSORS, Sensors
+from taut.plant.tool_sensors import WrenchSensor
 from taut.runtime.host import HostPlant
 
 __all__ = ["Plant", "read_plant"]
@@ -51,7 +54,9 @@ def read_plant(section: Section, believed: Arm, rate: float, folder: Path) -> Pl
         options["sensors"] = _sensors(section.section("sensors"))
     if "actuation" in section:
         options["actuation"] = read_actuation(section.section("actuation"))
-    for key in ("sensors", "actuation"):
+    if "environment" in section:
+        options["environment"] = read_environment(section.section("environment"))
+    for key in ("sensors", "actuation", "environment"):
         section.take(key, None)  # known, so that a misspelt one is compared with it
     if kind == "mujoco":
         return _in_mujoco(section, arm, options, rate, folder)
@@ -98,6 +103,14 @@ def _sensors(section: Section) -> Sensors:
             section.take(name)
             options[name] = None
         elif name in section:
-            options[name] = made_from(section.section(name), kind)
+            options[name] = _sensor(section.section(name), kind)
     with section.blamed():
         return Sensors(**options)
+
+
+def _sensor(section: Section, kind: type[Sensor]) -> Any:
+    """One sensor; that of the wrist may have a table for the tool that it weighs."""
+    parts = (
+        {"tool": made_from(section.section("tool"), Payload)} if kind is WrenchSensor and "tool" in section else {}
+    )
+    return made_from(section, kind, **parts)

@@ -71,7 +71,7 @@ class Law:
       with memory, a dict of the new memory by name;
     * optionally `start(self, x, ref) -> dict`: memory that starts from the measured state;
     * optionally `check_rate(self, rate)`, which refuses gains that have no meaning at that rate [Hz];
-    * optionally `check_state(self, x)`, which refuses gains that have no meaning at the state where a run starts;
+    * optionally `check_state(self, x, rate)`, which refuses gains that have no meaning where a run starts;
     * `reference`, the kind of sample it follows (JointMotion unless said).
 
     Laws add: `FeedForward() + PID(kp=..., kd=...)`. A law must not inherit from another one: it holds it in a field.
@@ -202,6 +202,10 @@ class Law:
                     name=path,
                 )
 
+    def seen_by(self, child: str, x: Snapshot, ref: Sample) -> tuple[Snapshot, Sample]:  # noqa: ARG002
+        """What a law that this one holds sees and follows."""
+        return x, ref
+
     @property
     def controlled_frame(self) -> str | None:
         """The frame that this law, or a law that it holds, controls; None for the arm's tool."""
@@ -224,17 +228,17 @@ class Law:
         if check is not None:
             check(rate)
 
-    def check_states(self, x: Snapshot) -> None:
+    def check_states(self, x: Snapshot, rate: float) -> None:
         """Every law that has a `check_state` must fit the state of a snapshot, with the gains that it has now.
 
         Raises:
             RangeError: A gain that has no meaning there.
         """
         for law in self.children().values():
-            law.check_states(x)
-        check: Callable[[Snapshot], None] | None = getattr(self, "check_state", None)
+            law.check_states(x, rate)
+        check: Callable[[Snapshot, float], None] | None = getattr(self, "check_state", None)
         if check is not None:
-            check(x)
+            check(x, rate)
 
     def __add__(self, other: Law) -> Law:
         from taut.control.combine import added
@@ -314,9 +318,9 @@ def _check_arguments(cls: type[Law]) -> None:
             if isinstance(gain, Gain) and not gain.has_meaning(self):
                 assert gain.where is not None
                 other, value = gain.where
+                case = f"{other}=" if value is ... else f"{other}='{value}'"
                 raise UsageError(
-                    f"{cls.__name__}: {name} is for {other}='{value}', and this one has {getattr(self, other)!r}; "
-                    "leave it out",
+                    f"{cls.__name__}: {name} is for {case}, and this one has {getattr(self, other)!r}; leave it out",
                     name=name,
                 )
         for name, value in list(vars(self).items()):
@@ -375,7 +379,7 @@ def initial_memory(law: Law, x: Snapshot, ref: Sample) -> dict[str, Any]:
     for field in dataclasses.fields(law):  # type: ignore[arg-type]  # every law is a dataclass
         if isinstance(type(law).__dict__.get(field.name), Memory):
             values[field.name] = law.__dict__[field.name]
-    values |= {name: initial_memory(child, x, ref) for name, child in law.children().items()}
+    values |= {name: initial_memory(child, *law.seen_by(name, x, ref)) for name, child in law.children().items()}
     start: Callable[[Snapshot, Sample], Mapping[str, Any]] | None = getattr(law, "start", None)
     if start is not None:
         values |= start(x, ref)

@@ -15,6 +15,7 @@ from taut.control.joint import (
     VelocityPI,
 )
 from taut.control.nullspace import LimitAvoidance, Manipulability, Posture
+from taut.control.side_by_side import SideBySide
 from taut.control.stiction import Dither, RaisedGains
 from taut.control.task import TaskComputedTorque
 
@@ -35,6 +36,7 @@ __all__ = [
     "LimitAvoidance",
     "Manipulability",
     "Sum",
+    "SideBySide",
 ]
 
 
