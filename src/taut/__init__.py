@@ -81,6 +81,15 @@ if TYPE_CHECKING:
     from taut.plant.actuation import Actuation as Actuation
     from taut.plant.actuation import Ripple as Ripple
     from taut.plant.environment import Environment as Environment
+    from taut.plant.environment import Environments as Environments
+    from taut.plant.environment_held import Hand as Hand
+    from taut.plant.environment_held import Handle as Handle
+    from taut.plant.environment_push import Push as Push
+    from taut.plant.environment_springs import Damper as Damper
+    from taut.plant.environment_springs import Spring as Spring
+    from taut.plant.environment_wall import StiffWall as StiffWall
+    from taut.plant.environment_will import BandNoise as BandNoise
+    from taut.plant.environment_will import Oscillation as Oscillation
     from taut.plant.joint_sensors import Encoder as Encoder
     from taut.plant.joint_sensors import Tachometer as Tachometer
     from taut.plant.joint_sensors import TorqueSensor as TorqueSensor
@@ -141,7 +150,12 @@ _HOME: Final = {
     "maths.gearing": ("rotor_share",),
     "maths.snapshot": ("Snapshot", "snapshot"),
     "plant.actuation": ("Actuation", "Ripple"),
-    "plant.environment": ("Environment",),
+    "plant.environment": ("Environment", "Environments"),
+    "plant.environment_held": ("Hand", "Handle"),
+    "plant.environment_push": ("Push",),
+    "plant.environment_springs": ("Damper", "Spring"),
+    "plant.environment_wall": ("StiffWall",),
+    "plant.environment_will": ("BandNoise", "Oscillation"),
     "plant.joint_sensors": ("Encoder", "Tachometer", "TorqueSensor"),
     "plant.motor": ("ElectricMotor", "Motor", "TorqueLoop"),
     "plant.rigid": ("RigidPlant",),

@@ -241,7 +241,7 @@ CASES: dict[str, tuple[dict[str, Any], str | None, str]] = {
     "a wrench sensor where nothing touches": (
         {"plant.sensors": {"wrench": {"range": [100, 10]}}},
         "plant",
-        "sensors.wrench is for a plant that something touches; leave it out\n",
+        "sensors.wrench is for a plant that something touches; write [plant.environment] too, or leave it out\n",
     ),
     "no tachometer": (
         {"plant.sensors": {"velocity": "none"}},

@@ -74,11 +74,6 @@ CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
         "adds is for torque commands; this plant takes velocity",
     ),
     (
-        lambda: taut.RigidPlant(ARM, takes="velocity", actuation=Actuation(bandwidth=9.0), environment=Touch()),  # type: ignore[arg-type]
-        taut.UsageError,
-        "a plant that takes velocity has stiff drives, which an environment cannot move; leave environment out",
-    ),
-    (
         lambda: taut.RigidPlant(ARM, adds=("gravty",)),
         taut.UnknownNameError,
         "what a plant adds has no component 'gravty'; did you mean 'gravity'?",

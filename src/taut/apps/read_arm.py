@@ -18,7 +18,7 @@ from taut.arm.load import OpenedModel, arm_of, load_arm, open_model
 from taut.base.errors import TautError
 from taut.base.pose import Pose
 
-__all__ = ["read_arm", "read_true_arm"]
+__all__ = ["read_arm", "read_pose", "read_true_arm"]
 
 
 def read_arm(section: Section, folder: Path) -> Arm:
@@ -26,7 +26,7 @@ def read_arm(section: Section, folder: Path) -> Arm:
     opened = _opened(section, folder)
     given = {
         "tool": section.text("tool", None),
-        "T_WB": _pose(section.section("T_WB")) if "T_WB" in section else section.take("T_WB", None),
+        "T_WB": read_pose(section.section("T_WB")) if "T_WB" in section else section.take("T_WB", None),
         "gravity": section.numbers("gravity", None),
         "locked": section.take("locked", None),
         "joints": section.take("joints", None),
@@ -124,7 +124,8 @@ def _changed(section: Section, arm: Arm) -> Arm:
     return arm
 
 
-def _pose(section: Section) -> Pose:
+def read_pose(section: Section) -> Pose:
+    """A pose: p and one rotation, each of which may be left out."""
     rotation = {word: section.numbers(word) for word in ("xyzw", "wxyz", "rpy", "R") if word in section}
     p = section.numbers("p", [0.0, 0.0, 0.0])
     section.only("xyzw", "wxyz", "rpy", "R")

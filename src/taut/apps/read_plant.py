@@ -9,6 +9,7 @@ import numpy as np
 
 from taut.apps.read_arm import read_true_arm
 from taut.apps.read_drives import made_from, read_actuation
+from taut.apps.read_environment import read_environment
 from taut.apps.read_joints import friction_word
 from taut.apps.toml import Section, file_beside
 from taut.arm.description import Arm
@@ -51,7 +52,9 @@ def read_plant(section: Section, believed: Arm, rate: float, folder: Path) -> Pl
         options["sensors"] = _sensors(section.section("sensors"))
     if "actuation" in section:
         options["actuation"] = read_actuation(section.section("actuation"))
-    for key in ("sensors", "actuation"):
+    if "environment" in section:
+        options["environment"] = read_environment(section.section("environment"))
+    for key in ("sensors", "actuation", "environment"):
         section.take(key, None)  # known, so that a misspelt one is compared with it
     if kind == "mujoco":
         return _in_mujoco(section, arm, options, rate, folder)

@@ -246,7 +246,14 @@ def _run(section: Section, arm: Arm) -> dict[str, Any]:
 
 
 def _event(section: Section) -> Event:
-    t, values = section.number("t"), section.take("set")
+    t, push = section.number("t"), section.section("push") if "push" in section else None
+    section.take("push", None)
+    if push is not None:
+        if "set" in section:
+            raise section.error("sets parameters or pushes; got both set and push; write two events")
+        section.done()
+        return _push(t, push, section)
+    values = section.take("set")
     section.done()
     example = '{ "law.kp" = 150.0 }'
     if not isinstance(values, dict) or not values:
@@ -256,6 +263,19 @@ def _event(section: Section) -> Event:
             raise section.error(f"set must have each path in quotes, such as {example}; got a table '{path}'")
     with section.blamed():
         return Event(t=t, set=values)
+
+
+def _push(t: float, table: Section, section: Section) -> Event:
+    """{ peak, duration, of }: a push at the time of the event, by the push of the plant's environment."""
+    values = table.fields(("peak", "duration", "of"))
+    of = values.get("of", "environment")
+    if not isinstance(of, str):
+        raise table.error(f'of must be the path of a push, such as "environment.push"; got {of!r}')
+    with table.blamed():
+        if "duration" in values:
+            positive_scalar("duration", values["duration"], unit="s")
+        with section.blamed("t"):
+            return Event.push(t=t, **values)
 
 
 # -------------------------------------------------------------------- outputs and pass figures

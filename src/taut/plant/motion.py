@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from taut.arm.description import Arm, CommandKind
 from taut.base import math as tm
-from taut.base.errors import ShapeError, UsageError, quoted_list
 from taut.base.paths import subtree
 from taut.base.types import Array, Vector
 from taut.maths import dynamics as dyn
@@ -23,12 +22,13 @@ from taut.maths.model import Model, PayloadValues, model_of
 from taut.plant import drive
 from taut.plant.actuation import Actuation, lagged
 from taut.plant.drivetrain import Drivetrain, FrictionLimits
-from taut.plant.environment import Environment
+from taut.plant.environment import Environment, touch
 from taut.plant.work import work_of_step
 
-__all__ = ["Motion", "payload_of"]
+__all__ = ["WORK_OF_IT", "Motion", "payload_of"]
 
 Values = Mapping[str, Any]
+WORK_OF_IT: Final = "work.environment"  # [J] done on the arm by what touches it
 
 
 def payload_of(parameters: Values) -> PayloadValues:
@@ -87,27 +87,14 @@ class Motion:
     ) -> tuple[Array, dict[str, Any]]:
         """(6,) F_ext at a state, and the environment's memory after it."""
         assert self.environment is not None
-        before = subtree(memory, "environment")
-        wrench, after = self.environment.wrench(
-            dyn.pose(self.model, q),
-            dyn.twist(self.model, q, v),
-            t,
-            before,
-            subtree(parameters, "environment"),
-            dt,
-        )
-        who = type(self.environment).__name__
-        if np.shape(wrench) != (6,):
-            raise ShapeError(
-                f"{who}.wrench must give shape (6,), force first; got shape {np.shape(wrench)}", name=who
-            )
-        if set(after) != set(before):
-            raise UsageError(
-                f"{who}.wrench must give back the memory that {who}.start made, {quoted_list(sorted(before))}; got "
-                f"{quoted_list(sorted(after)) or 'none'}",
-                name=who,
-            )
-        return wrench, after
+        before, numbers = subtree(memory, "environment"), subtree(parameters, "environment")
+        return touch(self.environment, self.model, q, v, before, numbers, t, dt)
+
+    @staticmethod
+    def _touched(memory: Values, wrench: Array, touched: Values, t: Any) -> dict[str, Any]:
+        """Memory of what touches the tool after a step; its work is added by who knows the way."""
+        after = {f"environment.{name}": x for name, x in touched.items()}
+        return {"F_ext": wrench, "t": t, WORK_OF_IT: memory[WORK_OF_IT], **after}
 
     def driven_step(self, takes: CommandKind, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
         """Stiff drives: their loop decides the motion, and the torque is what that takes."""
@@ -126,16 +113,24 @@ class Motion:
             q_new = wanted + (e + rate * dt) * decay
             v_new = (rate - omega * (e + rate * dt)) * decay
         a = (v_new - v) / dt
-        tau = link = dyn.inverse_dynamics(self.link_model, q, v, a, payload_of(parameters))
+        force: Any = np.zeros(self.arm.n)
+        out = dict(memory)
+        if self.environment is not None:
+            t = memory.get("t", 0.0)
+            wrench, touched = self.touch(q, v, memory, parameters, t, dt)
+            force = dyn.jacobian(self.model, q).T @ wrench
+            out |= self._touched(memory, wrench, touched, t + dt)
+            out[WORK_OF_IT] = memory[WORK_OF_IT] + 0.5 * dt * (force @ (v + v_new))
+        tau = link = dyn.inverse_dynamics(self.link_model, q, v, a, payload_of(parameters)) - force
         if "plant.rotor_inertia" in parameters:
             tau = tau + parameters["plant.rotor_inertia"] * a
         friction = self.train.friction
         if friction is not None:
             load: Any = np.zeros(self.arm.n)
             if friction.loaded:
-                load = -dyn.bias(self.link_model, q, v, payload_of(parameters))
+                load = force - dyn.bias(self.link_model, q, v, payload_of(parameters))
             tau = tau - friction_torque(self.train.values(parameters), v, tau, load)
-        return {**memory, "q": q_new, "v": v_new, "tau": tau, "tau_link": link}
+        return out | {"q": q_new, "v": v_new, "tau": tau, "tau_link": link}
 
     def torque_step(
         self, memory: Values, parameters: Values, dt: Any, *, smooth: bool, work: tuple[str, ...]
@@ -149,13 +144,16 @@ class Motion:
         tau, force = given.tau + added, None
         if self.environment is not None:
             wrench, touched = self.touch(q, v, memory, parameters, t, dt)
-            out |= {"F_ext": wrench, "t": t + dt} | {f"environment.{name}": x for name, x in touched.items()}
+            out |= self._touched(memory, wrench, touched, t + dt)
             force = dyn.jacobian(self.model, q).T @ wrench
         if smooth:
-            q_new, v_new = self._rk4(q, v, given.tau, memory, parameters, t, dt)
+            q_new, v_new, done = self._rk4(q, v, given.tau, memory, parameters, t, dt)
             moved = _Moved(q=q_new, v=v_new, f=np.zeros(self.arm.n), spring=tau)
         else:
             moved = self._euler(tau, force, memory, parameters, dt)
+            done = None if force is None else 0.5 * dt * (force @ (v + moved.v))
+        if self.environment is not None:
+            out[WORK_OF_IT] = memory[WORK_OF_IT] + done
         out |= {**moved.memory, "q": moved.q, "v": moved.v}
         b, rotor = self.train.values(parameters).viscous, parameters.get("plant.rotor_inertia")
         v_end = out.get("v_motor", moved.v)
@@ -216,25 +214,29 @@ class Motion:
 
     def _rk4(
         self, q: Vector, v: Vector, tau: Vector, memory: Values, parameters: Values, t: Any, dt: Any
-    ) -> tuple[Vector, Vector]:
+    ) -> tuple[Vector, Vector, Any]:
+        """Positions and velocities after the step, and what the environment did in it [J]."""
         payload, rotor = payload_of(parameters), parameters.get("plant.rotor_inertia")
 
-        def rates(q: Vector, v: Vector, t: Any) -> tuple[Vector, Vector]:
+        def rates(q: Vector, v: Vector, t: Any) -> tuple[Vector, Vector, Any]:
+            power: Any = 0.0
             force = tau + self.compensation(q, v, parameters)
             if "plant.friction.viscous" in parameters:
                 force = force - parameters["plant.friction.viscous"] * v
             if self.environment is not None:
                 wrench, _ = self.touch(q, v, memory, parameters, t, dt)
-                force = force + dyn.jacobian(self.model, q).T @ wrench
-            return v, dyn.forward_dynamics(self.link_model, q, v, force, payload, damping=rotor)
+                outside = dyn.jacobian(self.model, q).T @ wrench
+                power, force = outside @ v, force + outside
+            return v, dyn.forward_dynamics(self.link_model, q, v, force, payload, damping=rotor), power
 
         half = 0.5 * dt
-        v1, a1 = rates(q, v, t)
-        v2, a2 = rates(q + half * v1, v + half * a1, t + half)
-        v3, a3 = rates(q + half * v2, v + half * a2, t + half)
-        v4, a4 = rates(q + dt * v3, v + dt * a3, t + dt)
+        v1, a1, p1 = rates(q, v, t)
+        v2, a2, p2 = rates(q + half * v1, v + half * a1, t + half)
+        v3, a3, p3 = rates(q + half * v2, v + half * a2, t + half)
+        v4, a4, p4 = rates(q + dt * v3, v + dt * a3, t + dt)
         sixth = dt / 6.0
-        return q + sixth * (v1 + 2.0 * (v2 + v3) + v4), v + sixth * (a1 + 2.0 * (a2 + a3) + a4)
+        q_new, v_new = q + sixth * (v1 + 2.0 * (v2 + v3) + v4), v + sixth * (a1 + 2.0 * (a2 + a3) + a4)
+        return q_new, v_new, sixth * (p1 + 2.0 * (p2 + p3) + p4)
 
 
 def _entry(value: Any, i: int) -> Any:

@@ -1,4 +1,4 @@
-"""The run-time parameters that model plants and engines share: payload, friction, rotors, drives, sensors."""
+"""The run-time parameters that model plants and engines share: of arm, drives, sensors, and what touches the tool."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from taut.base.types import ArrayLike, Float64Array
 from taut.control.lawside import checked_payload_entry
 from taut.plant.actuation import Actuation
 from taut.plant.drivetrain import Drivetrain
+from taut.plant.environment import Environment, checked_change
 from taut.plant.sensors import Sensors
 from taut.plant.transmission import require_rotors
 
@@ -35,6 +36,7 @@ class PlantNumbers:
     drivetrain: Drivetrain
     actuation: Actuation
     sensors: Sensors
+    environment: Environment | None = None
 
     def values(self) -> dict[str, Float64Array]:
         """The numbers that the plant was made with: those that are there."""
@@ -46,7 +48,8 @@ class PlantNumbers:
         if self.arm.rotor_inertia.any():
             plant["rotor_inertia"] = self.arm.rotor_inertia
         stages = {"actuation": self.actuation.parameters(), "sensors": self.sensors.parameters()}
-        return flatten({"plant": plant, **stages})
+        touching = {} if self.environment is None else self.environment.parameters()
+        return flatten({"plant": plant, **stages}) | {f"environment.{name}": x for name, x in touching.items()}
 
     def checked(self, path: str, value: ArrayLike) -> Float64Array:
         """A new value, checked like the first one and in its shape.
@@ -59,6 +62,9 @@ class PlantNumbers:
             return checked_payload_entry(path, value)
         if path.startswith("sensors."):
             return self.sensors.checked_parameter(path, value, self.arm)
+        if path.startswith("environment."):
+            assert self.environment is not None
+            return checked_change(self.environment, path.partition(".")[2], value)
         shape = self.values()[path].shape
         new = finite_array(path, value, allow_infinite=path == STIFFNESS)
         if new.shape not in ((), shape):

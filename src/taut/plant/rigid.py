@@ -15,8 +15,8 @@ import numpy as np
 
 from taut.arm.description import COMMANDS, Arm, CommandKind, Payload
 from taut.base import math as tm
-from taut.base.checks import finite_array, one_of
-from taut.base.errors import RangeError, ShapeError, UsageError, unknown_name
+from taut.base.checks import one_of
+from taut.base.errors import RangeError, UsageError, unknown_name
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.maths import dynamics as dyn
@@ -26,11 +26,11 @@ from taut.maths.model import Model, model_of
 from taut.plant import drive
 from taut.plant.actuation import Actuation, delayed
 from taut.plant.drivetrain import Drivetrain
-from taut.plant.environment import Environment
-from taut.plant.motion import Motion, payload_of
+from taut.plant.environment import Environment, require_environment
+from taut.plant.motion import WORK_OF_IT, Motion, payload_of
 from taut.plant.numbers import PlantNumbers, require_torque_sensor
 from taut.plant.sensors import Sensors
-from taut.plant.step_length import require_short_steps
+from taut.plant.step_length import require_short_contact, require_short_steps
 from taut.plant.transmission import require_rotors
 from taut.plant.work import work_parts
 
@@ -68,7 +68,9 @@ class RigidPlant:
             `actuation=Actuation(bandwidth=...)`.
         actuation: The drives: delay, amplifier, motor, gear; ideal if left out.
         sensors: What is measured, and how well; ideal sensors if left out.
-        environment: What touches the tool, if anything; then the wrench is measured too.
+        environment: What touches the tool, if anything: a taut.Spring, a taut.StiffWall, ..., or a class of your own,
+            see `taut.Environment`. Then the wrench is measured too, and the run's column work.environment [J] is what
+            it did on the arm until the tick. Stiff drives do not give way to it, and give the torque that it takes.
         adds: What the plant adds to a torque command itself: "gravity", "coriolis", and "friction", which cancels the
             arm's own, so that none is left.
         sweeps: Of projected Gauss-Seidel in each step, for joints that dry friction holds together; half of them
@@ -118,12 +120,8 @@ class RigidPlant:
                 got = type(getattr(self, name)).__name__
                 raise UsageError(f"{name} must be taut.{kind.__name__}(...); got {got}", name=name)
         self.sensors.check(self.arm, touched=self.environment is not None)
-        if self.environment is not None and not isinstance(self.environment, Environment):
-            raise UsageError(
-                "environment must have parameters(), start(T_WE) and wrench(...), see taut.Environment; got "
-                f"{type(self.environment).__name__}",
-                name="environment",
-            )
+        if self.environment is not None:
+            require_environment("environment", self.environment)
         adds = Adds.of(self.adds)
         object.__setattr__(self, "adds", adds)
         self.actuation.check_size(self.arm)
@@ -149,12 +147,6 @@ class RigidPlant:
                 raise UsageError(f"energy is for torque commands; this plant takes {self.takes}", name="energy")
             if adds.names:
                 raise UsageError(f"adds is for torque commands; this plant takes {self.takes}", name="adds")
-            if self.environment is not None:
-                raise UsageError(
-                    f"a plant that takes {self.takes} has stiff drives, which an environment cannot move; "
-                    "leave environment out",
-                    name="environment",
-                )
 
     def _check_smooth(self) -> None:
         if self.drivetrain.dry:
@@ -228,14 +220,17 @@ class RigidPlant:
     @property
     def parameters(self) -> dict[str, Float64Array]:
         """Run-time parameters by path: plant.payload.mass, actuation.bandwidth, ..."""
-        out = self._numbers.values()
-        if self.environment is not None:
-            out |= {f"environment.{name}": value for name, value in self.environment.parameters().items()}
-        return out
+        return self._numbers.values()
 
     @cached_property
     def _numbers(self) -> PlantNumbers:
-        return PlantNumbers(arm=self.arm, drivetrain=self.drivetrain, actuation=self.actuation, sensors=self.sensors)
+        return PlantNumbers(
+            arm=self.arm,
+            drivetrain=self.drivetrain,
+            actuation=self.actuation,
+            sensors=self.sensors,
+            environment=self.environment,
+        )
 
     def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:
         """A new value of a parameter, checked like the first one and in its shape.
@@ -248,15 +243,7 @@ class RigidPlant:
         known = self.parameters
         if path not in known:
             raise unknown_name(f"plant '{self.name}'", "parameter", path, known)
-        if not path.startswith("environment."):
-            return self._numbers.checked(path, value)
-        shape, new = known[path].shape, finite_array(path, value)
-        if new.shape not in ((), shape):
-            raise ShapeError(
-                f"{path} has shape {shape}; got shape {new.shape}; make the plant with a value of the new shape",
-                name=path,
-            )
-        return np.broadcast_to(new, shape)
+        return self._numbers.checked(path, value)
 
     def check_together(self, values: Mapping[str, ArrayLike]) -> None:
         """Refuse values by path that do not go together, each of which is right by itself.
@@ -290,7 +277,7 @@ class RigidPlant:
                 self.actuation,
                 parameters,
                 dt / self.substeps,
-                lambda more: f"substeps={math.ceil(more * self.substeps)}",
+                self._more_steps,
             )
         taps = self.actuation.taps(dt)
         if taps:
@@ -298,11 +285,24 @@ class RigidPlant:
         if self.environment is not None:
             touched = self.environment.start(dyn.pose(self.model, q))
             memory |= {f"environment.{name}": value for name, value in touched.items()}
-            memory["t"] = 0.0
+            memory |= {"t": 0.0, WORK_OF_IT: 0.0}
+            require_short_contact(
+                self.environment,
+                self.drivetrain,
+                q,
+                parameters,
+                dt / self.substeps,
+                self._more_steps,
+                driven=self.takes != "torque",
+            )
             memory["F_ext"], _ = self._motion.touch(q, v, memory, parameters, 0.0, dt / self.substeps)
         if self.sensors.tip is not None:
             memory["a"] = rest
         return memory
+
+    def _more_steps(self, more: float) -> str:
+        """The way out of steps that are so many times too long."""
+        return f"substeps={math.ceil(more * self.substeps * (1.0 - 1e-9))}"
 
     def measure(self, memory: Values, noise: Values, parameters: Values) -> dict[str, Any]:
         """What the sensors give, by measurement: q, v, tau_meas, F_ext, ..."""

@@ -1,4 +1,4 @@
-"""How long a step of the integrator may be, against what moves fast in the drives."""
+"""How long a step of the integrator may be, against what moves fast in the drives and in what touches the tool."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from taut.arm.description import Arm
 from taut.base.errors import RangeError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
-from taut.maths.dynamics import mass_matrix
-from taut.maths.model import model_of
+from taut.maths.dynamics import jacobian, mass_matrix
+from taut.maths.model import PayloadValues, model_of
 from taut.plant.actuation import Actuation
 from taut.plant.drivetrain import Drivetrain
+from taut.plant.environment import Environment, ReadyEnvironment
 
-__all__ = ["require_short_steps"]
+__all__ = ["require_short_contact", "require_short_steps"]
 
 WayOut = Callable[[float], str]
 Values = Mapping[str, Any]
@@ -58,6 +59,60 @@ def require_short_steps(
         joints = list(train.compliant)
         both = 1.0 / rotor[joints] + np.diag(np.linalg.inv(links))[joints]
         _check_springs(train.arm, joints, subtree(p, "transmission"), both, dt, way_out)
+
+
+def require_short_contact(
+    environment: Environment | None,
+    train: Drivetrain,
+    q: Float64Array,
+    parameters: Values,
+    dt: float,
+    way_out: WayOut,
+    *,
+    driven: bool = False,
+) -> None:
+    """Refuse steps that are too long for a ready-made environment, at the start of a run.
+
+    A swing of omega with a damping delta, both felt at the beginning of a step, is stable in semi-implicit Euler
+    while omega^2 dt^2 + 2 delta dt < 4. Half of that is let through, since the tool's inertia changes on its way.
+
+    Args:
+        environment: What touches the tool.
+        train: Rotors and transmissions.
+        q: (n,) positions at the start.
+        parameters: The plant's parameters by path, as the run begins with them.
+        dt: Length of a step [s].
+        way_out: The words for so many times as many steps.
+        driven: Whether stiff drives move the arm, so that no environment does.
+
+    Raises:
+        RangeError: They are; the sentence says what is enough.
+    """
+    if not isinstance(environment, ReadyEnvironment):
+        return
+    mobility = np.zeros((6, 6)) if driven else _mobility(train, q, parameters)
+    omega, damping = environment.rates(mobility, subtree(parameters, "environment"))
+    a, b = (omega * dt) ** 2, damping * dt
+    fast = 0.5 * (b + np.sqrt(b * b + 2.0 * a))
+    if fast <= 1.0 + 1e-9:
+        return
+    raise RangeError(
+        f"environment: what touches the tool swings at {omega:.3g} rad/s and is braked at {damping:.3g} 1/s, too "
+        f"fast for steps of {dt:g} s; give the plant {way_out(fast)}, or a softer environment",
+        name="environment",
+    )
+
+
+def _mobility(train: Drivetrain, q: Float64Array, parameters: Values) -> Float64Array:
+    """(6, 6) acceleration of the tool per wrench; the rotor of a compliant joint moves by itself."""
+    n = train.arm.n
+    rotor = np.broadcast_to(parameters.get("plant.rotor_inertia", 0.0), (n,))
+    model = model_of(train.arm.with_joints(rotor_inertia=0.0))
+    M = mass_matrix(model, q, PayloadValues.of(subtree(parameters, "plant.payload")))
+    M = M + np.diag([rotor[i] if i in train.rigid else 0.0 for i in range(n)])
+    J = jacobian(model, q)
+    mobility: Float64Array = J @ np.linalg.solve(M, J.T)
+    return mobility
 
 
 def _check_motor(arm: Arm, fast: Float64Array, dt: float, way_out: WayOut) -> None:

@@ -73,10 +73,10 @@ def units_of(run: Run) -> dict[str, list[str]]:
     known |= {f"terms.{name}": run.command_units for name in run.terms}
     if len(set(run.effort_units)) == 1:  # the largest one of any joint
         known["extra.friction_residual"] = run.effort_units[:1]
-    known |= {f"extra.{name}": ("J",) * run.n for name in run.extra if name.startswith("work.")}
     out = {}
     for name, columns in column_names(run).items():
-        units = known.get(name, ())
+        work = name.startswith("extra.work.")  # of the joints, or of what touches the tool
+        units = ("J",) * len(columns) if work else known.get(name, ())
         out[name] = list(units) if len(units) == len(columns) else [""] * len(columns)
     return out
 

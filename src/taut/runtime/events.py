@@ -10,6 +10,7 @@ from typing import Any
 from taut.base.checks import finite_scalar
 from taut.base.errors import RangeError, UsageError
 from taut.base.types import ArrayLike
+from taut.plant.environment_push import wrench_at_peak
 
 __all__ = ["Event", "sorted_events"]
 
@@ -35,6 +36,33 @@ class Event:
             raise RangeError(f"event.t must be >= 0 [s]; got {self.t!r}", name="event.t")
         if not isinstance(self.set, Mapping) or not self.set:
             raise UsageError(f"an event sets one parameter at least: set={{'law.kp': 150.0}}; got {self.set!r}")
+
+    @classmethod
+    def push(
+        cls, *, t: float, peak: ArrayLike | None = None, duration: float | None = None, of: str = "environment"
+    ) -> Event:
+        """A push that begins at time t, given by the `taut.Push` of the plant's environment.
+
+        Args:
+            t: [s].
+            peak: (6,) the wrench at its peak, force first, in world axes [N, N m]; three numbers are a force. That
+                which the Push has if left out.
+            duration: [s]; likewise.
+            of: Path of the Push: "environment", or "environment.NAME" where it is one of several.
+
+        Raises:
+            ShapeError, RangeError: A wrench of another shape, or not finite.
+
+        Example:
+            >>> Event.push(t=2.0, peak=[20.0, 0.0, 0.0]).set["environment.peak"].tolist()
+            [20.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        """
+        new: dict[str, ArrayLike] = {f"{of}.t": t}
+        if peak is not None:
+            new[f"{of}.peak"] = wrench_at_peak(peak)
+        if duration is not None:
+            new[f"{of}.duration"] = duration
+        return cls(t=t, set=new)
 
     def json(self) -> dict[str, Any]:
         """As plain values."""

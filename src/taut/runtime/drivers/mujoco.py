@@ -21,11 +21,14 @@ from taut.maths.compensation import compensation
 from taut.maths.model import PayloadValues, model_of
 from taut.plant.actuation import Actuation, delayed
 from taut.plant.drivetrain import Drivetrain
+from taut.plant.environment import Environment, require_environment
+from taut.plant.motion import WORK_OF_IT
 from taut.plant.numbers import PlantNumbers, require_torque_sensor
 from taut.plant.sensors import Sensors
 from taut.plant.transmission import require_rotors
 from taut.runtime.drivers.mujoco_attach import Inertias, attached
 from taut.runtime.drivers.mujoco_drives import Compensation, Drives, Motors, cut_off
+from taut.runtime.drivers.mujoco_environment import EnvironmentStage
 from taut.runtime.drivers.mujoco_health import Guard, Health
 from taut.runtime.drivers.mujoco_joints import JointStage, LinkTorque
 from taut.runtime.drivers.mujoco_model import INTEGRATORS, Integrator, ModelOptions, built, put_timestep
@@ -64,9 +67,9 @@ class MujocoPlant:
 
     Frames:
         F_ext is the wrench of everything outside the arm on the body that carries the tool, force first, in world
-        axes at the tool's origin: contacts, welds, and data.xfrc_applied. The weight and inertia of tool and payload
-        are no part of it, so that a payload that hangs there does not show, and a wall pushes back with the sign of
-        the wall on the arm. What touches other links does not show. It is that of the last time step.
+        axes at the tool's origin: contacts, welds, data.xfrc_applied, `environment`. The weight and inertia of tool
+        and payload are no part of it, so that a payload that hangs there does not show, and a wall pushes back with
+        the sign of the wall on the arm. What touches other links does not show. It is that of the last time step.
 
     Args:
         arm: The true arm; make it differ from the controller's and there is a modelling error.
@@ -85,6 +88,9 @@ class MujocoPlant:
         looks: What a viewer shows: "plain" shapes, or the arm's "meshes", which take longer to load.
         actuation: The drives, as of RigidPlant: delay, amplifier, motor, gear; ideal if left out.
         sensors: What is measured, and how well; ideal sensors if left out.
+        environment: What acts at the tool besides the scene: a taut.Push, a taut.Hand, ..., as of RigidPlant. It acts
+            through data.qfrc_applied, which is then the plant's; F_ext is that of both together, and the run's column
+            work.environment [J] is what the environment did until the tick.
 
     Raises:
         UsageError: Options that do not go together.
@@ -118,6 +124,7 @@ class MujocoPlant:
         looks: Looks = "plain",
         actuation: Actuation | None = None,
         sensors: Sensors | None = None,
+        environment: Environment | None = None,
     ) -> None:
         if not isinstance(arm, Arm):  # callers without a type checker
             raise UsageError(f"a plant takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
@@ -130,6 +137,8 @@ class MujocoPlant:
             if not isinstance(given, part):
                 got = type(given).__name__
                 raise UsageError(f"{name} must be taut.{part.__name__}(...); got {got}", name=name)
+        if environment is not None:
+            require_environment("environment", environment)
         drives.check_size(arm)
         seen.check(arm, touched=True)
         left = arm.friction if friction == "arm" and not what.friction else None
@@ -161,12 +170,13 @@ class MujocoPlant:
         self._timestep = None if timestep is None else positive_scalar("timestep", timestep, unit="s")
         rig = built(arm, None if scene is None else read_scene(scene), options, what)
         self._name = f"MujocoPlant({arm.name})"
-        numbers = PlantNumbers(arm=arm, drivetrain=train, actuation=drives, sensors=seen)
+        numbers = PlantNumbers(arm=arm, drivetrain=train, actuation=drives, sensors=seen, environment=environment)
         self._settings: Settings | None = Settings(rig, numbers)
         self._actuation, self._sensors = drives, seen
         self._stage = None
         if drives.acts or train.compliant or train.lossy or (left is not None and (left.falls or left.loaded)):
             self._stage = JointStage(rig, drives, train, what)
+        self._touching = None if environment is None else EnvironmentStage(rig, environment, train)
         adds_torque = (what.gravity or what.coriolis) and self._stage is None
         self._compensation = Compensation(arm, what) if adds_torque else None
         self._link, self._readings = LinkTorque(rig), SensorStage(arm, seen)
@@ -216,7 +226,7 @@ class MujocoPlant:
         plant._timestep = None
         plant._settings = None
         plant._compensation = None
-        plant._stage = None
+        plant._stage = plant._touching = None
         plant._actuation, plant._sensors = Actuation(), Sensors()
         plant._take(rig, drives)
         return plant
@@ -238,6 +248,8 @@ class MujocoPlant:
         n = self._rig.arm.n
         self._tau, self._cut, self._F_ext = np.zeros(n), np.zeros(n), np.zeros(6)
         self._told = False
+        self._contact = np.zeros(6)
+        self._ticks, self._dt, self._work = 0, 0.0, 0.0
         self._tau_link, self._a = np.zeros(n), np.zeros(n)
         self._saturated: dict[str, Float64Array] = {}
 
@@ -325,6 +337,8 @@ class MujocoPlant:
             self._settings.put(path, value)
         if self._stage is not None:
             self._stage.take(self._settings.values)
+        if self._touching is not None:
+            self._touching.take(self._settings.values)
         self._readings.take(self._settings.values)
 
     # ---------------------------------------------------------------- a run
@@ -359,9 +373,12 @@ class MujocoPlant:
         self._tau = weight - compensation(model, self.adds, q, np.zeros(len(q)), payload)
         if taps:
             self._line = np.stack([self._tau] * taps)
-        self._h = dt / self._substeps
+        self._h, self._dt = dt / self._substeps, dt
         if self._stage is not None:
             self._stage.start(q, v, values, dt, self._substeps)
+        if self._touching is not None:
+            self._touching.start(q, v, values, dt, self._substeps)
+            self._F_ext = self._touching.wrench
         self._readings.start(seed, self._true(), values)
         self._saturated = {name: np.zeros(()) for name in self._readings.saturating}
 
@@ -408,27 +425,35 @@ class MujocoPlant:
         if self._settings is None:
             return self._advance_attached(command)
         held, self._line = delayed(command, self._line)
+        if self._touching is not None:
+            self._work = self._touching.work
+            self._touching.at(self._ticks * self._dt)
+        self._ticks += 1
         with self._guard:
             if self._stage is None:
                 self._step_plainly(held)
             else:
                 self._step_through(self._stage, held)
-        self._F_ext = self._wrench.of_environment()
+        self._F_ext = self._contact = self._wrench.of_environment()
+        if self._touching is not None:
+            self._F_ext = self._contact + self._touching.wrench
         return self._tau
 
     def _step_plainly(self, held: Float64Array) -> None:
         """The steps of a period in which the torque itself stands at the joints."""
         rig, last = self._rig, self._substeps - 1
         self._drives.write(held)
-        if last and self._compensation is None:
+        if last and self._compensation is None and self._touching is None:
             self._mj_step(rig.model, rig.data, last)
         elif last:
             for _ in range(last):
-                self._compensate()
+                self._apply()
                 self._mj_step(rig.model, rig.data)
-        torque = held + self._compensate()
+                self._applied()
+        torque = held + self._apply()
         v = self._qvel[rig.v].copy()
         self._mj_step(rig.model, rig.data)
+        self._applied()
         v_end = self._qvel[rig.v]
         self._tau, self._a = held.copy(), (v_end - v) / self._h
         self._tau_link = self._link.of_step(torque, self._link.friction(), v_end, self._a)
@@ -439,8 +464,11 @@ class MujocoPlant:
         stage.memory["held"][...] = held
         for _ in range(self._substeps):
             v = self._qvel[rig.v].copy()
-            self._drives.write(stage.before(self._qpos[rig.q], v, self._F_ext))
+            self._apply()
+            F_ext = self._F_ext if self._touching is None else self._contact + self._touching.wrench
+            self._drives.write(stage.before(self._qpos[rig.q], v, F_ext))
             self._mj_step(rig.model, rig.data)
+            self._applied()
             stage.after(self._qpos[rig.q], self._qvel[rig.v])
         self._a = (self._qvel[rig.v] - v) / self._h
         self._tau, self._tau_link = stage.tau, stage.memory["tau_link"].copy()
@@ -467,15 +495,23 @@ class MujocoPlant:
             self._tell(command)
         return self._tau
 
-    def _compensate(self) -> Any:
-        """(n,) what the plant adds itself, at the state of this very step."""
-        if self._compensation is None:
+    def _apply(self) -> Any:
+        """(n,) what the plant adds itself, at the state of this very step; what touches the tool comes with it."""
+        if self._compensation is None and self._touching is None:
             return 0.0
         assert self._settings is not None
         q, v = self.state()
-        added = self._compensation.torque(q, v, self._settings.load)
-        self._rig.data.qfrc_applied[self._rig.v] = added
+        added: Any = 0.0
+        if self._compensation is not None:
+            added = self._compensation.torque(q, v, self._settings.load)
+        touching = 0.0 if self._touching is None else self._touching.before(q, v)
+        self._rig.data.qfrc_applied[self._rig.v] = added + touching
         return added
+
+    def _applied(self) -> None:
+        """After a step: what it did to the arm."""
+        if self._touching is not None:
+            self._touching.after(self._qvel[self._rig.v])
 
     def _tell(self, command: Float64Array) -> None:
         self._told = True
@@ -493,13 +529,16 @@ class MujocoPlant:
         """What went wrong in the last period, in words, and the joint; None if nothing did."""
         if self._stage is not None and not self._stage.sane:
             return "its drives gave numbers that are not finite", None
+        if self._touching is not None and not self._touching.sane:
+            return "what touches its tool gave numbers that are not finite", None
         return self._health.trouble()
 
     def extra(self) -> dict[str, Any]:
-        """(6,) F_ext of the last step; for an attached arm also (n,) tau_cut, what its actuators did not give."""
+        """(6,) F_ext of the last step; what an environment did until the tick; (n,) tau_cut of an attached arm."""
         if self._settings is None:
             return {"F_ext": self._F_ext, "tau_cut": self._cut}
-        return {"F_ext": self._F_ext, **self._saturated}
+        work = {} if self._touching is None else {WORK_OF_IT: np.asarray(self._work)}
+        return {"F_ext": self._F_ext, **work, **self._saturated}
 
     def __repr__(self) -> str:
         return self.name
