@@ -44,7 +44,7 @@ class Impedance(Law):
                   with X_des at rest the deviation x = -X_e obeys D x_ddot + B x_dot + K x = F_ext
                   a tracking error is what F_ext makes, K^-1 F_ext at rest, and what the model does not know
                   feedback="acceleration" is an algebraic loop, closed a tick late: stable where the eigenvalues of
-                    Lambda^-1 D are above 0 and below 2, and refused elsewhere
+                    Lambda^-1 (D + B dt / 2) are above 0 and below 2, and refused where a run starts elsewhere
                   a sampled loop is passive at constant gains and X_des with B and friction of K dt / 2 and more
                   coriolis="keep" leaves C v where it is: then without D the energy of arm and spring falls at the
                     rate V . B V, which that of the cancelled form does about rest only
@@ -117,23 +117,30 @@ class Impedance(Law):
         """Entries of the error: 6, or those of the coordinates."""
         return dimensions(self.error, self.coordinates)
 
-    def check_state(self, x: Snapshot) -> None:
-        """The algebraic loop of feedback="acceleration" is stable where 0 < eig(Lambda^-1 D) < 2."""
+    def check_state(self, x: Snapshot, rate: float) -> None:
+        """The algebraic loop of feedback="acceleration" is stable where 0 < eig(Lambda^-1 (D + B dt / 2)) < 2."""
         if not self.gives("D") or self.feedback != "acceleration":
             return
         ref = TaskMotion.at_rest(x, self.tool)
         felt = Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
         inverse = felt.error.J @ x.M_factors.solve(felt.error.J.T)
-        ratios = np.linalg.eigvals(inverse @ felt.matrix_outwards(self.D.matrix(self.dimensions)))
+        K, D, size = self._stiffness(x).matrix(self.dimensions), self.D.matrix(self.dimensions), self.dimensions
+        if self.gives("B"):
+            B = self.B.matrix(size)
+        else:
+            zeta, factors = self.zeta.as_array(), factor_spd(D)
+            B = np.column_stack([modal_damping(factors, K, zeta, column) for column in np.eye(size)])
+        ratios = np.linalg.eigvals(inverse @ felt.matrix_outwards(D + B * (0.5 / rate)))
         low, high = float(np.min(ratios.real)), float(np.max(ratios.real))
         if not 0.0 < low <= high < 2.0:
             raise RangeError(
                 "feedback='acceleration' uses the acceleration of the tick before, which is stable where the "
-                f"eigenvalues of Lambda^-1 D are above 0 and below 2; at this pose they are {low:.3g} to {high:.3g}; "
+                "eigenvalues of Lambda^-1 (D + B dt / 2) are above 0 and below 2; at this pose they are "
+                f"{low:.3g} to {high:.3g}; "
                 "change D, or take feedback='wrench' with a wrist sensor",
                 name="D",
                 value=high,
-                rule="0 < eig(Lambda^-1 D) < 2",
+                rule="0 < eig(Lambda^-1 (D + B dt / 2)) < 2",
             )
 
     def start(self, x: Snapshot, ref: TaskMotion) -> Mapping[str, Any]:

@@ -71,7 +71,7 @@ class Law:
       with memory, a dict of the new memory by name;
     * optionally `start(self, x, ref) -> dict`: memory that starts from the measured state;
     * optionally `check_rate(self, rate)`, which refuses gains that have no meaning at that rate [Hz];
-    * optionally `check_state(self, x)`, which refuses gains that have no meaning at the state where a run starts;
+    * optionally `check_state(self, x, rate)`, which refuses gains that have no meaning where a run starts;
     * `reference`, the kind of sample it follows (JointMotion unless said).
 
     Laws add: `FeedForward() + PID(kp=..., kd=...)`. A law must not inherit from another one: it holds it in a field.
@@ -224,17 +224,17 @@ class Law:
         if check is not None:
             check(rate)
 
-    def check_states(self, x: Snapshot) -> None:
+    def check_states(self, x: Snapshot, rate: float) -> None:
         """Every law that has a `check_state` must fit the state of a snapshot, with the gains that it has now.
 
         Raises:
             RangeError: A gain that has no meaning there.
         """
         for law in self.children().values():
-            law.check_states(x)
-        check: Callable[[Snapshot], None] | None = getattr(self, "check_state", None)
+            law.check_states(x, rate)
+        check: Callable[[Snapshot, float], None] | None = getattr(self, "check_state", None)
         if check is not None:
-            check(x)
+            check(x, rate)
 
     def __add__(self, other: Law) -> Law:
         from taut.control.combine import added

@@ -220,7 +220,7 @@ class LawSide:
         """
         payload = PayloadValues.of(subtree(parameters, "model.payload"))
         x = Snapshot(self.model, q=q, v=np.zeros(self.arm.n), payload=payload)
-        self.law.bound(subtree(parameters, "law")).check_states(x)
+        self.law.bound(subtree(parameters, "law")).check_states(x, self.rate)
 
     def _check_filtered(self, used: set[str]) -> None:
         """A filter of what the law does not use would be a number that changes nothing."""

@@ -40,8 +40,8 @@ class TaskComputedTorque(Law):
                   so omega_n = sqrt(kp), zeta = kd / (2 sqrt(kp)) for ki = 0
                   a sampled loop tends to this as dt falls
 
-    The spring kp X_e may be bounded: error_max=(linear, angular) puts X_e / sqrt(1 + |X_e|^2 / error_max^2) in its
-    place, part by part; what the bound takes is the term `bound`.
+    The spring kp X_e may be bounded: error_max=(linear, angular) puts X_e / sqrt(1 + r^2) in its place, part by
+    part, with r the length of the part over its error_max; what the bound takes is the term `bound`.
 
     Frames:
         World axes at the tool for "decoupled", the tool's own for "body", the world's origin for "space".
@@ -51,7 +51,7 @@ class TaskComputedTorque(Law):
         coordinates: With error="coordinates": what is controlled.
         error_max: (2,) largest error that the spring answers [m, rad]; no bound if left out.
         null: A law for the motion that the task leaves free, `Posture()` if not said, None for none: its torque
-            goes through the dynamically consistent projector, N^T = I - J^T Lambda J M^-1, which the tool does not feel.
+            goes through the dynamically consistent projector, I - J^T Lambda J M^-1, which the tool does not feel.
         tool: The frame that is controlled; the arm's tool if left out.
 
     References:

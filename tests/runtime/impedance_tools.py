@@ -1,0 +1,84 @@
+"""Wrenches that act on a tool, and what a run says about its deviation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+import taut
+from taut.base import math as tm
+from taut.base.types import Float64Array
+from taut.maths.spatial import rotation_log
+
+Values = Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Shaker:
+    """A wrench of the world: constant + amplitude sin(2 pi f t), force first, world axes."""
+
+    constant: Any = (0.0,) * 6
+    amplitude: Any = (0.0,) * 6
+    frequency: float = 1.0
+
+    def parameters(self) -> dict[str, Float64Array]:
+        names = ("constant", "amplitude", "frequency")
+        return {name: np.asarray(getattr(self, name), dtype=np.float64) for name in names}
+
+    def start(self, T_WE: taut.Pose) -> dict[str, Any]:
+        return {}
+
+    def wrench(
+        self, T_WE: taut.Pose, twist: Any, t: Any, memory: Values, parameters: Values, dt: Any
+    ) -> tuple[Any, dict[str, Any]]:
+        wave = tm.sin(2.0 * np.pi * parameters["frequency"] * t)
+        return parameters["constant"] + parameters["amplitude"] * wave, {}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Kick:
+    """A wrench that acts until a time, as half a sine."""
+
+    wrench_most: Any
+    duration: float
+
+    def parameters(self) -> dict[str, Float64Array]:
+        return {"most": np.asarray(self.wrench_most, dtype=np.float64), "duration": np.asarray(self.duration)}
+
+    def start(self, T_WE: taut.Pose) -> dict[str, Any]:
+        return {}
+
+    def wrench(
+        self, T_WE: taut.Pose, twist: Any, t: Any, memory: Values, parameters: Values, dt: Any
+    ) -> tuple[Any, dict[str, Any]]:
+        phase = tm.minimum(t / parameters["duration"], 1.0)
+        return parameters["most"] * tm.sin(np.pi * phase), {}
+
+
+def deviation(arm: taut.Arm, run: taut.Run, pose: taut.Pose, every: int = 1) -> Float64Array:
+    """(k, 6) where the tool is, less where it should be, world axes [m, rad]."""
+    rows = []
+    for q in run.q[::every]:
+        T = taut.snapshot(arm, q).T()
+        rows.append([*(T.p - pose.p), *rotation_log(T.R @ pose.R.T)])
+    return np.array(rows)
+
+
+def poses_of(arm: taut.Arm, count: int, seed: int) -> list[Float64Array]:
+    """Joint positions around home where the tool can move in every direction."""
+    rng = np.random.default_rng(seed)
+    found: list[Float64Array] = []
+    while len(found) < count:
+        q = arm.home + rng.uniform(-0.5, 0.5, arm.n)
+        if np.linalg.svd(taut.snapshot(arm, q).J(), compute_uv=False)[-1] > 0.1:
+            found.append(q)
+    return found
+
+
+def inertia(arm: taut.Arm, q: Float64Array) -> Float64Array:
+    """(6, 6) Lambda at q."""
+    x = taut.snapshot(arm, q)
+    return np.linalg.inv(x.J() @ np.linalg.inv(x.M) @ x.J().T)
