@@ -254,14 +254,14 @@ CASES: dict[str, tuple[dict[str, Any], str | None, str]] = {
     "a key of MuJoCo": (
         {"plant.timestep": 0.001},
         "plant",
-        "has no key 'timestep', which is for kind = \"mujoco\"; it takes 'actuation', 'adds', 'bodies', 'energy', 'friction', 'gears', "
+        "has no key 'timestep', which is for kind = \"mujoco\"; it takes 'actuation', 'adds', 'bodies', 'energy', 'environment', 'friction', 'gears', "
         "'integrator', 'joint_values', 'kind', 'model', 'payload', 'perturbed', 'rotor_inertia', 'sensors', 'substeps', 'sweeps', "
         "'takes'\n",
     ),
     "a key of a rigid plant": (
         {"plant": {"kind": "mujoco", "substeps": 2}},
         "plant",
-        "has no key 'substeps', which is for kind = \"rigid\"; it takes 'actuation', 'adds', 'bodies', 'friction', ",
+        "has no key 'substeps', which is for kind = \"rigid\"; it takes 'actuation', 'adds', 'bodies', 'environment', 'friction', ",
     ),
     # joints: friction, gears, drives
     "an unknown number of friction": ({"plant.friction": {"coulom": 1}}, "plant.friction", "has no key 'coulom'; did you mean 'coulomb'?"),
@@ -364,6 +364,42 @@ CASES: dict[str, tuple[dict[str, Any], str | None, str]] = {
         "plant",
         "actuation.delay must be a whole number of control periods of 0.001 s",
     ),
+    # [plant.environment]
+    "an environment that is a word": ({"plant.environment": "wall"}, "plant", "environment must be a table: [plant.environment]; got 'wall'"),
+    "an environment without a kind": (
+        {"plant.environment": {"stiffness": 3}},
+        "plant.environment",
+        "needs kind, one of 'spring', 'damper', 'wall', 'handle', 'hand', 'push', or a table for each of several: [plant.environment.wall]\n",
+    ),
+    "an empty environment": ({"plant.environment": {}}, "plant.environment", "needs kind, one of 'spring', "),
+    "an unknown environment": ({"plant.environment": {"kind": "wal"}}, "plant.environment", "kind must be one of 'spring', 'damper', 'wall', 'handle', 'hand', 'push'; got 'wal'"),
+    "one of several without a kind": ({"plant.environment": {"a": {"peak": [1, 0, 0]}}}, "plant.environment.a", "needs the key 'kind'"),
+    "one of several with a name that is none": ({"plant.environment": {"my push": {"kind": "push"}}}, "plant.environment", "must name its tables by letters, digits and underscores; got 'my push'"),
+    "a misspelt stiffness": ({"plant.environment": {"kind": "spring", "stifness": 1}}, "plant.environment", "has no key 'stifness'; did you mean 'stiffness'?"),
+    "a spring without a stiffness": ({"plant.environment": {"kind": "spring"}}, "plant.environment", "needs the key 'stiffness'"),
+    "a spring at a place with two rotations": (
+        {"plant.environment": {"kind": "spring", "stiffness": 1, "at": {"rpy": [0, 0, 0], "xyzw": [0, 0, 0, 1]}}},
+        "plant.environment.at",
+        "a pose takes one rotation; got xyzw and rpy; keep one",
+    ),
+    "a negative damping": ({"plant.environment": {"kind": "damper", "damping": -1}}, "plant.environment", "damping must be >= 0 [N s/m]; got -1.0"),
+    "a wall that is too stiff": (
+        {"plant.environment": {"kind": "wall", "point": [0, 0, -1], "normal": [0, 0, 1], "stiffness": 1e8}},
+        "plant",
+        "environment: what touches the tool swings at ",
+    ),
+    "a wall that is too stiff in MuJoCo": (
+        {"plant": {"kind": "mujoco", "environment": {"kind": "wall", "point": [0, 0, -1], "normal": [0, 0, 1], "stiffness": 1e8}}},
+        "plant",
+        "environment: what touches the tool swings at ",
+    ),
+    "a hand that wants a word": ({"plant.environment": {"kind": "hand", "mass": 1, "damping": 1, "stiffness": 1, "motion": "wave"}}, "plant.environment", "motion must be a table: [plant.environment.motion]; got 'wave'"),
+    "a hand with an unknown motion": (
+        {"plant.environment": {"kind": "hand", "mass": 1, "damping": 1, "stiffness": 1, "motion": {"kind": "sine"}}},
+        "plant.environment.motion",
+        "kind must be one of 'oscillation', 'noise'; got 'sine'",
+    ),
+    "a push in a plane": ({"plant.environment": {"kind": "push", "peak": [1, 2]}}, "plant.environment", "push.peak must be a force (3,) [N] or a wrench (6,), force first"),
     # [cases]
     "cases that are a number": ({"cases": 3}, "", " cases must be a table: [cases]; got 3"),
     "no cases": ({"cases": {}}, "cases", 'needs one case at least: [cases."G = 100".plant.gears] with the keys that it replaces\n'),
@@ -522,6 +558,13 @@ CASES: dict[str, tuple[dict[str, Any], str | None, str]] = {
         "event 1",
         "set: the loop of the law 'FF' has no parameter 'law.kp'",
     ),
+    "an event that sets and pushes": ({"event": [{"t": 0, "set": {"law.kp": 1}, "push": {}}]}, "event 1", "sets parameters or pushes; got both set and push; write two events\n"),
+    "an event that pushes what nothing touches": ({"event": [{"t": 0, "push": {}}]}, "event 1", "set: the loop has no parameter 'environment.t'"),
+    "an event that pushes for no time": ({"event": [{"t": 0, "push": {"duration": 0}}]}, "event 1.push", "duration must be > 0 [s]; got 0"),
+    "an event that pushes in a plane": ({"event": [{"t": 0, "push": {"peak": [1, 2]}}]}, "event 1.push", "push.peak must be a force (3,) [N] or a wrench (6,)"),
+    "an event that pushes a number": ({"event": [{"t": 0, "push": {"of": 3}}]}, "event 1.push", 'of must be the path of a push, such as "environment.push"; got 3'),
+    "an event that pushes before the start": ({"event": [{"t": -1, "push": {}}]}, "event 1", "t must be >= 0 [s]; got -1"),
+    "an event that pushes with a misspelt key": ({"event": [{"t": 0, "push": {"peek": 3}}]}, "event 1.push", "has no key 'peek'; did you mean 'peak'?"),
     "an event that sets a word": ({"event": [{"t": 0, "set": {"law.kp": "abc"}}]}, "event 1", "set: law.kp must be numbers"),
     "an event that sets a negative mass": (
         {"event": [{"t": 0, "set": {"plant.payload.mass": -1}}]},

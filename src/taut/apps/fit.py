@@ -176,7 +176,8 @@ def _check_event(scenario: Scenario, event: Event, side: LawSide, section: Secti
                 plant.checked_parameter(path, value)
             else:
                 whose = "the loop" if len(scenario.laws) == 1 else f"the loop of the law '{label}'"
-                raise unknown_name(whose, "parameter", path, [*side.parameters, *plant.parameters])
+                told = unknown_name(whose, "parameter", path, [*side.parameters, *plant.parameters])
+                raise section.error(f"set: {told}")
 
 
 def _check_files(scenario: Scenario, section: Section) -> None:

@@ -271,11 +271,12 @@ def _push(t: float, table: Section, section: Section) -> Event:
     of = values.get("of", "environment")
     if not isinstance(of, str):
         raise table.error(f'of must be the path of a push, such as "environment.push"; got {of!r}')
+    with section.blamed("t"):
+        Event.push(t=t)
     with table.blamed():
         if "duration" in values:
             positive_scalar("duration", values["duration"], unit="s")
-        with section.blamed("t"):
-            return Event.push(t=t, **values)
+        return Event.push(t=t, **values)
 
 
 # -------------------------------------------------------------------- outputs and pass figures

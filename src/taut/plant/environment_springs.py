@@ -34,8 +34,8 @@ class Spring:
                   got, for any stiffness and any way
     Closed loop:  of mass Lambda at the tool, and nothing else: omega^2 = eig(Lambda^-1 stiffness)
 
-    In semi-implicit steps it neither loses nor gains in the long run, and is stable while omega^2 dt^2 < 4; steps
-    with more than 2 are refused.
+    In semi-implicit steps it neither loses nor gains in the long run, but for a swing of its energy by the share
+    omega dt / 2; it is stable while omega^2 dt^2 < 4, and steps with more than 2 are refused.
 
     Args:
         stiffness: One number of the position alone [N/m], (linear, angular) [N/m, N m/rad], six, or a matrix (6, 6),
