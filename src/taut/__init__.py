@@ -60,6 +60,8 @@ if TYPE_CHECKING:
     from taut.control.reference import hold as hold
     from taut.control.reference import stream as stream
     from taut.control.sensing import Sensing as Sensing
+    from taut.control.side_by_side import SideBySide as SideBySide
+    from taut.control.side_by_side import together as together
     from taut.control.task_error import Coordinates as Coordinates
     from taut.control.task_reference import TaskMotion as TaskMotion
     from taut.control.trajectory import Cubic as Cubic
@@ -141,6 +143,7 @@ _HOME: Final = {
     "control.limits": ("Limits",),
     "control.reference": ("JointMotion", "chunk", "hold", "stream"),
     "control.sensing": ("Sensing",),
+    "control.side_by_side": ("SideBySide", "together"),
     "control.task_error": ("Coordinates",),
     "control.task_reference": ("TaskMotion",),
     "control.trajectory": ("Cubic", "JerkLimited", "Quintic", "Samples", "Sine", "Spline", "Trapezoidal"),

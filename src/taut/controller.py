@@ -22,13 +22,13 @@ from taut.codegen.layout import Block
 from taut.codegen.program import Program, Values, failure, trace
 from taut.control.describe import PARAMETER_UNITS, all_laws, gain_units, section, short, summary, title
 from taut.control.law import Law
-from taut.control.lawside import AT_TOOL, HELD, TOLD, LawSide, Probe
+from taut.control.lawside import HELD, TOLD, LawSide, Probe
 from taut.control.limiting import take_up
 from taut.control.limits import Limits
 from taut.control.reference import Sample, Trajectory
 from taut.control.sensing import Sensing
 from taut.maths.adds import Adds
-from taut.maths.snapshot import MEASUREMENTS, measurement_shapes
+from taut.maths.snapshot import AT_TOOL, MEASUREMENTS, measurement_shapes
 
 __all__ = ["BoundKernel", "Controller", "compile", "take_up_change"]
 

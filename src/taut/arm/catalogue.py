@@ -219,6 +219,31 @@ ENTRIES: Final = (
         commands=EVERY,
     ),
     Entry(
+        name="baxter",
+        package="example-robot-data",
+        extra="arms",
+        file=_robot("baxter", "urdf/baxter.urdf"),
+        meshes=ROBOTS,
+        joints=14,
+        tool="left_gripper",
+        home={
+            f"{side}_{joint}": sign * q
+            for side, mirror in (("left", 1.0), ("right", -1.0))
+            for joint, sign, q in (
+                ("s0", mirror, -0.3),
+                ("s1", 1.0, -0.6),
+                ("e0", mirror, 0.0),
+                ("e1", 1.0, 1.6),
+                ("w0", mirror, 0.0),
+                ("w1", 1.0, 0.6),
+                ("w2", mirror, 0.0),
+            )
+        },
+        commands=EVERY,
+        locked={"head_pan": 0.0, "l_gripper_l_finger_joint": 0.0, "l_gripper_r_finger_joint": 0.0}
+        | {"r_gripper_l_finger_joint": 0.0, "r_gripper_r_finger_joint": 0.0},
+    ),
+    Entry(
         name="two_link",
         package="example-robot-data",
         extra="arms",

@@ -46,6 +46,11 @@ class Terms:
         made._parts = parts
         return made
 
+    @classmethod
+    def known(cls, total: Array, parts: Mapping[str, Array]) -> Terms:
+        """A named sum of which both are known: the terms add up to the total."""
+        return cls._of(total, lambda: dict(parts))
+
     @property
     def parts(self) -> Mapping[str, Array]:
         """Each term by its name; they add up to `total`."""

@@ -165,7 +165,8 @@ class Gain:
         scalar: Whether one number serves; of a gain with two units it does not.
         function: Whether a function may stand in its place, which the law evaluates; then it is no parameter.
         where: Another field of the law and the value it must have for this gain to have a meaning, such as
-            ("anti_windup", "back-calculation"); elsewhere it is no parameter, and must not be given.
+            ("anti_windup", "back-calculation"), or ... for any value but None; elsewhere it is no parameter, and must
+            not be given.
 
     Shape: scalar, (size,), or (size, size). Applied with `@`.
     """
@@ -191,7 +192,7 @@ class Gain:
         minimum: float = 0.0,
         maximum: float = np.inf,
         size: int | str | None = None,
-        where: tuple[str, str] | None = None,
+        where: tuple[str, Any] | None = None,
         optional: bool = False,
         pairs: bool = False,
         scalar: bool = True,
@@ -237,7 +238,11 @@ class Gain:
 
     def has_meaning(self, law: object) -> bool:
         """Whether it is a gain of this law, with the fields that the law has."""
-        return self.where is None or getattr(law, self.where[0]) == self.where[1]
+        if self.where is None:
+            return True
+        field, value = self.where
+        given = getattr(law, field)
+        return given is not None if value is ... else bool(given == value)
 
     def checked(self, value: ArrayLike | None, unit: str = "", name: str | None = None) -> Float64Array:
         """`value` as a gain.

@@ -88,7 +88,7 @@ class Impedance(Law):
     coordinates: Coordinates | None = None
     error_max: Gain = Gain(optional=True, size=2)  # [m, rad]
     tank: Gain = Gain(optional=True, size=0)  # [J]
-    settle: Gain = Gain(0.1, minimum=1e-6, size=0)  # [s]
+    settle: Gain = Gain(0.1, minimum=1e-6, size=0, where=("tank", ...))  # [s]
     coriolis: Coriolis = "cancel"
     null: Law | None = Posture()
     tool: str | None = None

@@ -202,6 +202,10 @@ class Law:
                     name=path,
                 )
 
+    def seen_by(self, child: str, x: Snapshot, ref: Sample) -> tuple[Snapshot, Sample]:  # noqa: ARG002
+        """What a law that this one holds sees and follows."""
+        return x, ref
+
     @property
     def controlled_frame(self) -> str | None:
         """The frame that this law, or a law that it holds, controls; None for the arm's tool."""
@@ -310,9 +314,9 @@ def _check_arguments(cls: type[Law]) -> None:
             if isinstance(gain, Gain) and not gain.has_meaning(self):
                 assert gain.where is not None
                 other, value = gain.where
+                case = f"{other}=" if value is ... else f"{other}='{value}'"
                 raise UsageError(
-                    f"{cls.__name__}: {name} is for {other}='{value}', and this one has {getattr(self, other)!r}; "
-                    "leave it out",
+                    f"{cls.__name__}: {name} is for {case}, and this one has {getattr(self, other)!r}; leave it out",
                     name=name,
                 )
         for name, value in list(vars(self).items()):
@@ -371,7 +375,7 @@ def initial_memory(law: Law, x: Snapshot, ref: Sample) -> dict[str, Any]:
     for field in dataclasses.fields(law):  # type: ignore[arg-type]  # every law is a dataclass
         if isinstance(type(law).__dict__.get(field.name), Memory):
             values[field.name] = law.__dict__[field.name]
-    values |= {name: initial_memory(child, x, ref) for name, child in law.children().items()}
+    values |= {name: initial_memory(child, *law.seen_by(name, x, ref)) for name, child in law.children().items()}
     start: Callable[[Snapshot, Sample], Mapping[str, Any]] | None = getattr(law, "start", None)
     if start is not None:
         values |= start(x, ref)

@@ -16,6 +16,7 @@ from taut.control.joint import (
     VelocityPI,
 )
 from taut.control.nullspace import LimitAvoidance, Manipulability, Posture
+from taut.control.side_by_side import SideBySide
 from taut.control.stiction import Dither, RaisedGains
 from taut.control.task import TaskComputedTorque
 from taut.control.task_drive import TaskPosition, TaskVelocity
@@ -44,6 +45,7 @@ __all__ = [
     "LimitAvoidance",
     "Manipulability",
     "Sum",
+    "SideBySide",
 ]
 
 

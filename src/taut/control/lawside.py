@@ -27,13 +27,12 @@ from taut.control.sensing import Sensing
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
 from taut.maths.model import Model, PayloadValues, model_of
-from taut.maths.snapshot import MEASUREMENTS, Snapshot, measurement_shapes
+from taut.maths.snapshot import AT_TOOL, MEASUREMENTS, Snapshot, measurement_shapes
 
-__all__ = ["AT_TOOL", "HELD", "TOLD", "LawSide", "Probe", "Tick"]
+__all__ = ["HELD", "TOLD", "LawSide", "Probe", "Tick"]
 
 TOLD: Final = "held.told"  # inputs of the first tick: whether the torque that the plant holds was told, and it
 HELD: Final = "held.tau_applied"
-AT_TOOL: Final = ("F_ext", "a_tip")  # measurements with axes, not joints, however many there are
 Memory = Mapping[str, Any]
 """Memory of the law side by path: law.e_int, sensing.velocity.q, limits.tau_applied."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, TypeVar
 
 import numpy as np
@@ -31,6 +31,7 @@ MEASUREMENTS: Final[Mapping[str, str]] = {
 }
 """What a law may ask for beyond positions and velocities, and what it needs."""
 AXES: Final = ("W", "E")
+AT_TOOL: Final = ("F_ext", "a_tip")  # measurements with axes, not joints, however many there are
 
 
 def measurement_shapes(n: int) -> dict[str, tuple[int, ...]]:
@@ -301,6 +302,30 @@ class Snapshot:
             measured=self._measured,
             used=self.used,
             elsewhere=True,
+        )
+
+    def of_joints(self, model: Model, places: Sequence[int]) -> Snapshot:
+        """What an arm of some of the joints sees of this one: its own rows of what is measured joint by joint.
+
+        Args:
+            model: That of the arm in which only these joints move.
+            places: Their places in this arm.
+        """
+        rows = list(places)
+        measured = {
+            name: values if name in AT_TOOL else tm.array([values[i] for i in rows])
+            for name, values in self._measured.items()
+        }
+        return Snapshot(
+            model,
+            q=tm.array([self._q[i] for i in rows]),
+            v=tm.array([self._v[i] for i in rows]),
+            t=self._t,
+            payload=self._payload,
+            adds=self._adds,
+            measured=measured,
+            used=self.used,
+            elsewhere=self.elsewhere,
         )
 
     def with_own_record(self) -> Snapshot:
