@@ -141,6 +141,42 @@ class TestAUR10LedByAHand:
         assert np.abs(np.stack([T.p for T in poses(run)]) - wanted).max() < 1.5e-3
 
 
+class TestAContact:
+    """A spring k that a UR10 in velocity mode leans on needs B > k t, with t the lags between hand and motion."""
+
+    @pytest.mark.parametrize("D", [10.0, 40.0])
+    @pytest.mark.parametrize(
+        ("cutoff", "led", "lag"),
+        [(None, True, 0.0), (30.0, True, 1.0 / (2.0 * math.pi * 30.0)), (None, False, 1.0 / BANDWIDTH + DELAY + 0.5 / RATE)],
+    )  # fmt: skip
+    @pytest.mark.parametrize(("share", "grows"), [(0.75, True), (1.25, False)])
+    def test_is_stable_with_as_much_damping_as_its_lags_take(
+        self, D: float, cutoff: float | None, led: bool, lag: float, share: float, grows: bool
+    ) -> None:
+        k = 500.0
+        B = share * k * (1.5 / RATE + lag)
+        inner = INNER["velocity"] if led else taut.laws.TaskVelocity(kp=2.0)
+        sensing = None if cutoff is None else taut.Sensing(F_ext=taut.LowPass(cutoff=cutoff))
+        law = taut.laws.Admittance(D=(D, 1.0), B=(B, 2.0), inner=inner)
+        rest = HOME.p + np.array([2e-3, 0.0, 0.0])
+        spring = taut.Spring(stiffness=[k, 0, 0, 0, 0, 0], at=rest)
+        run = taut.run(
+            taut.compile(law, UR10, rate=RATE, sensing=sensing), plant("velocity", spring), HOLD, duration=8.0
+        )
+        x = np.array([T.p[0] for T in poses(run)]) - rest[0]
+        assert (np.abs(x[-1000:]).max() > np.abs(x[1000:2000]).max()) == grows
+
+
+def test_in_mujoco_a_hand_feels_the_spring_that_was_asked_for() -> None:
+    inner = taut.laws.TaskComputedTorque(kp=900.0, kd=60.0)
+    law = taut.laws.Admittance(D=(5.0, 0.5), B=(120.0, 12.0), K=(400.0, 40.0), inner=inner)
+    ctrl = taut.compile(law, UR10)
+    plant = taut.MujocoPlant(UR10, environment=steady(0.0, 8.0, 0.0, 0.0, 0.0, 0.0))
+    run = taut.run(ctrl, plant, HOLD, duration=3.0)
+    assert run.outcome.ok
+    np.testing.assert_allclose(poses(run)[-1].p - HOME.p, [0.0, 0.02, 0.0], atol=3e-4)
+
+
 class TestTheTwoForms:
     def test_the_chapters_is_impedance_control_with_a_wrist_sensor(self) -> None:
         """Where the model is exact: the same torque, at any state."""

@@ -8,6 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
+import numpy as np
+
+from taut.arm.description import Arm
 from taut.arm.load import load_arm
 from taut.control import laws
 from taut.control.describe import held_laws, section, summary
@@ -15,6 +18,7 @@ from taut.control.gains import Gain
 from taut.control.law import Law, field_units
 from taut.control.lawside import LawSide
 from taut.control.sensing import Sensing
+from taut.control.task_reference import TaskMotion
 from taut.maths.adds import Adds
 
 __all__ = ["LawRow", "law_rows"]
@@ -69,8 +73,9 @@ def law_rows() -> list[LawRow]:
 def _row(cls: type[Law]) -> LawRow:
     fields_of = {field.name: cls.__dict__.get(field.name) for field in fields(cls)}  # type: ignore[arg-type]
     gains = [name for name, field in fields_of.items() if isinstance(field, Gain) and field.where is None]
-    law = cls(**dict.fromkeys(gains, 1.0), **{name: laws.PID(kp=1.0) for name in held_laws(cls)})
-    arm = load_arm("planar3")
+    law = cls(**_numbers(cls, gains), **{name: _held(cls) for name in held_laws(cls)})
+    of_joints = cls.reference is not TaskMotion and not cls.ignores_reference
+    arm = load_arm("planar3") if of_joints else _six_axes()
     side = LawSide(law=law, arm=arm, rate=1000.0, sensing=Sensing(), limits=None, adds=Adds())
     units = field_units(cls)
     return LawRow(
@@ -83,3 +88,31 @@ def _row(cls: type[Law]) -> LawRow:
         reference=cls.reference.__name__,
         needs=("q", *side.needs),
     )
+
+
+def _numbers(cls: type[Law], gains: Sequence[str]) -> dict[str, Any]:
+    """Ones for every gain that a law must have; of damping and damping ratio, the damping."""
+    numbers: dict[str, Any] = {}
+    for name in gains:
+        field: Gain = cls.__dict__[name]
+        if not field.optional or name == "B":
+            numbers[name] = (1.0, 1.0) if field.pairs and not field.scalar else 1.0
+        if field.size == 3:
+            numbers[name] = (1.0, 1.0, 1.0)
+    return numbers
+
+
+def _held(cls: type[Law]) -> Law:
+    """A law for one that holds another."""
+    return laws.TaskComputedTorque(kp=1.0, kd=1.0) if cls.reference is TaskMotion else laws.PID(kp=1.0)
+
+
+def _six_axes() -> Arm:
+    """An arm of six joints that is nowhere near a singularity, to try a law of the task on."""
+    axes = np.array([[0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=np.float64)
+    places = np.array([[0, 0, 0], [0, 0, 0.4], [0.4, 0, 0.6], [0.5, 0, 0.5], [0.6, 0, 0.4], [0.7, 0.1, 0.4]])
+    screws = np.vstack([axes.T, -np.cross(axes, places).T])
+    steps = np.diff(np.vstack([np.zeros(3), places, places[-1:]]), axis=0)
+    links = [np.vstack([np.column_stack([np.eye(3), step]), [0.0, 0.0, 0.0, 1.0]]) for step in steps]
+    inertia = np.diag([0.1, 0.1, 0.1, 1.0, 1.0, 1.0])
+    return Arm.from_screws(links, [inertia] * 6, screws, np.array([0.0, 0.0, -9.81]))

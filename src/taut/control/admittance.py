@@ -39,8 +39,10 @@ class Admittance(Law):
                   model="measured": of the tool, where the inner law gives torques and its model is exact. What that
                     model and friction do not know adds to F_ext, and nothing draws the tool back: with K = 0 it
                     drifts. Held over a tick it needs B above K dt / 2
-                  every tick, filter and delay t between hand and motion turns the stiffness k of a contact into
-                    damping -k t, which B and the hand must outweigh: `taut.smallest_mass` counts it in full
+                  every lag t between hand and motion turns the stiffness k of a contact into damping -k t, which B
+                    and the contact's own must outweigh: t is 1.5 ticks, the filter's 1 / (2 pi cutoff) and what of
+                    the inner law's lag is not led. So it is while sqrt(k / D) is below a quarter of the drive's
+                    bandwidth; a smaller D needs up to twice that and more
                   without - J^T F_ext a hand would move the tool past the model, by (kp Lambda)^-1 F_ext
 
     With F_ext = 0 the energy of model="own" about a resting reference, V D V / 2 + X K X / 2, never grows, however
