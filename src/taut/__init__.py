@@ -73,6 +73,7 @@ if TYPE_CHECKING:
     from taut.control.trajectory import Trapezoidal as Trapezoidal
     from taut.control.velocity import Difference as Difference
     from taut.control.velocity import Kalman as Kalman
+    from taut.control.wrist import Wrist as Wrist
     from taut.controller import Controller as Controller
     from taut.controller import compile as compile
     from taut.loop import Loop as Loop
@@ -111,6 +112,16 @@ if TYPE_CHECKING:
     from taut.runtime.drivers.mujoco import MujocoPlant as MujocoPlant
     from taut.runtime.events import Event as Event
     from taut.runtime.simulate import run as run
+    from taut.study.limits import StiffnessCheck as StiffnessCheck
+    from taut.study.limits import StiffnessLimits as StiffnessLimits
+    from taut.study.limits import check_stiffness as check_stiffness
+    from taut.study.limits import stiffness_limits as stiffness_limits
+    from taut.study.sampled import SampledLoop as SampledLoop
+    from taut.study.tip import check_stiffness_at as check_stiffness_at
+    from taut.study.tip import safe_stiffness as safe_stiffness
+    from taut.study.wrist import WristCalibration as WristCalibration
+    from taut.study.wrist import calibrate_wrist as calibrate_wrist
+    from taut.study.wrist_poses import calibration_poses as calibration_poses
 
 _HOME: Final = {
     "arm.description": ("Arm", "Friction", "Payload"),
@@ -148,6 +159,7 @@ _HOME: Final = {
     "control.task_reference": ("TaskMotion",),
     "control.trajectory": ("Cubic", "JerkLimited", "Quintic", "Samples", "Sine", "Spline", "Trapezoidal"),
     "control.velocity": ("Difference", "Kalman"),
+    "control.wrist": ("Wrist",),
     "controller": ("Controller", "compile"),
     "loop": ("Loop",),
     "maths.gearing": ("rotor_share",),
@@ -173,6 +185,11 @@ _HOME: Final = {
     "runtime.drivers.mujoco": ("MujocoPlant",),
     "runtime.events": ("Event",),
     "runtime.simulate": ("run",),
+    "study.limits": ("StiffnessCheck", "StiffnessLimits", "check_stiffness", "stiffness_limits"),
+    "study.sampled": ("SampledLoop",),
+    "study.tip": ("check_stiffness_at", "safe_stiffness"),
+    "study.wrist": ("WristCalibration", "calibrate_wrist"),
+    "study.wrist_poses": ("calibration_poses",),
 }
 _MODULES: Final = {"dynamics": "maths.dynamics", "laws": "control.laws", "math": "base.math"}
 _WHERE: Final = {name: module for module, names in _HOME.items() for name in names}

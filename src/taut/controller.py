@@ -401,17 +401,36 @@ class Controller:
         Raises:
             UsageError: There was no tick yet.
         """
+        outputs = self._last_tick("terms", _Functions(self.side, record=True))
+        return Named(f"the controller's {title(self.law)}", "term", subtree(outputs, "terms"))
+
+    @property
+    def sensed(self) -> Mapping[str, Float64Array]:
+        """What the law saw in the last tick, by measurement, computed when asked for: after all filters.
+
+        With `taut.Wrist(range=...)` also saturated.F_ext: 1.0 if the reading was at the end of its range.
+
+        Raises:
+            UsageError: There was no tick yet.
+        """
+        names = ("q", "v", *(name for name in self.side.takes if name != "v"))
+        outputs = self._last_tick("sensed", _Functions(self.side, record=True, sensed=names))
+        seen = subtree(outputs, "sensed") | {name: outputs[name] for name in self.side.sensing.tells}
+        return Named("the controller's sensing", "measurement", seen)
+
+    def _last_tick(self, what: str, functions: _Functions) -> dict[str, Float64Array]:
+        """The last tick once more, on floats, with all that it can give."""
         if self.ticks == 0:
-            raise UsageError("there are no terms before the first tick; call step first", name="terms")
-        blocks, functions = self._kernel.blocks, _Functions(self.side, record=True)
+            kind = "terms" if what == "terms" else "measurements"
+            raise UsageError(f"there are no {kind} before the first tick; call step first", name=what)
+        blocks = self._kernel.blocks
         inputs = blocks.layout["inputs"].views(blocks.seen.copy())
         inputs["t"][...] = (self.ticks - 1) * self.dt
         parameters = blocks.layout["parameters"].views(self.parameters.at_tick(self.ticks))
         memory = blocks.layout["memory"].views(blocks.before)
         with np.errstate(all="ignore"):
             outputs, _ = functions.tick(inputs, parameters, memory)
-        terms = {name: np.array(value, dtype=np.float64) for name, value in subtree(outputs, "terms").items()}
-        return Named(f"the controller's {title(self.law)}", "term", terms)
+        return {name: np.array(value, dtype=np.float64) for name, value in outputs.items()}
 
     def explain(self) -> None:
         """Print the law, its gains with units, the closed loop it yields, and what a tick costs."""
@@ -463,7 +482,8 @@ class _Functions:
         tick = self._side.tick(self.measured(inputs), self.sample(inputs), memory, parameters, parameters[DT])
         terms = {f"terms.{name}": value for name, value in tick.terms.items()} if self._record else {}
         sensed = {f"sensed.{name}": tick.seen[name] for name in self._sensed}
-        return {"command": tick.command, **terms, **sensed}, tick.memory
+        told = {name: tick.seen[name] for name in self._side.sensing.tells} if self._record else {}
+        return {"command": tick.command, **terms, **sensed, **told}, tick.memory
 
     def start(self, inputs: Values, parameters: Values, memory: Values) -> tuple[Values, Values]:  # noqa: ARG002
         return self._side.start(self.measured(inputs), self.sample(inputs), parameters), {}
@@ -493,10 +513,11 @@ def _kernel_of(
     held = {TOLD: (), HELD: (n,)} if "limits.tau_applied" in probe.shapes else {}
     terms = {f"terms.{name}": (n,) for name in probe.terms} if record else {}
     sensed_sizes = {f"sensed.{name}": sizes[name] for name in sensed}
+    told = dict.fromkeys(side.sensing.tells, ()) if record else {}
     inputs = Block.of({"t": (), "q": (n,), **{name: sizes[name] for name in side.takes}, **ref_fields, **held})
     parameters = Block.of({path: value.shape for path, value in side.parameters.items()} | {DT: ()})
     memory = Block.of(probe.shapes)
-    blocks = Blocks(inputs, parameters, memory, Block.of({"command": (n,), **terms, **sensed_sizes}))
+    blocks = Blocks(inputs, parameters, memory, Block.of({"command": (n,), **terms, **sensed_sizes, **told}))
     parameters.pack({**side.parameters, DT: side.dt}, blocks.parameters)
     functions = _Functions(side, record=record, sensed=sensed)
     if engine == "float":
@@ -556,6 +577,7 @@ def _not_finite(side: LawSide, kernel: Kernel) -> TautError:
     joints, blocks = side.arm.joint_names, kernel.blocks
     try:
         side.check_finite(blocks.views("inputs"), kernel.count)
+        side.check_reading(blocks.views("inputs"), blocks.views("memory"), kernel.count)
     except RangeError as error:
         return error
     law = type(side.law).__name__

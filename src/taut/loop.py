@@ -21,6 +21,7 @@ from taut.control.lawside import LawSide
 from taut.control.reference import Hold, Reference, as_reference
 from taut.maths.adds import Adds
 from taut.maths.snapshot import MEASUREMENTS
+from taut.plant.sensors import Sensors
 
 __all__ = ["AnyPlant", "Loop", "ModelPlant", "check_fit", "sensed_of"]
 
@@ -77,6 +78,14 @@ class ModelPlant(AnyPlant, Protocol):
 
 
 @runtime_checkable
+class HasSensors(Protocol):
+    """A plant whose sensors are those of `taut.plant`."""
+
+    @property
+    def sensors(self) -> Sensors: ...
+
+
+@runtime_checkable
 class HasLawSide(Protocol):
     """A controller, as far as a loop needs it."""
 
@@ -127,6 +136,7 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
                 f"{', '.join(sorted(plant.measures)) or 'positions only'}" + PROVIDED_BY.get(name, ""),
                 name=name,
             )
+    _check_weight(side, plant)
     _check_adds(law, side.adds, probe.used, plant)
     _check_start(side, plant)
 
@@ -139,6 +149,19 @@ def sensed_of(side: LawSide, plant: AnyPlant) -> tuple[str, ...]:
     used = side.probe.used
     altered = side.sensing.alters | plant.distorts | {"q_motor", "v_motor", "a_tip"}
     return tuple(name for name in ("q", "v", *MEASUREMENTS) if name in altered and (name == "q" or name in used))
+
+
+def _check_weight(side: LawSide, plant: AnyPlant) -> None:
+    """A weight is taken out of a wrench in which it is; of a plant that does not say, it is taken to be."""
+    wrist = side.sensing.wrist
+    if wrist is None or wrist.mass is None or not isinstance(plant, HasSensors) or plant.sensors.weighs:
+        return
+    raise MatchError(
+        "the controller's sensing takes the weight of tool and payload out of F_ext, and the wrench sensor of plant "
+        f"'{plant.name}' reads no weight; give it sensors=taut.Sensors(wrench=taut.WrenchSensor(tool="
+        "taut.Payload(mass=...))), or leave mass out of taut.Wrist",
+        name="wrist",
+    )
 
 
 def _check_adds(law: str, left_out: Adds, used: frozenset[str], plant: AnyPlant) -> None:
@@ -287,6 +310,7 @@ class Loop:
         record = {"q": before["q"], "v": before["v"], "command": tick.command, "tau": plant["tau"]}
         record |= self.plant.extra(before, plant)
         record |= {name: value for name, value in measured.items() if name.startswith("saturated.")}
+        record |= {name: tick.seen[name] for name in self.side.sensing.tells if name not in record}
         record |= {f"sensed.{name}": tick.seen[name] for name in sensed_of(self.side, self.plant)}
         record |= {f"terms.{name}": value for name, value in tick.terms.items()}
         return record, {f"plant.{path}": value for path, value in plant.items()} | tick.memory

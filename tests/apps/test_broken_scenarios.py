@@ -140,7 +140,7 @@ CASES: dict[str, tuple[dict[str, Any], str | None, str]] = {
     "sensing in its own table": (
         {"control.sensing": {"velocity": "difference"}},
         "control",
-        "has no key 'sensing'; it takes 'F_ext', 'limits', 'notch', 'rate', 'tau_meas', 'velocity'\n",
+        "has no key 'sensing'; it takes 'F_ext', 'limits', 'notch', 'rate', 'tau_meas', 'velocity', 'wrist'\n",
     ),
     "limits of an arm that states none": ({"control.limits": "arm"}, "control", "limits: planar2: arm 'planar2' states no"),
     "the way out of it": (
@@ -192,6 +192,26 @@ CASES: dict[str, tuple[dict[str, Any], str | None, str]] = {
         "control",
         "sensing filters F_ext, which PID does not use; leave F_ext= out of the sensing\n",
     ),
+    "a wrist that no law reads": (
+        {"control.wrist": {"mass": 0.7}},
+        "control",
+        "sensing corrects F_ext, which PID does not use; leave wrist= out of the sensing\n",
+    ),
+    "a misspelt mass of a tool": ({"control.wrist": {"mas": 0.7}}, "control.wrist", "has no key 'mas'; did you mean 'mass'?"),
+    "a centre without a mass": ({"control.wrist": {"com": [0, 0, 0.1]}}, "control.wrist", "wrist.com is that of the tool, whose mass is missing; give mass too\n"),
+    "one number for force and moment": ({"control.wrist": {"bias": 1}}, "control.wrist", "bias must be (force, moment) or six numbers [N, N m]; got shape ()"),
+    "a tool of negative mass": (
+        {"plant.sensors": {"wrench": {"tool": {"mass": -1}}}},
+        "plant.sensors.wrench.tool",
+        "mass must be >= 0 [kg]; got -1.0\n",
+    ),
+    "a tool in words": ({"plant.sensors": {"wrench": {"tool": "gripper"}}}, "plant.sensors.wrench", "tool must be a table: [plant.sensors.wrench.tool]; got 'gripper'"),
+    "a wrist sensor on another link": (
+        {"plant.sensors": {"wrench": {"tool": {"mass": 1}, "frame": "link1"}}},
+        "plant",
+        "sensors.wrench.frame must move with the tool 'tool'; got 'link1', which has a joint between it and the tool; name a frame of the "
+        "last body\n",
+    ),
     "limits of a velocity": (
         {"control.limits": {"tau": 1}, "laws.PD": {"law": "VelocityPI", "kp": 1}, "plant": VELOCITY},
         "control",
@@ -241,7 +261,8 @@ CASES: dict[str, tuple[dict[str, Any], str | None, str]] = {
     "a wrench sensor where nothing touches": (
         {"plant.sensors": {"wrench": {"range": [100, 10]}}},
         "plant",
-        "sensors.wrench is for a plant that something touches; write [plant.environment] too, or leave it out\n",
+        "sensors.wrench is for a plant that something touches, or whose tool it weighs; write [plant.environment] too, give it a "
+        "tool, or leave it out\n",
     ),
     "no tachometer": (
         {"plant.sensors": {"velocity": "none"}},

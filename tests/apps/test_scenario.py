@@ -12,7 +12,10 @@ import pytest
 
 import taut
 from taut.apps.cli import main
+from taut.apps.read_plant import read_plant
+from taut.apps.read_sensing import read_sensing
 from taut.apps.scenario import built_in_scenarios, load_scenario
+from taut.apps.toml import read_toml
 
 GOOD = """
 title = "a test"
@@ -505,6 +508,47 @@ def test_sensors_and_sensing_reach_the_run(
     assert getattr(scenario.sensing.velocity, "order", None) == getattr(made, "order", None)
     assert main(["run", str(file), "--out", str(tmp_path / "out")]) == 0
     assert "PD" in capsys.readouterr().out
+
+
+def test_a_wrist_sensor_that_weighs_and_what_the_controller_knows_of_it_can_be_written(tmp_path: Path) -> None:
+    file = tmp_path / "case.toml"
+    file.write_text(TEXT_OF_WRIST)
+    root = read_toml(file)
+    arm = taut.load_arm("planar2")
+    plant = read_plant(root.section("plant"), arm, 500.0, tmp_path)
+    assert plant.parameters["sensors.wrench.tool.mass"] == 0.7
+    assert plant.parameters["sensors.wrench.tool.com"].tolist() == [0.0, 0.0, 0.05]
+    assert plant.parameters["sensors.wrench.noise"].tolist() == [0.1] * 3 + [0.01] * 3
+    sensing = read_sensing(root.section("control"), arm, 500.0)
+    wrist = sensing.wrist
+    assert wrist is not None
+    assert (wrist.repeats, wrist.frame) == (50, "tool")
+    got = {path: value.tolist() for path, value in sensing.parameters().items()}
+    assert got == {
+        "F_ext.cutoff": 30.0,
+        "wrist.bias": [1.0, 2.0, 3.0, 0.0, 0.0, 0.1],
+        "wrist.mass": 0.7,
+        "wrist.com": [0.0, 0.0, 0.05],
+        "wrist.range": [200.0] * 3 + [10.0] * 3,
+    }
+
+
+TEXT_OF_WRIST = """
+[plant.sensors.wrench]
+noise = [0.1, 0.01]
+tool = { mass = 0.7, com = [0, 0, 0.05] }
+
+[control.wrist]
+bias = [1, 2, 3, 0, 0, 0.1]
+mass = 0.7
+com = [0, 0, 0.05]
+range = [200, 10]
+repeats = 50
+frame = "tool"
+
+[control.F_ext]
+cutoff = 30
+"""
 
 
 def test_a_low_pass_of_the_measured_velocity_can_be_written_too(tmp_path: Path) -> None:

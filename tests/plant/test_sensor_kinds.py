@@ -409,7 +409,7 @@ CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
     (lambda: Sensors(motor=taut.Encoder(side="link")), taut.UsageError, "sensors.motor is at the motor; got side='link'; leave side out, or give it as position="),
     (lambda: Sensors(motor_velocity=taut.Tachometer(side="link")), taut.UsageError, "sensors.motor_velocity is at the motor; got side='link'; leave side out, or give it as velocity="),
     (lambda: taut.RigidPlant(ARM, sensors=Sensors(tip=taut.Accelerometer(noise=[1.0, 1.0]))), taut.ShapeError, "sensors.tip.noise must have shape (3,); got shape (2,)"),
-    (lambda: taut.RigidPlant(ARM, sensors=Sensors(wrench=taut.WrenchSensor(noise=(1.0, 0.1)))), taut.UsageError, "sensors.wrench is for a plant that something touches; give environment= too, or leave it out"),
+    (lambda: taut.RigidPlant(ARM, sensors=Sensors(wrench=taut.WrenchSensor(noise=(1.0, 0.1)))), taut.UsageError, "sensors.wrench is for a plant that something touches, or whose tool it weighs; give environment= or tool= too, or leave it out"),
 ]  # fmt: skip
 
 

@@ -12,10 +12,12 @@ from taut.apps.read_drives import made_from, read_actuation
 from taut.apps.read_environment import read_environment
 from taut.apps.read_joints import friction_word
 from taut.apps.toml import Section, file_beside
-from taut.arm.description import Arm
+from taut.arm.description import Arm, Payload
 from taut.maths.adds import Adds
+from taut.plant.readings import Sensor
 from taut.plant.rigid import RigidPlant
 from taut.plant.sensors import SENSORS, Sensors
+from taut.plant.tool_sensors import WrenchSensor
 from taut.runtime.host import HostPlant
 
 __all__ = ["Plant", "read_plant"]
@@ -101,6 +103,14 @@ def _sensors(section: Section) -> Sensors:
             section.take(name)
             options[name] = None
         elif name in section:
-            options[name] = made_from(section.section(name), kind)
+            options[name] = _sensor(section.section(name), kind)
     with section.blamed():
         return Sensors(**options)
+
+
+def _sensor(section: Section, kind: type[Sensor]) -> Any:
+    """One sensor; that of the wrist may have a table for the tool that it weighs."""
+    parts = (
+        {"tool": made_from(section.section("tool"), Payload)} if kind is WrenchSensor and "tool" in section else {}
+    )
+    return made_from(section, kind, **parts)

@@ -1,4 +1,4 @@
-"""Sensing of a scenario: velocity, notch, F_ext and tau_meas in [control]."""
+"""Sensing of a scenario: velocity, notch, wrist, F_ext and tau_meas in [control]."""
 
 from __future__ import annotations
 
@@ -11,24 +11,28 @@ from taut.base.errors import quoted_list
 from taut.control.filters import LowPass, Notch
 from taut.control.sensing import FILTERED, VELOCITIES, Sensing
 from taut.control.velocity import Difference, Kalman
+from taut.control.wrist import Wrist
 
 __all__ = ["SENSED", "read_sensing"]
 
-SENSED: Final = ("velocity", "notch", *FILTERED)  # the keys of [control] that are read here
+SENSED: Final = ("velocity", "notch", "wrist", *FILTERED)  # the keys of [control] that are read here
+PARTS: Final[Mapping[str, Any]] = {"notch": Notch, "wrist": Wrist} | dict.fromkeys(FILTERED, LowPass)
 KINDS: Final[Mapping[str, Any]] = {"low-pass": LowPass, "difference": Difference, "kalman": Kalman}
 KEYS: Final[Mapping[str, tuple[str, ...]]] = {
     "low-pass": ("cutoff", "order"),
     "difference": ("cutoff", "order"),
     "kalman": ("acceleration_noise", "position_noise"),
     "notch": ("frequency", "width", "depth"),
+    "wrist": ("bias", "mass", "com", "range", "repeats", "frame"),
 }
 REQUIRED: Final = {
     "low-pass": ("cutoff",), "difference": (), "kalman": KEYS["kalman"], "notch": ("frequency", "width"),
+    "wrist": (),
 }  # fmt: skip
 
 
 def read_sensing(section: Section, arm: Arm, rate: float) -> Sensing:
-    """velocity = "measured", "difference" or a table { kind, ... }; tables notch, F_ext and tau_meas.
+    """velocity = "measured", "difference" or a table { kind, ... }; tables notch, wrist, F_ext and tau_meas.
 
     Args:
         section: [control].
@@ -53,13 +57,13 @@ def read_sensing(section: Section, arm: Arm, rate: float) -> Sensing:
         parts["velocity"] = section.word("velocity", VELOCITIES, "measured")
     for name in SENSED[1:]:
         if name in section:
-            kind, cls = ("notch", Notch) if name == "notch" else ("low-pass", LowPass)
-            parts[name] = _part(section.section(name), name, kind, cls, arm, rate)
+            kind = "low-pass" if name in FILTERED else name
+            parts[name] = _part(section.section(name), name, kind, PARTS[name], arm, rate)
     return Sensing(**parts)
 
 
 def _part(table: Section, name: str, kind: str, cls: Any, arm: Arm, rate: float) -> Any:
-    """A filter from its table, which fits the arm and the rate."""
+    """A part of sensing from its table, which fits the arm and the rate."""
     values = table.fields(KEYS[kind], REQUIRED[kind])
     with table.blamed():
         made = cls(**values)

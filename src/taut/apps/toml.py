@@ -38,7 +38,11 @@ WORDS: Final = {
     "sensors=taut.Sensors(motor=taut.Encoder())": "[plant.sensors.motor]",
     "sensors=taut.Sensors(motor_velocity=taut.Tachometer())": "[plant.sensors.motor_velocity]",
     "sensors=taut.Sensors(tip=taut.Accelerometer())": "[plant.sensors.tip]",
-    "give environment= too, or leave it out": "write [plant.environment] too, or leave it out",
+    "give environment= or tool= too, or leave it out": "write [plant.environment] too, give it a tool, or leave it "
+    "out",
+    "give it sensors=taut.Sensors(wrench=taut.WrenchSensor(tool=taut.Payload(mass=...))), or leave mass out of "
+    "taut.Wrist": "give it [plant.sensors.wrench.tool], or leave mass out of [control.wrist]",
+    "give mass= too": "give mass too",
     "a plant with takes='": "a plant that takes '",
     "Motor needs peak=, or stall= and no_load=, or all three": "needs peak, or stall and no_load, or all three",
     "a motor's curve needs both stall= [N m] and no_load= [rad/s]": "needs both stall [N m] and no_load [rad/s]",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Final, Literal, Protocol
 
 import numpy as np
 
@@ -12,9 +12,10 @@ from taut.base.checks import entry_names, finite_array
 from taut.base.errors import RangeError, ShapeError
 from taut.base.types import ArrayLike, Float64Array
 
-__all__ = ["Quantified", "Quantity", "keep_quantities"]
+__all__ = ["FORCE_AND_MOMENT", "Quantified", "Quantity", "keep_quantities", "six_of"]
 
 Rule = Literal["finite", ">= 0", "> 0", "> 0 somewhere"]
+FORCE_AND_MOMENT: Final = "N, N m"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,3 +100,20 @@ def keep_quantities(thing: Quantified) -> None:
         value = getattr(thing, name)
         if value is not None:
             object.__setattr__(thing, name, quantity.checked(f"{thing.title}.{name}", value))
+
+
+def six_of(name: str, quantity: Quantity, value: ArrayLike) -> Float64Array:
+    """(6,) numbers of a wrench from (force, moment) or six; forces and moments have no number in common.
+
+    Raises:
+        ShapeError: Neither two nor six.
+        RangeError: Against the quantity's rule.
+    """
+    values = quantity.checked(name, value)
+    if values.shape not in ((2,), (6,)):
+        raise ShapeError(
+            f"{name} must be (force, moment) or six numbers [{quantity.unit}]; got shape {values.shape}", name=name
+        )
+    out = np.repeat(values, 3) if values.shape == (2,) else values
+    out.flags.writeable = False
+    return out

@@ -155,8 +155,8 @@ class LawSide:
         added = self._limit_terms(command)
         shapes = {f"law.{path}": np.shape(as_array(v, path)) for path, v in flatten(after).items()}
         n = (self.arm.n,)
-        self._check_filtered(x.used)
-        at_rest = self.sensing.start(self.measurements_at_rest(self.arm.home))
+        self.sensing.check_used(x.used, type(self.law).__name__)
+        at_rest = self.sensing_at_start(self.measurements_at_rest(self.arm.home), self._own_parameters)
         shapes |= {f"sensing.{path}": np.shape(value) for path, value in at_rest.items()}
         if (isinstance(command, Torque) and "tau_applied" in x.used) or {"rate_limit", "blend"} & set(added):
             shapes["limits.tau_applied"] = n
@@ -217,19 +217,9 @@ class LawSide:
         Raises:
             RangeError: A gain that has none there.
         """
-        payload = PayloadValues.of(subtree(parameters, "model.payload"))
+        payload = _payload_of(parameters)
         x = Snapshot(self.model, q=q, v=np.zeros(self.arm.n), payload=payload)
         self.law.bound(subtree(parameters, "law")).check_states(x, self.rate)
-
-    def _check_filtered(self, used: set[str]) -> None:
-        """A filter of what the law does not use would be a number that changes nothing."""
-        for name in self.sensing.needs:
-            if name not in used:
-                raise UsageError(
-                    f"sensing filters {name}, which {type(self.law).__name__} does not use; leave {name}= out of the "
-                    "sensing",
-                    name=f"sensing.{name}",
-                )
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -259,11 +249,13 @@ class LawSide:
             parameters: All parameters of the law side, by path.
             dt: [s].
         """
-        return self.sensing.see(self.arm, self._with_v(measured), memory, subtree(parameters, "sensing"), dt)
+        own, payload = subtree(parameters, "sensing"), _payload_of(parameters)
+        return self.sensing.see(self.arm, self._with_v(measured), memory, own, payload, dt)
 
-    def sensing_at_start(self, measured: Mapping[str, Any]) -> dict[str, Any]:
-        """Memory of sensing in the first tick, by path below "sensing"."""
-        return self.sensing.start(self._with_v(measured))
+    def sensing_at_start(self, measured: Mapping[str, Any], parameters: Mapping[str, Any]) -> dict[str, Any]:
+        """Memory of sensing in the first tick, by path below "sensing"; the parameters are all of the law side."""
+        own, payload = subtree(parameters, "sensing"), _payload_of(parameters)
+        return self.sensing.start(self.arm, self._with_v(measured), own, payload)
 
     def check_finite(self, inputs: Mapping[str, Any], tick: int) -> None:
         """What is measured and wanted in a tick must be finite.
@@ -285,6 +277,19 @@ class LawSide:
                     f"{error} in tick {tick}", name=name, joint=error.joint, value=error.value, rule=error.rule
                 ) from None
 
+    def check_reading(self, measured: Mapping[str, Any], memory: Memory, tick: int) -> None:
+        """Whether a tick that was not finite, with finite inputs, had a sensor's fault.
+
+        Args:
+            measured: What the sensors gave.
+            memory: All memory by path, as it was before the tick.
+            tick: Its number, for the message.
+
+        Raises:
+            RangeError: It had.
+        """
+        self.sensing.check_reading(self.arm, measured, subtree(memory, "sensing"), tick)
+
     def _with_v(self, measured: Mapping[str, Any]) -> Mapping[str, Any]:
         return measured if "v" in measured else {**measured, "v": np.zeros(self.arm.n)}
 
@@ -296,7 +301,7 @@ class LawSide:
         The command of the last tick is what the plant holds: `measured[HELD]` where `measured[TOLD]` is 1, else the
         torque that holds the model's weight; of velocities, none. A blend begins with it.
         """
-        shapes, sensing = self.probe.shapes, self.sensing_at_start(measured)
+        shapes, sensing = self.probe.shapes, self.sensing_at_start(measured, parameters)
         seen, _ = self.sense(measured, sensing, parameters, self.dt)
         x = self._snapshot(seen, seen["v"], parameters, {})
         held = {}
@@ -362,7 +367,7 @@ class LawSide:
             q=measured["q"],
             v=v,
             t=measured["t"],
-            payload=PayloadValues.of(subtree(parameters, "model.payload")),
+            payload=_payload_of(parameters),
             adds=self.adds,
             measured={
                 **others,
@@ -370,6 +375,11 @@ class LawSide:
                 "tau_cut": held.get("tau_cut", zero),
             },
         )
+
+
+def _payload_of(parameters: Mapping[str, Any]) -> PayloadValues:
+    """What the tool carries, by the controller's model."""
+    return PayloadValues.of(subtree(parameters, "model.payload"))
 
 
 def checked_payload_entry(path: str, value: ArrayLike) -> Float64Array:

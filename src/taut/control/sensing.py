@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, Literal, TypeAlias
@@ -14,6 +14,8 @@ from taut.base.quantity import Quantified
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.filters import LowPass, Notch, check_filter, checked_number, parameters_of
 from taut.control.velocity import Difference, Kalman, Measured, VelocitySource
+from taut.control.wrist import SATURATED, Wrist
+from taut.maths.model import PayloadValues
 
 __all__ = ["FILTERED", "VELOCITIES", "Sensing"]
 
@@ -35,7 +37,9 @@ class Sensing:
             "difference" differences positions of successive ticks, `taut.Difference(cutoff=)` with a low-pass;
             `taut.Kalman(...)` estimates it from positions.
         notch: Takes a vibration out of positions and velocities.
-        F_ext: Low-pass of the measured wrench, for a law that uses it.
+        wrist: What is known of the wrist's sensor: bias and load are taken out of the measured wrench, its range and
+            its faults are watched.
+        F_ext: Low-pass of the measured wrench, for a law that uses it; after what `wrist` does.
         tau_meas: Low-pass of the measured joint torques, for a law that uses them.
 
     Raises:
@@ -52,6 +56,7 @@ class Sensing:
 
     velocity: Velocity = "measured"
     notch: Notch | None = None
+    wrist: Wrist | None = None
     F_ext: LowPass | None = None
     tau_meas: LowPass | None = None
 
@@ -64,7 +69,8 @@ class Sensing:
                 f"taut.Kalman(...); got {got}",
                 name="velocity",
             )
-        for name, kind in (("notch", Notch), *((name, LowPass) for name in FILTERED)):
+        kinds: dict[str, type] = {"notch": Notch, "wrist": Wrist} | dict.fromkeys(FILTERED, LowPass)
+        for name, kind in kinds.items():
             value = getattr(self, name)
             if value is not None and not isinstance(value, kind):
                 raise UsageError(
@@ -93,8 +99,18 @@ class Sensing:
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Measurements beyond q and v that it filters, which the law must use."""
-        return tuple(name for name in FILTERED if getattr(self, name) is not None)
+        """Measurements beyond q and v that it changes, which the law must use."""
+        return tuple(name for name in FILTERED if self._changed_by(name))
+
+    def _changed_by(self, name: str) -> list[str]:
+        """The fields that change a measurement."""
+        ways = ("wrist", "F_ext") if name == "F_ext" else (name,)
+        return [way for way in ways if getattr(self, way) is not None]
+
+    @property
+    def tells(self) -> tuple[str, ...]:
+        """What it gives beside measurements: 1.0 in a tick in which a sensor is at the end of its range."""
+        return (SATURATED,) if self.wrist is not None and self.wrist.range is not None else ()
 
     @property
     def alters(self) -> frozenset[str]:
@@ -104,11 +120,12 @@ class Sensing:
 
     def parameters(self) -> dict[str, Float64Array]:
         """Run-time parameters by path."""
-        return {
+        out = {
             f"{name}.{word}": values
             for name, part in self._parts.items()
             for word, values in parameters_of(part).items()
         }
+        return out if self.wrist is None else out | _below("wrist", self.wrist.parameters())
 
     # ---------------------------------------------------------------- checks
 
@@ -122,40 +139,93 @@ class Sensing:
         Raises:
             ShapeError: A number that is neither a scalar nor one per joint or axis.
             RangeError: A frequency at half the rate or above.
+            UnknownNameError, UsageError: A wrist sensor at a frame that does not exist, or that leaves the tool.
         """
+        if self.wrist is not None:
+            self.wrist.check(arm)
         for name, part, size, entries in self._sizes(arm):
             check_filter(part, f"sensing.{name}", rate, size, entries)
 
     def checked_parameter(self, path: str, value: ArrayLike, arm: Arm, rate: float) -> Float64Array:
         """A new value of a parameter by its path below "sensing", checked like the first one."""
         head, _, word = path.partition(".")
+        if head == "wrist":
+            assert self.wrist is not None
+            return self.wrist.checked(word, value, f"sensing.{path}")
         name, part, size, entries = next(each for each in self._sizes(arm) if each[0] == head)
         return checked_number(part, word, f"sensing.{name}.{word}", value, rate, size, entries)
 
+    def check_used(self, used: Set[str], law: str) -> None:
+        """What changes a measurement that the law does not use would be a number that changes nothing.
+
+        Raises:
+            UsageError: There is such a number.
+        """
+        for name in self.needs:
+            for way in self._changed_by(name):
+                if name not in used:
+                    does = "corrects" if way == "wrist" else "filters"
+                    raise UsageError(
+                        f"sensing {does} {name}, which {law} does not use; leave {way}= out of the sensing",
+                        name=f"sensing.{way}",
+                    )
+
+    def check_reading(self, arm: Arm, measured: Values, memory: Values, tick: int) -> None:
+        """Whether a tick that was not finite had a sensor's fault.
+
+        Raises:
+            RangeError: It had.
+        """
+        if self.wrist is not None:
+            self.wrist.check_reading(arm, measured["q"], measured["F_ext"], subtree(memory, "wrist"), tick)
+
     # ---------------------------------------------------------------- the pure functions
 
-    def start(self, measured: Values) -> dict[str, Any]:
-        """Memory by path at the first tick: as if what is measured then had stood for ever."""
+    def start(self, arm: Arm, measured: Values, parameters: Values, payload: PayloadValues) -> dict[str, Any]:
+        """Memory by path at the first tick: as if what is measured then had stood for ever.
+
+        Args:
+            arm: The arm.
+            measured: What the sensors give.
+            parameters: By path below "sensing".
+            payload: What the tool carries, by the controller's model.
+        """
         q, v = measured["q"], measured["v"]
         memory = _below("velocity", self._source.start(q, v))
         if self.notch is not None:
             memory |= _below("notch.q", self.notch.start(q))
             if self.needs_velocity:
                 memory |= _below("notch.v", self.notch.start(v))
-        for name in self.needs:
-            memory |= _below(name, getattr(self, name).start(measured[name]))
+        if self.wrist is not None:
+            memory |= _below("wrist", self.wrist.start(arm, q, measured["F_ext"]))
+        corrected = {**measured, **self._wrench(arm, measured, parameters, payload)}
+        for name in self._filters:
+            memory |= _below(name, getattr(self, name).start(corrected[name]))
         return memory
 
+    @property
+    def _filters(self) -> list[str]:
+        return [name for name in FILTERED if getattr(self, name) is not None]
+
+    def _wrench(self, arm: Arm, measured: Values, parameters: Values, payload: PayloadValues) -> dict[str, Any]:
+        """The measured wrench without what the wrist knows of it, and whether it is at the end of its range."""
+        if self.wrist is None:
+            return {}
+        own = subtree(parameters, "wrist")
+        F_ext, cut = self.wrist.corrected(arm, measured["q"], measured["F_ext"], own, payload)
+        return {"F_ext": F_ext} if cut is None else {"F_ext": F_ext, SATURATED: cut}
+
     def see(
-        self, arm: Arm, measured: Values, memory: Values, parameters: Values, dt: Any
+        self, arm: Arm, measured: Values, memory: Values, parameters: Values, payload: PayloadValues, dt: Any
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """What the law sees, by measurement, and the new memory.
+        """What the law sees, by measurement, and the new memory; with it what `tells` names.
 
         Args:
             arm: The arm, which knows the joints that turn without end.
             measured: What the sensors give.
             memory: By path, as `start` gives it.
             parameters: By path below "sensing".
+            payload: What the tool carries, by the controller's model.
             dt: [s].
         """
         after: dict[str, Any] = {}
@@ -169,10 +239,13 @@ class Sensing:
                 after |= _below("notch.v", new)
         v, new = self._source.velocity(arm, q, v, subtree(memory, "velocity"), subtree(parameters, "velocity"), dt)
         after |= _below("velocity", new)
-        seen = {**measured, "q": q, "v": v}
-        for name in self.needs:
+        if self.wrist is not None:
+            new = self.wrist.remembered(arm, measured["q"], measured["F_ext"], subtree(memory, "wrist"))
+            after |= _below("wrist", new)
+        seen = {**measured, **self._wrench(arm, measured, parameters, payload), "q": q, "v": v}
+        for name in self._filters:
             low_pass = getattr(self, name)
-            seen[name], new = low_pass.filtered(measured[name], subtree(memory, name), subtree(parameters, name), dt)
+            seen[name], new = low_pass.filtered(seen[name], subtree(memory, name), subtree(parameters, name), dt)
             after |= _below(name, new)
         return seen, after
 
@@ -182,7 +255,8 @@ class Sensing:
         source = self.velocity if isinstance(self.velocity, str) else type(self.velocity).__name__
         said = [f"v by {source}"] if self.velocity != "measured" else []
         said += ["Notch of q and v"] if self.notch is not None else []
-        return ", ".join([*said, *(f"LowPass of {name}" for name in self.needs)]) or "as measured"
+        said += [] if self.wrist is None else [f"F_ext without {self.wrist.takes_out}"]
+        return ", ".join([*said, *(f"LowPass of {name}" for name in self._filters)]) or "as measured"
 
 
 def _below(head: str, values: Values) -> dict[str, Any]:

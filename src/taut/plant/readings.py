@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final, Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from taut.arm.description import Arm
 from taut.base import math as tm
-from taut.base.errors import ShapeError
-from taut.base.quantity import Quantified, Quantity
-from taut.base.types import Array, ArrayLike, Float64Array
+from taut.base.quantity import Quantified
+from taut.base.types import Array, Float64Array
 from taut.maths.model import Model
 
-__all__ = ["FORCE_AND_MOMENT", "Sensor", "Side", "at_side", "numbers_of", "reading", "saturated", "six_of"]
+__all__ = ["Sensor", "Side", "at_side", "numbers_of", "reading", "saturated"]
 
 Values = Mapping[str, Any]
 Side = Literal["link", "motor"]
-FORCE_AND_MOMENT: Final = "N, N m"
 
 
 class Sensor(Quantified, Protocol):
@@ -83,20 +81,3 @@ def saturated(x: Array, limit: Array) -> tuple[Array, Any]:
     for each in over[1:]:
         most = tm.maximum(most, each)
     return tm.clip(x, -bound, bound), tm.where(most > 0.0, 1.0, 0.0)
-
-
-def six_of(name: str, quantity: Quantity, value: ArrayLike) -> Float64Array:
-    """(6,) numbers of a wrench from (force, moment) or six; forces and moments have no number in common.
-
-    Raises:
-        ShapeError: Neither two nor six.
-        RangeError: Against the quantity's rule.
-    """
-    values = quantity.checked(name, value)
-    if values.shape not in ((2,), (6,)):
-        raise ShapeError(
-            f"{name} must be (force, moment) or six numbers [{quantity.unit}]; got shape {values.shape}", name=name
-        )
-    out = np.repeat(values, 3) if values.shape == (2,) else values
-    out.flags.writeable = False
-    return out

@@ -296,7 +296,7 @@ class RigidPlant:
                 driven=self.takes != "torque",
             )
             memory["F_ext"], _ = self._motion.touch(q, v, memory, parameters, 0.0, dt / self.substeps)
-        if self.sensors.tip is not None:
+        if self.sensors.needs_acceleration:
             memory["a"] = rest
         return memory
 
@@ -306,7 +306,8 @@ class RigidPlant:
 
     def measure(self, memory: Values, noise: Values, parameters: Values) -> dict[str, Any]:
         """What the sensors give, by measurement: q, v, tau_meas, F_ext, ..."""
-        return self.sensors.read(self.model, memory, noise, subtree(parameters, "sensors"))
+        true = {**memory, **{f"payload.{name}": x for name, x in subtree(parameters, "plant.payload").items()}}
+        return self.sensors.read(self.model, true, noise, subtree(parameters, "sensors"))
 
     def extra(self, before: Values, after: Values) -> dict[str, Any]:
         """What a run records of a tick, besides motion and torques: from memory at the tick and after the first step.
@@ -334,7 +335,7 @@ class RigidPlant:
             out = self._motion.torque_step(memory, parameters, dt, smooth=smooth, work=self._work_parts)
         else:
             out = self._motion.driven_step(self.takes, memory, parameters, dt)
-        if self.sensors.tip is not None:
+        if self.sensors.needs_acceleration:
             out["a"] = (out["v"] - memory["v"]) / dt
         return out
 

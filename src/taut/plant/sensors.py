@@ -13,10 +13,13 @@ from taut.arm.description import Arm
 from taut.base.checks import finite_array
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.paths import subtree
+from taut.base.quantity import six_of
 from taut.base.types import ArrayLike, Float64Array
+from taut.control.lawside import checked_payload_entry
 from taut.maths.model import Model
+from taut.maths.wrist import sensor_place
 from taut.plant.joint_sensors import Encoder, Tachometer, TorqueSensor
-from taut.plant.readings import Sensor, numbers_of, six_of
+from taut.plant.readings import Sensor, numbers_of
 from taut.plant.tool_sensors import Accelerometer, WrenchSensor
 
 __all__ = ["SENSORS", "Sensors"]
@@ -50,7 +53,7 @@ class Sensors:
         motor: Second encoders, on the motors: `x.q_motor`.
         motor_velocity: Tachometers on the motors: `x.v_motor`.
         torque: Torques of the joints: `x.tau_meas`.
-        wrench: The wrench at the tool, `x.F_ext`, where the plant has an environment.
+        wrench: The wrench at the tool, `x.F_ext`, where the plant has an environment, or where the sensor weighs.
         tip: Acceleration of the tool: `x.a_tip`.
 
     Raises:
@@ -102,8 +105,18 @@ class Sensors:
         return {
             name: (measurement, getattr(self, name))
             for name, (measurement, _) in SENSORS.items()
-            if getattr(self, name) is not None and (touched or name != "wrench")
+            if getattr(self, name) is not None and (touched or self.weighs or name != "wrench")
         }
+
+    @property
+    def weighs(self) -> bool:
+        """Whether the wrench sensor reads the weight of tool and payload."""
+        return self.wrench is not None and self.wrench.tool is not None
+
+    @property
+    def needs_acceleration(self) -> bool:
+        """Whether one of them feels how the arm accelerates."""
+        return self.tip is not None or self.weighs
 
     def measures(self, *, touched: bool) -> frozenset[str]:
         """What they measure besides positions; `touched` if something touches the tool."""
@@ -114,7 +127,9 @@ class Sensors:
         return frozenset(
             measurement
             for name, (measurement, sensor) in self._there(touched).items()
-            if numbers_of(sensor) or (name in ("position", "velocity") and getattr(sensor, "side", "") == "motor")
+            if numbers_of(sensor)
+            or (name == "wrench" and self.weighs)
+            or (name in ("position", "velocity") and getattr(sensor, "side", "") == "motor")
         )
 
     def noise(self, arm: Arm, *, touched: bool) -> dict[str, tuple[int, ...]]:
@@ -127,7 +142,10 @@ class Sensors:
 
     def parameters(self) -> dict[str, dict[str, Float64Array]]:
         """Run-time parameters by sensor and name: the numbers that are there."""
-        return {name: numbers_of(sensor) for name, (_, sensor) in self._there(touched=True).items()}
+        out = {name: numbers_of(sensor) for name, (_, sensor) in self._there(touched=True).items()}
+        if self.wrench is not None:
+            out["wrench"] |= self.wrench.tool_numbers()
+        return out
 
     # ---------------------------------------------------------------- checks
 
@@ -137,8 +155,10 @@ class Sensors:
         Raises:
             ShapeError: A number that is neither a scalar nor one per joint or axis.
             RangeError: An encoder with steps of more than a turn.
-            UsageError: A wrench sensor with faults where nothing touches the tool.
+            UsageError: A wrench sensor with faults where nothing touches the tool, or at a frame of another body.
         """
+        if self.wrench is not None:
+            sensor_place(arm, self.wrench.frame, "sensors.wrench")
         for name, (_, sensor) in self._there(touched=True).items():
             size = sensor.size(arm)
             for word, values in numbers_of(sensor).items():
@@ -147,9 +167,10 @@ class Sensors:
                     finite_array(path, values, shape=(size,), joints=joints, allow_infinite=True)
                 if isinstance(sensor, Encoder) and word == "resolution":
                     _require_within_a_turn(f"sensors.{name}.{word}", values, arm)
-        if not touched and self.wrench is not None and numbers_of(self.wrench):
+        if not touched and not self.weighs and self.wrench is not None and numbers_of(self.wrench):
             raise UsageError(
-                "sensors.wrench is for a plant that something touches; give environment= too, or leave it out",
+                "sensors.wrench is for a plant that something touches, or whose tool it weighs; give environment= or "
+                "tool= too, or leave it out",
                 name="wrench",
             )
 
@@ -160,7 +181,9 @@ class Sensors:
             ShapeError: Another shape.
             RangeError: Against its rule.
         """
-        _, name, word = path.split(".")
+        _, name, word = path.split(".", 2)
+        if word.startswith("tool."):
+            return checked_payload_entry(path, value)
         sensor: Sensor = getattr(self, name)
         quantity, shape = sensor.quantities[word], np.shape(getattr(sensor, word))
         if isinstance(sensor, WrenchSensor):
@@ -183,13 +206,15 @@ class Sensors:
         Args:
             model: The constants of the true arm.
             true: What is true, by name: q, v and tau; q_motor, v_motor and tau_link where the transmission makes
-                them differ; F_ext where something touches the tool; a, the joints' acceleration, for `tip`.
+                them differ; F_ext where something touches the tool; a, the joints' acceleration, for `tip` and
+                for a wrench sensor that weighs, and payload.mass, payload.com and payload.inertia for the latter.
             noise: Standard normal numbers by measurement.
             parameters: The sensors' parameters, by path below "sensors".
         """
         out: dict[str, Any] = {}
         for name, (measurement, sensor) in self._there("F_ext" in true).items():
-            value, cut = sensor.read(model, true, noise.get(measurement), subtree(parameters, name))
+            known = {**true, "q_read": out.get("q")}  # positions come first
+            value, cut = sensor.read(model, known, noise.get(measurement), subtree(parameters, name))
             out[measurement] = value
             if cut is not None:
                 out[f"saturated.{measurement}"] = cut

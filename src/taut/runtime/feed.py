@@ -121,7 +121,7 @@ def plain_snapshot(
         t: [s].
     """
     kept = {name: np.array(value, dtype=np.float64) for name, value in measured.items()}
-    before = side.sensing_at_start(kept) if sensing is None else sensing
+    before = side.sensing_at_start(kept, parameters) if sensing is None else sensing
     seen, _ = side.sense(kept, before, parameters, side.dt)
     payload = subtree(parameters, "model.payload")
     return Snapshot(

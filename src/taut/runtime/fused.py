@@ -74,12 +74,7 @@ class FusedRun:
         memory = self._started(q, v, first)
         self._memory = Block.of({path: np.shape(value) for path, value in memory.items()})
         self._state = self._memory.pack(memory)
-        blocks = self._inputs, self._parameters, self._memory
-        if loop not in _COMPILED:
-            kind = NativeLoop if loop.engine == "native" else FloatLoop
-            example = first[0], self._values, self._state
-            _COMPILED[loop] = kind(loop.step, loop.substep, loop.plant.substeps - 1, *blocks, example)
-        self._run = _COMPILED[loop]
+        self._run = self._compiled(memory, first[0])
         self.tape = Tape(side, loop.plant, loop.ticks, self._inputs, self._run.outputs, info)
         self.tape.input_rows[0] = first[0]
 
@@ -90,6 +85,26 @@ class FusedRun:
         row, plant = self._inputs.views(first[0]), self._loop.plant_at_start(q, v, parameters)
         self._feed.fill(subtree(views, "ref"), 0, lambda: self._seen(plant, None, row))
         return self._loop.start(q, v, row, parameters)
+
+    def _compiled(self, memory: Mapping[str, Any], row: Float64Array) -> NativeLoop | FloatLoop:
+        """The loop's code; plain Python where a sensor fails at once: that is no state to compare engines at."""
+        loop = self._loop
+        if loop in _COMPILED:
+            return _COMPILED[loop]
+        sound = self._sound(memory, row)
+        kind = NativeLoop if loop.engine == "native" and sound else FloatLoop
+        blocks = self._inputs, self._parameters, self._memory
+        made = kind(loop.step, loop.substep, loop.plant.substeps - 1, *blocks, (row, self._values, self._state))
+        if sound:
+            _COMPILED[loop] = made
+        return made
+
+    def _sound(self, memory: Mapping[str, Any], row: Float64Array) -> bool:
+        """Whether all that is measured in the first tick is finite."""
+        parameters = self._parameters.views(self._values)
+        with np.errstate(all="ignore"):
+            measured = self._loop.measured(subtree(memory, "plant"), self._inputs.views(row), parameters)
+        return all(bool(np.isfinite(value).all()) for value in measured.values())
 
     def _apply(self, tick: int) -> Float64Array | None:
         """Events that act at a tick; if a blend takes up the change, the parameters without what it is to take up."""
@@ -141,6 +156,7 @@ class FusedRun:
             measured = self._loop.measured(subtree(memory, "plant"), row, parameters)
         try:
             side.check_finite({name: measured[name] for name in ("q", *side.takes) if name in measured}, k)
+            side.check_reading(measured, memory, k)
         except RangeError as error:
             if self.tape.is_sane(k):
                 message = f"{error} (t = {float(row['t']):.6g} s)"

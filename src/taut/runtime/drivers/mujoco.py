@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 __all__ = ["MujocoPlant"]
 
 LONGEST: Final = 1e-3  # [s] of a time step that nobody asked for
+PAYLOAD: Final = ("payload.mass", "payload.com", "payload.inertia")  # what a sensor that weighs asks for
 
 
 class MujocoPlant:
@@ -69,7 +70,8 @@ class MujocoPlant:
         F_ext is the wrench of everything outside the arm on the body that carries the tool, force first, in world
         axes at the tool's origin: contacts, welds, data.xfrc_applied, `environment`. The weight and inertia of tool
         and payload are no part of it, so that a payload that hangs there does not show, and a wall pushes back with
-        the sign of the wall on the arm. What touches other links does not show. It is that of the last time step.
+        the sign of the wall on the arm; a `taut.WrenchSensor(tool=...)` reads them too. What touches other links does
+        not show. It is that of the last time step.
 
     Args:
         arm: The true arm; make it differ from the controller's and there is a modelling error.
@@ -276,6 +278,11 @@ class MujocoPlant:
         return self._rig.data
 
     @property
+    def sensors(self) -> Sensors:
+        """What is measured, and how well; ideal ones of an attached arm."""
+        return self._sensors
+
+    @property
     def takes(self) -> str:
         """Torque commands."""
         return "torque"
@@ -415,8 +422,10 @@ class MujocoPlant:
         """What is true now, by name."""
         q, v = self.state()
         true = {"q": q, "v": v, "tau": self._tau, "tau_link": self._tau_link, "F_ext": self._F_ext}
-        if self._sensors.tip is not None:
+        if self._sensors.needs_acceleration:
             true["a"] = self._a
+        if self._sensors.weighs and self._settings is not None:
+            true |= dict(zip(PAYLOAD, self._settings.load, strict=True))
         memory = {} if self._stage is None else self._stage.memory
         return true | {name: memory[name] for name in ("q_motor", "v_motor") if name in memory}
 

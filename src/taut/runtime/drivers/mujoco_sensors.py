@@ -57,7 +57,7 @@ class SensorStage:
             self._inputs.views(example[0])["q"][...] = true["q"]
             self._loop = kind(self._read, self._read, 0, self._inputs, self._parameters, Block(), example)
             self._row, self._out = np.zeros((1, self._inputs.size)), np.zeros((1, self._loop.outputs.size))
-            self._seen = {path: view[0] for path, view in self._inputs.views(self._row).items()}
+            self._seen = {path: view[0, ...] for path, view in self._inputs.views(self._row).items()}
             self._given = {path: view[0, ...] for path, view in self._loop.outputs.views(self._out).items()}
         self.take(parameters)
 

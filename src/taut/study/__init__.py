@@ -1,0 +1,1 @@
+"""Study: what loops can do before they run, and what many runs mean."""

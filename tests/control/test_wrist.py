@@ -1,0 +1,268 @@
+"""What a controller makes of its wrist sensor's readings: bias and load out, the end of the range and faults told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.signal
+
+import taut
+from taut.base.types import Float64Array
+
+Array = Float64Array
+ARM = taut.load_arm("planar3").with_tool("tool", taut.Pose(p=[0.05, -0.02, 0.1], rpy=[0.4, 0.2, -0.7]), name="tip")
+PAYLOAD = {"mass": 1.1, "com": (0.02, -0.01, 0.08)}
+LADEN = ARM.with_payload(**PAYLOAD)  # type: ignore[arg-type]
+BIAS = np.array([1.5, -2.0, 3.0, 0.1, -0.2, 0.3])
+MASS, COM = 0.7, np.array([0.01, -0.02, 0.06])
+REF = taut.JointMotion(q=[0.0, 0.0, 0.0])
+engines = pytest.mark.parametrize("engine", ["native", "float"])
+
+
+class Feels(taut.Law):
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+        return taut.Torque(f=x.F_ext[:3], n=x.F_ext[3:], g=0.0 * x.g)
+
+
+class Blind(taut.Law):
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+        return taut.Torque(q=0.0 * x.q)
+
+
+def reading(q: Array, F: Array, frame: str | None = None, payload: bool = True) -> Array:
+    """By hand: what a sensor at a frame gives, in world axes at the tool's origin, with all that weighs."""
+    x = taut.snapshot(ARM, q)
+    T_WE, T_WS, g = x.T(), x.T(frame), ARM.gravity
+    out = np.array(F, dtype=np.float64)
+    loads = [(MASS, T_WS.act(COM)), (PAYLOAD["mass"], T_WE.act(PAYLOAD["com"]))]  # where they hang in the world
+    for mass, centre in loads[: 1 + payload]:
+        out[:3] += mass * g  # type: ignore[operator]
+        out[3:] += np.cross(centre - T_WE.p, mass * g)  # type: ignore[operator]
+    f = T_WS.R @ BIAS[:3]
+    out[:3] += f
+    out[3:] += T_WS.R @ BIAS[3:] + np.cross(T_WS.p - T_WE.p, f)
+    return out
+
+
+def states(count: int = 20) -> tuple[Array, Array]:
+    rng = np.random.default_rng(2)
+    return rng.standard_normal((count, 3)), 10.0 * rng.standard_normal((count, 6))
+
+
+@engines
+@pytest.mark.parametrize("frame", [None, "tool"])
+def test_a_law_sees_contact_alone(engine: Any, frame: str | None) -> None:
+    wrist = taut.Wrist(bias=BIAS, mass=MASS, com=COM, frame=frame)
+    ctrl = taut.compile(Feels(), LADEN, sensing=taut.Sensing(wrist=wrist), engine=engine)
+    for q, F in zip(*states(), strict=True):
+        step(ctrl, q, reading(q, F, frame))
+        np.testing.assert_allclose(np.concatenate([ctrl.terms["f"], ctrl.terms["n"]]), F, rtol=0.0, atol=1e-12)
+
+
+@engines
+def test_without_a_mass_nothing_weighs_and_the_payload_does_not_either(engine: Any) -> None:
+    ctrl = taut.compile(Feels(), LADEN, sensing=taut.Sensing(wrist=taut.Wrist(bias=BIAS)), engine=engine)
+    q, F = (rows[0] for rows in states())
+    R = taut.snapshot(ARM, q).T().R
+    step(ctrl, q, F)
+    np.testing.assert_allclose(ctrl.sensed["F_ext"][:3], F[:3] - R @ BIAS[:3], rtol=0.0, atol=1e-12)
+
+
+def step(ctrl: taut.Controller, q: Array, F: Array) -> Array:
+    given = {"v": np.zeros(3)} if "v" in ctrl.side.takes else {}
+    return ctrl.step(q, ref=REF, F_ext=F, **given)
+
+
+@engines
+def test_every_number_of_it_changes_without_a_compile(engine: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    wrist = taut.Wrist(bias=(0.0, 0.0), mass=0.0, range=(50.0, 5.0))
+    ctrl = taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=wrist), engine=engine)
+    monkeypatch.setattr("taut.controller.trace", lambda *_: pytest.fail("traced again"))
+    paths = [path for path in ctrl.parameters if path.startswith("sensing.")]
+    assert paths == [f"sensing.wrist.{name}" for name in ("bias", "mass", "com", "range")]
+    q, F = (rows[1] for rows in states())
+    step(ctrl, q, F)
+    np.testing.assert_allclose(ctrl.sensed["F_ext"], F, rtol=0.0, atol=1e-12)
+    new = {"sensing.wrist.bias": BIAS, "sensing.wrist.mass": MASS, "sensing.wrist.com": COM}
+    new |= {f"model.payload.{name}": value for name, value in PAYLOAD.items()}
+    for path, value in new.items():
+        ctrl.parameters[path] = value
+    step(ctrl, q, reading(q, F))
+    np.testing.assert_allclose(ctrl.sensed["F_ext"], F, rtol=0.0, atol=1e-12)
+    ctrl.parameters["sensing.wrist.bias"] = (1.0, 0.1)
+    assert ctrl.parameters["sensing.wrist.bias"].tolist() == [1.0] * 3 + [0.1] * 3
+
+
+@engines
+def test_a_low_pass_comes_after_it_and_starts_without_a_transient(engine: Any) -> None:
+    """The weight turns with the arm: filtered before it is taken out, it would lag and leave a wrench behind."""
+    low_pass = taut.LowPass(cutoff=20.0, order=2)
+    sensing = taut.Sensing(wrist=taut.Wrist(bias=BIAS, mass=MASS, com=COM), F_ext=low_pass)
+    ctrl = taut.compile(Feels(), LADEN, sensing=sensing, engine=engine)
+    t = np.arange(200)[:, np.newaxis] * 1e-3
+    q, F = np.sin(9.0 * t + np.arange(3)), np.sin(40.0 * t + np.arange(6))
+    got = []
+    for row, touch in zip(q, F, strict=True):
+        step(ctrl, row, reading(row, touch))
+        got.append(ctrl.sensed["F_ext"])
+    b, a = scipy.signal.butter(2, 20.0, fs=1000.0)
+    wanted, _ = scipy.signal.lfilter(b, a, F, axis=0, zi=scipy.signal.lfilter_zi(b, a)[:, np.newaxis] * F[0])
+    np.testing.assert_allclose(got, wanted, rtol=0.0, atol=1e-11)
+
+
+# -------------------------------------------------------------------- the end of the range
+
+
+@engines
+@pytest.mark.parametrize("frame", [None, "tool"])
+def test_a_reading_at_the_end_of_the_range_is_told(engine: Any, frame: str | None) -> None:
+    limit = np.array([30.0, np.inf, 20.0, 4.0, 5.0, np.inf])
+    wrist = taut.Wrist(bias=BIAS, range=limit, frame=frame)
+    ctrl = taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=wrist), engine=engine)
+    rng, told = np.random.default_rng(5), []
+    for k in range(40):
+        q = rng.standard_normal(3)
+        T_WE, T_WS = (taut.snapshot(ARM, q).T(name) for name in (None, frame))
+        F_S = 0.7 * np.array([30.0, 90.0, 20.0, 4.0, 5.0, 9.0]) * rng.standard_normal(6)
+        F_S = np.clip(F_S, -limit, limit)  # as the sensor cuts
+        f = T_WS.R @ F_S[:3]
+        step(ctrl, q, np.concatenate([f, T_WS.R @ F_S[3:] + np.cross(T_WS.p - T_WE.p, f)]))
+        told.append(float(ctrl.sensed["saturated.F_ext"]))
+        assert told[-1] == float((np.abs(F_S) >= limit).any()), k
+    assert 5 < sum(told) < 35
+
+
+def test_what_the_law_saw_can_be_looked_at() -> None:
+    ctrl = taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=taut.Wrist(bias=BIAS)), engine="float")
+    with pytest.raises(taut.UsageError, match=r"^there are no measurements before the first tick; call step first$"):
+        ctrl.sensed  # noqa: B018
+    q, F = (rows[2] for rows in states())
+    step(ctrl, q, F)
+    assert set(ctrl.sensed) >= {"q", "F_ext"}
+    np.testing.assert_array_equal(ctrl.sensed["q"], q)
+    with pytest.raises(taut.UnknownNameError, match=r"the controller's sensing has no measurement 'F_ex'"):
+        ctrl.sensed["F_ex"]
+
+
+# -------------------------------------------------------------------- faults
+
+
+@engines
+@pytest.mark.parametrize("entry", [1, 4])
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
+def test_a_reading_that_is_no_number_stops_its_tick_and_leaves_nothing_behind(
+    engine: Any, entry: int, wrong: float
+) -> None:
+    sensing = taut.Sensing(
+        wrist=taut.Wrist(bias=BIAS, mass=MASS, com=COM, range=(200.0, 10.0), repeats=3),
+        F_ext=taut.LowPass(cutoff=30.0, order=2),
+    )
+    ctrl, twin = (taut.compile(Feels(), LADEN, sensing=sensing, engine=engine) for _ in range(2))
+    for k, (q, F) in enumerate(zip(*states(4), strict=True)):
+        bad = F.copy()
+        bad[entry] = wrong
+        with pytest.raises(taut.RangeError) as caught:
+            step(ctrl, q, bad)
+        assert str(caught.value) == f"F_ext[{entry}] must be finite; got {wrong!r} in tick {k}"
+        assert caught.value.joint is None
+        np.testing.assert_array_equal(step(ctrl, q, F), step(twin, q, F))
+
+
+@engines
+@pytest.mark.parametrize("frame", [None, "tool"])
+@pytest.mark.parametrize("stuck", ["frozen", "zero"])
+def test_a_frozen_sensor_is_found_while_the_arm_moves_and_its_ticks_do_not_happen(
+    engine: Any, frame: str | None, stuck: str
+) -> None:
+    sensing = taut.Sensing(wrist=taut.Wrist(repeats=5, frame=frame), F_ext=taut.LowPass(cutoff=30.0))
+    ctrl, twin = (taut.compile(Feels(), ARM, sensing=sensing, engine=engine) for _ in range(2))
+    rng, F_S = np.random.default_rng(7), np.array([3.0, -1.0, 2.0, 0.3, 0.1, 0.2]) * (stuck == "frozen")
+
+    def in_world(q: Array, F_S: Array) -> Array:
+        x = taut.snapshot(ARM, q)
+        T_WE, T_WS = x.T(), x.T(frame)
+        f = T_WS.R @ F_S[:3]
+        return np.concatenate([f, T_WS.R @ F_S[3:] + np.cross(T_WS.p - T_WE.p, f)])
+
+    for _ in range(3):  # it lives
+        q, F = 0.3 * rng.standard_normal(3), rng.standard_normal(6)
+        step(ctrl, q, F), step(twin, q, F)
+    for k in range(3, 12):
+        q = 0.3 * rng.standard_normal(3)
+        if k < 7:  # the first reading, and three that repeat it
+            np.testing.assert_array_equal(step(ctrl, q, in_world(q, F_S)), step(twin, q, in_world(q, F_S)))
+            continue
+        with pytest.raises(taut.RangeError) as caught:
+            step(ctrl, q, in_world(q, F_S))
+        assert str(caught.value) == (
+            "F_ext must change from tick to tick; got the same reading in 5 ticks in a row, the last of them tick 7; "
+            "the sensor is frozen or unplugged, or it has no noise: then leave sensing.wrist.repeats out"
+        )
+        assert ctrl.ticks == 7
+    q, F = 0.3 * rng.standard_normal(3), rng.standard_normal(6)
+    np.testing.assert_array_equal(step(ctrl, q, F), step(twin, q, F))  # plugged in again
+    assert ctrl.ticks == 8
+
+
+@engines
+def test_a_sensor_that_is_dead_from_the_first_tick_on_is_found_too(engine: Any) -> None:
+    ctrl = taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=taut.Wrist(repeats=3)), engine=engine)
+    for _ in range(2):
+        step(ctrl, np.zeros(3), np.zeros(6))
+    with pytest.raises(taut.RangeError, match="in 3 ticks in a row, the last of them tick 2"):
+        step(ctrl, np.zeros(3), np.zeros(6))
+
+
+@engines
+def test_a_sensor_with_the_least_noise_is_not_frozen(engine: Any) -> None:
+    ctrl = taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=taut.Wrist(repeats=2)), engine=engine)
+    rng, F = np.random.default_rng(9), np.array([100.0, 0.0, 0.0, 10.0, 0.0, 0.0])
+    for _ in range(50):
+        step(ctrl, np.zeros(3), F + 1e-5 * rng.standard_normal(6))  # a ten-millionth of the reading
+
+
+# -------------------------------------------------------------------- words
+
+
+CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
+    (lambda: taut.Wrist(bias=1.0), taut.ShapeError, "wrist.bias must be (force, moment) or six numbers [N, N m]; got shape ()"),
+    (lambda: taut.Wrist(bias=[np.nan] * 6), taut.RangeError, "wrist.bias[0] must be finite [N, N m]; got nan"),
+    (lambda: taut.Wrist(mass=-0.1), taut.RangeError, "wrist.mass must be >= 0 [kg]; got -0.1"),
+    (lambda: taut.Wrist(mass=[0.1, 0.2]), taut.ShapeError, "wrist.mass must be one number [kg]; got shape (2,)"),
+    (lambda: taut.Wrist(com=[0.0, 0.0, 0.1]), taut.UsageError, "wrist.com is that of the tool, whose mass is missing; give mass= too"),
+    (lambda: taut.Wrist(mass=0.1, com=[0.0, 0.1]), taut.ShapeError, "wrist.com must have shape (3,) [m]; got shape (2,)"),
+    (lambda: taut.Wrist(range=(0.0, 1.0)), taut.RangeError, "wrist.range[0] must be > 0 [N, N m]; got 0.0; leave it out for a sensor without end"),
+    (lambda: taut.Wrist(repeats=1), taut.RangeError, "wrist.repeats must be >= 2 ticks; got 1"),
+    (lambda: taut.Wrist(repeats=2.5), taut.UsageError, "wrist.repeats must be a whole number of ticks; got 2.5"),  # type: ignore[arg-type]
+    (lambda: taut.Sensing(wrist=BIAS), taut.UsageError, "wrist must be taut.Wrist(...) or None; got ndarray"),  # type: ignore[arg-type]
+    (lambda: taut.compile(Blind(), ARM, sensing=taut.Sensing(wrist=taut.Wrist())), taut.UsageError, "sensing corrects F_ext, which Blind does not use; leave wrist= out of the sensing"),
+    (lambda: taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=taut.Wrist(frame="link2"))), taut.UsageError, "sensing.wrist.frame must move with the tool 'tip'; got 'link2', which has a joint between it and the tool; name a frame of the last body"),
+    (lambda: taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=taut.Wrist(frame="tol"))), taut.UnknownNameError, "the arm has no frame 'tol'; did you mean 'tool'? (6 frames: taut check MODEL lists them)"),
+    (lambda: compiled().parameters.__setitem__("sensing.wrist.mass", -1.0), taut.RangeError, "sensing.wrist.mass must be >= 0 [kg]; got -1.0"),
+    (lambda: compiled().parameters.__setitem__("sensing.wrist.com", [0.0]), taut.ShapeError, "sensing.wrist.com must have shape (3,) [m]; got shape (1,)"),
+    (lambda: compiled().parameters.__setitem__("sensing.wrist.range", (9.0, 1.0)), taut.UnknownNameError, "the controller has no parameter 'sensing.wrist.range'; did you mean 'sensing.wrist.mass' or 'sensing.wrist.bias'?"),
+    (lambda: taut.run(compiled(), taut.MujocoPlant(ARM), duration=0.01), taut.MatchError, "the controller's sensing takes the weight of tool and payload out of F_ext, and the wrench sensor of plant 'MujocoPlant(planar3)' reads no weight; give it sensors=taut.Sensors(wrench=taut.WrenchSensor(tool=taut.Payload(mass=...))), or leave mass out of taut.Wrist"),
+]  # fmt: skip
+
+
+def compiled() -> taut.Controller:
+    wrist = taut.Wrist(mass=MASS, com=COM)
+    return taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=wrist), engine="float")
+
+
+@pytest.mark.parametrize(("make", "kind", "message"), CASES, ids=range(len(CASES)))
+def test_what_cannot_be_is_refused_in_words(
+    make: Callable[[], object], kind: type[taut.TautError], message: str
+) -> None:
+    with pytest.raises(kind) as caught:
+        make()
+    assert str(caught.value) == message
+
+
+def test_explain_says_what_it_takes_out_with_units() -> None:
+    text = compiled().explanation()
+    assert "sensing        F_ext without bias, tool and payload\n" in text
+    assert "  sensing.wrist.mass       0.7  [kg]\n" in text
