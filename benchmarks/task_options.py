@@ -32,7 +32,7 @@ def laws() -> dict[str, taut.Law]:
 
 def circle(arm: taut.Arm) -> Any:
     T0 = taut.snapshot(arm, arm.home).T()
-    return taut.Circle(T0=T0, centre=T0.p + [0.0, 0.15, 0.0], axis=[1, 0, 0], duration=3.0), arm.home, 3.5
+    return taut.Circle(T0=T0, centre=T0.act([0.0, -0.15, 0.0]), axis=[1, 0, 0], duration=3.0), arm.home, 3.5
 
 
 def to_a_limit(arm: taut.Arm) -> Any:
@@ -82,7 +82,8 @@ def main() -> None:
         kernels[name] = ctrl.bind()
     times = tick_times(kernels)
     print(
-        "| path | law | tick [us] | RMS [mm] | last [mm] | peak torque / limit | peak speed / limit | past a limit [rad] |"
+        "| path | law | tick [us] | RMS [mm] | last [mm] | peak torque / limit | peak speed / limit "
+        "| past a limit [rad] |"
     )
     print("|---|---|--:|--:|--:|--:|--:|--:|")
     for path, make in PATHS.items():
