@@ -18,6 +18,7 @@ from taut.control.nullspace import LimitAvoidance, Manipulability, Posture
 from taut.control.side_by_side import SideBySide
 from taut.control.stiction import Dither, RaisedGains
 from taut.control.task import TaskComputedTorque
+from taut.control.via_joint_space import ViaJointSpace
 
 __all__ = [
     "PID",
@@ -29,6 +30,7 @@ __all__ = [
     "Dither",
     "RaisedGains",
     "VelocityPI",
+    "ViaJointSpace",
     "TaskComputedTorque",
     "Impedance",
     "Stiffness",

@@ -12,6 +12,7 @@ from typing import Any, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
 
+from taut.base import math as tm
 from taut.base.checks import finite_array, finite_scalar, positive_scalar, vector
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.types import Array, ArrayLike, Float64Array
@@ -104,7 +105,7 @@ class JointMotion(Sample):
     @classmethod
     def at_rest(cls, x: Snapshot, tool: str | None) -> Self:  # noqa: ARG003
         zero = np.zeros(x.n)
-        return cls.of({"q": np.array(x.q, dtype=np.float64), "v": zero, "a": zero})
+        return cls.of({"q": tm.array(x.q), "v": zero, "a": zero})
 
     def __repr__(self) -> str:
         if self.q.dtype == object:
