@@ -10,13 +10,14 @@ from taut.apps.toml import Section
 from taut.arm.description import Arm
 from taut.base.errors import unknown_name
 from taut.control import laws as all_laws
-from taut.control.describe import held_laws
+from taut.control.describe import held_laws, optional_laws
 from taut.control.gains import Memory
 from taut.control.law import Law
 from taut.control.limits import Limits
 
 __all__ = ["read_law", "read_limits"]
 
+OF_OTHERS: Final = ("Sum", "SideBySide")  # laws made of others, by a list or in Python
 LIMITS: Final[Mapping[str, Mapping[str, bool]]] = {
     "arm": {},
     "arm with rate": {"rate": True},
@@ -52,14 +53,17 @@ def _sum(section: Section) -> Law:
 
 def _one_law(section: Section, gains: Section, name: str) -> Law:
     """The law of that name; `section` names it, and `gains` has its gains."""
-    known = [word for word in all_laws.__all__ if word != "Sum"]
+    known = [word for word in all_laws.__all__ if word not in OF_OTHERS]
     with section.blamed("law"):
         if name not in known:
             raise unknown_name("taut.laws", "law", name, known)
     cls = getattr(all_laws, name)
     fields = [f.name for f in dataclasses.fields(cls) if not isinstance(cls.__dict__.get(f.name), Memory)]
     held = {field: gains.section(field, required=True) for field in held_laws(cls)}
-    values = gains.fields(fields) | {field: read_law(table) for field, table in held.items()}
+    given = [field for field in optional_laws(cls) if field in gains]
+    none = [field for field in given if gains.peek(field) == "none" and gains.take(field)]
+    held |= {field: gains.section(field) for field in given if field not in none}
+    values = gains.fields(fields) | {field: read_law(table) for field, table in held.items()} | dict.fromkeys(none)
     with gains.blamed():
         law: Law = cls(**values)
         return law

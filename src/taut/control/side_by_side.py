@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Self
 from taut.arm.description import Arm
 from taut.base import math as tm
 from taut.base.errors import MatchError, UsageError, unknown_name
-from taut.base.types import Array
+from taut.base.types import Array, Float64Array
 from taut.control.command import Command, Terms
 from taut.control.law import Law, MemoryView, call
 from taut.control.reference import Hold, JointMotion, Sample, Trajectory
@@ -201,6 +201,16 @@ class _AnyTogether(Sample):
                 for name, kind, size in cls.parts
             }
         )
+
+    @classmethod
+    def between(
+        cls, times: Float64Array, knots: Float64Array, rows: Mapping[str, Float64Array]
+    ) -> dict[str, Float64Array]:
+        out: dict[str, Float64Array] = {}
+        for name, kind, size in cls.parts:
+            own = kind.between(times, knots, {field: rows[f"{name}_{field}"] for field in kind.fields(size)})
+            out |= {f"{name}_{field}": values for field, values in own.items()}
+        return out
 
     @classmethod
     def at_rest(cls, x: Snapshot, tool: str | None) -> Self:  # noqa: ARG003
