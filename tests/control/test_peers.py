@@ -26,6 +26,7 @@ PAGE = HERE.parents[1] / "docs" / "coming_from.md"
 TOLD = json.loads((HERE / "peer_vectors.json").read_text(encoding="utf-8"))
 STATES = [{name: np.array(value) for name, value in state.items()} for state in TOLD["states"]]
 EXACT = 1e-9  # [N m]
+ROBUST = 1e-7  # [N m] what singularity="robust" changes away from singularities
 SINGLE = 1e-3  # [N m] of torques up to 60 in single precision
 every_state = pytest.mark.parametrize("k", range(len(STATES)))
 
@@ -100,15 +101,17 @@ def test_the_states_are_those_of_the_arm(k: int) -> None:
 @every_state
 def test_robosuites_full_law_is_ours_with_its_sine_and_no_velocity_term(page: ModuleType, k: int) -> None:
     s = At(k)
-    same = s.tau(page.robosuite_full, R_des=s.turned(np.sin(s.angle)), a=s.Jdot_v)
-    assert off(same, s.told("robosuite", "full")) < EXACT
+    law, R_des = page.robosuite_full, s.turned(np.sin(s.angle))
+    assert off(s.tau(law, R_des=R_des, a=s.Jdot_v), s.told("robosuite", "full")) < ROBUST
+    plain = type(law)(kp=150.0, kd=2.0 * np.sqrt(150.0), null=law.null, singularity="plain")
+    assert off(s.tau(plain, R_des=R_des, a=s.Jdot_v), s.told("robosuite", "full")) < EXACT
 
 
 @every_state
 def test_robosuites_null_space_torque_is_that_of_our_posture(page: ModuleType, k: int) -> None:
     s = At(k)
     alone = type(page.robosuite_full)(kp=150.0, kd=2.0 * np.sqrt(150.0), null=None)
-    assert off(s.tau(page.robosuite_full) - s.tau(alone), s.told("robosuite", "null")) < EXACT
+    assert off(s.tau(page.robosuite_full) - s.tau(alone), s.told("robosuite", "null")) < ROBUST
 
 
 @every_state
@@ -199,7 +202,7 @@ def test_crisps_law_is_ours(page: ModuleType, k: int) -> None:
     assert off(s.J.T @ (K * s.X - D * s.V), s.tau(law, adds=("gravity",))) < EXACT
     operational = without_bound(page.crisp_operational)
     theirs = s.J.T @ (s.Lambda @ (K * s.X - D * s.V))
-    assert off(theirs, s.tau(operational, a=s.Jdot_v) - s.h) < EXACT
+    assert off(theirs, s.tau(operational, a=s.Jdot_v) - s.h) < ROBUST
 
 
 def test_the_smooth_bound_is_0_71_of_theirs_where_theirs_begins_and_nears_it_beyond(page: ModuleType) -> None:
