@@ -124,7 +124,8 @@ class LawSide:
         head, _, rest = path.partition(".")
         if head == "law":
             field, unit = self.law.gain_field(rest)
-            new = in_compiled_shape(path, field.checked(value, unit, name=path), self.parameters[path].shape)
+            new = field.checked(value, unit, name=path, entries=self.law.gain_size(rest))
+            new = in_compiled_shape(path, new, self.parameters[path].shape)
             self.law.bound({**self.law.parameters(), rest: new}).check_rates(self.rate)
         elif head == "limits":
             new = Limits.checked(rest, value, self.rate)

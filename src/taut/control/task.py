@@ -8,7 +8,7 @@ import numpy as np
 
 from taut.base import math as tm
 from taut.base.checks import one_of, require_positive
-from taut.base.errors import UsageError
+from taut.base.errors import ShapeError, UsageError
 from taut.base.types import Vector
 from taut.control.command import Command, Terms, Torque
 from taut.control.gains import Gain, GainValue, Memory
@@ -45,8 +45,8 @@ class TaskComputedTorque(Law):
                   so omega_n = sqrt(kp), zeta = kd / (2 sqrt(kp)) for ki = 0
                   a sampled loop tends to this as dt falls
 
-    The spring kp X_e may be bounded: error_max=(linear, angular) puts X_e / sqrt(1 + r^2) in its place, part by
-    part, with r the length of the part over its error_max; what the bound takes is the term `bound`.
+    The spring kp X_e may be bounded: error_max=(linear, angular) puts X_e / sqrt(1 + r^2) in the place of X_e,
+    part by part, with r the length of the part over its error_max; what the bound takes is the term `bound`.
 
     Near singularities, with singularity="robust", what the arm cannot do is given up along the direction that is
     nearly lost, its joints are kept within their limits, and the motion that this leaves is damped at the rate kd:
@@ -76,7 +76,7 @@ class TaskComputedTorque(Law):
     e_int: Memory = Memory(0.0)  # [m s, rad s]
     error: ErrorKind = "decoupled"
     coordinates: Coordinates | None = None
-    error_max: Gain = Gain(optional=True, size=2)  # [m, rad]
+    error_max: Gain = Gain(optional=True, size=2, minimum=1e-9)  # [m, rad]
     null: Law | None = Posture()
     tool: str | None = None
     anti_windup: AntiWindup = "clamping"
@@ -140,11 +140,10 @@ def settling(kd: GainValue) -> Any:
 
 
 def bounded(X: Vector, most: GainValue) -> Vector:
-    """(6,) the error, smoothly bounded part by part: X / sqrt(1 + |X|^2 / most^2)."""
+    """(6,) the error, smoothly bounded part by part: X / sqrt(1 + X . X / most^2)."""
     parts = []
     for k, part in enumerate((X[:3], X[3:])):
-        size = most[k] if most.ndim else most[()]
-        square = (part[0] * part[0] + part[1] * part[1] + part[2] * part[2]) / (size * size)
+        square = (part[0] * part[0] + part[1] * part[1] + part[2] * part[2]) / (most[k] * most[k])
         parts.extend(part / tm.sqrt(1.0 + square))
     return tm.array(parts)
 
@@ -153,11 +152,18 @@ def check_error_max(error_max: GainValue | None, error: str) -> None:
     """A bound of the spring is positive, and for errors that have a linear and an angular part.
 
     Raises:
+        ShapeError: It is not two numbers.
         UsageError: It is given for coordinates.
         RangeError: It is not positive.
     """
     if error_max is None:
         return
+    if error_max.shape != (2,):
+        raise ShapeError(
+            "error_max needs one number for metres and one for radians, error_max=(linear, angular) [m, rad]; got "
+            f"shape {error_max.shape}",
+            name="error_max",
+        )
     if error == "coordinates":
         raise UsageError(
             "error_max=(linear, angular) bounds the errors of a pose, and error='coordinates' has others; leave "
