@@ -533,6 +533,9 @@ def _kernel_of(
     memory = Block.of(probe.shapes)
     blocks = Blocks(inputs, parameters, memory, Block.of({"command": (n,), **terms, **sensed_sizes, **told, **kept}))
     parameters.pack({**side.parameters, DT: side.dt}, blocks.parameters)
+    for path, shape in ref_fields.items():
+        if shape == (3, 3):  # a rotation that nobody has written yet
+            inputs.views(blocks.inputs)[path][...] = np.eye(3)
     functions = _Functions(side, record=record, sensed=sensed)
     if engine == "float":
         return FloatKernel(
@@ -541,14 +544,14 @@ def _kernel_of(
     program = trace(functions.tick, inputs, parameters, memory)
     starter = trace(functions.start, inputs, parameters, Block())
     v = ("v",) if side.sensing.needs_velocity else ()
-    # A law that needs a force gets it by keyword, on the slow path.
-    plain = slow is not None and side.takes == v
+    plain = slow is not None
     arguments = [Argument((name,)) for name in ("q", *v)] + [Argument(tuple(ref_fields), is_object=True)]
     return NativeKernel(
         program,
         starter,
         blocks,
         arguments=arguments if plain else None,
+        keywords=tuple(name for name in side.takes if name != "v"),
         reference=side.law.reference if plain else None,
         time="t",
         dt=side.dt,

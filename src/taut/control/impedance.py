@@ -86,7 +86,7 @@ class Impedance(Law):
     frame: GainFrame = "world"
     error: ErrorKind = "decoupled"
     coordinates: Coordinates | None = None
-    error_max: Gain = Gain(optional=True, size=2)  # [m, rad]
+    error_max: Gain = Gain(optional=True, size=2, minimum=1e-9)  # [m, rad]
     tank: Gain = Gain(optional=True, size=0)  # [J]
     settle: Gain = Gain(0.1, minimum=1e-6, size=0, where=("tank", ...))  # [s]
     coriolis: Coriolis = "cancel"
@@ -305,7 +305,7 @@ class Stiffness(Law):
     frame: GainFrame = "world"
     error: ErrorKind = "decoupled"
     coordinates: Coordinates | None = None
-    error_max: Gain = Gain(optional=True, size=2)  # [m, rad]
+    error_max: Gain = Gain(optional=True, size=2, minimum=1e-9)  # [m, rad]
     tool: str | None = None
 
     def __post_init__(self) -> None:

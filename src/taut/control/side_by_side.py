@@ -179,13 +179,14 @@ def _spread(commands: Mapping[str, Command], places: Mapping[str, list[int]], n:
 class _AnyTogether(Sample):
     """Samples of several laws at once; subclasses are made by what they hold."""
 
+    __slots__ = ()
     parts: ClassVar[Parts] = ()
 
     def __init__(self, samples: Mapping[str, Sample]) -> None:
-        self.__dict__.update(samples)
         for name, kind, n in self.parts:
+            setattr(self, name, samples[name])
             for field in kind.fields(n):
-                self.__dict__[f"{name}_{field}"] = getattr(samples[name], field)
+                setattr(self, f"{name}_{field}", getattr(samples[name], field))
 
     @classmethod
     def fields(cls, n: int) -> dict[str, tuple[int, ...]]:  # noqa: ARG003
@@ -227,7 +228,8 @@ def _sized(parts: Parts) -> Parts:
 
 @cache
 def _kind(parts: Parts) -> type[_AnyTogether]:
-    return type("Together", (_AnyTogether,), {"parts": parts})
+    slots = [f"{name}_{field}" for name, kind, n in parts for field in kind.fields(n)]
+    return type("Together", (_AnyTogether,), {"parts": parts, "__slots__": (*(name for name, _, _ in parts), *slots)})
 
 
 def _joined(samples: Mapping[str, Sample]) -> _AnyTogether:
