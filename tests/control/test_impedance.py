@@ -242,16 +242,14 @@ def test_a_wrench_that_nobody_measures_is_told() -> None:
     ref = TaskMotion(pose=taut.snapshot(arm, arm.home).T())
     with pytest.raises(taut.UsageError, match="step needs F_ext, which the law asks for"):
         ctrl.step(arm.home, np.zeros(7), ref)
-    with pytest.raises(
-        taut.MatchError, match="Impedance needs F_ext, which plant 'RigidPlant.panda.' does not measure"
-    ):
+    with pytest.raises(taut.MatchError, match="Impedance needs F_ext, which plant"):
         taut.run(ctrl, taut.RigidPlant(arm), ref, duration=0.1)
 
 
 def test_a_new_stiffness_is_checked_like_the_first() -> None:
     arm = taut.load_arm("panda")
     ctrl = taut.compile(Impedance(**gains()), arm)
-    with pytest.raises(taut.ShapeError, match="law.K needs one number for metres and one for radians"):
+    with pytest.raises(taut.ShapeError, match="needs one number for metres and one for radians"):
         ctrl.parameters["law.K"] = 500.0
     ctrl.parameters["law.K"] = (500.0, 10.0)
     assert ctrl.parameters["law.K"].tolist() == [500.0] * 3 + [10.0] * 3
