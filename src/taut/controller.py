@@ -533,6 +533,9 @@ def _kernel_of(
     memory = Block.of(probe.shapes)
     blocks = Blocks(inputs, parameters, memory, Block.of({"command": (n,), **terms, **sensed_sizes, **told, **kept}))
     parameters.pack({**side.parameters, DT: side.dt}, blocks.parameters)
+    for path, shape in ref_fields.items():
+        if shape == (3, 3):  # a rotation that nobody has written yet
+            inputs.views(blocks.inputs)[path][...] = np.eye(3)
     functions = _Functions(side, record=record, sensed=sensed)
     if engine == "float":
         return FloatKernel(

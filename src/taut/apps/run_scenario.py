@@ -171,7 +171,7 @@ def _one_run(scenario: Scenario, trial: Trial, say: Callable[[str], None], engin
 def _remark(ctrl: Controller, scenario: Scenario) -> str:
     """What is to be said of a spring at the tool before it runs."""
     found = impedance_of(ctrl.law)
-    if found is None or (isinstance(found[0], Impedance) and found[0].gives("D")):
+    if found is None or (isinstance(found[0], Impedance) and found[0].has("D")):
         return ""
     try:
         check = check_impedance(ctrl, scenario.q0)

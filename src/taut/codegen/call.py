@@ -2,7 +2,8 @@
 
 `step(q, v, ref)` checks types, lengths and contiguity, copies the numbers into the kernel's input block, runs the
 kernel, and returns a new array; measurements follow by keyword, `F_ext=F`, in the order that the law states. `tick()`
-does the same on the block alone and allocates nothing. Whatever is not plain (other keywords, lists, a first tick, a number that is not finite) goes to a Python function that knows the words.
+does the same on the block alone and allocates nothing. Whatever is not plain (other keywords, lists, a first tick, a
+number that is not finite) goes to a Python function that knows the words.
 """
 
 from __future__ import annotations
@@ -374,7 +375,7 @@ class CallPath:
         return w.function("ptr @step(ptr %self, ptr %args, i64 %nargs, ptr %names) nounwind")
 
     def _check_names(self, w: Writer) -> None:
-        """The keywords must be the known ones in their order: CPython gives their values behind the positional ones."""
+        """The keywords must be the known ones in their order: their values stand behind the positional ones."""
         if not self.keywords:
             w.unless(w.put("icmp ne ptr %names, null"), "slow")
             return

@@ -71,7 +71,7 @@ def check_impedance(
     values = {p[len(own) :]: v for p, v in ctrl.parameters.items() if p.startswith(own)}
     law = law.bound(values)  # type: ignore[assignment]  # the same class
     assert isinstance(law, (Impedance, Stiffness))
-    if law.gives("D") if isinstance(law, Impedance) else False:
+    if isinstance(law, Impedance) and law.has("D"):
         raise UsageError(
             "check_impedance speaks of the arm's own inertia; with D the loop goes through the wrist sensor too",
             name="D",
@@ -120,8 +120,8 @@ def _spring_and_damper(
     size = law.dimensions
     if isinstance(law, Stiffness):
         return np.asarray(law.K.matrix(size)), np.zeros((size, size))
-    K = np.asarray(law.stiffness(x).matrix(size))
-    if law.gives("B"):
-        return K, np.asarray(law.B.matrix(size))
+    K = np.asarray(law.gain_at("K", x).matrix(size))
+    if law.has("B"):
+        return K, np.asarray(law.gain_at("B", x).matrix(size))
     factors, zeta = factor_spd(Lambda), law.zeta.as_array()
     return K, np.column_stack([modal_damping(factors, K, zeta, column) for column in np.eye(size)])
