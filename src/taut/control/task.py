@@ -17,7 +17,7 @@ from taut.control.law import Law, MemoryView, call
 from taut.control.nullspace import Posture
 from taut.control.task_error import ERRORS, Coordinates, ErrorKind, check_coordinates, dimensions, task_error
 from taut.control.task_reference import TaskMotion
-from taut.maths.singularity import Resolved, resolve
+from taut.maths.singularity import ResolvedMotion, resolve
 from taut.maths.snapshot import Snapshot
 from taut.maths.task_inertia import TaskInertia
 
@@ -115,12 +115,15 @@ class TaskComputedTorque(Law):
         after: dict[str, object] = {"e_int": e_int, "held": memory.held}
         if self.null is not None:
             after["null"] = memory["null"]
-        inertia: TaskInertia | Resolved
+        inertia: TaskInertia | ResolvedMotion
         if self.singularity == "plain":
             inertia = TaskInertia.of(error.J, x.M_factors, self.damping.as_array()[()])
             tau = error.J.T @ (inertia.Lambda @ a)
         else:
-            inertia = resolve(x, error.J, a.total, rate=settling(self.kd), held=memory.held)
+            J = error.J
+            if self.error == "space":  # what is nearly lost, and how dear it is, is told at the tool
+                J, a = x.J(self.tool), a.mapped(lambda b: _at_point(x.T(self.tool).p, b))
+            inertia = resolve(x, J, a.total, rate=settling(self.kd), held=memory.held)
             tau = inertia.scale * (x.M @ a.mapped(inertia.of).up_to(inertia.accelerations, "singularity"))
             after["held"] = inertia.held
         tau = tau + Terms(nonlinear=x.h)
@@ -128,6 +131,11 @@ class TaskComputedTorque(Law):
             free, after["null"] = null_torque(self.null, x, ref, memory["null"], dt, inertia)
             tau = tau + free
         return Torque(tau), after
+
+
+def _at_point(p: Vector, a: Vector) -> Vector:
+    """(6,) what acts at the world's origin, at the point p of the same body."""
+    return tm.array([*(a[:3] - tm.cross(p, a[3:])), *a[3:]])
 
 
 def settling(kd: GainValue) -> Any:
@@ -192,7 +200,7 @@ def check_null(null: object) -> None:
 
 
 def null_torque(
-    null: Law, x: Snapshot, ref: Any, memory: Any, dt: Any, inertia: TaskInertia | Resolved
+    null: Law, x: Snapshot, ref: Any, memory: Any, dt: Any, inertia: TaskInertia | ResolvedMotion
 ) -> tuple[Terms, dict[str, Any]]:
     """The torque of a law for the free motion, through the dynamically consistent projector, as one term."""
     own = x.with_own_record()

@@ -21,7 +21,7 @@ from taut.base.types import Float64Array, Matrix, Vector
 from taut.maths.snapshot import Snapshot
 from taut.maths.task_inertia import least_direction
 
-__all__ = ["Resolved", "Sizes", "resolve", "sizes_of"]
+__all__ = ["ResolvedMotion", "Sizes", "resolve", "sizes_of"]
 
 BORDER: Final = 0.1  # smallest singular value of J under which an arm of 0.9 m and more is near a singularity
 DAMPING: Final = 0.1  # lambda at the singularity, in parts of the border
@@ -30,7 +30,7 @@ TOP_SPEED: Final = 0.97  # of a joint's limit
 LEAST_ROOM: Final = 0.05  # of the effort: what is taken to be left where gravity takes all of it
 FULL: Final = 0.9  # of the border: where limits act in full
 STEEP: Final = 0.5  # of the border: where damping acts in full
-TINY: Final = 1e-10  # keeps the pivots of what is to be inverted from zero
+TINY: Final = 1e-12  # keeps the pivots of what is to be inverted from zero
 ENDLESS: Final = 1.4  # [m] reach of an arm whose slides have no ends
 
 
@@ -52,7 +52,7 @@ def sizes_of(arm: Arm) -> Sizes:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Resolved:
+class ResolvedMotion:
     """What the joints do for a task."""
 
     accelerations: Vector  # (n,) of the joints, before `scale` [rad/s^2 | m/s^2]
@@ -72,7 +72,7 @@ def resolve(
     held: Any,
     damping: Any = DAMPING,
     share: Any = SHARE,
-) -> Resolved:
+) -> ResolvedMotion:
     """Joint accelerations for a task acceleration: J^# a away from singularities, and calm through them.
 
     Law:          v_c = v_g + rho v_u,  v_g + v_u = v + (J_d^# (a + k J v) - k v) / k,  q_ddot = s k (c v_c - v)
@@ -109,10 +109,11 @@ def resolve(
         weight[3:] = size.length**2
     if wide:
         back, side = x.M_factors.solve(J.T), np.eye(k)
-        factors = factor_spd(J @ back + TINY * tm.eye(k))
         u = least_direction(J)
         moved, r = J.T @ u, u / weight
         r = r / (u @ r)
+        loose = TINY * _ramp(moved @ moved, size.border, STEEP)
+        factors = factor_spd(J @ back + loose * tm.eye(k))
     else:
         back, side = np.eye(n), (weight[:, None] * J).T
         factors = factor_spd(side @ J + TINY * tm.eye(n))
@@ -161,7 +162,7 @@ def resolve(
         out: Vector = (1.0 - near) * (tau - moving)
         return out
 
-    return Resolved(
+    return ResolvedMotion(
         accelerations=accelerations,
         of=of,
         scale=1.0 - near * (1.0 - use),

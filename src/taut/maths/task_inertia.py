@@ -13,7 +13,7 @@ from taut.base.types import Matrix, Vector
 
 __all__ = ["TaskInertia", "least_direction"]
 
-TINY = 1e-10  # [1/kg and its like] keeps the pivots of what is to be inverted from zero
+TINY = 1e-12  # [1/kg and its like] keeps the pivots of what is to be inverted from zero
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
