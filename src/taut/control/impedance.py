@@ -208,6 +208,8 @@ class Impedance(Law):
             F = F + inertia.Lambda @ (motion + Terms(inertia=V_dot) - Terms(feedforward=error.acceleration))
         tau = error.J.T @ F + Terms(nonlinear=x.h if cancels else x.g)
         if self.null is not None:
+            after["null"] = memory["null"]
+        if self.null is not None and x.n > self.dimensions:  # else there is no free motion
             free, after["null"] = null_torque(self.null, x, ref, memory["null"], dt, inertia)
             tau = tau + free
         return Torque(tau), after
