@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-import functools
 import re
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from taut.arm.description import Arm
+from taut.arm.load import load_arm
 from taut.control import laws
 from taut.control.describe import held_laws, section, summary
 from taut.control.gains import Gain
 from taut.control.law import Law, field_units
 from taut.control.lawside import LawSide
 from taut.control.sensing import Sensing
+from taut.control.task_reference import TaskMotion
 from taut.maths.adds import Adds
 
 __all__ = ["LawRow", "law_rows"]
@@ -69,31 +70,13 @@ def law_rows() -> list[LawRow]:
     return [_row(getattr(laws, name)) for name in laws.__all__ if name != "Sum"]
 
 
-BESIDES: Final = {"Impedance": {"zeta": 1.0}}  # which needs this or another gain
-
-
-def _example(cls: type[Law]) -> Law:
-    """A law with the gains that it cannot do without."""
-    needed = {field.name: getattr(cls, field.name, None) is None for field in fields(cls)}  # type: ignore[arg-type]
-    given: dict[str, Any] = {}
-    for name, gain in vars(cls).items():
-        if isinstance(gain, Gain) and needed[name] and not gain.optional:
-            given[name] = 1.0 if gain.scalar else (1.0, 1.0)
-    held = {name: laws.PID(kp=1.0) for name in held_laws(cls)}
-    return cls(**given, **held, **BESIDES.get(cls.__name__, {}))
-
-
-@functools.cache
-def _six_joints() -> Arm:
-    """Three slides and a wrist: an arm that every law can control at its home, those of the task too."""
-    slides, hinges = np.vstack([np.zeros((3, 3)), np.eye(3)]), np.vstack([np.eye(3)[::-1], np.zeros((3, 3))])
-    return Arm.from_screws(np.stack([np.eye(4)] * 7), np.stack([np.eye(6)] * 6), np.hstack([slides, hinges]))
-
-
 def _row(cls: type[Law]) -> LawRow:
     fields_of = {field.name: cls.__dict__.get(field.name) for field in fields(cls)}  # type: ignore[arg-type]
     gains = [name for name, field in fields_of.items() if isinstance(field, Gain) and field.where is None]
-    side = LawSide(law=_example(cls), arm=_six_joints(), rate=1000.0, sensing=Sensing(), limits=None, adds=Adds())
+    law = cls(**_numbers(cls, gains), **{name: _held(cls) for name in held_laws(cls)})
+    of_joints = cls.reference is not TaskMotion and not cls.ignores_reference
+    arm = load_arm("planar3") if of_joints else _six_axes()
+    side = LawSide(law=law, arm=arm, rate=1000.0, sensing=Sensing(), limits=None, adds=Adds())
     units = field_units(cls)
     return LawRow(
         name=cls.__name__,
@@ -102,6 +85,34 @@ def _row(cls: type[Law]) -> LawRow:
         closed_loop=section(cls, "Closed loop"),
         gains={name: units.get(name, "") for name in gains},
         command=side.probe.kind,
-        reference="none" if cls.ignores_reference else cls.reference.__name__,
+        reference=cls.reference.__name__,
         needs=("q", *side.needs),
     )
+
+
+def _numbers(cls: type[Law], gains: Sequence[str]) -> dict[str, Any]:
+    """Ones for every gain that a law must have; of damping and damping ratio, the damping."""
+    numbers: dict[str, Any] = {}
+    for name in gains:
+        field: Gain = cls.__dict__[name]
+        if not field.optional or name == "B":
+            numbers[name] = (1.0, 1.0) if field.pairs and not field.scalar else 1.0
+        if field.size == 3:
+            numbers[name] = (1.0, 1.0, 1.0)
+    return numbers
+
+
+def _held(cls: type[Law]) -> Law:
+    """A law for one that holds another."""
+    return laws.TaskComputedTorque(kp=1.0, kd=1.0) if cls.reference is TaskMotion else laws.PID(kp=1.0)
+
+
+def _six_axes() -> Arm:
+    """An arm of six joints that is nowhere near a singularity, to try a law of the task on."""
+    axes = np.array([[0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=np.float64)
+    places = np.array([[0, 0, 0], [0, 0, 0.4], [0.4, 0, 0.6], [0.5, 0, 0.5], [0.6, 0, 0.4], [0.7, 0.1, 0.4]])
+    screws = np.vstack([axes.T, -np.cross(axes, places).T])
+    steps = np.diff(np.vstack([np.zeros(3), places, places[-1:]]), axis=0)
+    links = [np.vstack([np.column_stack([np.eye(3), step]), [0.0, 0.0, 0.0, 1.0]]) for step in steps]
+    inertia = np.diag([0.1, 0.1, 0.1, 1.0, 1.0, 1.0])
+    return Arm.from_screws(links, [inertia] * 6, screws, np.array([0.0, 0.0, -9.81]))

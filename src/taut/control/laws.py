@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from taut.base.errors import unknown_name
+from taut.control.admittance import Admittance
 from taut.control.combine import Sum
 from taut.control.friction import FrictionCompensation
 from taut.control.impedance import Impedance, Stiffness
@@ -18,6 +19,8 @@ from taut.control.nullspace import LimitAvoidance, Manipulability, Posture
 from taut.control.side_by_side import SideBySide
 from taut.control.stiction import Dither, RaisedGains
 from taut.control.task import TaskComputedTorque
+from taut.control.task_drive import TaskPosition, TaskVelocity
+from taut.control.virtual_objects import VirtualBall, VirtualGroove, VirtualWall
 
 __all__ = [
     "PID",
@@ -30,8 +33,14 @@ __all__ = [
     "RaisedGains",
     "VelocityPI",
     "TaskComputedTorque",
+    "TaskVelocity",
+    "TaskPosition",
     "Impedance",
     "Stiffness",
+    "Admittance",
+    "VirtualWall",
+    "VirtualGroove",
+    "VirtualBall",
     "Posture",
     "LimitAvoidance",
     "Manipulability",
