@@ -122,6 +122,27 @@ class LTDL:
         twice = half([[once[j][i] for j in range(n)] for i in range(n)])
         return _back([entry for row in twice for entry in row], (n, n))
 
+    def least_direction(self, steps: int = 1) -> Array:
+        """A unit vector along the eigenvector of the smallest eigenvalue, by inverse iteration.
+
+        It starts from x in L x = e_k with k the smallest pivot: x . A x is that pivot, and |x| >= 1. Each step
+        divides what is left of the others by the ratio of their eigenvalues to the smallest.
+        """
+        n, smallest = len(self.d), self.d[0]
+        x: list[Any] = [1.0] + [0.0] * (n - 1)
+        for k in range(1, n):
+            less = self.d[k] < smallest
+            smallest = select_one(less, self.d[k], smallest)
+            x = [select_one(less, float(i == k), x[i]) for i in range(n)]
+        for k in range(n):
+            for i in range(k):
+                x[k] = x[k] - self._l[k][i] * x[i]
+        out = _back(x, (n,))
+        for _ in range(steps):
+            out = self.solve(out)
+        unit: Array = out / np.sqrt(out @ out)
+        return unit
+
     def _solve_one(self, x: list[Any]) -> list[Any]:
         n, L = len(x), self._l
         for k in range(n - 1, -1, -1):  # L^T y = b

@@ -62,6 +62,10 @@ class Terms:
         """A linear map of the sum, and of each term."""
         return Terms._of(linear(self.total), lambda: {name: linear(part) for name, part in self.parts.items()})
 
+    def up_to(self, total: Array, rest: str) -> Terms:
+        """These terms and one more, called `rest`, with which they add up to `total`."""
+        return Terms._of(total, lambda: {**self.parts, rest: total - self.total})
+
     def _plus(self, other: Any, sign: float) -> Terms:
         if not isinstance(other, Terms):
             raise _final(other) if isinstance(other, Command) else _unnamed(other)

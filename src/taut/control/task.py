@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -17,10 +17,15 @@ from taut.control.law import Law, MemoryView, call
 from taut.control.nullspace import Posture
 from taut.control.task_error import ERRORS, Coordinates, ErrorKind, check_coordinates, dimensions, task_error
 from taut.control.task_reference import TaskMotion
+from taut.maths.singularity import Resolved, resolve
 from taut.maths.snapshot import Snapshot
 from taut.maths.task_inertia import TaskInertia
 
 __all__ = ["TaskComputedTorque", "bounded", "check_error_max", "check_null", "null_torque"]
+
+
+Singularity = Literal["robust", "plain"]
+SINGULARITY: Final[tuple[Singularity, ...]] = ("robust", "plain")
 
 
 class TaskComputedTorque(Law):
@@ -43,6 +48,10 @@ class TaskComputedTorque(Law):
     The spring kp X_e may be bounded: error_max=(linear, angular) puts X_e / sqrt(1 + r^2) in its place, part by
     part, with r the length of the part over its error_max; what the bound takes is the term `bound`.
 
+    Near singularities, with singularity="robust", what the arm cannot do is given up along the direction that is
+    nearly lost, its joints are kept within their limits, and the motion that this leaves is damped at the rate kd:
+    the term `singularity`. Elsewhere nothing is changed. With "plain" Lambda is (J M^-1 J^T + damping I)^-1.
+
     Frames:
         World axes at the tool for "decoupled", the tool's own for "body", the world's origin for "space".
 
@@ -53,6 +62,8 @@ class TaskComputedTorque(Law):
         null: A law for the motion that the task leaves free, `Posture()` if not said, None for none: its torque
             goes through the dynamically consistent projector, I - J^T Lambda J M^-1, which the tool does not feel.
         tool: The frame that is controlled; the arm's tool if left out.
+        singularity: "robust" or "plain".
+        damping: With "plain", a constant damping [1/kg, 1/(kg m^2)].
 
     References:
         Section 10.2.3 task space motion control. Khatib (1987), IEEE Journal of Robotics and Automation 3 (1).
@@ -70,8 +81,12 @@ class TaskComputedTorque(Law):
     tool: str | None = None
     anti_windup: AntiWindup = "clamping"
     tracking: Gain = Gain(10.0, where=("anti_windup", "back-calculation"))  # [1/s]
+    singularity: Singularity = "robust"
+    damping: Gain = Gain(0.0, size=0, where=("singularity", "plain"))  # [1/kg, 1/(kg m^2)]
+    held: Memory = Memory(0.0)  # how far the limits of a singularity still act
 
     def __post_init__(self) -> None:
+        one_of("singularity", self.singularity, SINGULARITY)
         one_of("error", self.error, ERRORS)
         one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
         check_coordinates(self.error, self.coordinates, type(self).__name__)
@@ -90,20 +105,38 @@ class TaskComputedTorque(Law):
         self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: float
     ) -> tuple[Command, dict[str, object]]:
         error = task_error(self.error, x, ref, self.tool, self.coordinates)
-        inertia = TaskInertia.of(error.J, x.M_factors)
-        cut = inertia.acceleration(x.tau_cut) if self.anti_windup != "none" else None
+        cut = error.J @ tm.solve_spd(x.M_factors, x.tau_cut) if self.anti_windup != "none" else None
         scheme, tracking = self.anti_windup, self.tracking
         e_int = integrated(memory.e_int, error.X, x, dt, scheme, self.ki, tracking, cut=cut)
         a = Terms(feedforward=error.acceleration, P=self.kp @ error.X, I=self.ki @ e_int, D=self.kd @ error.V)
         a = a + Terms(nonlinear=-error.Jdot_v)
         if self.gives("error_max"):
             a = a + Terms(bound=self.kp @ (bounded(error.X, self.error_max) - error.X))
-        tau = error.J.T @ (inertia.Lambda @ a) + Terms(nonlinear=x.h)
-        after: dict[str, object] = {"e_int": e_int}
+        after: dict[str, object] = {"e_int": e_int, "held": memory.held}
         if self.null is not None:
+            after["null"] = memory["null"]
+        inertia: TaskInertia | Resolved
+        if self.singularity == "plain":
+            inertia = TaskInertia.of(error.J, x.M_factors, self.damping.as_array()[()])
+            tau = error.J.T @ (inertia.Lambda @ a)
+        else:
+            inertia = resolve(x, error.J, a.total, rate=settling(self.kd), held=memory.held)
+            tau = inertia.scale * (x.M @ a.mapped(inertia.of).up_to(inertia.accelerations, "singularity"))
+            after["held"] = inertia.held
+        tau = tau + Terms(nonlinear=x.h)
+        if self.null is not None and x.n > self.dimensions:  # else there is no free motion
             free, after["null"] = null_torque(self.null, x, ref, memory["null"], dt, inertia)
             tau = tau + free
         return Torque(tau), after
+
+
+def settling(kd: GainValue) -> Any:
+    """The rate at which joints come to rest where the task does not move them: the largest of kd, at least 1/s."""
+    entries = kd.as_array()
+    most: Any = 1.0
+    for entry in np.diagonal(entries) if entries.ndim == 2 else entries.ravel():
+        most = tm.maximum(most, entry)
+    return most
 
 
 def bounded(X: Vector, most: GainValue) -> Vector:
@@ -153,7 +186,7 @@ def check_null(null: object) -> None:
 
 
 def null_torque(
-    null: Law, x: Snapshot, ref: Any, memory: Any, dt: Any, inertia: TaskInertia
+    null: Law, x: Snapshot, ref: Any, memory: Any, dt: Any, inertia: TaskInertia | Resolved
 ) -> tuple[Terms, dict[str, Any]]:
     """The torque of a law for the free motion, through the dynamically consistent projector, as one term."""
     own = x.with_own_record()

@@ -3,26 +3,71 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+from taut.base import math as tm
 from taut.base.linalg import LTDL, factor_spd
 from taut.base.types import Matrix, Vector
 
-__all__ = ["TaskInertia"]
+__all__ = ["TaskInertia", "least_direction"]
+
+TINY = 1e-10  # [1/kg and its like] keeps the pivots of what is to be inverted from zero
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TaskInertia:
-    """Lambda = (J M^-1 J^T)^-1 (k, k), and what goes with it."""
+    """Lambda = (J M^-1 J^T)^-1 (k, k), and what goes with it.
+
+    References:
+        Khatib (1987), IEEE Journal of Robotics and Automation 3 (1).
+    """
 
     J: Matrix  # (k, n)
     Minv_JT: Matrix  # (n, k)
     Lambda: Matrix  # (k, k)
 
     @classmethod
-    def of(cls, J: Matrix, M_factors: LTDL) -> TaskInertia:
-        """That of a Jacobian (k, n)."""
+    def of(cls, J: Matrix, M_factors: LTDL, damping: Any = 0.0) -> TaskInertia:
+        """That of a Jacobian (k, n): (J M^-1 J^T + damping I)^-1, unbounded near singularities without damping.
+
+        Args:
+            J: (k, n) Jacobian.
+            M_factors: Factors of the mass matrix.
+            damping: [1/kg, 1/(kg m^2)] constant damping; it blurs all directions, everywhere.
+        """
         W = M_factors.solve(J.T)
-        return cls(J=J, Minv_JT=W, Lambda=factor_spd(J @ W).inverse())
+        A = J @ W
+        if not (isinstance(damping, float) and damping == 0.0):
+            A = A + damping * tm.eye(len(A))
+        return cls(J=J, Minv_JT=W, Lambda=factor_spd(A).inverse())
+
+    @classmethod
+    def bounded(cls, J: Matrix, M_factors: LTDL, most: Any) -> TaskInertia:
+        """That of a Jacobian (k, n), with at most about `most` along the direction that is nearly lost.
+
+        Elsewhere nothing changes: with u that direction of J, Lambda becomes (J M^-1 J^T + s u u^T)^-1 with an s that
+        is zero where u . Lambda u < most / 2 and rises smoothly. It serves arms that lack a direction for good, too.
+
+        Args:
+            J: (k, n) Jacobian.
+            M_factors: Factors of the mass matrix.
+            most: Largest inertia along that direction [kg, kg m^2].
+        """
+        W = M_factors.solve(J.T)
+        inverse = factor_spd(J @ W + TINY * tm.eye(len(J))).inverse()
+        u = least_direction(J)
+        z = inverse @ u
+        shown, half = u @ z, 0.5 * most
+        over = tm.maximum(shown - half, 0.0)
+        wanted = half + half * over / (half + over)  # tends to `most`, with the slope 1 at half of it
+        left = tm.where(shown > half, wanted / shown, 1.0)
+        return cls(J=J, Minv_JT=W, Lambda=inverse - z[:, None] * (z * ((1.0 - left) / shown)))
+
+    @property
+    def J_bar(self) -> Matrix:
+        """(n, k) the dynamically consistent inverse of J, M^-1 J^T Lambda."""
+        out: Matrix = self.Minv_JT @ self.Lambda
+        return out
 
     def acceleration(self, tau: Vector) -> Vector:
         """(k,) what torques accelerate in the task, J M^-1 tau."""
@@ -33,3 +78,8 @@ class TaskInertia:
         """(n,) N^T tau, with N^T = I - J^T Lambda J M^-1: the part of torques that does not move the task."""
         out: Vector = tau - self.J.T @ (self.Lambda @ self.acceleration(tau))
         return out
+
+
+def least_direction(J: Matrix) -> Vector:
+    """(k,) the unit direction in which J (k, n) moves least; exact where it is nearly lost."""
+    return factor_spd(J @ J.T + TINY * tm.eye(len(J))).least_direction()

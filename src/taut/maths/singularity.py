@@ -1,0 +1,200 @@
+"""Through singularities: the joint accelerations that a task asks for, calm where the arm cannot follow.
+
+Where J loses rank its inverse asks for any speed and any torque. Here the direction that is nearly lost is damped and
+nothing else, what it asks of the joints is held within what they can do, and away from singularities nothing changes.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from taut.arm.description import Arm
+from taut.arm.reach import reach
+from taut.base import math as tm
+from taut.base.linalg import factor_spd
+from taut.base.types import Float64Array, Matrix, Vector
+from taut.maths.snapshot import Snapshot
+from taut.maths.task_inertia import least_direction
+
+__all__ = ["Resolved", "Sizes", "resolve", "sizes_of"]
+
+BORDER: Final = 0.1  # smallest singular value of J under which an arm of 0.9 m and more is near a singularity
+DAMPING: Final = 0.1  # lambda at the singularity, in parts of the border
+SHARE: Final = 0.1  # of the torque that gravity and Coriolis forces leave: what motion may use near a singularity
+TOP_SPEED: Final = 0.97  # of a joint's limit
+LEAST_ROOM: Final = 0.05  # of the effort: what is taken to be left where gravity takes all of it
+FULL: Final = 0.9  # of the border: where limits act in full
+STEEP: Final = 0.5  # of the border: where damping acts in full
+TINY: Final = 1e-10  # keeps the pivots of what is to be inverted from zero
+ENDLESS: Final = 1.4  # [m] reach of an arm whose slides have no ends
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sizes:
+    """What an arm's reach says about its tasks."""
+
+    border: float  # of the smallest singular value of J, in m and rad
+    length: float  # [m/rad] how a rotation weighs against a way, in what is given up
+
+
+@functools.lru_cache(maxsize=64)
+def sizes_of(arm: Arm) -> Sizes:
+    """Border and length of an arm: 0.1, less where it reaches less than 0.9 m, and about a third of its reach."""
+    longest = reach(arm)
+    if not 0.0 < longest < np.inf:
+        longest = ENDLESS
+    return Sizes(border=BORDER * min(1.0, longest / 0.9), length=0.36 * longest)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Resolved:
+    """What the joints do for a task."""
+
+    accelerations: Vector  # (n,) of the joints, before `scale` [rad/s^2 | m/s^2]
+    of: Callable[[Vector], Vector]  # (n,) what a part (k,) of the task's acceleration has in them: a linear map
+    scale: Any  # of the torque of motion; 1 away from singularities
+    lost: Any  # 0 to 1: how much of the nearly lost direction is given up
+    held: Any  # memory: how far the limits of a singularity still act
+    project: Callable[[Vector], Vector]  # (n,) N^T tau, which does not move the task; none near
+
+
+def resolve(
+    x: Snapshot,
+    J: Matrix,
+    a: Vector,
+    *,
+    rate: Any,
+    held: Any,
+    damping: Any = DAMPING,
+    share: Any = SHARE,
+) -> Resolved:
+    """Joint accelerations for a task acceleration: J^# a away from singularities, and calm through them.
+
+    Law:          v_c = v_g + rho v_u,  v_g + v_u = v + (J_d^# (a + k J v) - k v) / k,  q_ddot = s k (c v_c - v)
+                  J^# = M^-1 J^T Lambda for n > k joints; for n <= k the least-squares inverse (J^T W J)^-1 J^T W,
+                    W weighing a rotation against a way with a third of the arm's reach
+                  J_d^# the same, damped by lambda^2 along the one direction in which J moves least
+                  v_u   what that direction asks of the joints; rho <= 1 leaves of it what their speed limits allow
+                  c <= 1 brings the rest within the speed limits, s <= 1 the torque of motion M q_ddot within `share`
+                    of what h leaves of the effort
+                  lambda = 0 and rho = c = s = 1 where J moves everything by more than the border: q_ddot = J^# a.
+                    rho, c and s act on until nothing is left to cut: what a singularity leaves behind is worked off
+                    within the limits
+    Closed loop:  near a singularity v follows v_c at the rate k, so that no joint gets faster than its limit, and
+                  motion in the lost direction dies out at the rate k; what is given up is along that direction only
+                  N^T tau_0 fades out towards a singularity, where the rate k takes its place
+
+    Args:
+        x: The arm at its measured state.
+        J: (k, n) Jacobian of the task.
+        a: (k,) acceleration of the task less J-dot v.
+        rate: k, at which joints settle where the task does not move them [1/s]: the damping of the task.
+        held: Memory, zero at the start.
+        damping: lambda at the singularity, in parts of the border.
+        share: Of the torque that h leaves, what motion may use near a singularity.
+
+    References:
+        Nakamura and Hanafusa (1986), ASME J. Dynamic Systems 108. Chiaverini (1997), IEEE Transactions on Robotics
+        and Automation 13 (3).
+    """
+    (k, n), arm, size = J.shape, x.arm, sizes_of(x.arm)
+    wide = n > k
+    weight = np.ones(k)
+    if k == 6:
+        weight[3:] = size.length**2
+    if wide:
+        back, side = x.M_factors.solve(J.T), np.eye(k)
+        factors = factor_spd(J @ back + TINY * tm.eye(k))
+        u = least_direction(J)
+        moved, r = J.T @ u, u / weight
+        r = r / (u @ r)
+    else:
+        back, side = np.eye(n), (weight[:, None] * J).T
+        factors = factor_spd(side @ J + TINY * tm.eye(n))
+        u = r = factors.least_direction()
+        moved = J @ u
+    square = moved @ moved  # not under that of the least singular value, whatever u is
+    z = factors.solve(r)
+    inside = r @ z
+    scale = 1.0 / (inside * (square + TINY)) if wide else 1.0  # from the kinetic to the kinematic measure
+    extra = scale * _ramp(square, size.border, STEEP) * (damping * size.border) ** 2
+    kept = 1.0 / (1.0 + extra * inside)
+    near = tm.maximum(held, _ramp(square, size.border, FULL))
+    lost_way = (back @ z if wide else z) * kept
+
+    def along(b: Vector) -> Any:
+        return u @ (b if wide else side @ b)
+
+    def solved(b: Vector) -> Vector:
+        y = factors.solve(b)
+        out: Vector = y - z * (extra * kept * (r @ y))
+        return out
+
+    def damped(b: Vector) -> Vector:
+        return back @ solved(b) if wide else solved(side @ b)
+
+    calm = (
+        near if wide else 1.0
+    )  # the motion that a task of fewer directions leaves free is damped near singularities
+    asked = a + (calm * rate) * (J @ x.v)
+    target = damped(asked)
+    if wide:
+        target = target + ((1.0 - near) * rate) * x.v
+    part = lost_way * along(asked)
+    rho, slow = _within(part, target - part, (TOP_SPEED * rate) * arm.velocity, arm.velocity)
+    given_up = near * (1.0 - rho)
+    slowed = 1.0 - near * (1.0 - slow)
+    accelerations = slowed * (target - given_up * part) - rate * x.v
+    use = _use(x.M @ accelerations, x.h, arm.effort, share)
+
+    def of(b: Vector) -> Vector:
+        out: Vector = slowed * (damped(b) - lost_way * (given_up * along(b)))
+        return out
+
+    def project(tau: Vector) -> Vector:
+        moving = J.T @ solved(back.T @ tau) if wide else x.M @ damped(J @ x.M_factors.solve(tau))
+        out: Vector = (1.0 - near) * (tau - moving)
+        return out
+
+    return Resolved(
+        accelerations=accelerations,
+        of=of,
+        scale=1.0 - near * (1.0 - use),
+        lost=1.0 - kept * (1.0 - given_up),
+        held=tm.where(tm.minimum(tm.minimum(rho, slow), use) < 1.0, near, 0.0),
+        project=project,
+    )
+
+
+def _ramp(square: Any, border: float, full: float) -> Any:
+    """0 where the square of a singular value is above border^2, 1 below (full border)^2, smooth between."""
+    s = tm.clip((border * border - square) / ((1.0 - full * full) * border * border), 0.0, 1.0)
+    return s * s * (3.0 - 2.0 * s)
+
+
+def _within(part: Vector, other: Vector, limit: Vector, velocity: Float64Array) -> tuple[Any, Any]:
+    """The largest rho <= 1 that keeps |other + rho part| within limits, and the factor that brings the sum there."""
+    rho: Any = 1.0
+    most: Any = 1.0
+    joints = [i for i, top in enumerate(velocity) if np.isfinite(top)]
+    for i in joints:
+        room = limit[i] - tm.where(part[i] > 0.0, other[i], -other[i])
+        rho = tm.minimum(rho, tm.maximum(room, 0.0) / (tm.abs(part[i]) + TINY))
+    for i in joints:
+        most = tm.maximum(most, tm.abs(other[i] + rho * part[i]) / limit[i])
+    return rho, 1.0 / most
+
+
+def _use(tau: Vector, h: Vector, effort: Float64Array, share: Any) -> Any:
+    """The factor <= 1 that brings torques of motion within a share of what h leaves of the effort."""
+    use: Any = 1.0
+    for i, most in enumerate(effort):
+        if np.isfinite(most):
+            room = tm.maximum(most - tm.abs(h[i]), LEAST_ROOM * most)
+            use = tm.minimum(use, share * room / (tm.abs(tau[i]) + TINY))
+    return use
