@@ -67,7 +67,7 @@ def _equation_first(lines: Sequence[str]) -> list[str]:
 
 def law_rows() -> list[LawRow]:
     """Every law of taut.laws that stands on its own."""
-    return [_row(getattr(laws, name)) for name in laws.__all__ if name != "Sum"]
+    return [_row(getattr(laws, name)) for name in laws.__all__ if name not in ("Sum", "SideBySide")]
 
 
 def _row(cls: type[Law]) -> LawRow:

@@ -14,6 +14,7 @@ from taut.control.describe import held_laws, optional_laws
 from taut.control.gains import Memory
 from taut.control.law import Law
 from taut.control.limits import Limits
+from taut.control.side_by_side import SideBySide
 
 __all__ = ["read_law", "read_limits"]
 
@@ -57,6 +58,8 @@ def _one_law(section: Section, gains: Section, name: str) -> Law:
         if name not in known:
             raise unknown_name("taut.laws", "law", name, known)
     cls = getattr(all_laws, name)
+    if cls is SideBySide:
+        return _side_by_side(gains)
     fields = [f.name for f in dataclasses.fields(cls) if not isinstance(cls.__dict__.get(f.name), Memory)]
     held = {field: gains.section(field, required=True) for field in held_laws(cls)}
     given = [field for field in optional_laws(cls) if field in gains]
@@ -66,6 +69,18 @@ def _one_law(section: Section, gains: Section, name: str) -> Law:
     with gains.blamed():
         law: Law = cls(**values)
         return law
+
+
+def _side_by_side(section: Section) -> Law:
+    """A table for each law, with the names of its joints where it does not say them by its tool."""
+    parts: dict[str, Law | tuple[Law, list[str]]] = {}
+    for part in section.left:
+        table = section.section(part)
+        joints = table.texts("joints", None, example='["head_pan"]')
+        law = read_law(table)
+        parts[part] = law if joints is None else (law, joints)
+    with section.blamed():
+        return SideBySide(**parts)
 
 
 def read_limits(section: Section, arm: Arm, rate: float) -> Limits | None:

@@ -19,6 +19,7 @@ __all__ = ["FELT", "deviation_promised", "felt_measures"]
 
 FELT: Final = "felt"  # in run.info: the impedance that the law promises at the tool where F_ext is measured
 LEAST: Final = 1e-6  # [m] RMS below which nothing was felt
+ALIKE: Final = 1e-6  # relative: masses that are one
 CHANGES: Final = ("law.", "model.")  # parameters whose change makes another promise
 
 
@@ -39,8 +40,8 @@ def felt_measures(run: Run) -> dict[str, float]:
 def deviation_promised(run: Run) -> Float64Array | None:
     """(k, 6) what eq. 10.48 makes of the run's own F_ext: deviation from the reference, world axes [m, rad].
 
-    From the deviation and its rate at the first tick on. None where the law promises no impedance, where no wrench
-    is recorded, or where its gains change in the run.
+    From the deviation and its rate at the first tick on. None where the law promises no impedance, where there is no
+    wrench, or where its gains change in the run.
     """
     motion = _Motion.of(run)
     return None if motion is None else motion.promised()
@@ -61,6 +62,8 @@ class _Motion:
         values: Mapping[str, Any] | None = run.info.get(FELT)
         if values is None or "F_ext" not in run.extra or len(run) < 3 or not isinstance(run.reference, TaskMotion):
             return None
+        if not np.any(run.extra["F_ext"]):
+            return None
         changed = [path for event in run.info.get("events", ()) for path in event["set"]]
         if any(path.startswith(CHANGES) for path in changed):
             return None
@@ -79,7 +82,13 @@ class _Motion:
         return self.felt.response(self.t, self.F_ext, self.x[0], self.v[0])[0]
 
     def mass(self) -> float:
-        """m of F_ext - K x = m a + b v, by least squares over all ticks and the three directions."""
+        """m of F_ext - K x = m a + b v, by least squares over all ticks and the three directions.
+
+        NaN where the law asks for another mass in each direction, or one that rotations feel.
+        """
+        D = self.felt.D
+        if np.abs(D[:3] - D[0, 0] * np.eye(3, 6)).max() > ALIKE * D[0, 0]:
+            return np.nan
         net = (self.F_ext - self.x @ self.felt.K.T)[:, :3]
         a = np.gradient(self.v[:, :3], self.t, axis=0)
         rows = np.column_stack([a.ravel(), self.v[:, :3].ravel()])

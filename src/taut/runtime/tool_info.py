@@ -1,4 +1,4 @@
-"""What a run keeps of the tool, as plain values: its kinematics, what its law makes it feel like, and its parts."""
+"""What a run keeps of its arm, as plain values: the tool's kinematics, what the law makes it feel like, limits."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from taut.arm.description import Arm
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.control.felt import felt_impedance
@@ -17,6 +18,7 @@ from taut.maths.chain import Chain
 from taut.maths.model import Model, PayloadValues
 from taut.maths.snapshot import Snapshot
 from taut.record.felt import FELT
+from taut.record.metrics import LIMITS
 from taut.record.part import PARTS
 from taut.record.task import TOOL
 
@@ -24,7 +26,7 @@ __all__ = ["tool_info"]
 
 
 def tool_info(law: Law, side: LawSide, q: Float64Array, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """The entries of run.info about the tool.
+    """The entries of run.info about tool and limits.
 
     Args:
         law: The law with the gains of the run.
@@ -34,7 +36,7 @@ def tool_info(law: Law, side: LawSide, q: Float64Array, parameters: Mapping[str,
     """
     payload = {name: np.array(value) for name, value in subtree(parameters, "model.payload").items()}
     x = Snapshot(side.model, q=q, v=np.zeros(len(q)), payload=PayloadValues.of(payload))
-    out = _of_law(law, side.model, x)
+    out = _of_law(law, side.model, x) | {LIMITS: _limits(side.arm)}
     if isinstance(law, SideBySide):
         seen = law.seen(x)
         out[PARTS] = {
@@ -42,6 +44,14 @@ def tool_info(law: Law, side: LawSide, q: Float64Array, parameters: Mapping[str,
             for name, part in law.parts.items()
         }
     return out
+
+
+def _limits(arm: Arm) -> dict[str, dict[str, float]]:
+    """Effort and velocity limits by joint, of those that have one."""
+    return {
+        name: {joint: float(most) for joint, most in zip(arm.joint_names, values, strict=True) if np.isfinite(most)}
+        for name, values in (("effort", arm.effort), ("velocity", arm.velocity))
+    }
 
 
 def _of_law(law: Law, model: Model, x: Snapshot) -> dict[str, Any]:
