@@ -239,9 +239,15 @@ def _check_event(scenario: Scenario, event: Event, side: LawSide, section: Secti
                 raise section.error(f"set: {told}")
 
 
+def _parts(law: Law | None) -> int:
+    """How many lines a law makes in a figure."""
+    return len(law.parts) if isinstance(law, SideBySide) else 1
+
+
 def _check_files(scenario: Scenario, section: Section) -> None:
     """Files that could not be made after the run."""
-    wanted, runs = scenario.outputs, len(scenario.trials)
+    wanted = scenario.outputs
+    runs = sum(_parts(one.laws.get(trial.law)) for trial, one in scenario.trials.items())
     if wanted.plot is not None and runs > MOST_RUNS:
         what = "laws, counted in each case" if scenario.cases else "laws"
         raise section.error(f"plot draws at most {MOST_RUNS} {what}; got {runs}; leave it out, or some of the laws")

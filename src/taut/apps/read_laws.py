@@ -80,7 +80,7 @@ def _side_by_side(section: Section) -> Law:
         law = read_law(table)
         parts[part] = law if joints is None else (law, joints)
     with section.blamed():
-        return SideBySide(**parts)
+        return SideBySide(**parts)  # type: ignore[arg-type]  # it makes its own __init__
 
 
 def read_limits(section: Section, arm: Arm, rate: float) -> Limits | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -238,9 +238,9 @@ def _make_folder(folder: Path) -> None:
 
 
 def _save_plot(scenario: Scenario, runs: Mapping[Trial, Run], path: Path) -> None:
-    runs = _apart(runs)
     # A law is called after its section, whatever is in its name; matplotlib takes a pair of $ for mathematics.
-    labels = {trial: trial.case if trial.case and len(scenario.laws) == 1 else trial.label for trial in runs}
+    runs = _apart(runs)
+    labels = {trial: _plot_label(trial, list(scenario.laws)) for trial in runs}
     drawn = {labels[trial].replace("$", r"\$"): one for trial, one in runs.items() if len(one)}
     if not drawn:
         raise UsageError("there is nothing to plot: no law got through its first tick", name="plot")
@@ -251,6 +251,14 @@ def _save_plot(scenario: Scenario, runs: Mapping[Trial, Run], path: Path) -> Non
         figure = next(iter(drawn.values())).plot(joints=joints)
     with written_aside("plot", path) as aside:
         figure.savefig(aside, dpi=150)
+
+
+def _plot_label(trial: Trial, laws: Sequence[str]) -> str:
+    """What a line is called: without the law where there is only one."""
+    if len(laws) > 1:
+        return trial.label
+    part = trial.law.removeprefix(laws[0]).removeprefix(": ")
+    return ": ".join(word for word in (trial.case, part) if word) or trial.law
 
 
 def _film(shown: Run, path: Path) -> None:

@@ -60,7 +60,7 @@ class SamplePolicy:
         number = round(float(x.t) / self.period)
         noise = np.random.default_rng([self.seed, 1 + number]).standard_normal(6)
         off = noise * np.repeat(self.disagreement, 3) if number else np.zeros(6)  # it starts where the tool is
-        times = self.period * np.arange(self.ahead + 1)
+        times = self.period * np.arange(self.ahead + 1, dtype=np.float64)
         way = self._way(number * self.period + times) + off
         return chunk(times, [self._pose(row) for row in way])
 

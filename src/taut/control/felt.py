@@ -49,7 +49,7 @@ class FeltImpedance:
         for i, step in enumerate(np.diff(t)):
             h = float(round(step, 12))
             if h not in solvers:
-                solvers[h] = np.linalg.inv(self.D + 0.5 * h * self.B + 0.25 * h * h * self.K)
+                solvers[h] = np.asarray(np.linalg.inv(self.D + 0.5 * h * self.B + 0.25 * h * h * self.K), np.float64)
             middle = 0.5 * (F_ext[i] + F_ext[i + 1])
             mean = solvers[h] @ (self.D @ v[i] + 0.5 * h * (middle - self.K @ x[i]))
             x[i + 1], v[i + 1] = x[i] + h * mean, 2.0 * mean - v[i]

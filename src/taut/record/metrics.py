@@ -104,10 +104,11 @@ class Metrics:
 
     NaN (null in JSON) where a number has no meaning: overshoot, settling time and steady-state error where the
     reference is not constant, or where a joint had no initial error; saturation where nothing limits the command;
-    stuck time and reversal error where the reference does not move, or never turns round; errors of joints where the
-    reference is one of the task, and the task's where it is one of joints; forces where none are recorded; shares of
-    limits that the arm does not state; what was felt where the law promises no impedance, its gains change, or nothing moves the tool;
-    an overall number of joints with different units, each of which has its number in `groups`.
+    stuck time and reversal error where the reference does not move, or never turns round; errors of joints where
+    the reference is one of the task, and the task's where it is one of joints; forces where none are recorded;
+    shares of limits that the arm does not state; what was felt where the law promises no impedance, its gains
+    change, or nothing moves the tool; an overall number of joints with different units, each of which has its
+    number in `groups`.
 
     Attributes:
         overshoot: (n,) [%] of the initial error, beyond where the joint came to rest (chapter, below figure 10.4).
@@ -131,8 +132,8 @@ class Metrics:
         largest_cut: (n,) [N m | N] largest magnitude that the limits took away, in the command's unit.
         chatter: (n,) [N m/s | N/s] total variation of tau per second.
         energy: (n,) [J] work of tau on the joint, integral of tau v.
-        torque_jump: (n,) [N m | N] largest jump of tau: how far its change in a tick is at least off those in the ticks
-            before and after. A continuous torque has next to none, however steep.
+        torque_jump: (n,) [N m | N] largest jump of tau: how far its change in a tick is at least off those in the
+            ticks before and after. A continuous torque has next to none, however steep.
         torque_use: (n,) [%] largest magnitude of tau, of the arm's effort limit.
         speed_use: (n,) [%] largest magnitude of the speed, of the arm's velocity limit.
         task_rms: [m] root of the mean square of the tool's distance from where it should be.
