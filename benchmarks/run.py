@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import rivals
+import task_rivals
 from rich.console import Console
 from rich.table import Table
 
@@ -29,7 +30,8 @@ TICKS = 2000
 def main() -> int:
     """Measure everything, print it, and say which bars are missed."""
     console = Console(width=110)
-    figures = {**tick_figures(), **loop_figures(), **joint_figures(), **start_figures(), **long_run_figures()}
+    figures = {**tick_figures(), **task_figures(), **loop_figures(), **joint_figures()}
+    figures |= {**start_figures(), **long_run_figures()}
     table = Table("figure", "measured", "bar", title="taut against NumPy + Pinocchio and MuJoCo, Panda, one core")
     missed = []
     for name, figure in figures.items():
@@ -128,6 +130,59 @@ def tick_figures() -> dict[str, dict]:
             "note": f"{us['native rnea']} against {us['pin.rnea']}",
         },
     }
+
+
+def task_figures() -> dict[str, dict]:
+    """One tick of task-space laws with a posture in their null space, and what a user waits for them."""
+    arm, other = rivals.ARM, task_rivals.PinocchioTask()
+    posture = taut.laws.Posture(q=arm.home)
+    rng = np.random.default_rng(0)
+    q, v = arm.home + 0.1 * rng.standard_normal(7), rng.standard_normal(7)
+    V, a = rng.standard_normal(6), rng.standard_normal(6)
+    T = taut.snapshot(arm, arm.home).T()
+    pose = T @ taut.Pose([0.05, 0.02, -0.03], rpy=[0.2, 0.1, -0.3])
+    goal = pin.SE3(pose.R, pose.p)
+    cases = {
+        "task computed torque": (
+            taut.laws.TaskComputedTorque(kp=task_rivals.KP, kd=task_rivals.KD, error="body", null=posture),
+            taut.TaskMotion(pose=pose, twist=V, acceleration=a, frame="tool"),
+            other.computed_torque,
+        ),
+        "impedance": (
+            taut.laws.Impedance(K=(800.0, 30.0), B=(50.0, 3.0), null=posture),
+            taut.TaskMotion(pose=pose, twist=V, acceleration=a),
+            other.impedance,
+        ),
+    }
+    figures = {}
+    for name, (law, ref, natural) in cases.items():
+        colds = []
+        for _ in range(5):
+            with empty_cache():
+                start = time.perf_counter()
+                ctrl = taut.compile(law, arm)
+                colds.append(time.perf_counter() - start)
+        cold = float(np.median(colds))
+        expected = natural(q, v, goal, V, a)
+        assert np.abs(ctrl.step(q, v, ref) - expected).max() < 1e-9 * np.abs(expected).max(), f"{name}: they differ"
+        bound = ctrl.bind()
+        bound.q[:], bound.v[:] = q, v
+        for field in type(ref).fields(arm.n):
+            getattr(bound.ref, field)[...] = getattr(ref, field)
+        timing = interleaved(
+            {"natural": "natural(q, v, goal, V, a)", "tick": "tick()"},
+            {"natural": natural, "q": q, "v": v, "goal": goal, "V": V, "a": a, "tick": bound.tick},
+        )
+        us = {case: f"{1e6 * t.median:.2f} us, +-{100 * t.spread:.0f} %" for case, t in timing.items()}
+        figures[f"{name}, times faster than NumPy + Pinocchio"] = {
+            "value": timing["tick"].times_faster_than(timing["natural"]),
+            "unit": "x",
+            "bar": 50.0,
+            "better": "more",
+            "note": f"({us['tick']} against {us['natural']}; {ctrl.operations} operations)",
+        }
+        figures[f"{name}, cold trace and compile"] = {"value": cold, "unit": "s", "bar": 1.0, "better": "less"}
+    return figures
 
 
 def loop_figures() -> dict[str, dict]:

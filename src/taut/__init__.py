@@ -44,6 +44,8 @@ if TYPE_CHECKING:
     from taut.codegen.casadi import from_casadi as from_casadi
     from taut.codegen.casadi import to_casadi as to_casadi
     from taut.codegen.function import native as native
+    from taut.codegen.inverse_kinematics import IkResult as IkResult
+    from taut.codegen.inverse_kinematics import inverse_kinematics as inverse_kinematics
     from taut.control import laws as laws
     from taut.control.command import Position as Position
     from taut.control.command import Terms as Terms
@@ -77,12 +79,14 @@ if TYPE_CHECKING:
     from taut.control.trajectory import Trapezoidal as Trapezoidal
     from taut.control.velocity import Difference as Difference
     from taut.control.velocity import Kalman as Kalman
+    from taut.control.via_joint_space import via_joint_space as via_joint_space
     from taut.control.wrist import Wrist as Wrist
     from taut.controller import Controller as Controller
     from taut.controller import compile as compile
     from taut.loop import Loop as Loop
     from taut.maths import dynamics as dynamics
     from taut.maths.gearing import rotor_share as rotor_share
+    from taut.maths.ik import IkOutcome as IkOutcome
     from taut.maths.snapshot import Snapshot as Snapshot
     from taut.maths.snapshot import snapshot as snapshot
     from taut.plant.actuation import Actuation as Actuation
@@ -116,6 +120,7 @@ if TYPE_CHECKING:
     from taut.runtime.drivers.mujoco import MujocoPlant as MujocoPlant
     from taut.runtime.events import Event as Event
     from taut.runtime.simulate import run as run
+    from taut.study.impedance import check_impedance as check_impedance
     from taut.study.limits import StiffnessCheck as StiffnessCheck
     from taut.study.limits import StiffnessLimits as StiffnessLimits
     from taut.study.limits import check_stiffness as check_stiffness
@@ -151,6 +156,7 @@ _HOME: Final = {
     "base.pose": ("Pose",),
     "codegen.casadi": ("from_casadi", "to_casadi"),
     "codegen.function": ("native",),
+    "codegen.inverse_kinematics": ("IkResult", "inverse_kinematics"),
     "control.command": ("Position", "Terms", "Torque", "Velocity"),
     "control.filters": ("LowPass", "Notch"),
     "control.gains": ("Gain", "Memory"),
@@ -165,10 +171,12 @@ _HOME: Final = {
     "control.task_trajectory": ("Circle", "Line", "Screw"),
     "control.trajectory": ("Cubic", "JerkLimited", "Quintic", "Samples", "Sine", "Spline", "Trapezoidal"),
     "control.velocity": ("Difference", "Kalman"),
+    "control.via_joint_space": ("via_joint_space",),
     "control.wrist": ("Wrist",),
     "controller": ("Controller", "compile"),
     "loop": ("Loop",),
     "maths.gearing": ("rotor_share",),
+    "maths.ik": ("IkOutcome",),
     "maths.snapshot": ("Snapshot", "snapshot"),
     "plant.actuation": ("Actuation", "Ripple"),
     "plant.environment": ("Environment", "Environments"),
@@ -191,6 +199,7 @@ _HOME: Final = {
     "runtime.drivers.mujoco": ("MujocoPlant",),
     "runtime.events": ("Event",),
     "runtime.simulate": ("run",),
+    "study.impedance": ("check_impedance",),
     "study.limits": ("StiffnessCheck", "StiffnessLimits", "check_stiffness", "stiffness_limits"),
     "study.sampled": ("SampledLoop",),
     "study.tip": ("check_stiffness_at", "safe_stiffness"),

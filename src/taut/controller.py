@@ -432,6 +432,18 @@ class Controller:
             outputs, _ = functions.tick(inputs, parameters, memory)
         return {name: np.array(value, dtype=np.float64) for name, value in outputs.items()}
 
+    @property
+    def memory(self) -> Mapping[str, Float64Array]:
+        """What is remembered after the last tick, by path: law.e_int, limits.tau_applied. Copies.
+
+        Raises:
+            UsageError: There was no tick yet.
+        """
+        if self.ticks == 0:
+            raise UsageError("there is no memory before the first tick; call step first", name="memory")
+        views = self._kernel.blocks.views("memory")
+        return Named("the controller", "memory entry", {path: view.copy() for path, view in views.items()})
+
     def explain(self) -> None:
         """Print the law, its gains with units, the closed loop it yields, and what a tick costs."""
         print(self.explanation())
@@ -483,7 +495,8 @@ class _Functions:
         terms = {f"terms.{name}": value for name, value in tick.terms.items()} if self._record else {}
         sensed = {f"sensed.{name}": tick.seen[name] for name in self._sensed}
         told = {name: tick.seen[name] for name in self._side.sensing.tells} if self._record else {}
-        return {"command": tick.command, **terms, **sensed, **told}, tick.memory
+        kept = {path: tick.memory[path] for path in self._side.recorded} if self._record else {}
+        return {"command": tick.command, **terms, **sensed, **told, **kept}, tick.memory
 
     def start(self, inputs: Values, parameters: Values, memory: Values) -> tuple[Values, Values]:  # noqa: ARG002
         return self._side.start(self.measured(inputs), self.sample(inputs), parameters), {}
@@ -513,12 +526,16 @@ def _kernel_of(
     held = {TOLD: (), HELD: (n,)} if "limits.tau_applied" in probe.shapes else {}
     terms = {f"terms.{name}": (n,) for name in probe.terms} if record else {}
     sensed_sizes = {f"sensed.{name}": sizes[name] for name in sensed}
+    kept = {path: probe.shapes[path] for path in side.recorded} if record else {}
     told = dict.fromkeys(side.sensing.tells, ()) if record else {}
     inputs = Block.of({"t": (), "q": (n,), **{name: sizes[name] for name in side.takes}, **ref_fields, **held})
     parameters = Block.of({path: value.shape for path, value in side.parameters.items()} | {DT: ()})
     memory = Block.of(probe.shapes)
-    blocks = Blocks(inputs, parameters, memory, Block.of({"command": (n,), **terms, **sensed_sizes, **told}))
+    blocks = Blocks(inputs, parameters, memory, Block.of({"command": (n,), **terms, **sensed_sizes, **told, **kept}))
     parameters.pack({**side.parameters, DT: side.dt}, blocks.parameters)
+    for path, shape in ref_fields.items():
+        if shape == (3, 3):  # a rotation that nobody has written yet
+            inputs.views(blocks.inputs)[path][...] = np.eye(3)
     functions = _Functions(side, record=record, sensed=sensed)
     if engine == "float":
         return FloatKernel(
@@ -527,14 +544,14 @@ def _kernel_of(
     program = trace(functions.tick, inputs, parameters, memory)
     starter = trace(functions.start, inputs, parameters, Block())
     v = ("v",) if side.sensing.needs_velocity else ()
-    # A law that needs a force gets it by keyword, on the slow path.
-    plain = slow is not None and side.takes == v
+    plain = slow is not None
     arguments = [Argument((name,)) for name in ("q", *v)] + [Argument(tuple(ref_fields), is_object=True)]
     return NativeKernel(
         program,
         starter,
         blocks,
         arguments=arguments if plain else None,
+        keywords=tuple(name for name in side.takes if name != "v"),
         reference=side.law.reference if plain else None,
         time="t",
         dt=side.dt,

@@ -313,6 +313,7 @@ class Loop:
         record |= {name: tick.seen[name] for name in self.side.sensing.tells if name not in record}
         record |= {f"sensed.{name}": tick.seen[name] for name in sensed_of(self.side, self.plant)}
         record |= {f"terms.{name}": value for name, value in tick.terms.items()}
+        record |= {path: tick.memory[path] for path in self.side.recorded}
         return record, {f"plant.{path}": value for path, value in plant.items()} | tick.memory
 
     def substep(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:  # noqa: ARG002

@@ -453,3 +453,46 @@ def test_a_first_tick_that_fails_is_still_the_first(engine: Any) -> None:
         ctrl.terms  # noqa: B018
     tau = ctrl.step(Q, REF)  # differenced against itself: no velocity
     np.testing.assert_allclose(tau, (10.0 + 2.0 * ctrl.dt) * (REF.q - Q), rtol=ROUNDING)
+
+
+class Felt(taut.Law):
+    """Gives back what two sensors measure: a law whose measurements come by keyword."""
+
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+        return taut.Torque(force=x.F_ext[:2], torque=2.0 * x.tau_meas, goal=ref.q)
+
+
+@pytest.mark.parametrize("order", ["F_ext first", "tau_meas first", "built at run time"])
+def test_measurements_by_keyword_are_right_in_any_order(order: str) -> None:
+    ctrl = taut.compile(Felt(), ARM)
+    F, tau = np.arange(6.0), np.array([10.0, 20.0])
+    given = {"F_ext": F, "tau_meas": tau}
+    if order == "tau_meas first":
+        given = {"tau_meas": tau, "F_ext": F}
+    elif order == "built at run time":  # names that are equal to the known ones, and others in memory
+        given = {"".join(name): value for name, value in ((["F_", "ext"], F), (["tau_", "meas"], tau))}
+    for _ in range(3):
+        assert ctrl.step(Q, REF, **given) == pytest.approx(F[:2] + 2.0 * tau + REF.q, rel=ROUNDING)
+
+
+def test_measurements_by_keyword_are_checked_like_others() -> None:
+    ctrl = taut.compile(Felt(), ARM)
+    F, tau = np.arange(6.0), np.array([10.0, 20.0])
+    ctrl.step(Q, REF, F_ext=F, tau_meas=tau)
+    with pytest.raises(ShapeError, match=r"F_ext must have shape \(6,\); got shape \(5,\)"):
+        ctrl.step(Q, REF, F_ext=F[:5], tau_meas=tau)
+    with pytest.raises(RangeError, match=r"F_ext\[0\] must be finite; got nan in tick 1"):
+        ctrl.step(Q, REF, F_ext=F * np.nan, tau_meas=tau)
+    with pytest.raises(UsageError, match="step needs tau_meas"):
+        ctrl.step(Q, REF, F_ext=F)
+    assert ctrl.step(Q, REF, F_app=-F, tau_meas=tau) == pytest.approx(F[:2] + 2.0 * tau + REF.q, rel=ROUNDING)
+
+
+def test_keywords_leave_nothing_behind() -> None:
+    ctrl = taut.compile(Felt(), ARM)
+    F, tau = np.arange(6.0), np.array([10.0, 20.0])
+    ctrl.step(Q, REF, F_ext=F, tau_meas=tau)
+    before = [sys.getrefcount(x) for x in (F, tau, REF)]
+    for _ in range(1000):
+        ctrl.step(Q, REF, F_ext=F, tau_meas=tau)
+    assert [sys.getrefcount(x) for x in (F, tau, REF)] == before

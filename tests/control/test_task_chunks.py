@@ -200,3 +200,13 @@ def test_a_reference_of_ones_own_that_gives_no_rotation_is_refused() -> None:
         sample_rows(Mine(), times, TaskMotion, 7)
     with pytest.raises(taut.RangeError, match=r"^ref.R\[1, 2\] must be finite; the reference gives nan at t = 0 s$"):
         sample_rows(Broken(), times, TaskMotion, 7)
+
+
+def test_chunks_for_laws_side_by_side_blend_each_part_as_it_is() -> None:
+    way = sampled(MOVING, TIMES)
+    both = [taut.together(left=sample, right=taut.JointMotion(q=[t])) for t, sample in zip(TIMES, way, strict=True)]
+    ahead: Any = taut.chunk(TIMES, both).at(0.4)
+    alone: Any = taut.chunk(TIMES, way).at(0.4)
+    for name in FIELDS:
+        np.testing.assert_allclose(getattr(ahead.left, name), getattr(alone, name), atol=1e-15)
+    np.testing.assert_allclose(ahead.right.q, [0.4])

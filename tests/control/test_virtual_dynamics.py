@@ -109,6 +109,57 @@ class TestALineIsWhatTheLinearEquationSays:
         np.testing.assert_allclose(Rotation.from_matrix(now.R).as_rotvec(), F[3:] / 400.0, atol=1e-9)
 
 
+class TestTheStepItself:
+    """Before anything is taken from the velocity."""
+
+    @pytest.mark.parametrize("dt", [1e-3, 0.1, 10.0])
+    def test_keeps_the_books_of_energy_exactly_along_a_line(self, dt: float) -> None:
+        rng = np.random.default_rng(7)
+        D, B, K = (np.kron(np.eye(2), spd(rng, "full")[:3, :3]) for _ in range(3))
+        model = Model(D=D, B=B, K=K)
+        X, U, F = (np.append(rng.standard_normal(3), np.zeros(3)) for _ in range(3))
+        mean = model.step(X, U, F, dt)
+        before, after = model.energy(X, U), model.energy(X + dt * mean, 2.0 * mean - U)
+        given = dt * float(F @ mean - mean @ B @ mean)
+        assert after - before == pytest.approx(given, rel=1e-9, abs=1e-11 * (before + after))
+
+    @pytest.mark.parametrize("seed", range(20))
+    def test_gains_nothing_from_a_rotation_with_one_stiffness(self, seed: int) -> None:
+        rng = np.random.default_rng([8, seed])
+        model = Model(D=spd(rng, "pair"), B=np.zeros((6, 6)), K=spd(rng, "pair"))
+        body, dt = somewhere(rng, 5.0), 10.0 ** rng.uniform(-3.0, 1.0)
+        X = np.append(body.p, Rotation.from_matrix(body.R).as_rotvec())
+        mean = model.step(X, body.twist, NOTHING, dt)
+        turned_on = Rotation.from_rotvec(dt * mean[3:]) * Rotation.from_matrix(body.R)
+        after = model.energy(np.append(body.p + dt * mean[:3], turned_on.as_rotvec()), 2.0 * mean - body.twist)
+        before = model.energy(X, body.twist)
+        assert after <= before * (1.0 + 1e-12)
+
+    @pytest.mark.parametrize("frame", FRAMES)
+    @pytest.mark.parametrize("bound", [None, 0.3])
+    def test_pulls_down_the_gradient_of_the_energy(self, frame: str, bound: float | None) -> None:
+        rng = np.random.default_rng(9)
+        K, most = spd(rng, "pair" if bound else "full"), None
+        if bound is not None:
+            most = GainValue(np.array([bound, 2.0 * bound]), "error_max")
+        model = Model(D=np.eye(6), B=np.eye(6), K=K, most=most, turning=frame == "tool")
+        ref = taut.TaskMotion(pose=taut.Pose.of(turned(rng), rng.standard_normal(3)))
+        body = somewhere(rng)
+
+        def spring(step: np.ndarray) -> float:
+            R_now = Rotation.from_rotvec(step[3:]).as_matrix() @ body.R
+            R = {"world": np.eye(3), "task": ref.R, "tool": R_now}[frame]
+            turn = Rotation.from_matrix(R_now @ ref.R.T).as_rotvec()
+            return float(model.energy(np.append(R.T @ (body.p + step[:3] - ref.p), R.T @ turn), NOTHING))
+
+        h = 1e-6 * np.eye(6)
+        gradient = np.array([(spring(each) - spring(-each)) / 2e-6 for each in h])
+        R = {"world": np.eye(3), "task": ref.R, "tool": body.R}[frame]
+        turn = Rotation.from_matrix(body.R @ ref.R.T).as_rotvec()
+        pull = model.pull(np.append(R.T @ (body.p - ref.p), R.T @ turn))
+        np.testing.assert_allclose(np.append(R @ pull[:3], R @ pull[3:]), -gradient, rtol=1e-6, atol=1e-6)
+
+
 @pytest.mark.parametrize("frame", FRAMES)
 class TestEnergy:
     @pytest.mark.parametrize("kind", ["pair", "diagonal", "full"])

@@ -9,7 +9,7 @@ import pytest
 
 import taut
 from taut.base.linalg import factor_spd
-from taut.maths.singularity import Resolved, resolve, sizes_of
+from taut.maths.singularity import ResolvedMotion, resolve, sizes_of
 from taut.maths.task_inertia import TaskInertia, least_direction
 
 ARMS = ["panda", "ur10", "xarm7"]
@@ -29,7 +29,7 @@ def stretched(bend: float) -> taut.Snapshot:
     return taut.snapshot(arm, [0.3, -0.9, bend, -1.2, -1.4, 0.2], [0.1, -0.2, 0.1, 0.2, 0.1, -0.1])
 
 
-def resolved(x: taut.Snapshot, a: Any, held: float = 0.0) -> Resolved:
+def resolved(x: taut.Snapshot, a: Any, held: float = 0.0) -> ResolvedMotion:
     return resolve(x, x.J(), a, rate=20.0, held=held)
 
 
@@ -62,7 +62,7 @@ def test_a_bounded_inertia_is_the_inertia_until_it_is_large_along_the_lost_direc
         x = stretched(bend)
         u = least_direction(x.J())
         found = TaskInertia.bounded(x.J(), x.M_factors, 200.0).Lambda
-        assert np.abs(found - found.T).max() < 1e-6  # of numbers of 1e10 that cancel
+        assert np.abs(found - found.T).max() < 1e-3  # of numbers of 1e12 that cancel
         assert np.linalg.eigvalsh(found).min() > 0.0
         assert u @ found @ u <= 200.0 * (1.0 + 1e-6)
         if bend > 0.0:
@@ -154,7 +154,7 @@ def test_terms_add_up_to_the_torque_near_a_singularity() -> None:
     ctrl = taut.compile(taut.laws.TaskComputedTorque(kp=100.0, kd=20.0), arm)
     x = stretched(0.05)
     T = x.T()
-    tau = ctrl.step(x.q, x.v, taut.TaskMotion(pose=taut.Pose(T.p + [0.1, 0.0, 0.05], R=T.R)))
+    tau = ctrl.step(x.q, x.v, taut.TaskMotion(pose=taut.Pose(np.add(T.p, [0.1, 0.0, 0.05]), R=T.R)))
     assert np.abs(sum(ctrl.terms.values()) - tau).max() < 1e-9
     assert np.abs(ctrl.terms["singularity"]).max() > 0.1
 

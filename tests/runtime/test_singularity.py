@@ -169,7 +169,7 @@ def test_it_comes_back_from_a_long_wait_beyond_its_reach() -> None:
 def test_an_arm_of_few_joints_rests_at_the_least_squares_of_what_it_is_asked(name: str) -> None:
     arm = taut.load_arm(name)
     p, R, _ = kinematics(arm)(arm.home)
-    target = taut.Pose(p + [0.02, 0.01, 0.03], R=R)
+    target = taut.Pose(np.add(p, [0.02, 0.01, 0.03]), R=R)
     ctrl = taut.compile(taut.laws.TaskComputedTorque(**GAINS), arm, rate=1000.0)
     run = taut.run(ctrl, taut.RigidPlant(arm, friction=None), taut.TaskMotion(pose=target), duration=4.0)
     assert run.outcome.ok
@@ -210,7 +210,7 @@ def test_three_joints_asked_for_six_directions_follow_as_if_asked_for_their_thre
         **GAINS, error="coordinates", coordinates=in_plane, singularity="plain", null=None
     )
     p, R, _ = kinematics(arm)(arm.home)
-    wave, q0 = Wave(taut.Pose(p, R=R)), arm.home + [0.02, -0.03, 0.01]
+    wave, q0 = Wave(taut.Pose(p, R=R)), np.add(arm.home, [0.02, -0.03, 0.01])
     runs = [
         taut.run(taut.compile(law, arm), taut.RigidPlant(arm, friction=None), wave, duration=4.0, q0=q0)
         for law in (taut.laws.TaskComputedTorque(**GAINS), three)

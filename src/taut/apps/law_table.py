@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.arm.load import load_arm
 from taut.control import laws
 from taut.control.describe import held_laws, section, summary
 from taut.control.gains import Gain
@@ -67,16 +66,17 @@ def _equation_first(lines: Sequence[str]) -> list[str]:
 
 def law_rows() -> list[LawRow]:
     """Every law of taut.laws that stands on its own."""
-    return [_row(getattr(laws, name)) for name in laws.__all__ if name not in ("Sum", "SideBySide")]
+    return [_row(getattr(laws, name)) for name in laws.__all__ if name not in OF_OTHERS]
+
+
+OF_OTHERS: Final = ("Sum", "SideBySide")  # which are made of other laws
 
 
 def _row(cls: type[Law]) -> LawRow:
     fields_of = {field.name: cls.__dict__.get(field.name) for field in fields(cls)}  # type: ignore[arg-type]
     gains = [name for name, field in fields_of.items() if isinstance(field, Gain) and field.where is None]
     law = cls(**_numbers(cls, gains), **{name: _held(cls) for name in held_laws(cls)})
-    of_joints = cls.reference is not TaskMotion and not cls.ignores_reference
-    arm = load_arm("planar3") if of_joints else _six_axes()
-    side = LawSide(law=law, arm=arm, rate=1000.0, sensing=Sensing(), limits=None, adds=Adds())
+    side = LawSide(law=law, arm=_six_axes(), rate=1000.0, sensing=Sensing(), limits=None, adds=Adds())
     units = field_units(cls)
     return LawRow(
         name=cls.__name__,
@@ -104,9 +104,11 @@ def _numbers(cls: type[Law], gains: Sequence[str]) -> dict[str, Any]:
 
 def _held(cls: type[Law]) -> Law:
     """A law for one that holds another."""
-    return laws.TaskComputedTorque(kp=1.0, kd=1.0) if cls.reference is TaskMotion else laws.PID(kp=1.0)
+    of_task = cls.reference is TaskMotion and cls is not laws.ViaJointSpace
+    return laws.TaskComputedTorque(kp=1.0, kd=1.0) if of_task else laws.PID(kp=1.0)
 
 
+@functools.cache
 def _six_axes() -> Arm:
     """An arm of six joints that is nowhere near a singularity, to try a law of the task on."""
     axes = np.array([[0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=np.float64)

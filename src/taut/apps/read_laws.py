@@ -18,6 +18,7 @@ from taut.control.side_by_side import SideBySide
 
 __all__ = ["read_law", "read_limits"]
 
+OF_OTHERS: Final = ("Sum", "SideBySide")  # laws made of others, by a list or in Python
 LIMITS: Final[Mapping[str, Mapping[str, bool]]] = {
     "arm": {},
     "arm with rate": {"rate": True},
@@ -53,7 +54,7 @@ def _sum(section: Section) -> Law:
 
 def _one_law(section: Section, gains: Section, name: str) -> Law:
     """The law of that name; `section` names it, and `gains` has its gains."""
-    known = [word for word in all_laws.__all__ if word != "Sum"]
+    known = [word for word in all_laws.__all__ if word not in OF_OTHERS]
     with section.blamed("law"):
         if name not in known:
             raise unknown_name("taut.laws", "law", name, known)

@@ -17,7 +17,8 @@ from rich.table import Table
 from taut.apps.cases import Trial
 from taut.apps.scenario import SUFFIXES, PassFigure, Scenario
 from taut.base.errors import FileError, ScenarioError, TautError, UsageError
-from taut.controller import compile
+from taut.control.impedance import Impedance
+from taut.controller import Controller, compile
 from taut.record.compare import compare
 from taut.record.files import cannot_write, checked_target, written_aside
 from taut.record.metrics import MEASURES, Metrics
@@ -25,6 +26,7 @@ from taut.record.part import PARTS
 from taut.record.run import Run
 from taut.record.table import number_text
 from taut.runtime.simulate import run
+from taut.study.impedance import check_impedance, impedance_of
 
 __all__ = ["ScenarioResult", "run_scenario"]
 
@@ -157,6 +159,9 @@ def _one_run(scenario: Scenario, trial: Trial, say: Callable[[str], None], engin
             adds=scenario.plant.adds,
             engine=engine,  # type: ignore[arg-type]  # the command line checks the word
         )
+        remark = _remark(ctrl, scenario)
+        if remark:
+            say(f"law '{trial.law}': {remark}")
         say(f"running {trial.label} ...")
         return run(
             ctrl,
@@ -172,6 +177,20 @@ def _one_run(scenario: Scenario, trial: Trial, say: Callable[[str], None], engin
         section = SECTIONS.get((cause.name or "").partition(".")[0])
         place = f"[{section}]" if section else f"law '{trial.law}':"
         raise ScenarioError(f"{scenario.source}: {place} {cause}") from cause
+
+
+def _remark(ctrl: Controller, scenario: Scenario) -> str:
+    """What is to be said of a spring at the tool before it runs."""
+    found = impedance_of(ctrl.law)
+    if found is None or (isinstance(found[0], Impedance) and found[0].has("D")):
+        return ""
+    try:
+        check = check_impedance(ctrl, scenario.q0)
+        if not check.stable:
+            return f"its spring is {check.sentences[0]}, by the eigenvalues of the loop as it is sampled"
+        return "" if check.passive_in_band else f"its spring {check.sentences[2]}"
+    except TautError:  # a pose or a filter for which there is no such answer
+        return ""
 
 
 # -------------------------------------------------------------------- files

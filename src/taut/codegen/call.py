@@ -1,8 +1,9 @@
 """The call path: a Python builtin, generated with the kernel, that takes arrays and gives an array.
 
 `step(q, v, ref)` checks types, lengths and contiguity, copies the numbers into the kernel's input block, runs the
-kernel, and returns a new array; `tick()` does the same on the block alone and allocates nothing. Whatever is not
-plain (keywords, lists, a first tick, a number that is not finite) goes to a Python function that knows the words.
+kernel, and returns a new array; measurements follow by keyword, `F_ext=F`, in the order that the law states. `tick()`
+does the same on the block alone and allocates nothing. Whatever is not plain (other keywords, lists, a first tick, a
+number that is not finite) goes to a Python function that knows the words.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import importlib
+import sys
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -152,6 +154,7 @@ WORDS: Final = (
     "seen",  # inputs as they were in the last tick
     "outputs",
     "shape",
+    "keywords",  # addresses of the interned names of keyword arguments
     "ready",  # 0 until memory has started
     "count",  # ticks so far
     "dt",
@@ -196,14 +199,17 @@ class Context:
         result_shape: tuple[int, ...],
         dt: float = 0.0,
         reference: type | None = None,
+        keywords: Sequence[str] = (),
     ) -> None:
         self._words = np.zeros(len(WORDS) + BUILTINS * DEFINITION_WORDS, dtype=np.uint64).view(_Keeper)
         self._builtins = 0
         new = memory.copy()
         shape = np.array(result_shape or (1,), dtype=np.int64)
         float64 = np.dtype(np.float64)
-        arrays = (inputs, parameters, memory, before, seen, new, outputs, shape)
-        self._words.keep = [module, float64, reference, *arrays]
+        interned = [sys.intern(name) for name in keywords]  # as the names in a caller's code are
+        names = np.array([id(name) for name in interned] or [0], dtype=np.uint64)
+        arrays = (inputs, parameters, memory, before, seen, new, outputs, shape, names)
+        self._words.keep = [module, float64, reference, interned, *arrays]
         for name, array in (
             ("inputs", inputs),
             ("parameters", parameters),
@@ -213,6 +219,7 @@ class Context:
             ("seen", seen),
             ("outputs", outputs),
             ("shape", shape),
+            ("keywords", names),
         ):
             self[name] = array.ctypes.data
         self["ndarray"], self["float64"], self["none"] = id(np.ndarray), id(float64), id(None)
@@ -267,6 +274,7 @@ class CallPath:
 
     Args:
         arguments: Positional arguments of `step`; None where there is no plain way to call it.
+        keywords: Inputs that follow by keyword, in this order.
         inputs: Layout of the inputs.
         outputs: Layout of the outputs; the first field is the result.
         memory: Layout of the memory.
@@ -279,6 +287,7 @@ class CallPath:
     inputs: Block
     outputs: Block
     memory: Block
+    keywords: Sequence[str] = ()
     slots: Sequence[int] = ()
     time: str | None = None
     guarded: bool = True
@@ -336,7 +345,7 @@ class CallPath:
         """The builtin with arguments: arrays in, a new array out."""
         _context(w)
         w.unless(w.put(f"icmp ne i64 %nargs, {len(arguments)}"), "slow")
-        w.unless(w.put("icmp ne ptr %names, null"), "slow")
+        self._check_names(w)
         w.unless(w.put(f"icmp eq i64 {_word(w, 'ready', 'i64')}, 0"), "slow")
         inputs, ndarray, float64 = _word(w, "inputs"), _word(w, "ndarray"), _word(w, "float64")
         for i, argument in enumerate(arguments):
@@ -348,6 +357,8 @@ class CallPath:
                 owners = [w.load_at(value, offset) for offset in self.slots]
             for path, array in zip(argument.fields, owners, strict=True):
                 self._take(w, path, array, inputs, ndarray, float64)
+        for i, path in enumerate(self.keywords):
+            self._take(w, path, w.load_at("%args", 8 * (len(arguments) + i)), inputs, ndarray, float64)
         status = w.put("call i32 @advance(ptr %context)")
         w.unless(w.put(f"icmp ne i32 {status}, 0"), "failed")
         result = self.outputs.fields[0]
@@ -362,6 +373,19 @@ class CallPath:
         _leave(w, "slow", "ptr %args, i64 %nargs, ptr %names")
         _leave(w, "failed", "ptr null, i64 0, ptr null")
         return w.function("ptr @step(ptr %self, ptr %args, i64 %nargs, ptr %names) nounwind")
+
+    def _check_names(self, w: Writer) -> None:
+        """The keywords must be the known ones in their order: their values stand behind the positional ones."""
+        if not self.keywords:
+            w.unless(w.put("icmp ne ptr %names, null"), "slow")
+            return
+        w.unless(w.put("icmp eq ptr %names, null"), "slow")
+        size = w.load_at("%names", object.__basicsize__, "i64")
+        w.unless(w.put(f"icmp ne i64 {size}, {len(self.keywords)}"), "slow")
+        known = _word(w, "keywords")
+        for i in range(len(self.keywords)):
+            given, wanted = w.load_at("%names", tuple.__basicsize__ + 8 * i), w.load_at(known, 8 * i)
+            w.unless(w.put(f"icmp ne ptr {given}, {wanted}"), "slow")
 
     def _take(self, w: Writer, path: str, array: str, inputs: str, ndarray: str, float64: str) -> None:
         """Check one array and copy its numbers into the input block."""

@@ -189,6 +189,7 @@ class NativeKernel:
         blocks: Blocks,
         *,
         arguments: Sequence[Argument] | None,
+        keywords: Sequence[str] = (),
         reference: type | None,
         time: str | None,
         dt: float,
@@ -207,6 +208,7 @@ class NativeKernel:
         self.fast = fast = offsets() is not None and slots is not None
         path = CallPath(
             arguments=arguments,
+            keywords=keywords,
             inputs=program.inputs,
             outputs=program.outputs,
             memory=program.memory,
@@ -244,6 +246,7 @@ class NativeKernel:
                 result_shape=program.outputs.fields[0].shape,
                 dt=dt,
                 reference=reference,
+                keywords=keywords,
             )
             for name, function in (("slow", self.step), ("first", first), ("failed", failed)):
                 context.python(name, function)

@@ -77,8 +77,8 @@ class Admittance(Law):
         >>> import taut
         >>> inner = taut.laws.TaskVelocity(kp=5.0)
         >>> law = Admittance(D=(10.0, 1.0), B=(40.0, 4.0), inner=inner)
-        >>> taut.compile(law, taut.load_arm("ur10")).explain().splitlines()[0].split(" ")[0]
-        'Admittance'
+        >>> taut.compile(law, taut.load_arm("ur10")).needs
+        ('v', 'F_ext')
 
     References:
         Section 10.5.2 admittance control algorithm. Hogan and Buerger (2005), impedance and interaction control,

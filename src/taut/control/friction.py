@@ -51,6 +51,7 @@ class FrictionCompensation(Law):
 
     def __post_init__(self) -> None:
         one_of("at", self.at, FRICTION_POINTS)
+        object.__setattr__(self, "ignores_reference", self.at == "meas")
 
     def command(self, x: Snapshot, ref: JointMotion) -> Command:
         values = FrictionValues.fixed(x.friction)
@@ -70,4 +71,5 @@ class FrictionCompensation(Law):
     def _load(self, x: Snapshot, ref: JointMotion) -> Vector:
         """(n,) torques that the motion takes without friction, whoever gives them [N m | N]."""
         along = x.at(ref.q, ref.v) if self.at == "ref" else x
-        return along.inverse_dynamics(ref.a)
+        a = ref.a if isinstance(ref, JointMotion) else tm.zeros(x.n)  # a law of task space asks for none of joints
+        return along.inverse_dynamics(a)

@@ -244,8 +244,10 @@ class Gain:
         given = getattr(law, field)
         return given is not None if value is ... else bool(given == value)
 
-    def checked(self, value: ArrayLike | None, unit: str = "", name: str | None = None) -> Float64Array:
-        """`value` as a gain.
+    def checked(
+        self, value: ArrayLike | None, unit: str = "", name: str | None = None, entries: int | None = None
+    ) -> Float64Array:
+        """`value` as a gain; of `entries` entries, where that is known.
 
         Raises:
             ShapeError: Not a scalar, a vector or a square matrix.
@@ -266,7 +268,7 @@ class Gain:
             raise ShapeError(
                 f"{name} must be one number{f' [{unit}]' if unit else ''}; got shape {array.shape}", name=name
             )
-        if self.pairs and array.shape == (2,):
+        if self.pairs and array.shape == (2,) and entries == 6:  # of two coordinates it is one for each
             array = np.repeat(array, 3)
         if array.ndim > 2 or (array.ndim == 2 and array.shape[0] != array.shape[1]) or not array.size:
             raise ShapeError(

@@ -11,7 +11,7 @@ from taut.base import math as tm
 from taut.base.checks import one_of
 from taut.base.errors import RangeError, UsageError
 from taut.base.linalg import factor_spd
-from taut.base.types import Array, Vector, Wrench
+from taut.base.types import Array, Matrix, Vector, Wrench
 from taut.control.command import Command, Terms, Torque
 from taut.control.compliance import FRAMES, Compliance, GainFrame, check_frame, modal_damping, six_gains
 from taut.control.gains import Gain, GainValue
@@ -29,6 +29,7 @@ Feedback = Literal["wrench", "acceleration"]
 FEEDBACKS: Final[tuple[Feedback, ...]] = ("wrench", "acceleration")
 Coriolis = Literal["cancel", "keep"]
 CORIOLIS: Final[tuple[Coriolis, ...]] = ("cancel", "keep")
+HEAVY: Final = 10.0  # times the arm's mass, which no direction of its tool is made heavier than
 
 
 class Impedance(Law):
@@ -58,9 +59,9 @@ class Impedance(Law):
 
     Args:
         K: Stiffness: (linear, angular), (6,) or (6, 6), or a function of the pose, which needs `tank`.
-        B: Damping; or zeta.
+        B: Damping, likewise, and without need of a tank; or zeta.
         zeta: Damping ratio of every mode, in place of B.
-        D: Inertia to be felt; that of the arm if left out.
+        D: Inertia to be felt, as K; that of the arm if left out.
         feedback: With D, what makes the difference: "wrench", a wrist sensor, or "acceleration".
         error: "decoupled", "body", "space" or "coordinates": see `taut.laws.TaskComputedTorque`.
         coordinates: With error="coordinates": what is controlled.
@@ -79,14 +80,14 @@ class Impedance(Law):
 
     reference = TaskMotion
     K: Gain = Gain(size="dimensions", pairs=True, scalar=False, function=True)  # [N/m, N m/rad]
-    B: Gain = Gain(size="dimensions", pairs=True, scalar=False, optional=True)  # [N s/m, N m s/rad]
+    B: Gain = Gain(size="dimensions", pairs=True, scalar=False, optional=True, function=True)  # [N s/m, N m s/rad]
     zeta: Gain = Gain(optional=True, size=0)  # [-]
-    D: Gain = Gain(size="dimensions", pairs=True, scalar=False, optional=True)  # [kg, kg m^2]
+    D: Gain = Gain(size="dimensions", pairs=True, scalar=False, optional=True, function=True)  # [kg, kg m^2]
     feedback: Feedback = "wrench"
     frame: GainFrame = "world"
     error: ErrorKind = "decoupled"
     coordinates: Coordinates | None = None
-    error_max: Gain = Gain(optional=True, size=2)  # [m, rad]
+    error_max: Gain = Gain(optional=True, size=2, minimum=1e-9)  # [m, rad]
     tank: Gain = Gain(optional=True, size=0)  # [J]
     settle: Gain = Gain(0.1, minimum=1e-6, size=0, where=("tank", ...))  # [s]
     coriolis: Coriolis = "cancel"
@@ -102,13 +103,14 @@ class Impedance(Law):
         check_coordinates(self.error, self.coordinates, type(self).__name__)
         check_error_max(self.error_max if self.gives("error_max") else None, self.error)
         check_null(self.null)
-        _check_damping(self.gives("B"), self.gives("zeta"))
+        _check_damping(self.has("B"), self.gives("zeta"))
         if self.gives("D"):
             _check_inertia(self.D)
-        if callable(self.K) and not self.gives("tank"):
+        changing = [name for name in ("K", "D") if callable(getattr(self, name))]
+        if changing and not self.gives("tank"):
             raise UsageError(
-                "K as a function of the pose needs tank= [J], which keeps it from bringing in energy at its borders; "
-                "a wall or a groove is a law to add: + taut.laws.VirtualWall(...)",
+                f"{changing[0]} as a function of the pose needs tank= [J], which keeps it from bringing in energy at "
+                "its borders; a wall or a groove is a law to add: + taut.laws.VirtualWall(...)",
                 name="tank",
             )
 
@@ -117,16 +119,30 @@ class Impedance(Law):
         """Entries of the error: 6, or those of the coordinates."""
         return dimensions(self.error, self.coordinates)
 
+    def has(self, gain: str) -> bool:
+        """Whether K, B or D is there, as numbers or as a function of the pose."""
+        return getattr(self, gain) is not None
+
+    def gain_at(self, gain: str, x: Snapshot) -> GainValue:
+        """K, B or D at a pose."""
+        given: Any = getattr(self, gain)
+        return six_gains(given(x.T(self.tool)), self.dimensions, gain) if callable(given) else given
+
+    def inertia_of(self, x: Snapshot, J: Matrix) -> TaskInertia:
+        """The arm's inertia at the tool, bounded where a direction is nearly lost."""
+        return TaskInertia.bounded(J, x.M_factors, HEAVY * sum(body.mass for body in x.arm.bodies))
+
     def check_state(self, x: Snapshot, rate: float) -> None:
         """The algebraic loop of feedback="acceleration" is stable where 0 < eig(Lambda^-1 (D + B dt / 2)) < 2."""
-        if not self.gives("D") or self.feedback != "acceleration":
+        if not self.has("D") or self.feedback != "acceleration":
             return
         ref = TaskMotion.at_rest(x, self.tool)
         felt = Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
         inverse = felt.error.J @ x.M_factors.solve(felt.error.J.T)
-        K, D, size = self._stiffness(x).matrix(self.dimensions), self.D.matrix(self.dimensions), self.dimensions
-        if self.gives("B"):
-            B = self.B.matrix(size)
+        size = self.dimensions
+        K, D = self.gain_at("K", x).matrix(size), self.gain_at("D", x).matrix(size)
+        if self.has("B"):
+            B = self.gain_at("B", x).matrix(size)
         else:
             zeta, factors = self.zeta.as_array(), factor_spd(D)
             B = np.column_stack([modal_damping(factors, K, zeta, column) for column in np.eye(size)])
@@ -146,33 +162,29 @@ class Impedance(Law):
     def start(self, x: Snapshot, ref: TaskMotion) -> Mapping[str, Any]:
         memory: dict[str, Any] = {}
         if self.gives("tank"):
-            memory["K_now"] = self._stiffness(x).as_array()
+            memory["K_now"] = self.gain_at("K", x).as_array()
             memory["energy"] = self.tank.as_array()
-            if self.gives("D"):
-                memory["D_now"] = self.D.as_array()
-        if self.gives("D") and self.feedback == "acceleration":
+            if self.has("D"):
+                memory["D_now"] = self.gain_at("D", x).as_array()
+        if self.has("D") and self.feedback == "acceleration":
             felt = Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
             memory["V_last"] = felt.error.J @ x.v
         return memory
-
-    def _stiffness(self, x: Snapshot) -> GainValue:
-        K: Any = self.K
-        return six_gains(K(x.T(self.tool)), self.dimensions, "K") if callable(K) else self.K
 
     def command(
         self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: float
     ) -> tuple[Command, dict[str, object]]:
         felt = Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
         error, after = felt.error, dict[str, object]()
-        inertia = TaskInertia.of(error.J, x.M_factors)
-        K, D = self._stiffness(x), self.D if self.gives("D") else None
+        inertia = self.inertia_of(x, error.J)
+        K, D = self.gain_at("K", x), self.gain_at("D", x) if self.has("D") else None
         if self.gives("tank"):
             K, D, share = self._paid(felt, K, D, memory, dt)
             after |= {"K_now": K.as_array()} | ({} if D is None else {"D_now": D.as_array()})
         spring = Terms(P=K @ felt.X)
         if self.gives("error_max"):
             spring = spring + Terms(bound=K @ (bounded(felt.X, self.error_max) - felt.X))
-        damping = self._damping(felt, K, D, inertia)
+        damping = self._damping(x, felt, K, D, inertia)
         if self.gives("tank"):
             after["energy"] = self._filled(memory.energy, share, felt.V @ damping, dt)
         wrench = spring.mapped(felt.wrench) + Terms(D=damping)
@@ -200,10 +212,12 @@ class Impedance(Law):
             tau = tau + free
         return Torque(tau), after
 
-    def _damping(self, felt: Compliance, K: GainValue, D: GainValue | None, inertia: TaskInertia) -> Vector:
+    def _damping(
+        self, x: Snapshot, felt: Compliance, K: GainValue, D: GainValue | None, inertia: TaskInertia
+    ) -> Vector:
         """(k,) B V_e in the axes of the gains."""
-        if self.gives("B"):
-            out: Vector = self.B @ felt.V
+        if self.has("B"):
+            out: Vector = self.gain_at("B", x) @ felt.V
             return out
         matrix = felt.matrix_inwards(inertia.Lambda) if D is None else D.matrix(self.dimensions)
         return modal_damping(factor_spd(matrix), K.matrix(self.dimensions), self.zeta.as_array(), felt.V)
@@ -304,7 +318,7 @@ class Stiffness(Law):
     frame: GainFrame = "world"
     error: ErrorKind = "decoupled"
     coordinates: Coordinates | None = None
-    error_max: Gain = Gain(optional=True, size=2)  # [m, rad]
+    error_max: Gain = Gain(optional=True, size=2, minimum=1e-9)  # [m, rad]
     tool: str | None = None
 
     def __post_init__(self) -> None:

@@ -11,7 +11,7 @@ from taut.control.command import Command, Terms, Torque, Velocity
 from taut.control.gains import Gain, Memory
 from taut.control.integral import ANTI_WINDUP, AntiWindup, check_tracking, integrated
 from taut.control.law import Law, MemoryView
-from taut.control.reference import JointMotion
+from taut.control.reference import JointMotion, Sample
 from taut.maths.snapshot import Snapshot
 
 __all__ = [
@@ -161,9 +161,10 @@ class GravityCompensation(Law):
         Section 10.2.2.2 centralised multi-joint control.
     """
 
+    ignores_reference = True
     kd: Gain = Gain(0.0)  # [N m s/rad | N s/m]
 
-    def command(self, x: Snapshot, ref: JointMotion) -> Command:  # noqa: ARG002
+    def command(self, x: Snapshot, ref: Sample) -> Command:  # noqa: ARG002
         return Torque(gravity=x.g, D=-(self.kd @ x.v))
 
 

@@ -72,7 +72,8 @@ class Law:
     * optionally `start(self, x, ref) -> dict`: memory that starts from the measured state;
     * optionally `check_rate(self, rate)`, which refuses gains that have no meaning at that rate [Hz];
     * optionally `check_state(self, x, rate)`, which refuses gains that have no meaning where a run starts;
-    * `reference`, the kind of sample it follows (JointMotion unless said).
+    * `reference`, the kind of sample it follows (JointMotion unless said);
+    * `recorded`, the entries of its memory that a run keeps as further columns (none unless said).
 
     Laws add: `FeedForward() + PID(kp=..., kd=...)`. A law must not inherit from another one: it holds it in a field.
     A law that it holds in `inner: taut.Law` starts with it, and is called as
@@ -81,6 +82,7 @@ class Law:
 
     reference: ClassVar[type[Sample]] = JointMotion
     ignores_reference: ClassVar[bool] = False  # such a law adds to, and is held by, laws of every kind of sample
+    recorded: ClassVar[tuple[str, ...]] = ()
     uses_memory: ClassVar[bool] = False
 
     def __init_subclass__(cls) -> None:
@@ -309,6 +311,10 @@ def _check_arguments(cls: type[Law]) -> None:
             named = ", ".join(f"{name}{f' [{units[name]}]' if name in units else ''}" for name in missing)
             raise UsageError(f"{cls.__name__} needs {named}", name=missing[0])
         generated(self, *args, **kwargs)
+        for own, given in self.gains().items():
+            if cls.__dict__[own].pairs:
+                values = cls.__dict__[own].checked(given, name=own, entries=self.gain_size(own))
+                self.__dict__[own] = GainValue(values, own)
         for name in kwargs:
             gain = cls.__dict__.get(name)
             if isinstance(gain, Gain) and not gain.has_meaning(self):

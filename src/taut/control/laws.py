@@ -20,6 +20,7 @@ from taut.control.side_by_side import SideBySide
 from taut.control.stiction import Dither, RaisedGains
 from taut.control.task import TaskComputedTorque
 from taut.control.task_drive import TaskPosition, TaskVelocity
+from taut.control.via_joint_space import ViaJointSpace
 from taut.control.virtual_objects import VirtualBall, VirtualGroove, VirtualWall
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "Dither",
     "RaisedGains",
     "VelocityPI",
+    "ViaJointSpace",
     "TaskComputedTorque",
     "TaskVelocity",
     "TaskPosition",

@@ -19,6 +19,7 @@ from taut.base.errors import MatchError, NumericalError, RangeError, ShapeError,
 from taut.base.paths import flatten, subtree, unflatten
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
 from taut.control.command import Command, Terms, Torque, Velocity
+from taut.control.describe import all_laws
 from taut.control.law import Law, as_array, call, initial_memory
 from taut.control.limiting import fresh_blend, limited, term_names
 from taut.control.limits import Limits
@@ -123,7 +124,8 @@ class LawSide:
         head, _, rest = path.partition(".")
         if head == "law":
             field, unit = self.law.gain_field(rest)
-            new = in_compiled_shape(path, field.checked(value, unit, name=path), self.parameters[path].shape)
+            new = field.checked(value, unit, name=path, entries=self.law.gain_size(rest))
+            new = in_compiled_shape(path, new, self.parameters[path].shape)
             self.law.bound({**self.law.parameters(), rest: new}).check_rates(self.rate)
         elif head == "limits":
             new = Limits.checked(rest, value, self.rate)
@@ -220,6 +222,11 @@ class LawSide:
         payload = _payload_of(parameters)
         x = Snapshot(self.model, q=q, v=np.zeros(self.arm.n), payload=payload)
         self.law.bound(subtree(parameters, "law")).check_states(x, self.rate)
+
+    @cached_property
+    def recorded(self) -> tuple[str, ...]:
+        """Paths of the memory that a run keeps, as it is after each tick: law.ik_error."""
+        return tuple(f"{path}.{name}" for path, law in all_laws(self.law, "law") for name in law.recorded)
 
     @property
     def needs(self) -> tuple[str, ...]:

@@ -13,10 +13,10 @@ import numpy as np
 
 from taut.base import math as tm
 from taut.base.checks import vector
-from taut.base.errors import UsageError
+from taut.base.errors import ShapeError, UsageError
 from taut.base.types import ArrayLike, Vector
 from taut.control.command import Command, Terms, Torque
-from taut.control.gains import Gain
+from taut.control.gains import Gain, GainValue
 from taut.control.law import Law, MemoryView
 from taut.control.reference import Sample
 from taut.maths import dynamics as dyn
@@ -63,7 +63,7 @@ class LimitAvoidance(Law):
     Closed loop:  none in the middle of the range; in the margin a damped spring with omega_n = sqrt(kp)
 
     Joints without limits are left alone. Held in `null` it gives way to the task, which may still drive a joint into
-    its limit.
+    its limit. In the middle of the range it damps nothing; add what does, as in LimitAvoidance() + Posture(kp=0.0).
 
     Args:
         margin: Width of the zone before a limit [rad | m].
@@ -73,6 +73,9 @@ class LimitAvoidance(Law):
     kp: Gain = Gain(100.0)  # [1/s^2]
     kd: Gain = Gain(20.0)  # [1/s]
     margin: Gain = Gain(0.2, minimum=1e-6)  # [rad | m]
+
+    def __post_init__(self) -> None:
+        _check_entries(self.margin, "rad | m")
 
     def command(self, x: Snapshot, ref: Sample) -> Command:  # noqa: ARG002
         lower, upper = x.arm.lower, x.arm.upper
@@ -105,6 +108,9 @@ class Manipulability(Law):
     most: Gain = Gain(5.0, minimum=1e-6)  # [1/rad | 1/m]
     tool: str | None = None
 
+    def __post_init__(self) -> None:
+        _check_entries(self.most, "1/rad | 1/m")
+
     def command(self, x: Snapshot, ref: Sample) -> Command:  # noqa: ARG002
         def measure(q: Vector) -> Any:
             J = dyn.jacobian(x.model, q, self.tool)
@@ -122,3 +128,15 @@ class Manipulability(Law):
         slope = tm.jacobian(measure, x.q)
         bounded = slope / tm.sqrt(1.0 + (slope / self.most.as_array()) ** 2)
         return Torque(x.M @ Terms(P=self.gain @ bounded, D=-(self.kd @ x.v)))
+
+
+def _check_entries(gain: GainValue, unit: str) -> None:
+    """What bounds each joint by itself is no matrix.
+
+    Raises:
+        ShapeError: It is one.
+    """
+    if gain.ndim == 2:
+        raise ShapeError(
+            f"{gain.name} must be one number or one per joint [{unit}]; got shape {gain.shape}", name=gain.name
+        )

@@ -13,6 +13,7 @@ from typing import Any, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
 
+from taut.base import math as tm
 from taut.base.checks import entry_names, finite_array, finite_scalar, positive_scalar, vector
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.pose import ROTATION_TOLERANCE, Pose
@@ -130,7 +131,7 @@ class JointMotion(Sample):
     @classmethod
     def at_rest(cls, x: Snapshot, tool: str | None) -> Self:  # noqa: ARG003
         zero = np.zeros(x.n)
-        return cls.of({"q": np.array(x.q, dtype=np.float64), "v": zero, "a": zero})
+        return cls.of({"q": tm.array(x.q), "v": zero, "a": zero})
 
     def __repr__(self) -> str:
         if self.q.dtype == object:
@@ -240,12 +241,13 @@ def stream(
     With `blend` the reference passes smoothly from what it was to each new sample or chunk: what leads from the new
     one to the old one at that instant, in position, velocity and acceleration, fades to nothing in that time, as a
     quintic. So neither of the three jumps, whatever the policy emits; without, the new one holds at once. The first
-    answer holds as it is.
+    answer holds as it is. A difference d is made up with speeds up to 1.9 d / blend and accelerations up to
+    5.8 d / blend^2, which laws with feedforward ask for.
 
     Args:
         period: Time between samples [s].
         source: In simulation, a function of the snapshot that gives a sample or a chunk.
-        blend: Time to pass from one answer to the next [s]; about half a period where chunks differ little.
+        blend: Time to pass from one answer to the next [s], such as the period itself.
     """
     return Stream(period=finite_scalar("period", period, unit="s"), source=source, blend=blend)
 
@@ -371,19 +373,21 @@ def sample_rows(trajectory: Trajectory, times: Float64Array, kind: type[Sample],
                 name=f"ref.{name}",
                 rule="finite",
             )
-    if kind.fields(n).get("R") == (3, 3):
-        _check_rotations(table["R"], times)
+    for name, shape in kind.fields(n).items():
+        if shape == (3, 3) and (name == "R" or name.endswith("_R")):
+            _check_rotations(name, table[name], times)
     return table
 
 
-def _check_rotations(R: Float64Array, times: Float64Array) -> None:
+def _check_rotations(name: str, R: Float64Array, times: Float64Array) -> None:
     """A trajectory of a user's own may give any matrix."""
     error = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2))
     if error.size and error.max() > ROTATION_TOLERANCE:
         row = int(np.argmax(error > ROTATION_TOLERANCE))
         raise RangeError(
-            f"ref.R must be orthonormal; at t = {times[row]:g} s R^T R differs from the identity by {error[row]:.2g}",
-            name="ref.R",
+            f"ref.{name} must be orthonormal; at t = {times[row]:g} s R^T R differs from the identity by "
+            f"{error[row]:.2g}",
+            name=f"ref.{name}",
             value=float(error[row]),
             rule="orthonormal",
         )

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Self
 from taut.arm.description import Arm
 from taut.base import math as tm
 from taut.base.errors import MatchError, UsageError, unknown_name
-from taut.base.types import Array
+from taut.base.types import Array, Float64Array
 from taut.control.command import Command, Terms
 from taut.control.law import Law, MemoryView, call
 from taut.control.reference import Hold, JointMotion, Sample, Trajectory
@@ -179,13 +179,14 @@ def _spread(commands: Mapping[str, Command], places: Mapping[str, list[int]], n:
 class _AnyTogether(Sample):
     """Samples of several laws at once; subclasses are made by what they hold."""
 
+    __slots__ = ()
     parts: ClassVar[Parts] = ()
 
     def __init__(self, samples: Mapping[str, Sample]) -> None:
-        self.__dict__.update(samples)
         for name, kind, n in self.parts:
+            setattr(self, name, samples[name])
             for field in kind.fields(n):
-                self.__dict__[f"{name}_{field}"] = getattr(samples[name], field)
+                setattr(self, f"{name}_{field}", getattr(samples[name], field))
 
     @classmethod
     def fields(cls, n: int) -> dict[str, tuple[int, ...]]:  # noqa: ARG003
@@ -203,6 +204,16 @@ class _AnyTogether(Sample):
         )
 
     @classmethod
+    def between(
+        cls, times: Float64Array, knots: Float64Array, rows: Mapping[str, Float64Array]
+    ) -> dict[str, Float64Array]:
+        out: dict[str, Float64Array] = {}
+        for name, kind, size in cls.parts:
+            own = kind.between(times, knots, {field: rows[f"{name}_{field}"] for field in kind.fields(size)})
+            out |= {f"{name}_{field}": values for field, values in own.items()}
+        return out
+
+    @classmethod
     def at_rest(cls, x: Snapshot, tool: str | None) -> Self:  # noqa: ARG003
         raise UsageError("the sample at rest of laws side by side is theirs: law.at_rest(x)")
 
@@ -217,7 +228,8 @@ def _sized(parts: Parts) -> Parts:
 
 @cache
 def _kind(parts: Parts) -> type[_AnyTogether]:
-    return type("Together", (_AnyTogether,), {"parts": parts})
+    slots = [f"{name}_{field}" for name, kind, n in parts for field in kind.fields(n)]
+    return type("Together", (_AnyTogether,), {"parts": parts, "__slots__": (*(name for name, _, _ in parts), *slots)})
 
 
 def _joined(samples: Mapping[str, Sample]) -> _AnyTogether:

@@ -41,6 +41,7 @@ class Dither(Law):
         Section 10.2.1.4 a closer look at friction. Armstrong-Helouvry, Dupont and Canudas de Wit (1994), section 4.
     """
 
+    ignores_reference = True
     amplitude: Gain  # [N m | N]
     frequency: Gain  # [Hz]
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from taut.base import math as tm
 from taut.base.checks import one_of, require_positive
-from taut.base.errors import UsageError
+from taut.base.errors import ShapeError, UsageError
 from taut.base.types import Vector
 from taut.control.command import Command, Terms, Torque
 from taut.control.gains import Gain, GainValue, Memory
@@ -17,7 +17,7 @@ from taut.control.law import Law, MemoryView, call
 from taut.control.nullspace import Posture
 from taut.control.task_error import ERRORS, Coordinates, ErrorKind, check_coordinates, dimensions, task_error
 from taut.control.task_reference import TaskMotion
-from taut.maths.singularity import Resolved, resolve
+from taut.maths.singularity import ResolvedMotion, resolve
 from taut.maths.snapshot import Snapshot
 from taut.maths.task_inertia import TaskInertia
 
@@ -45,8 +45,8 @@ class TaskComputedTorque(Law):
                   so omega_n = sqrt(kp), zeta = kd / (2 sqrt(kp)) for ki = 0
                   a sampled loop tends to this as dt falls
 
-    The spring kp X_e may be bounded: error_max=(linear, angular) puts X_e / sqrt(1 + r^2) in its place, part by
-    part, with r the length of the part over its error_max; what the bound takes is the term `bound`.
+    The spring kp X_e may be bounded: error_max=(linear, angular) puts X_e / sqrt(1 + r^2) in the place of X_e,
+    part by part, with r the length of the part over its error_max; what the bound takes is the term `bound`.
 
     Near singularities, with singularity="robust", what the arm cannot do is given up along the direction that is
     nearly lost, its joints are kept within their limits, and the motion that this leaves is damped at the rate kd:
@@ -76,7 +76,7 @@ class TaskComputedTorque(Law):
     e_int: Memory = Memory(0.0)  # [m s, rad s]
     error: ErrorKind = "decoupled"
     coordinates: Coordinates | None = None
-    error_max: Gain = Gain(optional=True, size=2)  # [m, rad]
+    error_max: Gain = Gain(optional=True, size=2, minimum=1e-9)  # [m, rad]
     null: Law | None = Posture()
     tool: str | None = None
     anti_windup: AntiWindup = "clamping"
@@ -115,12 +115,15 @@ class TaskComputedTorque(Law):
         after: dict[str, object] = {"e_int": e_int, "held": memory.held}
         if self.null is not None:
             after["null"] = memory["null"]
-        inertia: TaskInertia | Resolved
+        inertia: TaskInertia | ResolvedMotion
         if self.singularity == "plain":
             inertia = TaskInertia.of(error.J, x.M_factors, self.damping.as_array()[()])
             tau = error.J.T @ (inertia.Lambda @ a)
         else:
-            inertia = resolve(x, error.J, a.total, rate=settling(self.kd), held=memory.held)
+            J = error.J
+            if self.error == "space":  # what is nearly lost, and how dear it is, is told at the tool
+                J, a = x.J(self.tool), a.mapped(lambda b: _at_point(x.T(self.tool).p, b))
+            inertia = resolve(x, J, a.total, rate=settling(self.kd), held=memory.held)
             tau = inertia.scale * (x.M @ a.mapped(inertia.of).up_to(inertia.accelerations, "singularity"))
             after["held"] = inertia.held
         tau = tau + Terms(nonlinear=x.h)
@@ -128,6 +131,11 @@ class TaskComputedTorque(Law):
             free, after["null"] = null_torque(self.null, x, ref, memory["null"], dt, inertia)
             tau = tau + free
         return Torque(tau), after
+
+
+def _at_point(p: Vector, a: Vector) -> Vector:
+    """(6,) what acts at the world's origin, at the point p of the same body."""
+    return tm.array([*(a[:3] - tm.cross(p, a[3:])), *a[3:]])
 
 
 def settling(kd: GainValue) -> Any:
@@ -140,11 +148,10 @@ def settling(kd: GainValue) -> Any:
 
 
 def bounded(X: Vector, most: GainValue) -> Vector:
-    """(6,) the error, smoothly bounded part by part: X / sqrt(1 + |X|^2 / most^2)."""
+    """(6,) the error, smoothly bounded part by part: X / sqrt(1 + X . X / most^2)."""
     parts = []
     for k, part in enumerate((X[:3], X[3:])):
-        size = most[k] if most.ndim else most[()]
-        square = (part[0] * part[0] + part[1] * part[1] + part[2] * part[2]) / (size * size)
+        square = (part[0] * part[0] + part[1] * part[1] + part[2] * part[2]) / (most[k] * most[k])
         parts.extend(part / tm.sqrt(1.0 + square))
     return tm.array(parts)
 
@@ -153,11 +160,18 @@ def check_error_max(error_max: GainValue | None, error: str) -> None:
     """A bound of the spring is positive, and for errors that have a linear and an angular part.
 
     Raises:
+        ShapeError: It is not two numbers.
         UsageError: It is given for coordinates.
         RangeError: It is not positive.
     """
     if error_max is None:
         return
+    if error_max.shape != (2,):
+        raise ShapeError(
+            "error_max needs one number for metres and one for radians, error_max=(linear, angular) [m, rad]; got "
+            f"shape {error_max.shape}",
+            name="error_max",
+        )
     if error == "coordinates":
         raise UsageError(
             "error_max=(linear, angular) bounds the errors of a pose, and error='coordinates' has others; leave "
@@ -186,7 +200,7 @@ def check_null(null: object) -> None:
 
 
 def null_torque(
-    null: Law, x: Snapshot, ref: Any, memory: Any, dt: Any, inertia: TaskInertia | Resolved
+    null: Law, x: Snapshot, ref: Any, memory: Any, dt: Any, inertia: TaskInertia | ResolvedMotion
 ) -> tuple[Terms, dict[str, Any]]:
     """The torque of a law for the free motion, through the dynamically consistent projector, as one term."""
     own = x.with_own_record()

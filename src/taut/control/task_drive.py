@@ -29,8 +29,8 @@ class TaskVelocity(Law):
                   its lag is of second order
                   stable for kp (1 / bandwidth + t) below about 1
 
-    Damping keeps joint speeds finite at singularities: at most |V| / (2 damping), and zero in a lost direction.
-    X_e is the decoupled error, in world axes.
+    Damping keeps joint speeds finite at singularities: at most 1 / (2 damping) for each m/s or rad/s of the tool, and
+    zero in a direction that is lost. X_e is the decoupled error, in world axes.
 
     Args:
         lead: What the drives lag by [s].

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, Self
 
 import numpy as np
 
@@ -45,14 +45,72 @@ class Coordinates:
         function: Takes a Pose and gives (k,) numbers, written with taut.math; it is differentiated twice.
         angles: Entries that are angles [rad]: their errors are taken the short way round.
 
+    Raises:
+        UsageError: No function, or angles that are no tuple of entries.
+
     Example:
         >>> height = Coordinates(function=lambda T: T.p[2:])
         >>> len(height.function(Pose([0.0, 0.0, 0.5])))
         1
+        >>> Coordinates.position_and_rpy().angles
+        (3, 4, 5)
     """
 
     function: Callable[[Pose], Array]
     angles: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not callable(self.function):  # callers without a type checker
+            raise UsageError(
+                "Coordinates.function must be a function of the pose, such as lambda T: T.p; got "
+                f"{type(self.function).__name__}",
+                name="function",
+            )
+        if not isinstance(self.angles, tuple) or not all(type(i) is int for i in self.angles):
+            raise UsageError(
+                f"Coordinates.angles must be a tuple of entries, such as angles=(2,); got {self.angles!r}",
+                name="angles",
+            )
+
+    @classmethod
+    def position(cls) -> Self:
+        """x, y, z: the orientation is left free."""
+        return cls(function=_position)
+
+    @classmethod
+    def planar(cls) -> Self:
+        """x, y and yaw, for arms that move in a plane. Singular where the tool's x axis is upright."""
+        return cls(function=_planar, angles=(2,))
+
+    @classmethod
+    def position_and_rpy(cls) -> Self:
+        """x, y, z, roll, pitch, yaw, as in Pose(rpy=). Singular at a pitch of a quarter turn."""
+        return cls(function=_position_and_rpy, angles=(3, 4, 5))
+
+    @classmethod
+    def cylindrical(cls) -> Self:
+        """Distance from the world's z axis, angle about it, height. Singular on the axis."""
+        return cls(function=_cylindrical, angles=(1,))
+
+
+def _position(T: Pose) -> Array:
+    return T.p
+
+
+def _planar(T: Pose) -> Array:
+    return tm.array([T.p[0], T.p[1], tm.atan2(T.R[1, 0], T.R[0, 0])])
+
+
+def _position_and_rpy(T: Pose) -> Array:
+    R = T.R
+    upright = tm.sqrt(R[0, 0] * R[0, 0] + R[1, 0] * R[1, 0])
+    roll, pitch, yaw = tm.atan2(R[2, 1], R[2, 2]), tm.atan2(-R[2, 0], upright), tm.atan2(R[1, 0], R[0, 0])
+    return tm.array([*T.p, roll, pitch, yaw])
+
+
+def _cylindrical(T: Pose) -> Array:
+    x, y, z = T.p
+    return tm.array([tm.sqrt(x * x + y * y), tm.atan2(y, x), z])
 
 
 def task_error(
@@ -194,7 +252,7 @@ def check_coordinates(kind: ErrorKind, coordinates: object, law: str) -> None:
                 name="coordinates",
             )
         return
-    if not isinstance(coordinates, Coordinates) or not callable(coordinates.function):
+    if not isinstance(coordinates, Coordinates):
         raise UsageError(
             f"coordinates must be taut.Coordinates(function=lambda T: T.p); got {type(coordinates).__name__}",
             name="coordinates",
@@ -204,7 +262,13 @@ def check_coordinates(kind: ErrorKind, coordinates: object, law: str) -> None:
             f"coordinates are for error='coordinates', and this {law} has error='{kind}'; leave one of them out",
             name="coordinates",
         )
-    shape = np.shape(coordinates.function(SOMEWHERE))
+    try:
+        shape = np.shape(coordinates.function(SOMEWHERE))
+    except ValueError as cause:  # rows of different lengths
+        raise ShapeError(
+            "coordinates must be 1 to 6 numbers, (k,); the function gives rows of different lengths",
+            name="coordinates",
+        ) from cause
     if len(shape) != 1 or not 1 <= shape[0] <= 6:
         raise ShapeError(
             f"coordinates must be 1 to 6 numbers, (k,); the function gives shape {shape}", name="coordinates"

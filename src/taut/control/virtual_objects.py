@@ -76,8 +76,8 @@ class VirtualGroove(Law):
     Law:          tau = -J^T P (K (p - point) + B v),  P = I - u u^T across the direction u
     Closed loop:  that of the law it adds to, with the spring K and the damper B across the line
 
-    The spring is the gradient of K |P (p - point)|^2 / 2. Sampled with the period T it is passive where the arm's own
-    damping across the line is at least K T / 2 + B.
+    The spring is the gradient of K r . r / 2 with r = P (p - point). Sampled with the period T it is passive where
+    the arm's own damping across the line is at least K T / 2 + B.
 
     Args:
         point: A point of the line, world axes.
@@ -113,8 +113,8 @@ class VirtualGroove(Law):
 class VirtualBall(Law):
     """A soft ball in the air: it keeps the tool's origin out of it, or in it with inside=True. Add it to another law.
 
-    Law:          tau = J^T n max(0, K d - B s n . v),  d = radius - |p - center|, n away from the center, and both
-                  the other way round with inside=True;  s = min(d / fade, 1)
+    Law:          tau = J^T n max(0, K d - B s n . v),  d = radius - r at the distance r from the center, n outwards;
+                  d and n have the other sign with inside=True;  s = min(d / fade, 1)
     Closed loop:  that of the law it adds to, with K d n on the tool as long as d > 0; it never pulls
 
     The spring is the gradient of K d^2 / 2; damping fades in over the first `fade` of depth. Sampled with the period

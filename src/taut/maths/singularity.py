@@ -21,7 +21,7 @@ from taut.base.types import Float64Array, Matrix, Vector
 from taut.maths.snapshot import Snapshot
 from taut.maths.task_inertia import least_direction
 
-__all__ = ["Resolved", "Sizes", "resolve", "sizes_of"]
+__all__ = ["ResolvedMotion", "Sizes", "resolve", "sizes_of"]
 
 BORDER: Final = 0.1  # smallest singular value of J under which an arm of 0.9 m and more is near a singularity
 DAMPING: Final = 0.1  # lambda at the singularity, in parts of the border
@@ -30,7 +30,7 @@ TOP_SPEED: Final = 0.97  # of a joint's limit
 LEAST_ROOM: Final = 0.05  # of the effort: what is taken to be left where gravity takes all of it
 FULL: Final = 0.9  # of the border: where limits act in full
 STEEP: Final = 0.5  # of the border: where damping acts in full
-TINY: Final = 1e-10  # keeps the pivots of what is to be inverted from zero
+TINY: Final = 1e-12  # keeps the pivots of what is to be inverted from zero
 ENDLESS: Final = 1.4  # [m] reach of an arm whose slides have no ends
 
 
@@ -52,7 +52,7 @@ def sizes_of(arm: Arm) -> Sizes:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Resolved:
+class ResolvedMotion:
     """What the joints do for a task."""
 
     accelerations: Vector  # (n,) of the joints, before `scale` [rad/s^2 | m/s^2]
@@ -72,7 +72,7 @@ def resolve(
     held: Any,
     damping: Any = DAMPING,
     share: Any = SHARE,
-) -> Resolved:
+) -> ResolvedMotion:
     """Joint accelerations for a task acceleration: J^# a away from singularities, and calm through them.
 
     Law:          v_c = v_g + rho v_u,  v_g + v_u = v + (J_d^# (a + k J v) - k v) / k,  q_ddot = s k (c v_c - v)
@@ -109,10 +109,11 @@ def resolve(
         weight[3:] = size.length**2
     if wide:
         back, side = x.M_factors.solve(J.T), np.eye(k)
-        factors = factor_spd(J @ back + TINY * tm.eye(k))
         u = least_direction(J)
         moved, r = J.T @ u, u / weight
         r = r / (u @ r)
+        loose = TINY * _ramp(moved @ moved, size.border, STEEP)
+        factors = factor_spd(J @ back + loose * tm.eye(k))
     else:
         back, side = np.eye(n), (weight[:, None] * J).T
         factors = factor_spd(side @ J + TINY * tm.eye(n))
@@ -146,7 +147,7 @@ def resolve(
     if wide:
         target = target + ((1.0 - near) * rate) * x.v
     part = lost_way * along(asked)
-    rho, slow = _within(part, target - part, (TOP_SPEED * rate) * arm.velocity, arm.velocity)
+    rho, slow = _within(part, target - part, TOP_SPEED * rate, arm.velocity)
     given_up = near * (1.0 - rho)
     slowed = 1.0 - near * (1.0 - slow)
     accelerations = slowed * (target - given_up * part) - rate * x.v
@@ -161,7 +162,7 @@ def resolve(
         out: Vector = (1.0 - near) * (tau - moving)
         return out
 
-    return Resolved(
+    return ResolvedMotion(
         accelerations=accelerations,
         of=of,
         scale=1.0 - near * (1.0 - use),
@@ -177,24 +178,29 @@ def _ramp(square: Any, border: float, full: float) -> Any:
     return s * s * (3.0 - 2.0 * s)
 
 
-def _within(part: Vector, other: Vector, limit: Vector, velocity: Float64Array) -> tuple[Any, Any]:
+def _within(part: Vector, other: Vector, scale: Any, velocity: Float64Array) -> tuple[Any, Any]:
     """The largest rho <= 1 that keeps |other + rho part| within limits, and the factor that brings the sum there."""
-    rho: Any = 1.0
-    most: Any = 1.0
     joints = [i for i, top in enumerate(velocity) if np.isfinite(top)]
+    shares = [1.0]
     for i in joints:
-        room = limit[i] - tm.where(part[i] > 0.0, other[i], -other[i])
-        rho = tm.minimum(rho, tm.maximum(room, 0.0) / (tm.abs(part[i]) + TINY))
-    for i in joints:
-        most = tm.maximum(most, tm.abs(other[i] + rho * part[i]) / limit[i])
-    return rho, 1.0 / most
+        room = scale * velocity[i] - tm.where(part[i] > 0.0, other[i], -other[i])
+        shares.append(room / (tm.abs(part[i]) + TINY))
+    rho = tm.maximum(0.0, _folded(tm.minimum, shares))
+    sizes = [tm.abs(other[i] + rho * part[i]) * (1.0 / velocity[i]) for i in joints]
+    return rho, scale / _folded(tm.maximum, [scale, *sizes])
 
 
 def _use(tau: Vector, h: Vector, effort: Float64Array, share: Any) -> Any:
     """The factor <= 1 that brings torques of motion within a share of what h leaves of the effort."""
-    use: Any = 1.0
-    for i, most in enumerate(effort):
-        if np.isfinite(most):
-            room = tm.maximum(most - tm.abs(h[i]), LEAST_ROOM * most)
-            use = tm.minimum(use, share * room / (tm.abs(tau[i]) + TINY))
-    return use
+    joints = [i for i, most in enumerate(effort) if np.isfinite(most)]
+    rooms = [tm.maximum(effort[i] - tm.abs(h[i]), LEAST_ROOM * effort[i]) for i in joints]
+    most = _folded(tm.maximum, [share, *(tm.abs(tau[i]) / room for i, room in zip(joints, rooms, strict=True))])
+    return share / most
+
+
+def _folded(pick: Callable[[Any, Any], Any], values: list[Any]) -> Any:
+    """The smallest or largest of some numbers, by pairs: short chains are fast."""
+    while len(values) > 1:
+        pairs = [pick(a, b) for a, b in zip(values[::2], values[1::2], strict=False)]
+        values = pairs + values[len(pairs) * 2 :]
+    return values[0]

@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from taut.base import math as tm
 from taut.base.linalg import LTDL, factor_spd
 from taut.base.types import Matrix, Vector
 
 __all__ = ["TaskInertia", "least_direction"]
 
-TINY = 1e-10  # [1/kg and its like] keeps the pivots of what is to be inverted from zero
+TINY = 1e-12  # [1/kg and its like] keeps the pivots of what is to be inverted from zero
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,14 +56,20 @@ class TaskInertia:
             most: Largest inertia along that direction [kg, kg m^2].
         """
         W = M_factors.solve(J.T)
-        inverse = factor_spd(J @ W + TINY * tm.eye(len(J))).inverse()
-        u = least_direction(J)
-        z = inverse @ u
-        shown, half = u @ z, 0.5 * most
+        rows = [i for i in range(len(J)) if not _is_zero(J[i])]  # a planar arm never moves along the others
+        part = J[rows]
+        A = part @ W[:, rows] + TINY * tm.eye(len(rows))
+        u = least_direction(part)
+        shown, half = u @ factor_spd(A).solve(u), 0.5 * most
         over = tm.maximum(shown - half, 0.0)
         wanted = half + half * over / (half + over)  # tends to `most`, with the slope 1 at half of it
-        left = tm.where(shown > half, wanted / shown, 1.0)
-        return cls(J=J, Minv_JT=W, Lambda=inverse - z[:, None] * (z * ((1.0 - left) / shown)))
+        s = tm.where(shown > half, 1.0 / wanted - 1.0 / shown, 0.0)
+        inverse = factor_spd(A + s * np.outer(u, u)).inverse()
+        Lambda = most * tm.eye(len(J))
+        for i, row in enumerate(rows):
+            for j, column in enumerate(rows):
+                Lambda[row, column] = inverse[i, j]
+        return cls(J=J, Minv_JT=W, Lambda=Lambda)
 
     @property
     def J_bar(self) -> Matrix:
@@ -78,6 +86,11 @@ class TaskInertia:
         """(n,) N^T tau, with N^T = I - J^T Lambda J M^-1: the part of torques that does not move the task."""
         out: Vector = tau - self.J.T @ (self.Lambda @ self.acceleration(tau))
         return out
+
+
+def _is_zero(row: Vector) -> bool:
+    """Whether numbers are zero in every pose: as constants of a trace, or exactly."""
+    return all(isinstance(entry, float) and entry == 0.0 for entry in row.tolist())
 
 
 def least_direction(J: Matrix) -> Vector:

@@ -1,0 +1,309 @@
+"""taut.inverse_kinematics: joint positions that bring the tool to a pose, by native steps."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from taut.arm.angles import TURN, require_radians
+from taut.arm.description import Arm
+from taut.base.checks import one_of, positive_scalar, require_at_least, vector
+from taut.base.errors import RangeError, UsageError
+from taut.base.pose import Pose
+from taut.base.types import ArrayLike, Float64Array
+from taut.codegen.function import NativeFunction, native
+from taut.maths import dynamics as dyn
+from taut.maths.ik import DIRECTIONS, Directions, IkOutcome, Task, task_of
+from taut.maths.ik_search import posture_step, search_step
+from taut.maths.model import model_of
+
+__all__ = ["IkResult", "inverse_kinematics"]
+
+STEPS: Final = 100  # of a search from one start
+LEVEL: Final = 1e-9  # slope of the error, without dimension, under which it does not fall any more
+STUBBORN: Final = 1e5  # damping at which no step was better for long
+POSTURE_STEPS: Final = 60
+WATCHED: Final = 20  # steps in which the cost must fall by something
+FALLING: Final = 0.999
+NEARLY_SINGULAR: Final = 1e-2  # singular value, without dimension: the arm is stretched out, or about to be
+ROUNDING: Final = 1e-9  # [rad | m] by which a position may be beyond a limit that was written with few digits
+AT_REST: Final = 1e-9  # [rad | m] a step along the free motion under which the posture is the nearest one
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class IkResult:
+    """Joint positions, and how the search for them ended."""
+
+    q: Float64Array  # (n,) [rad | m]
+    outcome: IkOutcome
+    error: tuple[float, float]  # what is left: [m], [rad], in the directions that were asked for
+    iterations: int  # of all starts together
+    starts: int
+    held: tuple[str, ...]  # joints at a limit that keep the tool from the target
+
+    @property
+    def ok(self) -> bool:
+        """Whether the tool is at the target, within the tolerance."""
+        return self.outcome is IkOutcome.SOLVED
+
+    @property
+    def sentence(self) -> str:
+        """How it ended, in words and numbers."""
+        linear, angular = self.error
+        names = ", ".join(repr(name) for name in self.held)
+        at = f" ({names})" if self.held and not self.ok else ""
+        return (
+            f"{self.outcome.value}{at}: {linear:.3g} m and {angular:.3g} rad are left after {self.iterations} steps "
+            f"from {self.starts} {'start' if self.starts == 1 else 'starts'}"
+        )
+
+
+def inverse_kinematics(
+    arm: Arm,
+    pose: Pose,
+    *,
+    q0: ArrayLike | None = None,
+    frame: str | None = None,
+    posture: ArrayLike | None = None,
+    directions: Directions = "all",
+    tolerance: tuple[float, float] = (1e-6, 1e-6),
+    restarts: int = 50,
+    seed: int = 0,
+    respect_limits: bool = True,
+) -> IkResult:
+    """Joint positions that bring a frame of the arm to a pose.
+
+    Law:
+        Levenberg-Marquardt steps dq = (J^T J + mu |e| I)^-1 J^T e, kept where |e| falls; a joint at its limit that
+        the gradient J^T e would drive beyond it is held. Arms with joints to spare then go along their free motion to
+        the position that is nearest to the posture. Joints that turn further than once end within half a turn of q0
+        where their limits allow.
+
+    Args:
+        arm: The arm.
+        pose: T_WD, where the frame is to be.
+        q0: (n,) where the search starts [rad | m]; home if left out. Further starts are random.
+        frame: The frame; the arm's tool if left out.
+        posture: (n,) what redundant arms stay near to [rad | m]; q0 if left out.
+        directions: "all" six; "position"; "pointing", for tools that may spin: position, and where z points.
+        tolerance: How much error may be left [m, rad].
+        restarts: How many random starts are tried where q0 does not lead to the target.
+        seed: Of the random starts.
+        respect_limits: Whether joints stay within their limits.
+
+    Returns:
+        The positions, the outcome, what is left of the error. A target that is out of reach is an outcome, no error.
+
+    Raises:
+        UsageError: Not an arm, not a pose, unknown directions.
+        UnknownNameError: The arm has no such frame.
+        ShapeError: q0 or posture of another size.
+        RangeError: Positions that are not finite, in degrees, or beyond the limits; a tolerance that is not positive.
+
+    Example:
+        >>> import taut
+        >>> arm = taut.load_arm("planar2")
+        >>> target = taut.snapshot(arm, q=[0.3, 1.0]).T()
+        >>> found = taut.inverse_kinematics(arm, target, q0=[0.2, 0.8])
+        >>> found.ok, found.q.round(6).tolist()
+        (True, [0.3, 1.0])
+
+    References:
+        Section 10.2.3, equation 10.28. Bertsekas, SIAM J. Control and Optimization 20 (1982): projected Newton.
+    """
+    if not isinstance(arm, Arm):  # callers without a type checker
+        raise UsageError(f"inverse kinematics is of an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
+    if not isinstance(pose, Pose):
+        raise UsageError(f"pose must be a taut.Pose(p=..., rpy=...); got {type(pose).__name__}", name="pose")
+    one_of("directions", directions, DIRECTIONS)
+    search = _search_of(arm, arm.frame(frame).name, directions, bool(respect_limits))
+    start = search.checked("q0", arm.home if q0 is None else q0)
+    wanted = start if posture is None else search.checked("posture", posture)
+    linear, angular = tolerance
+    within = positive_scalar("tolerance[0]", linear, unit="m"), positive_scalar("tolerance[1]", angular, unit="rad")
+    require_at_least("restarts", np.asarray(restarts), 0)
+    found = search.from_starts(pose, start, wanted, within, int(restarts), seed)
+    return search.near(found, start, wanted, pose, within)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Found:
+    """Where one start led, or the best of all."""
+
+    q: Float64Array
+    cost: float
+    error: tuple[float, float]
+    held: Float64Array
+    level: bool
+    iterations: int
+    starts: int
+
+
+class _Search:
+    """The native steps for one arm, frame and choice of directions."""
+
+    def __init__(self, arm: Arm, frame: str, directions: Directions, respect_limits: bool) -> None:
+        self.arm = arm
+        self.task: Task = task_of(arm, frame, directions)
+        self.turns = TURN * np.array([unit == "rad" for unit in arm.units])  # (n,) what a whole turn is
+        n = arm.n
+        self.lower = np.array(arm.lower) if respect_limits else np.full(n, -np.inf)
+        self.upper = np.array(arm.upper) if respect_limits else np.full(n, np.inf)
+        model, task, lower, upper = model_of(arm), self.task, self.lower, self.upper
+        self.search = native(
+            lambda state, target: search_step(model, task, state, target, lower, upper),
+            state=2 * n + 6,
+            target=12 + n,
+        )
+        self.posture: NativeFunction | None = None
+        if task.size < n:
+            self.posture = native(
+                lambda state, target: posture_step(model, task, state, target, lower, upper),
+                state=2 * n + 4,
+                target=12 + n,
+            )
+
+    def checked(self, name: str, value: ArrayLike) -> Float64Array:
+        """Joint positions that the arm may have.
+
+        Raises:
+            ShapeError: Of another size.
+            RangeError: Not finite, in degrees, or beyond a limit.
+        """
+        arm = self.arm
+        q = vector(name, value, arm.n, unit="rad | m", joints=arm.joint_names)
+        beyond = (q < self.lower - ROUNDING) | (q > self.upper + ROUNDING)
+        if beyond.any():
+            require_radians(name, q, arm)
+            i = int(np.argmax(beyond))
+            raise RangeError(
+                f"{name}[{i}] (joint '{arm.joint_names[i]}') must be between its limits {self.lower[i]:.4g} and "
+                f"{self.upper[i]:.4g} [{arm.units[i]}]; got {q[i]:g}; respect_limits=False searches beyond them",
+                name=name,
+                joint=arm.joint_names[i],
+                value=float(q[i]),
+                rule="within limits",
+            )
+        return np.clip(q, self.lower, self.upper)
+
+    def from_starts(
+        self,
+        pose: Pose,
+        q0: Float64Array,
+        posture: Float64Array,
+        within: tuple[float, float],
+        restarts: int,
+        seed: int,
+    ) -> _Found:
+        """The first start that leads to the target, else the best."""
+        target = np.concatenate([pose.p, pose.R.ravel(), posture])
+        best = self._from(q0, target, within)
+        if _solved(best, within) or not restarts:
+            return best
+        rng = np.random.default_rng(seed)
+        low, high = np.maximum(self.lower, q0 - math.pi), np.minimum(self.upper, q0 + math.pi)
+        low, high = np.where(self.lower > -np.inf, self.lower, low), np.where(self.upper < np.inf, self.upper, high)
+        iterations, starts = best.iterations, 1
+        for _ in range(restarts):
+            found = self._from(rng.uniform(low, high), target, within)
+            iterations, starts = iterations + found.iterations, starts + 1
+            if found.cost < best.cost:
+                best = found
+            if _solved(found, within):
+                break
+        return _Found(**{**vars(best), "iterations": iterations, "starts": starts})
+
+    def _from(self, q: Float64Array, target: Float64Array, within: tuple[float, float]) -> _Found:
+        n, step = self.arm.n, self.search.call
+        state = np.concatenate([q, q, [math.inf, 1.0, 0.0, 0.0, 0.0, 0.0]])
+        linear, angular = within
+        done = level = False
+        count, before = 0, math.inf
+        while not done and count < STEPS:
+            state = step(state, target)
+            count += 1
+            trust, left, turn, slope = state[2 * n + 1 : 2 * n + 5].tolist()
+            level = slope < LEVEL or trust > STUBBORN
+            if count % WATCHED == 0:
+                cost = float(state[2 * n])
+                level, before = level or cost > FALLING * before, cost
+            done = level or (left < linear and turn < angular)
+        cost = float(state[2 * n])
+        error = float(state[2 * n + 2]), float(state[2 * n + 3])
+        q = state[:n].copy()
+        at = (q <= self.lower) | (q >= self.upper)
+        held = at.astype(np.float64) if state[2 * n + 5] else np.zeros(n)
+        return _Found(q=q, cost=cost, error=error, held=held, level=level, iterations=count, starts=1)
+
+    def near(
+        self, found: _Found, q0: Float64Array, posture: Float64Array, pose: Pose, within: tuple[float, float]
+    ) -> IkResult:
+        """The result: of a redundant arm with the posture nearest to the wanted one, with whole turns taken off."""
+        q, error, iterations = found.q, found.error, found.iterations
+        solved = _solved(found, within)
+        if solved and self.posture is not None:
+            q, error, more = self._to_posture(found, posture, pose, within)
+            iterations += more
+        held = () if solved else tuple(n for n, h in zip(self.arm.joint_names, found.held, strict=True) if h)
+        return IkResult(
+            q=self._turned(q, q0),
+            outcome=self._outcome(found, solved),
+            error=error,
+            iterations=iterations,
+            starts=found.starts,
+            held=held,
+        )
+
+    def _outcome(self, found: _Found, solved: bool) -> IkOutcome:
+        if solved:
+            return IkOutcome.SOLVED
+        if not found.level:
+            return IkOutcome.STALLED
+        if found.held.any():
+            return IkOutcome.AT_LIMIT
+        model, task = model_of(self.arm), self.task
+        rows = task.seen(dyn.pose(model, found.q, task.frame), dyn.jacobian(model, found.q, task.frame))
+        regular = np.linalg.matrix_rank(rows, tol=NEARLY_SINGULAR) == task.rank
+        return IkOutcome.FEWER_JOINTS if regular and task.rank < task.asked else IkOutcome.OUT_OF_REACH
+
+    def _to_posture(
+        self, found: _Found, posture: Float64Array, pose: Pose, within: tuple[float, float]
+    ) -> tuple[Float64Array, tuple[float, float], int]:
+        assert self.posture is not None
+        n, step = self.arm.n, self.posture.call
+        posture = found.q + self.arm.difference(posture, found.q)
+        target = np.concatenate([pose.p, pose.R.ravel(), posture])
+        state = np.concatenate([found.q, np.zeros(n + 4)])
+        best, error, count, first = found.q, found.error, 0, math.inf
+        for _ in range(POSTURE_STEPS):
+            before = state
+            state = step(state, target)
+            count += 1
+            left, turn, away, moved = state[2 * n :].tolist()  # the first three of the state before this step
+            first = min(first, away) if count == 1 else first
+            if left < within[0] and turn < within[1] and away <= first:
+                best, error = before[:n], (left, turn)
+            if moved < AT_REST:
+                break
+        return best.copy(), error, count
+
+    def _turned(self, q: Float64Array, q0: Float64Array) -> Float64Array:
+        """q with whole turns taken off hinges, towards q0, where limits allow."""
+        if (np.abs(q - q0) <= math.pi).all():
+            return q
+        rounds = np.round((q - q0) / TURN)
+        turned = q - self.turns * rounds
+        return np.where((turned >= self.lower) & (turned <= self.upper), turned, q)
+
+
+def _solved(found: _Found, within: tuple[float, float]) -> bool:
+    return found.error[0] < within[0] and found.error[1] < within[1]
+
+
+@functools.lru_cache(maxsize=32)
+def _search_of(arm: Arm, frame: str, directions: Directions, respect_limits: bool) -> _Search:
+    return _Search(arm, frame, directions, respect_limits)

@@ -1,0 +1,43 @@
+"""The page "Choose a law": every line of its tables makes a law that runs on the arm that the page names."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import taut
+
+PAGE = (Path(__file__).parents[2] / "docs" / "choose.md").read_text(encoding="utf-8")
+DRIVES = ("Velocities", "Positions")  # the page's headings for arms whose drives close these loops
+LINE = re.compile(r"^\|[^|`]*\| `((?:laws|taut)\.[^`]*\))`", re.MULTILINE)
+
+
+def lines() -> list[tuple[str, str]]:
+    """Heading and code of each row."""
+    parts = re.split(r"^## (.*)$", PAGE, flags=re.MULTILINE)
+    named = zip(parts[1::2], parts[2::2], strict=True)
+    return [(heading, code) for heading, text in named for code in LINE.findall(text) if "..." not in code]
+
+
+def test_the_page_has_a_line_for_every_kind_of_robot() -> None:
+    headings = [heading for heading, _ in lines()]
+    assert len(headings) == 26
+    assert set(headings) >= {"Torques: free motion", "Torques: contact", *DRIVES}
+
+
+@pytest.mark.parametrize(("heading", "code"), lines(), ids=lambda text: text[:60])
+def test_a_line_of_the_page_makes_a_law_that_runs(heading: str, code: str) -> None:
+    law = eval(code, {"taut": taut, "laws": taut.laws})
+    arm = taut.load_arm("ur10" if heading in DRIVES else "panda")
+    ctrl = taut.compile(law, arm, engine="float")
+    at_home = {
+        taut.TaskMotion: taut.TaskMotion(pose=taut.snapshot(arm, arm.home).T()),
+        taut.JointMotion: taut.JointMotion(q=arm.home),
+    }
+    wrist = np.zeros(6) if "F_ext" in ctrl.needs else None
+    command = ctrl.step(arm.home, np.zeros(arm.n), at_home[law.reference], F_ext=wrist)
+    assert np.isfinite(command).all()
+    assert ctrl.kind == {"Velocities": "velocity", "Positions": "position"}.get(heading, "torque")

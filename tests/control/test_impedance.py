@@ -1,0 +1,257 @@
+"""Impedance and stiffness control as laws: the torque written out, the spring against its energy, refusals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+
+import taut
+from taut.base.linalg import factor_spd
+from taut.control.compliance import Compliance, modal_damping
+from taut.control.task_reference import TaskMotion
+from taut.maths.spatial import rotation_exp, rotation_log
+
+ENGINES = 1e-9  # MATHS section 2: task laws, relative to the largest torque
+ARMS = ["panda", "ur10", "kinova"]
+K = np.array([800.0, 600.0, 400.0, 30.0, 20.0, 10.0])
+B = np.array([60.0, 50.0, 40.0, 3.0, 2.0, 1.0])
+FAR, NEAR = np.array([10.0, 0.0, 0.0]), np.array([0.01, 0.0, -0.01])  # [m]
+Impedance, Stiffness = taut.laws.Impedance, taut.laws.Stiffness
+
+
+def state(arm: taut.Arm, seed: int) -> Any:
+    rng = np.random.default_rng(seed)
+    q, v = arm.home + rng.uniform(-0.4, 0.4, arm.n), rng.uniform(-0.5, 0.5, arm.n)
+    T = taut.snapshot(arm, q).T()
+    pose = taut.Pose.of(rotation_exp(rng.uniform(-0.3, 0.3, 3)) @ T.R, T.p + rng.uniform(-0.05, 0.05, 3))
+    ref = TaskMotion(pose=pose, twist=rng.uniform(-0.3, 0.3, 6), acceleration=rng.uniform(-1.0, 1.0, 6))
+    return q, v, ref
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_the_torque_is_the_law_written_out(name: str) -> None:
+    arm = taut.load_arm(name)
+    ctrl = taut.compile(Impedance(K=K, B=B, null=None), arm)
+    for seed in range(5):
+        q, v, ref = state(arm, seed)
+        x = taut.snapshot(arm, q, v)  # whose terms are tested against Pinocchio by themselves
+        M, h, J, Jdot_v, T = x.M, x.h, x.J(), x.Jdot_v(), x.T()
+        Lam = np.linalg.inv(J @ np.linalg.inv(M) @ J.T)
+        e = rotation_log(ref.R @ T.R.T)
+        f = K[3:] * e
+        c = (1.0 - 0.5 * np.linalg.norm(e) / np.tan(0.5 * np.linalg.norm(e))) / (e @ e)
+        moment = f - 0.5 * np.cross(e, f) + c * np.cross(e, np.cross(e, f))  # the gradient of e . K e / 2
+        spring = np.concatenate([K[:3] * (ref.p - T.p), moment])
+        wanted = J.T @ (Lam @ (ref.acceleration - Jdot_v) + spring + B * (ref.twist - J @ v)) + h
+        assert np.abs(ctrl.step(q, v, ref) - wanted).max() <= ENGINES * np.abs(wanted).max()
+
+
+def test_with_equal_stiffness_the_moment_of_the_spring_is_the_rotation_vector_times_it() -> None:
+    arm = taut.load_arm("panda")
+    ctrl = taut.compile(Impedance(K=(500.0, 25.0), B=(1.0, 1.0), null=None), arm)
+    q, v, ref = state(arm, 7)
+    ctrl.step(q, v, ref)
+    x = taut.snapshot(arm, q)
+    e = np.concatenate([500.0 * (ref.p - x.T().p), 25.0 * rotation_log(ref.R @ x.T().R.T)])
+    assert ctrl.terms["P"] == pytest.approx(x.J().T @ e, rel=1e-10)
+
+
+# ------------------------------------------------------------------ the spring
+
+SPRINGS = [
+    {"frame": "world"},
+    {"frame": "task"},
+    {"frame": "tool"},
+    {"error": "body"},
+    {"error": "space"},
+    {"error": "coordinates", "coordinates": taut.Coordinates(function=lambda T: T.p), "K": K[:3]},
+]
+
+
+@pytest.mark.parametrize("options", SPRINGS, ids=lambda o: "-".join(str(v) for v in o.values() if isinstance(v, str)))
+@pytest.mark.parametrize("name", ["panda", "ur10"])
+def test_the_spring_is_the_gradient_of_its_energy(name: str, options: dict[str, Any]) -> None:
+    arm = taut.load_arm(name)
+    gains = {"K": K, **options}
+    stiff = np.asarray(gains["K"])
+    law = Stiffness(**gains)
+    ctrl = taut.compile(law, arm)
+    h = 1e-6
+    for seed in range(3):
+        q, _, moving = state(arm, seed)
+        ref = TaskMotion(pose=moving.pose)
+        ctrl.step(q, np.zeros(arm.n), ref)
+
+        def energy(q: Any, ref: Any = ref) -> float:
+            x = taut.snapshot(arm, q)
+            felt = Compliance.of(law.error, law.frame, x, ref, None, law.coordinates)
+            return float(0.5 * felt.X @ (stiff * felt.X))
+
+        slope = [(energy(q + h * e) - energy(q - h * e)) / (2.0 * h) for e in np.eye(arm.n)]
+        assert ctrl.terms["P"] == pytest.approx(-np.array(slope), abs=2e-7 * np.abs(ctrl.terms["P"]).max())
+
+
+@pytest.mark.parametrize("kind", ["random", "light wrist", "no stiffness in one direction"])
+def test_designed_damping_has_its_ratio_in_every_mode(kind: str) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        A = rng.normal(size=(6, 6))
+        Lam = A @ A.T + 0.1 * np.eye(6)
+        stiff = np.diag(10.0 ** rng.uniform(0.0, 3.0, 6))
+        if kind == "light wrist":
+            Lam[3:] *= 0.05
+            Lam[:, 3:] *= 0.05
+        if kind == "no stiffness in one direction":
+            stiff[2, 2] = 0.0
+        factors = factor_spd(Lam)
+        designed = np.column_stack([modal_damping(factors, stiff, 0.7, column) for column in np.eye(6)])
+        values, vectors = eigh(stiff, Lam)
+        modes = vectors.T @ designed @ vectors
+        wanted = np.diag(1.4 * np.sqrt(np.maximum(values, 0.0)))
+        assert np.abs(modes - wanted).max() <= 1e-4 * wanted.max()
+        assert np.abs(designed - designed.T).max() <= 1e-4 * np.abs(designed).max()
+
+
+def test_the_bound_of_the_spring_is_a_term_of_its_own() -> None:
+    arm = taut.load_arm("panda")
+    ctrl = taut.compile(Impedance(K=(800.0, 30.0), B=(1.0, 1.0), error_max=(0.02, 0.1), null=None), arm)
+    T = taut.snapshot(arm, arm.home).T()
+    ctrl.step(arm.home, np.zeros(7), TaskMotion(pose=taut.Pose(T.p + FAR, R=T.R)))
+    J = taut.snapshot(arm, arm.home).J()
+    force = np.linalg.lstsq(J.T, ctrl.terms["P"] + ctrl.terms["bound"], rcond=None)[0]
+    assert force[0] == pytest.approx(800.0 * 0.02, rel=1e-4)
+    ctrl.parameters["law.error_max"] = (0.04, 0.1)
+    ctrl.step(arm.home, np.zeros(7), TaskMotion(pose=taut.Pose(T.p + FAR, R=T.R)))
+    force = np.linalg.lstsq(J.T, ctrl.terms["P"] + ctrl.terms["bound"], rcond=None)[0]
+    assert force[0] == pytest.approx(800.0 * 0.04, rel=1e-4)
+
+
+def test_damping_and_inertia_may_depend_on_the_pose() -> None:
+    arm = taut.load_arm("panda")
+    x = taut.snapshot(arm, arm.home)
+    high = float(x.T().p[2])
+    law = Impedance(K=(100.0, 10.0), B=lambda T: [taut.math.where(T.p[2] > high, 10.0, 40.0), 1.0], null=None)
+    ctrl = taut.compile(law, arm)
+    v = np.linalg.pinv(x.J()) @ [0.1, 0.0, 0.0, 0.0, 0.0, 0.0]
+    ctrl.step(arm.home, v, TaskMotion(pose=x.T()))
+    assert np.linalg.lstsq(x.J().T, ctrl.terms["D"], rcond=None)[0][0] == pytest.approx(-4.0, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["planar2", "planar3", "gantry3", "so101"])
+@pytest.mark.parametrize("damping", [{"zeta": 0.7}, {"B": (0.5, 0.001)}], ids=["zeta", "B"])
+def test_an_arm_of_few_joints_moves_in_the_directions_that_it_has(name: str, damping: dict[str, Any]) -> None:
+    arm = taut.load_arm(name)
+    T = taut.snapshot(arm, arm.home).T()
+    for engine in ("native", "float"):
+        ctrl = taut.compile(Impedance(K=(400.0, 20.0), **damping), arm, engine=engine)  # type: ignore[arg-type]
+        ref = TaskMotion(pose=taut.Pose(T.p + NEAR, R=T.R))
+        tau = ctrl.step(arm.home, 0.1 * np.ones(arm.n), ref)
+        assert np.isfinite(tau).all()
+        assert np.abs(tau).max() < 100.0
+
+
+# ------------------------------------------------------------------ refusals
+
+
+def gains(**given: Any) -> dict[str, Any]:
+    return {"K": (800.0, 30.0), "zeta": 0.7} | given
+
+
+def function_of(T: taut.Pose) -> Any:
+    return [100.0 + T.p[0], 10.0]
+
+
+REFUSED: dict[str, tuple[dict[str, Any], str]] = {
+    "one number for both units": (
+        gains(K=800.0),
+        "K needs one number for metres and one for radians, K=(linear, angular), or six, or (6, 6) [N/m, N m/rad]; "
+        "got 800 alone",
+    ),
+    "one number of damping": (
+        {"K": (1.0, 1.0), "B": 5.0},
+        "B needs one number for metres and one for radians, B=(linear, angular), or six, or (6, 6) "
+        "[N s/m, N m s/rad]; got 5 alone",
+    ),
+    "both": (
+        gains(B=(1.0, 1.0)),
+        "Impedance takes B or zeta, not both: zeta designs B from K and the inertia; leave one of them out",
+    ),
+    "neither": (
+        {"K": (1.0, 1.0)},
+        "Impedance needs its damping: B=(linear, angular) [N s/m, N m s/rad], or zeta=0.7 for the damping ratio of "
+        "every mode",
+    ),
+    "negative": (gains(K=(-1.0, 30.0)), "K[0] must be >= 0 [N/m, N m/rad]; got -1.0"),
+    "zeta of each": (gains(zeta=[0.7, 0.7]), "zeta must be one number [-]; got shape (2,)"),
+    "no inertia": (
+        gains(D=(0.0, 1.0)),
+        "D must be > 0 [kg, kg m^2] in every direction; its least is 0; leave D out for the arm's own inertia",
+    ),
+    "a frame that is none": (gains(frame="hand"), "frame must be one of 'world', 'task', 'tool'; got 'hand'"),
+    "axes of another error": (
+        gains(frame="tool", error="body"),
+        "frame='tool' is for error='decoupled'; error='body' has coordinates of its own; leave frame out",
+    ),
+    "a spring of the pose without a tank": (
+        gains(K=function_of),
+        "K as a function of the pose needs tank= [J], which keeps it from bringing in energy at its borders; a wall or "
+        "a groove is a law to add: + taut.laws.VirtualWall(...)",
+    ),
+    "a tank without changes": (
+        gains(settle=0.1),
+        "Impedance: settle is for tank=, and this one has None; leave it out",
+    ),
+    "a null law that follows something": (
+        gains(null=taut.laws.PID(kp=1.0)),
+        "null holds a law that follows no reference, such as taut.laws.Posture(), and PID follows a JointMotion",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED, ids=lambda case: case)
+def test_gains_without_a_meaning_get_one_sentence(case: str) -> None:
+    given, sentence = REFUSED[case]
+    with pytest.raises(taut.TautError) as caught:
+        Impedance(**given)
+    assert str(caught.value) == sentence
+
+
+@pytest.mark.parametrize(
+    ("matrix", "words"),
+    [
+        (np.diag([1.0, 1.0, 1.0, 1.0, 1.0, -1.0]), "positive semidefinite"),
+        (np.eye(6) + np.eye(6, k=1), "symmetric"),
+    ],
+)
+def test_a_matrix_must_be_symmetric_and_positive(matrix: Any, words: str) -> None:
+    with pytest.raises(taut.RangeError, match=words):
+        Impedance(K=matrix, zeta=1.0)
+
+
+def test_a_frame_that_the_arm_has_not_is_told_with_the_nearest() -> None:
+    with pytest.raises(taut.UnknownNameError, match="did you mean 'panda_hand_tcp'"):
+        taut.compile(Impedance(**gains(tool="panda_hand_tpc")), taut.load_arm("panda")).needs  # noqa: B018
+
+
+def test_a_wrench_that_nobody_measures_is_told() -> None:
+    arm = taut.load_arm("panda")
+    ctrl = taut.compile(Impedance(**gains(D=(2.0, 0.2))), arm)
+    ref = TaskMotion(pose=taut.snapshot(arm, arm.home).T())
+    with pytest.raises(taut.UsageError, match="step needs F_ext, which the law asks for"):
+        ctrl.step(arm.home, np.zeros(7), ref)
+    with pytest.raises(taut.MatchError, match="Impedance needs F_ext, which plant"):
+        taut.run(ctrl, taut.RigidPlant(arm), ref, duration=0.1)
+
+
+def test_a_new_stiffness_is_checked_like_the_first() -> None:
+    arm = taut.load_arm("panda")
+    ctrl = taut.compile(Impedance(**gains()), arm)
+    with pytest.raises(taut.ShapeError, match="needs one number for metres and one for radians"):
+        ctrl.parameters["law.K"] = 500.0
+    ctrl.parameters["law.K"] = (500.0, 10.0)
+    assert ctrl.parameters["law.K"].tolist() == [500.0] * 3 + [10.0] * 3
+    with pytest.raises(taut.RangeError, match=r"law.error_max|no parameter"):
+        taut.compile(Impedance(**gains(error_max=(0.1, 0.1))), arm).parameters["law.error_max"] = (0.0, 0.1)

@@ -1,0 +1,88 @@
+"""Whether a spring at the tool is safe: what is said before a run, against what the run does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import taut
+
+RATE = 100.0  # [Hz], where arms meet the limit at stiffness that people ask for
+
+
+def controller(arm: taut.Arm, **gains: Any) -> taut.Controller:
+    return taut.compile(taut.laws.Impedance(**({"K": (3000.0, 100.0), "B": (30.0, 0.05)} | gains)), arm, rate=RATE)
+
+
+def grows(arm: taut.Arm, ctrl: taut.Controller, factor: float, q: Any) -> bool:
+    """Whether a small deviation is larger at the end of a run than in its middle."""
+    K = np.asarray(ctrl.law.parameters()["K"])
+    plant = taut.RigidPlant(arm, friction=None, integrator="rk4", substeps=10)
+    loop = taut.Loop(ctrl, plant, taut.TaskMotion(pose=taut.snapshot(arm, q).T()), duration=3.0)
+    loop.parameters["law.K"] = factor * K
+    run = taut.run(loop, q0=q + 1e-6 * np.cos(np.arange(arm.n)))
+    parts = [np.abs(part).max() for part in np.array_split(run.v, 10)]
+    return not run.outcome.ok or bool(parts[9] > parts[5])
+
+
+@pytest.mark.parametrize("name", ["panda", "ur10", "xarm7"])
+def test_the_limit_that_is_told_is_where_runs_begin_to_grow(name: str) -> None:
+    arm = taut.load_arm(name).with_friction(taut.Friction())
+    ctrl = controller(arm, B=(10.0, 0.005) if name == "xarm7" else (30.0, 0.05))  # its wrist is light
+    check = taut.check_impedance(ctrl)
+    limit = check.stable_up_to
+    assert limit > 0.0
+    assert check.stable == (limit > 1.0)
+    assert not grows(arm, ctrl, 0.97 * limit, arm.home)
+    assert grows(arm, ctrl, 1.03 * limit, arm.home)
+
+
+def test_a_change_of_a_gain_changes_the_answer() -> None:
+    arm = taut.load_arm("panda")
+    ctrl = controller(arm)
+    before = taut.check_impedance(ctrl).stable_up_to
+    ctrl.parameters["law.K"] = (6000.0, 200.0)
+    assert taut.check_impedance(ctrl).stable_up_to == pytest.approx(0.5 * before, rel=1e-3)
+
+
+def test_axes_and_errors_of_the_law_are_those_of_the_answer() -> None:
+    arm = taut.load_arm("panda")
+    six = [500.0, 1000.0, 3000.0, 20.0, 40.0, 80.0]
+    q = arm.home + 0.3
+    tool = taut.check_impedance(controller(arm, K=six, frame="tool"), q).stable_up_to
+    body = taut.check_impedance(controller(arm, K=six, error="body"), q).stable_up_to
+    world = taut.check_impedance(controller(arm, K=six), q).stable_up_to
+    assert tool == pytest.approx(body, rel=1e-6)
+    assert abs(tool - world) > 0.01 * tool
+
+
+def test_a_spring_with_joint_damping_is_a_case_of_its_own() -> None:
+    arm = taut.load_arm("panda").with_friction(taut.Friction())
+    bare, damped = (taut.compile(taut.laws.Stiffness(K=(500.0, 20.0), kd=kd), arm) for kd in (0.0, 2.0))
+    assert not taut.check_impedance(bare).passive_in_band
+    assert taut.check_impedance(damped).passive_in_band
+
+
+def test_a_spring_of_a_sum_is_found() -> None:
+    arm = taut.load_arm("panda")
+    law = taut.laws.Impedance(K=(800.0, 30.0), zeta=0.7) + taut.laws.FrictionCompensation(at="meas")
+    assert taut.check_impedance(taut.compile(law, arm)).stable
+
+
+@pytest.mark.parametrize(
+    ("law", "sentence"),
+    [
+        (taut.laws.TaskComputedTorque(kp=1.0, kd=1.0), "with one Impedance or Stiffness law; this one has TaskComp"),
+        (taut.laws.Impedance(K=(1.0, 1.0), zeta=1.0, D=(1.0, 1.0)), "with D the loop goes through the wrist sensor"),
+    ],
+)
+def test_what_it_cannot_answer_is_refused(law: taut.Law, sentence: str) -> None:
+    with pytest.raises(taut.UsageError, match=sentence):
+        taut.check_impedance(taut.compile(law, taut.load_arm("panda")))
+
+
+def test_something_else_than_a_controller_is_refused() -> None:
+    with pytest.raises(taut.UsageError, match="a controller from taut"):
+        taut.check_impedance(3)  # type: ignore[arg-type]
