@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import re
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -85,7 +86,7 @@ def _row(cls: type[Law]) -> LawRow:
         closed_loop=section(cls, "Closed loop"),
         gains={name: units.get(name, "") for name in gains},
         command=side.probe.kind,
-        reference=cls.reference.__name__,
+        reference="none" if cls.ignores_reference else cls.reference.__name__,
         needs=("q", *side.needs),
     )
 

@@ -54,13 +54,13 @@ def _sum(section: Section) -> Law:
 
 def _one_law(section: Section, gains: Section, name: str) -> Law:
     """The law of that name; `section` names it, and `gains` has its gains."""
+    if name == "SideBySide":
+        return _side_by_side(gains)
     known = [word for word in all_laws.__all__ if word not in OF_OTHERS]
     with section.blamed("law"):
         if name not in known:
             raise unknown_name("taut.laws", "law", name, known)
     cls = getattr(all_laws, name)
-    if cls is SideBySide:
-        return _side_by_side(gains)
     fields = [f.name for f in dataclasses.fields(cls) if not isinstance(cls.__dict__.get(f.name), Memory)]
     held = {field: gains.section(field, required=True) for field in held_laws(cls)}
     given = [field for field in optional_laws(cls) if field in gains]
