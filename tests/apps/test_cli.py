@@ -79,7 +79,7 @@ def test_check_exits_with_two_when_something_is_refused(tmp_path: Path, capsys: 
         (["run"], "taut: the following arguments are required: SCENARIO; taut run --help lists what it takes\n"),
         (
             ["run", "panda_paylod"],
-            "taut: taut has no scenario 'panda_paylod'; did you mean 'panda_payload' or 'panda_geared'? (or give the path of a .toml file)",
+            "taut: taut has no scenario 'panda_paylod'; did you mean 'panda_payload' or 'panda_pushed'? (or give the path of a .toml file)",
         ),
         (["run", "nothing/here.toml"], "taut: scenario 'nothing/here.toml' does not exist"),
         (["run", "one_joint_pid", "--engine", "fast"], "taut: argument --engine: invalid choice: 'fast'"),

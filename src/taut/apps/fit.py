@@ -18,7 +18,8 @@ from taut.base.errors import TautError, quoted_list, unknown_name
 from taut.base.types import Float64Array
 from taut.control.law import Law
 from taut.control.lawside import LawSide
-from taut.control.reference import Hold, JointMotion, Reference, Sample, Trajectory, sample_rows
+from taut.control.reference import Hold, JointMotion, Reference, Sample, Stream, Trajectory, sample_rows
+from taut.control.side_by_side import SideBySide
 from taut.control.task_reference import TaskMotion
 from taut.control.task_samples import TaskSamples
 from taut.control.task_trajectory import Circle, Line, Screw
@@ -120,7 +121,7 @@ def _check_kind(reference: Reference, label: str, law: Law, section: Section) ->
 
 def _kind_of(reference: Reference) -> type[Sample]:
     """The kind of sample that a reference of a scenario gives."""
-    of_task = isinstance(reference, (TaskMotion, Line, Screw, Circle, TaskSamples))
+    of_task = isinstance(reference, (TaskMotion, Line, Screw, Circle, TaskSamples, Stream))  # of a policy of the tool
     return TaskMotion if of_task else JointMotion
 
 
@@ -143,12 +144,14 @@ def _moves(scenario: Scenario) -> bool:
 def _check_figure(figure: PassFigure, section: Section, scenario: Scenario) -> None:
     """A pass figure is a number that the runs will have."""
     arm = scenario.arm
+    law = scenario.laws.get(figure.law)  # another runs where it is of the user's own
+    if figure.part is not None:
+        law = _part(figure.part, figure.law, law, section)
     names, units = arm.joint_names, arm.units
     if figure.joint is not None:
         _check_joint(figure.joint, section, arm)
         if not MEASURES[figure.metric].per_joint:
             raise section.error(f"metric '{figure.metric}' is of the tool; leave joint out")
-    law = scenario.laws.get(figure.law)  # another runs where it is of the user's own
     if law is not None:
         _check_kind_of_figure(figure, law, section)
     if figure.joint is None and MEASURES[figure.metric].per_unit and len(set(units)) > 1:
@@ -161,6 +164,18 @@ def _check_figure(figure: PassFigure, section: Section, scenario: Scenario) -> N
             f"metric '{figure.metric}' is for a set-point, and the [reference] moves; take one of "
             f"{quoted_list([name for name in MEASURES if name not in OF_STEPS])}"
         )
+
+
+def _part(part: str, label: str, law: Law | None, section: Section) -> Law | None:
+    """One of laws side by side."""
+    if law is None:
+        return None
+    if not isinstance(law, SideBySide):
+        raise section.error(f"part is for laws side by side, and '{label}' is one law; leave part out")
+    if part not in law.parts:
+        with section.blamed("part"):
+            raise unknown_name(f"the law '{label}'", "part", part, law.parts)
+    return law.parts[part]
 
 
 def _check_kind_of_figure(figure: PassFigure, law: Law, section: Section) -> None:
@@ -224,9 +239,15 @@ def _check_event(scenario: Scenario, event: Event, side: LawSide, section: Secti
                 raise section.error(f"set: {told}")
 
 
+def _parts(law: Law | None) -> int:
+    """How many lines a law makes in a figure."""
+    return len(law.parts) if isinstance(law, SideBySide) else 1
+
+
 def _check_files(scenario: Scenario, section: Section) -> None:
     """Files that could not be made after the run."""
-    wanted, runs = scenario.outputs, len(scenario.trials)
+    wanted = scenario.outputs
+    runs = sum(_parts(one.laws.get(trial.law)) for trial, one in scenario.trials.items())
     if wanted.plot is not None and runs > MOST_RUNS:
         what = "laws, counted in each case" if scenario.cases else "laws"
         raise section.error(f"plot draws at most {MOST_RUNS} {what}; got {runs}; leave it out, or some of the laws")

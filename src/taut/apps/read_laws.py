@@ -14,6 +14,7 @@ from taut.control.describe import held_laws, optional_laws
 from taut.control.gains import Memory
 from taut.control.law import Law
 from taut.control.limits import Limits
+from taut.control.side_by_side import SideBySide
 
 __all__ = ["read_law", "read_limits"]
 
@@ -53,6 +54,8 @@ def _sum(section: Section) -> Law:
 
 def _one_law(section: Section, gains: Section, name: str) -> Law:
     """The law of that name; `section` names it, and `gains` has its gains."""
+    if name == "SideBySide":
+        return _side_by_side(gains)
     known = [word for word in all_laws.__all__ if word not in OF_OTHERS]
     with section.blamed("law"):
         if name not in known:
@@ -67,6 +70,18 @@ def _one_law(section: Section, gains: Section, name: str) -> Law:
     with gains.blamed():
         law: Law = cls(**values)
         return law
+
+
+def _side_by_side(section: Section) -> Law:
+    """A table for each law, with the names of its joints where it does not say them by its tool."""
+    parts: dict[str, Law | tuple[Law, list[str]]] = {}
+    for part in section.left:
+        table = section.section(part)
+        joints = table.texts("joints", None, example='["head_pan"]')
+        law = read_law(table)
+        parts[part] = law if joints is None else (law, joints)
+    with section.blamed():
+        return SideBySide(**parts)  # type: ignore[arg-type]  # it makes its own __init__
 
 
 def read_limits(section: Section, arm: Arm, rate: float) -> Limits | None:

@@ -1,4 +1,4 @@
-"""References of the task in a scenario: kind = "pose", "line", "screw", "circle" or "task-samples"."""
+"""References of the task in a scenario: kind = "pose", "line", "screw", "circle", "task-samples" or "policy"."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 from taut.apps.read_pose import HomeFrame, read_pose, read_poses
+from taut.apps.sample_policy import SamplePolicy
 from taut.apps.toml import Section, file_beside
+from taut.control.reference import Stream
 from taut.control.task_reference import TaskMotion
 from taut.control.task_samples import TaskSamples
 from taut.control.task_trajectory import Circle, Line, Screw
 
 __all__ = ["TASK_KINDS", "TaskReference", "read_task_reference"]
 
-TaskReference: TypeAlias = TaskMotion | Line | Screw | Circle | TaskSamples
+TaskReference: TypeAlias = TaskMotion | Line | Screw | Circle | TaskSamples | Stream
 
 TIMING: Final = ("duration", "velocity", "acceleration", "scaling")
 ARC: Final = ("via", "end")  # a circle through points
@@ -93,10 +95,20 @@ def _samples(section: Section, home: HomeFrame, folder: Path) -> TaskReference:
         return TaskSamples(times=times, poses=poses, **values)
 
 
+def _policy(section: Section, home: HomeFrame, folder: Path) -> TaskReference:  # noqa: ARG001
+    numbers: dict[str, Any] = {key: section.whole(key) for key in ("ahead", "seed") if key in section}
+    pairs: dict[str, Any] = {key: section.numbers(key) for key in ("size", "disagreement") if key in section}
+    period, blend = section.number("period", 0.1), section.number("blend", None)
+    section.done()
+    with section.blamed():
+        return Stream(period=period, source=SamplePolicy(T=home.T, period=period, **numbers, **pairs), blend=blend)
+
+
 TASK_KINDS: Final[Mapping[str, Callable[[Section, HomeFrame, Path], TaskReference]]] = {
     "pose": _pose,
     "line": _line,
     "screw": _screw,
     "circle": _circle,
     "task-samples": _samples,
+    "policy": _policy,
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -22,6 +22,7 @@ from taut.controller import Controller, compile
 from taut.record.compare import compare
 from taut.record.files import cannot_write, checked_target, written_aside
 from taut.record.metrics import MEASURES, Metrics
+from taut.record.part import PARTS
 from taut.record.run import Run
 from taut.record.table import number_text
 from taut.runtime.simulate import run
@@ -67,7 +68,7 @@ class ScenarioResult:
         """As plain values."""
         return {
             "scenario": self.scenario.name,
-            "metrics": _by_case({trial: one.metrics.json() for trial, one in self.runs.items()}),
+            "metrics": _by_case({trial: one.metrics.json() for trial, one in _apart(self.runs).items()}),
             "outcomes": _by_case({trial: one.outcome.json() for trial, one in self.runs.items()}),
             "outputs": {kind: str(path) for kind, path in self.outputs.items()},
             "skipped": dict(self.skipped),
@@ -82,15 +83,16 @@ class ScenarioResult:
             width: Letters in a line. One row stands for each run, or one column where the rows would be longer.
         """
         names, joint = self.scenario.outputs.columns or COLUMNS, self.scenario.outputs.joint
-        rows_of = [[one.metrics.by_unit(name, joint) for name in names] for one in self.runs.values()]
+        runs = _apart(self.runs)
+        rows_of = [[one.metrics.by_unit(name, joint) for name in names] for one in runs.values()]
         heads = dict.fromkeys((i, unit) for row in rows_of for i, by_unit in enumerate(row) for unit in by_unit)
-        cells = [["case", *(trial.case for trial in self.runs)]] if self.scenario.cases else []
-        cells.append(["law", *(trial.law for trial in self.runs)])
+        cells = [["case", *(trial.case for trial in runs)]] if self.scenario.cases else []
+        cells.append(["law", *(trial.law for trial in runs)])
         for i, unit in sorted(heads, key=lambda head: head[0]):
             numbers = [row[i].get(unit, math.nan) for row in rows_of]
             if not all(math.isnan(number) for number in numbers):
                 cells.append([f"{MEASURES[names[i]].title}\n[{unit}]", *map(number_text, numbers)])
-        cells.append(["outcome", *(one.outcome.kind for one in self.runs.values())])
+        cells.append(["outcome", *(one.outcome.kind for one in runs.values())])
         needed = 1 + sum(3 + max(cell_len(part) for text in column for part in text.split("\n")) for column in cells)
         rows = (
             list(zip(*cells, strict=True)) if needed <= width else [[c.replace("\n", " ") for c in r] for r in cells]
@@ -102,6 +104,15 @@ class ScenarioResult:
         for row in rows[1:]:
             table.add_row(*map(escape, row))
         return table
+
+
+def _apart(runs: Mapping[Trial, Run]) -> dict[Trial, Run]:
+    """Runs of laws side by side by their parts, which have the metrics, and all others as they are."""
+    out: dict[Trial, Run] = {}
+    for trial, one in runs.items():
+        parts = {Trial(trial.case, f"{trial.law}: {name}"): one.part(name) for name in one.info.get(PARTS, ())}
+        out |= parts or {trial: one}
+    return out
 
 
 def _by_case(values: Mapping[Trial, Any]) -> dict[str, Any]:
@@ -247,7 +258,8 @@ def _make_folder(folder: Path) -> None:
 
 def _save_plot(scenario: Scenario, runs: Mapping[Trial, Run], path: Path) -> None:
     # A law is called after its section, whatever is in its name; matplotlib takes a pair of $ for mathematics.
-    labels = {trial: trial.case if trial.case and len(scenario.laws) == 1 else trial.label for trial in runs}
+    runs = _apart(runs)
+    labels = {trial: _plot_label(trial, list(scenario.laws)) for trial in runs}
     drawn = {labels[trial].replace("$", r"\$"): one for trial, one in runs.items() if len(one)}
     if not drawn:
         raise UsageError("there is nothing to plot: no law got through its first tick", name="plot")
@@ -260,6 +272,14 @@ def _save_plot(scenario: Scenario, runs: Mapping[Trial, Run], path: Path) -> Non
         figure.savefig(aside, dpi=150)
 
 
+def _plot_label(trial: Trial, laws: Sequence[str]) -> str:
+    """What a line is called: without the law where there is only one."""
+    if len(laws) > 1:
+        return trial.label
+    part = trial.law.removeprefix(laws[0]).removeprefix(": ")
+    return ": ".join(word for word in (trial.case, part) if word) or trial.law
+
+
 def _film(shown: Run, path: Path) -> None:
     if not len(shown):
         raise UsageError("there is nothing to film: the law did not get through its first tick", name="video")
@@ -267,7 +287,7 @@ def _film(shown: Run, path: Path) -> None:
 
 
 def _save_metrics(runs: Mapping[Trial, Run], path: Path) -> None:
-    metrics = _by_case({trial: one.metrics.json() for trial, one in runs.items()})
+    metrics = _by_case({trial: one.metrics.json() for trial, one in _apart(runs).items()})
     with written_aside("metrics", path) as aside:
         aside.write_text(json.dumps(metrics, indent=1) + "\n", encoding="utf-8")
 
@@ -279,9 +299,10 @@ def _missed(figure: PassFigure, runs: Mapping[Trial, Run]) -> Iterator[str]:
     """In words, the runs in which a pass figure is not reached."""
     for trial, one in runs.items():
         if trial.law == figure.law and figure.case in (None, trial.case):
-            text = _shortfall(figure, one.metrics)
+            measured = one if figure.part is None else one.part(figure.part)
+            text = _shortfall(figure, measured.metrics)
             if text is not None:
-                yield f"{trial.label}: {text}"
+                yield f"{trial.label}{'' if figure.part is None else f', {figure.part}'}: {text}"
 
 
 def _shortfall(figure: PassFigure, metrics: Metrics) -> str | None:

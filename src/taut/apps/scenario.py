@@ -64,6 +64,7 @@ class PassFigure:
     law: str
     metric: str
     joint: str | None  # None for all joints together
+    part: str | None  # of laws side by side, the one that it is about; None for the whole
     least: float
     most: float
 
@@ -334,6 +335,7 @@ def _case(section: Section, key: str, cases: list[str]) -> str | None:
 def _figure(section: Section, labels: list[str], cases: list[str]) -> PassFigure:
     case = _case(section, "case", cases)
     label, metric, joint = section.text("law"), section.text("metric"), section.text("joint", None)
+    part = section.text("part", None)
     least, most = section.number("min", -np.inf), section.number("max", np.inf)
     section.done()
     if label not in labels:
@@ -345,4 +347,6 @@ def _figure(section: Section, labels: list[str], cases: list[str]) -> PassFigure
         raise section.error("needs min, max or both")
     if least > most:
         raise section.error(f"min must be <= max, which is {most:g}; got {least:g}")
-    return PassFigure(case=case, law=label, metric=metric, joint=joint, least=float(least), most=float(most))
+    return PassFigure(
+        case=case, law=label, metric=metric, joint=joint, part=part, least=float(least), most=float(most)
+    )

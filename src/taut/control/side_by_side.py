@@ -80,9 +80,9 @@ class SideBySide(Law):
         return out
 
     def seen_by(self, child: str, x: Snapshot, ref: Sample) -> tuple[Snapshot, Sample]:
-        return self._seen(x)[child], getattr(ref, child)
+        return self.seen(x)[child], getattr(ref, child)
 
-    def _seen(self, x: Snapshot) -> dict[str, Snapshot]:
+    def seen(self, x: Snapshot) -> dict[str, Snapshot]:
         """What each part sees: its own joints, as an arm of their own."""
         names = x.arm.joint_names
         return {
@@ -91,16 +91,16 @@ class SideBySide(Law):
         }
 
     def at_rest(self, x: Snapshot) -> Sample:
-        seen = self._seen(x)
+        seen = self.seen(x)
         return _joined({name: law.at_rest(seen[name]) for name, law in self.parts.items()})
 
     def check_states(self, x: Snapshot, rate: float) -> None:
-        seen = self._seen(x)
+        seen = self.seen(x)
         for name, law in self.parts.items():
             law.check_states(seen[name], rate)
 
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
-        places, seen = self._places(x.arm), self._seen(x)
+        places, seen = self._places(x.arm), self.seen(x)
         after: dict[str, Any] = {}
         commands: dict[str, Command] = {}
         for name, law in self.parts.items():

@@ -10,6 +10,7 @@ import numpy as np
 
 from taut.base.errors import UsageError
 from taut.base.types import Float64Array
+from taut.record.felt import deviation_promised
 from taut.record.metrics import MEASURES
 from taut.record.run import Run
 from taut.record.style import DASHED, INK, SMALL, WIDTH, colour, legend_above, line, prepared, short_name
@@ -24,6 +25,7 @@ __all__ = ["compare"]
 BARS: Final = ("rms_error", "peak_error", "effort", "chatter")
 TASK_BARS: Final = ("task_rms", "task_rms_rotation", "effort", "chatter")
 MOST: Final = 8  # runs in one figure
+ROUNDING: Final = 1e-12  # below which an error is none
 FAR_APART: Final = 30.0  # ratio of errors above which their axis is logarithmic
 
 
@@ -67,12 +69,15 @@ def compare(
         shown = "norm of the tracking error" if len(heads) == 1 else words
         shown_errors = [parts.get((words, unit)) for parts in errors.values()]
         _norms(runs, shown_errors, prepared(ax, shown, f"[{unit}]"))
+    promised = joint is None and _promised(runs, norms[0])
     norms[-1].set_xlabel("t [s]", fontsize=SMALL, color=INK)
     names = [
         Line2D([], [], color=colour(i), linewidth=2.0, label=short_name(name, 30)) for i, name in enumerate(runs)
     ]
     if joint is not None and not any(is_task_run(run) for run in runs.values()):
         names.append(Line2D([], [], color=INK, linewidth=0.9, linestyle=DASHED, label="reference"))
+    if promised:
+        names.append(Line2D([], [], color=INK, linewidth=0.9, linestyle=DASHED, label="eq. 10.48"))
     legend_above(top, names)
     grid = bottom.subplots(rows, len(bars), squeeze=False)
     for column, (measure, values) in zip(grid.T, bars.items(), strict=True):
@@ -169,13 +174,22 @@ def _norms(runs: Mapping[str, Run], norms: Sequence[Float64Array | None], ax: Ax
         if norm is not None:
             sizes.append(float(np.sqrt(np.mean(norm**2))))
             line(ax, run.t, norm, colour(i))
-    if min(sizes) > 0.0 and max(sizes) / min(sizes) > FAR_APART:
+    if min(sizes) > ROUNDING and max(sizes) / min(sizes) > FAR_APART:
         ax.set_yscale("log")
         ax.set_ylim(bottom=1e-2 * min(sizes))
         ax.yaxis.set_tick_params(which="minor", length=1.5, width=0.4)
     else:
         ax.set_ylim(bottom=0.0)
     ax.margins(x=0.01)
+
+
+def _promised(runs: Mapping[str, Run], ax: Axes) -> bool:
+    """Where laws of impedance promise that their tools go under the recorded wrench, where they do."""
+    found = [(run.t, deviation_promised(run)) for run in runs.values() if is_task_run(run)]
+    for t, x in found:
+        if x is not None:
+            line(ax, t, np.linalg.norm(x[:, :3], axis=1), INK, reference=True)
+    return any(x is not None for _, x in found)
 
 
 def _bars(ax: Axes, values: Sequence[float]) -> None:

@@ -18,6 +18,7 @@ from taut.base.named import Named
 from taut.base.types import Float64Array
 from taut.control.limiting import LIMIT_TERMS
 from taut.control.task_reference import TaskMotion
+from taut.record.felt import felt_measures
 from taut.record.step import step_response
 from taut.record.sticking import reversal_error, stuck
 from taut.record.task import TOOL
@@ -67,19 +68,34 @@ MEASURES: Final = {
     "largest_cut": Measure(title="largest cut", unit="{command}", overall="the largest"),
     "chatter": Measure(title="chatter", unit="{tau}/s", overall="the sum"),
     "energy": Measure(title="energy", unit="J", overall="the sum"),
+    "torque_jump": Measure(title="torque jump", unit="{tau}", overall="the largest"),
+    "torque_use": Measure(title="torque", unit="% of limit", overall="the largest"),
+    "speed_use": Measure(title="speed", unit="% of limit", overall="the largest"),
     "task_rms": of_tool("task RMS", "m", "RMS of the norm of the tool's position error"),
     "task_peak": of_tool("task peak", "m", "peak of the norm of the tool's position error"),
+    "task_final": of_tool("task final", "m", "norm of the tool's position error in the last tick"),
     "task_rms_rotation": of_tool("rotation RMS", "rad", "RMS of the angle of the tool's rotation error"),
     "task_peak_rotation": of_tool("rotation peak", "rad", "peak of the angle of the tool's rotation error"),
     "least_singular_value": of_tool("least singular", "1", "the smallest singular value of J in the run"),
     "peak_force": of_tool("peak force", "N", "peak of the norm of the environment's force"),
     "peak_moment": of_tool("peak moment", "N m", "peak of the norm of the environment's moment"),
+    "impedance_error": of_tool("against eq. 10.48", "%", "RMS difference to eq. 10.48 integrated, of its RMS"),
+    "felt_mass": of_tool("felt mass", "kg", "m of F_ext - K x = m a + b v, by least squares"),
 }
 
 
 OF_STEPS: Final = ("overshoot", "settling_time", "steady_state_error")  # which only a set-point has
 OF_JOINT_MOTION: Final = (*OF_STEPS, "rms_error", "peak_error", "final_error", "stuck_time", "reversal_error")
-OF_TASK_MOTION: Final = ("task_rms", "task_peak", "task_rms_rotation", "task_peak_rotation", "least_singular_value")
+OF_TASK_MOTION: Final = (
+    "task_rms",
+    "task_peak",
+    "task_final",
+    "task_rms_rotation",
+    "task_peak_rotation",
+    "least_singular_value",
+    "impedance_error",
+    "felt_mass",
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,9 +104,11 @@ class Metrics:
 
     NaN (null in JSON) where a number has no meaning: overshoot, settling time and steady-state error where the
     reference is not constant, or where a joint had no initial error; saturation where nothing limits the command;
-    stuck time and reversal error where the reference does not move, or never turns round; errors of joints where the
-    reference is one of the task, and the task's where it is one of joints; forces where none are recorded;
-    an overall number of joints with different units, each of which has its number in `groups`.
+    stuck time and reversal error where the reference does not move, or never turns round; errors of joints where
+    the reference is one of the task, and the task's where it is one of joints; forces where none are recorded;
+    shares of limits that the arm does not state; what was felt where the law promises no impedance, its gains
+    change, or nothing moves the tool; an overall number of joints with different units, each of which has its
+    number in `groups`.
 
     Attributes:
         overshoot: (n,) [%] of the initial error, beyond where the joint came to rest (chapter, below figure 10.4).
@@ -114,14 +132,24 @@ class Metrics:
         largest_cut: (n,) [N m | N] largest magnitude that the limits took away, in the command's unit.
         chatter: (n,) [N m/s | N/s] total variation of tau per second.
         energy: (n,) [J] work of tau on the joint, integral of tau v.
+        torque_jump: (n,) [N m | N] largest jump of tau: how far its change in a tick is at least off those in the
+            ticks before and after. A continuous torque has next to none, however steep.
+        torque_use: (n,) [%] largest magnitude of tau, of the arm's effort limit.
+        speed_use: (n,) [%] largest magnitude of the speed, of the arm's velocity limit.
         task_rms: [m] root of the mean square of the tool's distance from where it should be.
         task_peak: [m] its largest.
+        task_final: [m] that of the last tick.
         task_rms_rotation: [rad] root of the mean square of the angle of log(R_des R^T).
         task_peak_rotation: [rad] its largest.
         least_singular_value: The smallest singular value of the tool's Jacobian in the run, metres and radians taken
             as alike; 0 at a singularity.
         peak_force: [N] largest force of the environment on the arm.
         peak_moment: [N m] its largest moment at the tool.
+        impedance_error: [%] RMS distance of the tool from where eq. 10.48, integrated with the run's own F_ext and
+            the law's K, B and D, puts it; of that equation's RMS deviation. Without D the inertia, and with zeta the
+            damping, is that at the start.
+        felt_mass: [kg] m of F_ext - K x = m a + b v, by least squares over ticks and directions, K being the law's;
+            where that asks for one mass in every direction.
         overall: One number of each for all joints together; `MEASURES[name].overall` says which.
         groups: The same for the joints of each unit: {"rad": {"rms_error": ...}, "m": {"rms_error": ...}}.
 
@@ -151,13 +179,19 @@ class Metrics:
     largest_cut: Float64Array
     chatter: Float64Array
     energy: Float64Array
+    torque_jump: Float64Array
+    torque_use: Float64Array
+    speed_use: Float64Array
     task_rms: float
     task_peak: float
+    task_final: float
     task_rms_rotation: float
     task_peak_rotation: float
     least_singular_value: float
     peak_force: float
     peak_moment: float
+    impedance_error: float
+    felt_mass: float
     overall: dict[str, float]
     groups: dict[str, dict[str, float]]
 
@@ -259,15 +293,15 @@ def _per_joint(run: Run, setpoint: bool) -> dict[str, Float64Array]:
     if resting is not None:
         columns["stuck_time"] = np.sum(resting[:-1] * np.diff(run.t)[:, np.newaxis], axis=0)
     columns["reversal_error"] = reversal_error(run)
-    return columns | _of_torque(run)
+    return columns | _of_torque(run) | _of_limits(run)
 
 
 def _together(run: Run, columns: Mapping[str, Float64Array], joints: list[int]) -> dict[str, float]:
     """One number of each metric for some joints."""
     chosen = {name: values[joints] for name, values in columns.items()}
     numbers = {name: float(np.sum(chosen[name])) for name in ("effort", "chatter", "energy")}
-    numbers |= {name: float(np.max(chosen[name])) for name in ("peak_torque", "largest_cut")}
-    numbers |= {name: _worst(chosen[name]) for name in (*OF_STEPS, "reversal_error")}
+    numbers |= {name: float(np.max(chosen[name])) for name in ("peak_torque", "largest_cut", "torque_jump")}
+    numbers |= {name: _worst(chosen[name]) for name in (*OF_STEPS, "reversal_error", "torque_use", "speed_use")}
     numbers |= dict.fromkeys((*NORMS, *TIMES, "stuck_time"), np.nan)
     resting = stuck(run) if len(run) else None
     if resting is not None and not np.isnan(chosen["stuck_time"]).all():
@@ -292,12 +326,14 @@ def _of_tool(run: Run) -> dict[str, Any]:
             assert error is not None
             size = np.linalg.norm(error, axis=1)
             out |= {f"task_rms{what}": float(_rms(size)), f"task_peak{what}": float(_peak(size))}
+        assert task.position_error is not None
+        out["task_final"] = float(np.linalg.norm(task.position_error[-1]))
         out["least_singular_value"] = float(task.least_singular_value.min())
     if "F_ext" in run.extra:
         wrench = run.extra["F_ext"]
         for name, part in (("peak_force", wrench[:, :3]), ("peak_moment", wrench[:, 3:])):
             out[name] = float(np.linalg.norm(part, axis=1).max())
-    return out
+    return out | felt_measures(run)
 
 
 def _rms(x: Float64Array) -> Float64Array:
@@ -315,6 +351,7 @@ def _final(x: Float64Array) -> Float64Array:
     return final
 
 
+LIMITS: Final = "limits"  # in run.info: effort and velocity limits of the controller's arm, by joint
 TIMES: Final = {
     "saturation_time": "",
     **{f"{term}_time": term for term in (*LIMIT_TERMS, "blend")},
@@ -333,6 +370,15 @@ def _worst(values: Float64Array) -> float:
     return float(values[np.argmax(np.abs(values))]) if values.size else np.nan
 
 
+def _of_limits(run: Run) -> dict[str, Float64Array]:
+    """Peaks in percent of the arm's own limits, where it has them."""
+    out = {}
+    for name, rows, limit in (("torque_use", run.tau, "effort"), ("speed_use", run.v, "velocity")):
+        limits: Mapping[str, float] = run.info.get(LIMITS, {}).get(limit, {})
+        out[name] = 100.0 * _peak(rows) / np.array([limits.get(joint, np.nan) for joint in run.joint_names])
+    return out
+
+
 def _of_torque(run: Run) -> dict[str, Float64Array]:
     """Everything about torque, joint by joint."""
     dt = np.diff(run.t)[:, np.newaxis]  # (k - 1, 1) how long each row's torque acted [s]
@@ -344,6 +390,10 @@ def _of_torque(run: Run) -> dict[str, Float64Array]:
         # A torque that is constant over the period does the work tau (q_next - q), whatever v does in between.
         "energy": np.sum(acting * short_way(np.diff(run.q, axis=0), run.continuous), axis=0),
     }
+    if len(run) > 3:
+        steps = np.diff(run.tau, axis=0)
+        before, after = (np.abs(steps[1:-1] - beside) for beside in (steps[:-2], steps[2:]))
+        out["torque_jump"] = _peak(np.minimum(before, after))
     if duration:
         out["chatter"] = np.sum(np.abs(np.diff(run.tau, axis=0)), axis=0) / duration
     for name, value in _acting(run).items():

@@ -120,6 +120,19 @@ class Run:
 
         return metrics_of(self)
 
+    def part(self, name: str) -> Run:
+        """The run of one of the laws side by side: its joints, its terms, what it followed, its metrics.
+
+        F_ext is in the part whose tool is the arm's.
+
+        Raises:
+            UsageError: The law was not `taut.SideBySide`.
+            UnknownNameError: It has no such part.
+        """
+        from taut.record.part import part_of
+
+        return part_of(self, name)
+
     def between(self, start: float, end: float) -> Run:
         """The ticks from time `start` to time `end` [s], both included: to plot, film or measure a stretch of a run.
 

@@ -1,0 +1,61 @@
+"""What a run keeps of its arm, as plain values: the tool's kinematics, what the law makes it feel like, limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from taut.arm.description import Arm
+from taut.base.paths import subtree
+from taut.base.types import Float64Array
+from taut.control.felt import felt_impedance
+from taut.control.law import Law
+from taut.control.lawside import LawSide
+from taut.control.side_by_side import SideBySide
+from taut.maths.chain import Chain
+from taut.maths.model import Model, PayloadValues
+from taut.maths.snapshot import Snapshot
+from taut.record.felt import FELT
+from taut.record.metrics import LIMITS
+from taut.record.part import PARTS
+from taut.record.task import TOOL
+
+__all__ = ["tool_info"]
+
+
+def tool_info(law: Law, side: LawSide, q: Float64Array, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """The entries of run.info about tool and limits.
+
+    Args:
+        law: The law with the gains of the run.
+        side: The law side of the loop.
+        q: (n,) positions at the start [rad | m].
+        parameters: Parameters of the law side by path.
+    """
+    payload = {name: np.array(value) for name, value in subtree(parameters, "model.payload").items()}
+    x = Snapshot(side.model, q=q, v=np.zeros(len(q)), payload=PayloadValues.of(payload))
+    out = _of_law(law, side.model, x) | {LIMITS: _limits(side.arm)}
+    if isinstance(law, SideBySide):
+        seen = law.seen(x)
+        out[PARTS] = {
+            name: {"joints": list(seen[name].arm.joint_names), **_of_law(part, seen[name].model, seen[name])}
+            for name, part in law.parts.items()
+        }
+    return out
+
+
+def _limits(arm: Arm) -> dict[str, dict[str, float]]:
+    """Effort and velocity limits by joint, of those that have one."""
+    return {
+        name: {joint: float(most) for joint, most in zip(arm.joint_names, values, strict=True) if np.isfinite(most)}
+        for name, values in (("effort", arm.effort), ("velocity", arm.velocity))
+    }
+
+
+def _of_law(law: Law, model: Model, x: Snapshot) -> dict[str, Any]:
+    frame = law.controlled_frame
+    out: dict[str, Any] = {TOOL: Chain.of(model, frame).json()}
+    felt = felt_impedance(law, x) if frame in (None, model.arm.tool) else None  # F_ext is taken at the arm's tool
+    return out if felt is None else out | {FELT: felt.json()}
