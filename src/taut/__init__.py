@@ -64,6 +64,10 @@ if TYPE_CHECKING:
     from taut.control.side_by_side import together as together
     from taut.control.task_error import Coordinates as Coordinates
     from taut.control.task_reference import TaskMotion as TaskMotion
+    from taut.control.task_samples import TaskSamples as TaskSamples
+    from taut.control.task_trajectory import Circle as Circle
+    from taut.control.task_trajectory import Line as Line
+    from taut.control.task_trajectory import Screw as Screw
     from taut.control.trajectory import Cubic as Cubic
     from taut.control.trajectory import JerkLimited as JerkLimited
     from taut.control.trajectory import Quintic as Quintic
@@ -157,6 +161,8 @@ _HOME: Final = {
     "control.side_by_side": ("SideBySide", "together"),
     "control.task_error": ("Coordinates",),
     "control.task_reference": ("TaskMotion",),
+    "control.task_samples": ("TaskSamples",),
+    "control.task_trajectory": ("Circle", "Line", "Screw"),
     "control.trajectory": ("Cubic", "JerkLimited", "Quintic", "Samples", "Sine", "Spline", "Trapezoidal"),
     "control.velocity": ("Difference", "Kalman"),
     "control.wrist": ("Wrist",),

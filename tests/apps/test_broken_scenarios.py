@@ -490,7 +490,7 @@ CASES: dict[str, tuple[dict[str, Any], str | None, str]] = {
         "timestep must be >= 1e-06 [s], 1000 of which make a control period; got 1e-09",
     ),
     # [reference]
-    "another kind of reference": ({"reference.kind": "circle"}, "reference", "kind must be one of 'hold', 'set-point'"),
+    "another kind of reference": ({"reference.kind": "spiral"}, "reference", "kind must be one of 'hold', 'set-point'"),
     "a reference without a kind": ({"reference": {"q": [0, 0]}}, "reference", "needs the key 'kind'"),
     "a reference for other joints": ({"reference.q": [0.1]}, "reference", "q must have one entry for each of the 2 joints; got 1"),
     "the same from home": (

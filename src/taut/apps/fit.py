@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from taut.apps.read_reference import JOINT_KINDS
+from taut.apps.read_task_reference import TASK_KINDS
 from taut.apps.toml import Section
 from taut.arm.angles import require_radians
 from taut.arm.description import Arm
@@ -16,11 +18,14 @@ from taut.base.errors import TautError, quoted_list, unknown_name
 from taut.base.types import Float64Array
 from taut.control.law import Law
 from taut.control.lawside import LawSide
-from taut.control.reference import JointMotion, Trajectory, sample_rows
+from taut.control.reference import Hold, JointMotion, Reference, Sample, Trajectory, sample_rows
+from taut.control.task_reference import TaskMotion
+from taut.control.task_samples import TaskSamples
+from taut.control.task_trajectory import Circle, Line, Screw
 from taut.controller import compile
 from taut.loop import check_fit, state_at_start
 from taut.plant.rigid import RigidPlant
-from taut.record.metrics import MEASURES, OF_STEPS
+from taut.record.metrics import MEASURES, OF_JOINT_MOTION, OF_STEPS, OF_TASK_MOTION
 from taut.runtime.events import Event, sorted_events
 
 if TYPE_CHECKING:
@@ -61,6 +66,8 @@ def refuse_misfits(scenario: Scenario, places: Places) -> None:
         )
     with places.run.blamed():
         state_at_start(scenario.plant.arm, scenario.q0, scenario.v0)
+    for label, law in scenario.laws.items():
+        _check_kind(scenario.reference, label, law, places.reference)
     with places.reference.blamed():
         _look_at_reference(scenario)
     for label, law in scenario.laws.items():
@@ -85,7 +92,7 @@ def refuse_unfit_results(scenario: Scenario, outputs: Section, figures: Sequence
     for figure, section in zip(scenario.figures, figures, strict=True):
         for case, one in places.items():
             if figure.case in (None, case):
-                _check_figure(figure, section, one.arm, moves=_moves(one))
+                _check_figure(figure, section, one)
 
 
 def _look_at_reference(scenario: Scenario) -> None:
@@ -94,14 +101,34 @@ def _look_at_reference(scenario: Scenario) -> None:
     if isinstance(reference, JointMotion):
         require_radians("q", np.asarray(reference.q), arm)
     elif isinstance(reference, Trajectory):
-        require_radians("q", _glances(scenario, reference)["q"], arm)
+        rows = _glances(scenario, reference)
+        if "q" in rows:
+            require_radians("q", rows["q"], arm)
+
+
+def _check_kind(reference: Reference, label: str, law: Law, section: Section) -> None:
+    """A reference is of the kind of sample that each law follows; a hold is of any kind."""
+    given, wanted = _kind_of(reference), law.reference
+    if isinstance(reference, Hold) or given is wanted:
+        return
+    kinds = TASK_KINDS if wanted is TaskMotion else JOINT_KINDS
+    raise section.error(
+        f"kind gives a {given.__name__}, and the law '{label}' follows a {wanted.__name__}; take one of "
+        f"{quoted_list(['hold', *kinds], most=len(kinds) + 1)}"
+    )
+
+
+def _kind_of(reference: Reference) -> type[Sample]:
+    """The kind of sample that a reference of a scenario gives."""
+    of_task = isinstance(reference, (TaskMotion, Line, Screw, Circle, TaskSamples))
+    return TaskMotion if of_task else JointMotion
 
 
 def _glances(scenario: Scenario, reference: Trajectory) -> Mapping[str, Float64Array]:
     """Rows of a trajectory, from start to end."""
     times = np.linspace(0.0, scenario.duration, GLANCES)
     with np.errstate(all="ignore"):
-        return sample_rows(reference, times, JointMotion, scenario.arm.n)
+        return sample_rows(reference, times, _kind_of(reference), scenario.arm.n)
 
 
 def _moves(scenario: Scenario) -> bool:
@@ -109,24 +136,41 @@ def _moves(scenario: Scenario) -> bool:
     reference = scenario.reference
     if isinstance(reference, Trajectory):
         rows = _glances(scenario, reference)
-        return bool(np.any(rows["q"] != rows["q"][0]) or np.any(rows["v"]))
+        return "q" in rows and bool(np.any(rows["q"] != rows["q"][0]) or np.any(rows["v"]))
     return isinstance(reference, JointMotion) and bool(np.any(reference.v))
 
 
-def _check_figure(figure: PassFigure, section: Section, arm: Arm, *, moves: bool) -> None:
+def _check_figure(figure: PassFigure, section: Section, scenario: Scenario) -> None:
     """A pass figure is a number that the runs will have."""
+    arm = scenario.arm
     names, units = arm.joint_names, arm.units
     if figure.joint is not None:
         _check_joint(figure.joint, section, arm)
+        if not MEASURES[figure.metric].per_joint:
+            raise section.error(f"metric '{figure.metric}' is of the tool; leave joint out")
+    law = scenario.laws.get(figure.law)  # another runs where it is of the user's own
+    if law is not None:
+        _check_kind_of_figure(figure, law, section)
     if figure.joint is None and MEASURES[figure.metric].per_unit and len(set(units)) > 1:
         raise section.error(
             f"metric '{figure.metric}' has no one number for joints in rad and joints in m together; add joint, one "
             f"of {quoted_list(names, most=len(names))}"
         )
-    if moves and figure.metric in OF_STEPS:
+    if figure.metric in OF_STEPS and _moves(scenario):
         raise section.error(
             f"metric '{figure.metric}' is for a set-point, and the [reference] moves; take one of "
             f"{quoted_list([name for name in MEASURES if name not in OF_STEPS])}"
+        )
+
+
+def _check_kind_of_figure(figure: PassFigure, law: Law, section: Section) -> None:
+    """Errors of joints are for laws that follow joints, errors of the task for those that follow the tool."""
+    of_task = law.reference is TaskMotion
+    if figure.metric in (OF_JOINT_MOTION if of_task else OF_TASK_MOTION):
+        whose, fitting = ("joints", OF_TASK_MOTION) if of_task else ("the tool", OF_JOINT_MOTION)
+        raise section.error(
+            f"metric '{figure.metric}' is of {whose}, and the law '{figure.law}' follows a {law.reference.__name__}; "
+            f"take one of {quoted_list(fitting, most=len(fitting))}"
         )
 
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import re
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Final
 
-from taut.arm.load import load_arm
+import numpy as np
+
+from taut.arm.description import Arm
 from taut.control import laws
 from taut.control.describe import held_laws, section, summary
 from taut.control.gains import Gain
@@ -66,12 +69,31 @@ def law_rows() -> list[LawRow]:
     return [_row(getattr(laws, name)) for name in laws.__all__ if name != "Sum"]
 
 
+BESIDES: Final = {"Impedance": {"zeta": 1.0}}  # which needs this or another gain
+
+
+def _example(cls: type[Law]) -> Law:
+    """A law with the gains that it cannot do without."""
+    needed = {field.name: getattr(cls, field.name, None) is None for field in fields(cls)}  # type: ignore[arg-type]
+    given: dict[str, Any] = {}
+    for name, gain in vars(cls).items():
+        if isinstance(gain, Gain) and needed[name] and not gain.optional:
+            given[name] = 1.0 if gain.scalar else (1.0, 1.0)
+    held = {name: laws.PID(kp=1.0) for name in held_laws(cls)}
+    return cls(**given, **held, **BESIDES.get(cls.__name__, {}))
+
+
+@functools.cache
+def _six_joints() -> Arm:
+    """Three slides and a wrist: an arm that every law can control at its home, those of the task too."""
+    slides, hinges = np.vstack([np.zeros((3, 3)), np.eye(3)]), np.vstack([np.eye(3)[::-1], np.zeros((3, 3))])
+    return Arm.from_screws(np.stack([np.eye(4)] * 7), np.stack([np.eye(6)] * 6), np.hstack([slides, hinges]))
+
+
 def _row(cls: type[Law]) -> LawRow:
     fields_of = {field.name: cls.__dict__.get(field.name) for field in fields(cls)}  # type: ignore[arg-type]
     gains = [name for name, field in fields_of.items() if isinstance(field, Gain) and field.where is None]
-    law = cls(**dict.fromkeys(gains, 1.0), **{name: laws.PID(kp=1.0) for name in held_laws(cls)})
-    arm = load_arm("planar3")
-    side = LawSide(law=law, arm=arm, rate=1000.0, sensing=Sensing(), limits=None, adds=Adds())
+    side = LawSide(law=_example(cls), arm=_six_joints(), rate=1000.0, sensing=Sensing(), limits=None, adds=Adds())
     units = field_units(cls)
     return LawRow(
         name=cls.__name__,
@@ -80,6 +102,6 @@ def _row(cls: type[Law]) -> LawRow:
         closed_loop=section(cls, "Closed loop"),
         gains={name: units.get(name, "") for name in gains},
         command=side.probe.kind,
-        reference=cls.reference.__name__,
+        reference="none" if cls.ignores_reference else cls.reference.__name__,
         needs=("q", *side.needs),
     )

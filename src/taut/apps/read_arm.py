@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from taut.apps.read_joints import friction_word, joints_changed
+from taut.apps.read_pose import pose_table
 from taut.apps.toml import Section, file_beside
 from taut.arm.builtin import BUILT_IN, COMMANDS, one_joint_tree
 from taut.arm.catalogue import CATALOGUE
@@ -16,9 +17,8 @@ from taut.arm.description import Arm
 from taut.arm.friction import Friction
 from taut.arm.load import OpenedModel, arm_of, load_arm, open_model
 from taut.base.errors import TautError
-from taut.base.pose import Pose
 
-__all__ = ["read_arm", "read_pose", "read_true_arm"]
+__all__ = ["read_arm", "read_true_arm"]
 
 
 def read_arm(section: Section, folder: Path) -> Arm:
@@ -26,7 +26,7 @@ def read_arm(section: Section, folder: Path) -> Arm:
     opened = _opened(section, folder)
     given = {
         "tool": section.text("tool", None),
-        "T_WB": read_pose(section.section("T_WB")) if "T_WB" in section else section.take("T_WB", None),
+        "T_WB": pose_table(section.section("T_WB")) if "T_WB" in section else section.take("T_WB", None),
         "gravity": section.numbers("gravity", None),
         "locked": section.take("locked", None),
         "joints": section.take("joints", None),
@@ -122,12 +122,3 @@ def _changed(section: Section, arm: Arm) -> Arm:
     for key in ("perturbed", "payload"):
         section.take(key, None)  # known, so that a misspelt one is compared with it
     return arm
-
-
-def read_pose(section: Section) -> Pose:
-    """A pose: p and one rotation, each of which may be left out."""
-    rotation = {word: section.numbers(word) for word in ("xyzw", "wxyz", "rpy", "R") if word in section}
-    p = section.numbers("p", [0.0, 0.0, 0.0])
-    section.only("xyzw", "wxyz", "rpy", "R")
-    with section.blamed():
-        return Pose(p, **rotation)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-from taut.apps.read_arm import read_pose
+from taut.apps.read_pose import pose_table
 from taut.apps.read_drives import made_from
 from taut.apps.toml import Section
 from taut.base.errors import quoted_list
@@ -55,7 +55,7 @@ def _one(section: Section) -> Environment:
     kind = section.word("kind", tuple(KINDS))
     parts: dict[str, Any] = {}
     if kind == "spring" and isinstance(section.peek("at"), dict):
-        parts["at"] = read_pose(section.section("at"))
+        parts["at"] = pose_table(section.section("at"))
     if kind == "hand":
         for name in ("motion", "force"):
             if name in section:

@@ -10,7 +10,7 @@ from taut.apps.toml import Section
 from taut.arm.description import Arm
 from taut.base.errors import unknown_name
 from taut.control import laws as all_laws
-from taut.control.describe import held_laws
+from taut.control.describe import held_laws, optional_laws
 from taut.control.gains import Memory
 from taut.control.law import Law
 from taut.control.limits import Limits
@@ -59,7 +59,10 @@ def _one_law(section: Section, gains: Section, name: str) -> Law:
     cls = getattr(all_laws, name)
     fields = [f.name for f in dataclasses.fields(cls) if not isinstance(cls.__dict__.get(f.name), Memory)]
     held = {field: gains.section(field, required=True) for field in held_laws(cls)}
-    values = gains.fields(fields) | {field: read_law(table) for field, table in held.items()}
+    given = [field for field in optional_laws(cls) if field in gains]
+    none = [field for field in given if gains.peek(field) == "none" and gains.take(field)]
+    held |= {field: gains.section(field) for field in given if field not in none}
+    values = gains.fields(fields) | {field: read_law(table) for field, table in held.items()} | dict.fromkeys(none)
     with gains.blamed():
         law: Law = cls(**values)
         return law

@@ -9,17 +9,21 @@ from typing import Any, Final
 
 import numpy as np
 
+from taut.apps.read_pose import HomeFrame
+from taut.apps.read_task_reference import TASK_KINDS, read_task_reference
 from taut.apps.toml import Section, file_beside
 from taut.arm.angles import require_radians
 from taut.arm.description import Arm
 from taut.base.checks import finite_array
 from taut.base.types import Float64Array
+from taut.control.law import Law
 from taut.control.reference import Hold, JointMotion, Reference
 from taut.control.trajectory import Cubic, JerkLimited, Quintic, Samples, Sine, Spline, Trapezoidal
+from taut.maths.snapshot import snapshot
 
-__all__ = ["read_reference"]
+__all__ = ["JOINT_KINDS", "read_reference"]
 
-KINDS: Final = {
+JOINT_KINDS: Final = {
     "set-point": JointMotion,
     "cubic": Cubic,
     "jerk-limited": JerkLimited,
@@ -32,26 +36,32 @@ KINDS: Final = {
 POSITIONS: Final = ("q", "q0", "q1", "center", "points")  # which "home" and relative_to_home are for
 
 
-def read_reference(section: Section, arm: Arm, home: Float64Array, folder: Path) -> Reference:
-    """A hold, a set-point or a trajectory.
+def read_reference(
+    section: Section, arm: Arm, home: Float64Array, folder: Path, laws: Mapping[str, Law]
+) -> Reference:
+    """A hold, a set-point or a trajectory, of joints or of the task.
 
     Args:
         section: [reference]; a hold of the first state if it is empty.
         arm: The arm that follows it.
         home: (n,) what "home" and relative_to_home mean [rad | m].
         folder: Where a file of samples lies.
+        laws: The laws by their labels: the frame that they control is the one whose pose at home is "home".
     """
     if not section.left:
         return Hold()
-    kind = section.word("kind", ("hold", *KINDS))
+    kind = section.word("kind", ("hold", *JOINT_KINDS, *TASK_KINDS))
     if kind == "hold":
         section.done()
         return Hold()
     relative = section.flag("relative_to_home", False)
+    if kind in TASK_KINDS:
+        T = snapshot(arm, home).T(_controlled_frame(section, laws))
+        return read_task_reference(section, kind, HomeFrame(T, relative=relative), folder)
     origin = np.zeros(arm.n) if relative else home
     file = section.text("file", None) if kind == "samples" else None
     if file is None:
-        made = _made(section, KINDS[kind], arm, origin)
+        made = _made(section, JOINT_KINDS[kind], arm, origin)
     else:
         section.done()
         with section.blamed("file"):
@@ -65,6 +75,18 @@ def read_reference(section: Section, arm: Arm, home: Float64Array, folder: Path)
         for name in given:
             require_radians(name, getattr(made, name), arm)
     return made  # type: ignore[no-any-return]  # a sample or a trajectory
+
+
+def _controlled_frame(section: Section, laws: Mapping[str, Law]) -> str | None:
+    """The frame that all laws control."""
+    frames = {law.controlled_frame for law in laws.values()}
+    if len(frames) > 1:
+        named = [frame or "the arm's tool" for frame in frames]
+        raise section.error(
+            f"is for laws that control one frame, and these control {' and '.join(sorted(named))}; give them the "
+            "same tool, or put them in scenarios of their own"
+        )
+    return next(iter(frames), None)
 
 
 def _made(section: Section, cls: Any, arm: Arm, home: Float64Array) -> Any:

@@ -18,7 +18,7 @@ from taut.apps.cases import Trial
 from taut.apps.scenario import SUFFIXES, PassFigure, Scenario
 from taut.base.errors import FileError, ScenarioError, TautError, UsageError
 from taut.controller import compile
-from taut.record.compare import BARS, compare
+from taut.record.compare import compare
 from taut.record.files import cannot_write, checked_target, written_aside
 from taut.record.metrics import MEASURES, Metrics
 from taut.record.run import Run
@@ -32,6 +32,11 @@ COLUMNS = (
     "rms_error",
     "peak_error",
     "final_error",
+    "task_rms",
+    "task_peak",
+    "task_rms_rotation",
+    "task_peak_rotation",
+    "peak_force",
     "overshoot",
     "settling_time",
     "effort",
@@ -229,7 +234,7 @@ def _save_plot(scenario: Scenario, runs: Mapping[Trial, Run], path: Path) -> Non
         raise UsageError("there is nothing to plot: no law got through its first tick", name="plot")
     wanted, joints = scenario.outputs, None if scenario.outputs.joint is None else [scenario.outputs.joint]
     if len(runs) > 1:
-        figure = compare(drawn, measures=wanted.columns or BARS, joint=wanted.joint)
+        figure = compare(drawn, measures=wanted.columns, joint=wanted.joint)
     else:
         figure = next(iter(drawn.values())).plot(joints=joints)
     with written_aside("plot", path) as aside:

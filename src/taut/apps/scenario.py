@@ -165,7 +165,7 @@ def _experiment(root: Section, folder: Path, own_laws: Mapping[str, Law] | None)
         "sensing": sensing,
         "limits": limits,
         "plant": plant,
-        "reference": read_reference(reference_section, arm, plant.arm.home, folder),
+        "reference": read_reference(reference_section, arm, plant.arm.home, folder, laws),
         "events": tuple(_event(section) for section in events),
         **_run(run, plant.arm),
     }

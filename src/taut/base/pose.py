@@ -13,7 +13,7 @@ from taut.base.checks import finite_array, read_only, vector
 from taut.base.errors import RangeError, UsageError
 from taut.base.types import Array, ArrayLike, Float64Array, Rotation, Vector3
 
-__all__ = ["Pose", "axis_angle", "snapped"]
+__all__ = ["ROTATION_TOLERANCE", "Pose", "axis_angle", "snapped"]
 
 ROTATION_TOLERANCE: Final = 1e-6  # how far R^T R may be from the identity
 QUATERNION_TOLERANCE: Final = 1e-3  # how far the norm may be from 1; inside, it is normalised

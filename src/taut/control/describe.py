@@ -14,7 +14,17 @@ from taut.control.combine import Sum
 from taut.control.law import Law, field_units
 from taut.control.limits import UNITS
 
-__all__ = ["PARAMETER_UNITS", "all_laws", "gain_units", "held_laws", "section", "short", "summary", "title"]
+__all__ = [
+    "PARAMETER_UNITS",
+    "all_laws",
+    "gain_units",
+    "held_laws",
+    "optional_laws",
+    "section",
+    "short",
+    "summary",
+    "title",
+]
 
 PARAMETER_UNITS: Final = {
     "sensing.velocity.cutoff": "Hz",
@@ -36,6 +46,9 @@ PARAMETER_UNITS: Final = {
 }
 
 
+OPTIONAL: Final = ("Law | None", "taut.Law | None")  # annotations of a field
+
+
 def all_laws(law: Law, name: str = "") -> Iterator[tuple[str, Law]]:
     """A law and the laws that it holds, each with its path."""
     yield name, law
@@ -46,6 +59,11 @@ def all_laws(law: Law, name: str = "") -> Iterator[tuple[str, Law]]:
 def held_laws(law: type[Law]) -> list[str]:
     """The fields of a law that hold a law each: `inner: Law`."""
     return [name for name, kind in inspect.get_annotations(law).items() if str(kind).rpartition(".")[2] == "Law"]
+
+
+def optional_laws(law: type[Law]) -> list[str]:
+    """The fields of a law that may hold a law: `null: Law | None`."""
+    return [name for name, kind in inspect.get_annotations(law).items() if str(kind) in OPTIONAL]
 
 
 def gain_units(law: Law) -> dict[str, str]:

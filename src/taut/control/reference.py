@@ -8,13 +8,17 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
 
-from taut.base.checks import finite_array, finite_scalar, positive_scalar, vector
+from taut.base.checks import entry_names, finite_array, finite_scalar, positive_scalar, vector
 from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.pose import ROTATION_TOLERANCE, Pose
 from taut.base.types import Array, ArrayLike, Float64Array
+from taut.control.tables import sample_times
+from taut.control.task_blend import differences
 from taut.maths.snapshot import Snapshot
 
 __all__ = [
@@ -47,6 +51,19 @@ class Sample(ABC):
     @abstractmethod
     def of(cls, values: Mapping[str, Any]) -> Self:
         """A sample from values that are known to fit; symbols too."""
+
+    @classmethod
+    def between(
+        cls, times: Float64Array, knots: Float64Array, rows: Mapping[str, Float64Array]
+    ) -> dict[str, Float64Array]:
+        """Each field (k, ...) at many times, from rows at the knots: linear in each number unless overridden.
+
+        Args:
+            times: (k,) [s].
+            knots: (m,) [s], increasing.
+            rows: Each field at the knots, (m, ...).
+        """
+        return {name: _interpolated(times, knots, table) for name, table in rows.items()}
 
     @classmethod
     @abstractmethod
@@ -102,6 +119,15 @@ class JointMotion(Sample):
         return made
 
     @classmethod
+    def between(
+        cls, times: Float64Array, knots: Float64Array, rows: Mapping[str, Float64Array]
+    ) -> dict[str, Float64Array]:
+        out = {name: _interpolated(times, knots, table) for name, table in rows.items()}
+        outside = (times < knots[0]) | (times > knots[-1])
+        out["v"][outside] = out["a"][outside] = 0.0
+        return out
+
+    @classmethod
     def at_rest(cls, x: Snapshot, tool: str | None) -> Self:  # noqa: ARG003
         zero = np.zeros(x.n)
         return cls.of({"q": np.array(x.q, dtype=np.float64), "v": zero, "a": zero})
@@ -110,6 +136,13 @@ class JointMotion(Sample):
         if self.q.dtype == object:
             return "JointMotion(<traced>)"
         return f"JointMotion(q={self.q.tolist()}, v={self.v.tolist()}, a={self.a.tolist()})"
+
+
+def _interpolated(times: Float64Array, knots: Float64Array, table: Float64Array) -> Float64Array:
+    """(k, ...) rows of a table (m, ...) at many times, linear in between, constant outside."""
+    flat = table.reshape(len(knots), -1)
+    columns = [np.interp(times, knots, flat[:, i]) for i in range(flat.shape[1])]
+    return np.stack(columns, axis=-1).reshape(len(times), *table.shape[1:])
 
 
 def _zeros(n: int) -> Float64Array:
@@ -147,18 +180,22 @@ class Stream:
 
     period: float  # [s]
     source: Callable[[Any], Sample | Chunk] | None = None
+    blend: float | None = None  # [s]
 
     def __post_init__(self) -> None:
         positive_scalar("period", self.period, unit="s")
+        if self.blend is not None:
+            positive_scalar("blend", self.blend, unit="s")
         if self.source is not None and not callable(self.source):
             raise UsageError(f"source must be a function of the snapshot; got {self.source!r}", name="source")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chunk:
-    """A few future samples with their times, as a learned policy emits them; linear in between, else at rest.
+    """A few future samples with their times, as a learned policy emits them.
 
-    Before its first time it rests at its first position, after its last time at its last.
+    Between joint motions it is linear in each number, between task motions a smooth motion through their poses,
+    twists and accelerations. Before its first time it rests at its first position, after its last time at its last.
     """
 
     times: Float64Array  # (k,) [s] from the moment it starts
@@ -166,24 +203,23 @@ class Chunk:
 
     def at(self, t: float) -> Sample:
         """The sample at time t [s]."""
-        return type(self.samples[0]).of({name: rows[0] for name, rows in self._blend(np.array([t])).items()})
+        rows = self._blend(np.array([t]))
+        return type(self.samples[0]).of({name: values[0] for name, values in rows.items()})
 
     def rows(self, times: Float64Array) -> Sample:
-        """Samples at many times, as arrays (k, n)."""
+        """Samples at many times, as arrays (k, ...)."""
         return type(self.samples[0]).of(self._blend(times))
 
     def _blend(self, times: Float64Array) -> dict[str, Float64Array]:
-        """Each field at many times (k, n)."""
-        rests = hasattr(self.samples[0], "q")  # a sample of positions has no other fields than rates
-        outside = (times < self.times[0]) | (times > self.times[-1])
-        values = {}
-        for name in type(self.samples[0]).fields(1):
-            table = np.stack([getattr(sample, name) for sample in self.samples])
-            columns = [np.interp(times, self.times, table[:, i]) for i in range(table.shape[1])]
-            values[name] = rows = np.stack(columns, axis=-1)
-            if rests and name != "q":
-                rows[outside] = 0.0
-        return values
+        """Each field at many times (k, ...)."""
+        kind = type(self.samples[0])
+        return kind.between(times, self.times, self._table)
+
+    @cached_property
+    def _table(self) -> dict[str, Float64Array]:
+        """Each field at the times of the chunk (m, ...)."""
+        names = type(self.samples[0]).fields(1)
+        return {name: np.stack([getattr(sample, name) for sample in self.samples]) for name in names}
 
 
 Reference: TypeAlias = Sample | Hold | Stream | Chunk | Trajectory
@@ -196,22 +232,34 @@ def hold(sample: Sample | None = None) -> Hold:
     return Hold(sample=sample)
 
 
-def stream(*, period: float, source: Callable[[Any], Sample | Chunk] | None = None) -> Stream:
+def stream(
+    *, period: float, source: Callable[[Any], Sample | Chunk] | None = None, blend: float | None = None
+) -> Stream:
     """Samples that come one a period, from a policy, a planner or a person.
+
+    With `blend` the reference passes smoothly from what it was to each new sample or chunk: what leads from the new
+    one to the old one at that instant, in position, velocity and acceleration, fades to nothing in that time, as a
+    quintic. So neither of the three jumps, whatever the policy emits; without, the new one holds at once. The first
+    answer holds as it is.
 
     Args:
         period: Time between samples [s].
         source: In simulation, a function of the snapshot that gives a sample or a chunk.
+        blend: Time to pass from one answer to the next [s]; about half a period where chunks differ little.
     """
-    return Stream(period=finite_scalar("period", period, unit="s"), source=source)
+    return Stream(period=finite_scalar("period", period, unit="s"), source=source, blend=blend)
 
 
-def chunk(times: ArrayLike, targets: Sequence[Sample] | ArrayLike) -> Chunk:
+def chunk(times: ArrayLike, targets: Sequence[Sample] | Sequence[Pose] | ArrayLike) -> Chunk:
     """A few future samples with their times.
+
+    From one `taut.TaskMotion` to the next the tool moves smoothly, as a quintic of its position and of its rotation
+    vector that has their twists and accelerations; a task motion without a twist is one at rest. From poses alone
+    twists and accelerations follow by differences, so that two of them make a straight line with slerp.
 
     Args:
         times: (k,) [s] from the moment the chunk starts, increasing.
-        targets: k samples, or joint positions (k, n); velocities then follow from the differences.
+        targets: k samples, or k poses, or joint positions (k, n), whose velocities then follow from the differences.
 
     Raises:
         ShapeError: Not as many targets as times.
@@ -220,19 +268,16 @@ def chunk(times: ArrayLike, targets: Sequence[Sample] | ArrayLike) -> Chunk:
     Example:
         >>> chunk([0.0, 0.1], [[0.0], [1.0]]).at(0.05).q.tolist()
         [0.5]
+        >>> ahead = chunk([0.0, 0.1], [Pose([0.4, 0.0, 0.3]), Pose([0.4, 0.02, 0.3], rpy=[0.0, 0.0, 0.2])])
+        >>> ahead.at(0.05).pose.rpy.round(6).tolist(), ahead.at(0.05).twist.round(6).tolist()
+        ([0.0, 0.0, 0.1], [0.0, 0.2, 0.0, 0.0, 0.0, 2.0])
     """
-    t = finite_array("times", times, unit="s")
-    if t.ndim != 1 or not t.size:
-        raise ShapeError(f"times must be a vector (k,); got shape {t.shape}", name="times")
-    if (np.diff(t) <= 0.0).any():
-        k = int(np.argmax(np.diff(t) <= 0.0))
-        raise RangeError(
-            f"times must increase; times[{k + 1}] = {t[k + 1]:g} follows {t[k]:g}",
-            name="times",
-            rule="increasing",
-        )
-    if isinstance(targets, Sequence) and all(isinstance(sample, Sample) for sample in targets):
+    t = sample_times(times)
+    kinds = {type(target) for target in targets} if isinstance(targets, Sequence) else set()
+    if kinds and all(issubclass(kind, Sample) for kind in kinds):
         samples: tuple[Sample, ...] = tuple(targets)  # type: ignore[arg-type]  # checked in the line above
+    elif kinds == {Pose}:
+        samples = _through_poses(t, targets)  # type: ignore[arg-type]  # checked in the line above
     else:
         q = finite_array("targets", targets, unit="rad | m")  # type: ignore[arg-type]  # checked inside
         if q.ndim != 2:
@@ -253,6 +298,18 @@ def chunk(times: ArrayLike, targets: Sequence[Sample] | ArrayLike) -> Chunk:
                     name="targets",
                 )
     return Chunk(times=t, samples=samples)
+
+
+def _through_poses(t: Float64Array, poses: Sequence[Pose]) -> tuple[Sample, ...]:
+    """Samples at poses, with twists and accelerations by differences."""
+    from taut.control.task_reference import TaskMotion
+
+    if len(poses) != len(t):
+        return tuple(TaskMotion(pose=pose) for pose in poses)  # which the caller refuses
+    p, R = np.stack([pose.p for pose in poses]), np.stack([pose.R for pose in poses])
+    twists, accelerations = differences(t, p, R)
+    rows = zip(poses, twists, accelerations, strict=True)
+    return tuple(TaskMotion(pose=pose, twist=V, acceleration=rate) for pose, V, rate in rows)
 
 
 # -------------------------------------------------------------------- reading one
@@ -307,14 +364,29 @@ def sample_rows(trajectory: Trajectory, times: Float64Array, kind: type[Sample],
             )
         bad = ~np.isfinite(table[name])
         if bad.any():
-            row, entry = np.argwhere(bad)[0]
+            row, *entry = np.argwhere(bad)[0]
             raise RangeError(
-                f"ref.{name}[{entry}] must be finite; the reference gives {float(table[name][row, entry])!r} "
-                f"at t = {times[row]:g} s",
+                f"{entry_names(f'ref.{name}', entry)} must be finite; the reference gives "
+                f"{float(table[name][row, *entry])!r} at t = {times[row]:g} s",
                 name=f"ref.{name}",
                 rule="finite",
             )
+    if kind.fields(n).get("R") == (3, 3):
+        _check_rotations(table["R"], times)
     return table
+
+
+def _check_rotations(R: Float64Array, times: Float64Array) -> None:
+    """A trajectory of a user's own may give any matrix."""
+    error = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2))
+    if error.size and error.max() > ROTATION_TOLERANCE:
+        row = int(np.argmax(error > ROTATION_TOLERANCE))
+        raise RangeError(
+            f"ref.R must be orthonormal; at t = {times[row]:g} s R^T R differs from the identity by {error[row]:.2g}",
+            name="ref.R",
+            value=float(error[row]),
+            rule="orthonormal",
+        )
 
 
 def _check_shape(name: str, got: tuple[int, ...], shape: tuple[int, ...]) -> None:

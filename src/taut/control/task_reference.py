@@ -11,8 +11,9 @@ import numpy as np
 from taut.base.checks import one_of, read_only, vector
 from taut.base.errors import UsageError
 from taut.base.pose import Pose
-from taut.base.types import Array, ArrayLike
+from taut.base.types import Array, ArrayLike, Float64Array
 from taut.control.reference import Sample
+from taut.control.task_blend import between
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotated
 
@@ -93,6 +94,12 @@ class TaskMotion(Sample):
         for name in ("p", "R", "twist", "acceleration"):
             object.__setattr__(made, name, values[name])
         return made
+
+    @classmethod
+    def between(
+        cls, times: Float64Array, knots: Float64Array, rows: Mapping[str, Float64Array]
+    ) -> dict[str, Float64Array]:
+        return between(times, knots, rows)
 
     @classmethod
     def at_rest(cls, x: Snapshot, tool: str | None) -> Self:

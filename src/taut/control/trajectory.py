@@ -12,10 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from taut.base.checks import finite_array, finite_scalar, positive_scalar, read_only, readable_file, require_positive
-from taut.base.errors import FileError, NumericalError, RangeError, ShapeError, missing_extra
+from taut.base.checks import finite_array, finite_scalar, positive_scalar, read_only, require_positive
+from taut.base.errors import NumericalError, ShapeError, missing_extra
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.reference import JointMotion
+from taut.control.scaling import CUBIC, QUINTIC, Scaling, polynomial, trapezoid, trapezoid_duration
+from taut.control.tables import read_rows, sample_times
 
 __all__ = [
     "Cubic",
@@ -94,23 +96,12 @@ class Sine:
 
 # -------------------------------------------------------------------- point to point
 
-Scaling = tuple[Float64Array, Float64Array, Float64Array]
-
 
 def _straight(q0: Any, q1: Any, scaling: Scaling, one: bool) -> JointMotion:
     """The straight line q0 + s (q1 - q0), with s and its two rates over time."""
     s, s_dot, s_ddot = (x[:, np.newaxis] for x in scaling)
     reach = q1 - q0
     return _motion(q0 + reach * s, reach * s_dot, reach * s_ddot, one)
-
-
-def _polynomial(times: Float64Array, duration: float, coefficients: Sequence[float]) -> Scaling:
-    """s = sum c_k (t/T)^k and its rates, resting before 0 and after T."""
-    T = duration
-    x = np.clip(times / T, 0.0, 1.0)
-    p = np.polynomial.Polynomial(coefficients)
-    inside = (times >= 0.0) & (times <= T)
-    return p(x), p.deriv()(x) / T * inside, p.deriv(2)(x) / T**2 * inside
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -139,7 +130,7 @@ class Cubic:
         return _straight(self.q0, self.q1, self._scaling(times), False)
 
     def _scaling(self, times: Float64Array) -> Scaling:
-        return _polynomial(times, self.duration, (0.0, 0.0, 3.0, -2.0))
+        return polynomial(times, self.duration, CUBIC)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -172,7 +163,7 @@ class Quintic:
         return _straight(self.q0, self.q1, self._scaling(times), False)
 
     def _scaling(self, times: Float64Array) -> Scaling:
-        return _polynomial(times, self.duration, (0.0, 0.0, 0.0, 10.0, -15.0, 6.0))
+        return polynomial(times, self.duration, QUINTIC)
 
 
 def _check_line(line: Cubic | Quintic | Trapezoidal | JerkLimited) -> None:
@@ -218,10 +209,7 @@ class Trapezoidal:
     @property
     def duration(self) -> float:
         """Time from start to stop [s]."""
-        v, a = self._limits()
-        if np.isinf(v):
-            return 0.0
-        return float(1.0 / v + v / a if v * v <= a else 2.0 / np.sqrt(a))
+        return trapezoid_duration(*self._limits())
 
     def at(self, t: float) -> JointMotion:
         """The sample at time t [s]."""
@@ -232,20 +220,7 @@ class Trapezoidal:
         return _straight(self.q0, self.q1, self._scaling(times), False)
 
     def _scaling(self, times: Float64Array) -> Scaling:
-        v, a = self._limits()
-        T = self.duration
-        if T == 0.0:
-            zero = np.zeros_like(times)
-            return zero + (times >= 0.0), zero, zero
-        v = min(v, np.sqrt(a))  # a short way never reaches the speed limit
-        ramp = v / a
-        t = np.clip(times, 0.0, T)
-        left = T - t
-        s = np.where(t < ramp, 0.5 * a * t**2, np.where(left < ramp, 1.0 - 0.5 * a * left**2, v * (t - 0.5 * ramp)))
-        s_dot = np.minimum(np.minimum(a * t, a * left), v)
-        inside = (times >= 0.0) & (times <= T)
-        s_ddot = a * ((t < ramp) * 1.0 - (left < ramp) * 1.0) * inside
-        return s, s_dot, s_ddot
+        return trapezoid(times, *self._limits())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -445,47 +420,19 @@ def _table(name: str, times: ArrayLike, values: ArrayLike) -> tuple[Float64Array
     table = finite_array(name, values, unit="rad | m")
     if t.ndim != 1 or table.ndim != 2 or len(t) != len(table) or not len(t):
         raise ShapeError(f"times must have shape (k,) and {name} (k, n); got {t.shape} and {table.shape}", name=name)
-    wrong = np.diff(t) <= 0.0
-    if wrong.any():
-        k = int(np.argmax(wrong))
-        raise RangeError(
-            f"times must increase; times[{k + 1}] = {t[k + 1]:g} follows {t[k]:g}",
-            name="times",
-            rule="increasing",
-        )
-    return t, table
+    return sample_times(t), table
 
 
 def _read_csv(path: str | os.PathLike[str]) -> Samples:
-    file = readable_file("CSV file", path)
-    with file.open(encoding="utf-8-sig", errors="replace") as lines:
-        header = [word.strip() for word in lines.readline().split(",")]
-        if not header or header[0] != "t":
-            raise FileError(
-                f"{file}: the first line must name the columns t, q1, q2, ...; got {header}", name=str(file)
-            )
-        letters = ["q", *(letter for letter in "va" if any(word.startswith(letter) for word in header[1:]))]
-        n = max(1, sum(word.startswith("q") for word in header))
-        expected = ["t", *(f"{letter}{i + 1}" for letter in letters for i in range(n))]
-        if header != expected:
-            raise FileError(
-                f"{file}: the columns must be {', '.join(expected)}; got {', '.join(header)}", name=str(file)
-            )
-        rows = []
-        for number, line in enumerate(lines, start=2):
-            if not line.strip():
-                continue
-            try:
-                row = [float(word) for word in line.split(",")]
-            except ValueError as cause:
-                raise FileError(f"{file}, line {number}: not a number: {cause}", name=str(file)) from cause
-            if len(row) != len(header):
-                raise FileError(
-                    f"{file}, line {number}: {len(header)} numbers are needed; got {len(row)}", name=str(file)
-                )
-            rows.append(row)
-    if not rows:
-        raise FileError(f"{file}: there are no samples below the header", name=str(file))
-    table = np.array(rows)
+    header, table = read_rows(path, "t, q1, q2, ...", _columns)
+    n = sum(word.startswith("q") for word in header)
+    letters = dict.fromkeys(word[0] for word in header[1:])
     parts = {letter: table[:, 1 + k * n : 1 + (k + 1) * n] for k, letter in enumerate(letters)}
     return Samples(times=table[:, 0], q=parts["q"], v=parts.get("v"), a=parts.get("a"))
+
+
+def _columns(header: Sequence[str]) -> list[str]:
+    """What the columns of a file with this header should be."""
+    letters = ["q", *(letter for letter in "va" if any(word.startswith(letter) for word in header[1:]))]
+    n = max(1, sum(word.startswith("q") for word in header))
+    return ["t", *(f"{letter}{i + 1}" for letter in letters for i in range(n))]

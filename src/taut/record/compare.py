@@ -9,46 +9,51 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from taut.base.errors import UsageError
+from taut.base.types import Float64Array
 from taut.record.metrics import MEASURES
 from taut.record.run import Run
 from taut.record.style import DASHED, INK, SMALL, WIDTH, colour, legend_above, line, prepared, short_name
+from taut.record.task_plot import is_task_run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["BARS", "compare"]
+__all__ = ["compare"]
 
 BARS: Final = ("rms_error", "peak_error", "effort", "chatter")
+TASK_BARS: Final = ("task_rms", "task_rms_rotation", "effort", "chatter")
 MOST: Final = 8  # runs in one figure
 FAR_APART: Final = 30.0  # ratio of errors above which their axis is logarithmic
 
 
 def compare(
-    runs: Mapping[str, Run], *, title: str = "", measures: Sequence[str] = BARS, joint: str | None = None
+    runs: Mapping[str, Run], *, title: str = "", measures: Sequence[str] | None = None, joint: str | None = None
 ) -> Figure:
     """Error norm over time of several runs, and bars of their metrics, as a matplotlib Figure.
 
-    Joints in rad and joints in m have no norm together: each unit has its own axes, and bars of its own.
+    Joints in rad and joints in m have no norm together: each unit has its own axes, and bars of its own. Of runs
+    whose reference is one of the task, the errors are those of the tool's position and rotation.
 
     Args:
         runs: The runs by the name that each gets in the figure.
         title: A title for the figure.
-        measures: Names of the metrics to draw as bars.
+        measures: Names of the metrics to draw as bars; by default two of the error, effort and chatter.
         joint: The joint whose motion, error and metrics are drawn, instead of those of all together.
 
     Raises:
-        UsageError: No runs, more than eight, one without a position reference.
+        UsageError: No runs, more than eight, one without an error, some with errors of joints and some of the task.
         UnknownNameError: There is no such metric, or a run has no such joint.
     """
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-    _check(runs, measures, joint)
-    units = list(dict.fromkeys(unit for run in runs.values() for unit in run.units)) if joint is None else [""]
+    measures = _check(runs, measures, joint)
+    errors = {name: _errors(run) for name, run in runs.items()}
+    heads = list(dict.fromkeys(head for parts in errors.values() for head in parts)) if joint is None else [("", "")]
     bars = {measure: _by_unit(runs, measure, joint) for measure in measures}
     rows = max(len(values) for values in bars.values())
-    over_time = [2.1] if len(units) == 1 else [1.6] * len(units)
+    over_time = [2.1] if len(heads) == 1 else [1.6] * len(heads)
     over_time = over_time if joint is None else [1.9, 1.7]
     heights = [0.5 + sum(over_time), rows * (0.3 + 0.22 * len(runs))]
     figure = Figure(figsize=(WIDTH, 0.3 + sum(heights)), dpi=150, layout="constrained")
@@ -58,14 +63,15 @@ def compare(
     norms = top.subplots(len(over_time), 1, squeeze=False, sharex=True)[:, 0]
     if joint is not None:
         _one_joint(runs, joint, *norms)
-    for ax, unit in zip(norms, units, strict=True) if joint is None else ():
-        whose = "" if len(units) == 1 else f" of the joints in {unit}"
-        _norms(runs, unit, prepared(ax, f"norm of the tracking error{whose}", f"[{unit}]"))
+    for ax, (words, unit) in zip(norms, heads, strict=True) if joint is None else ():
+        shown = "norm of the tracking error" if len(heads) == 1 else words
+        shown_errors = [parts.get((words, unit)) for parts in errors.values()]
+        _norms(runs, shown_errors, prepared(ax, shown, f"[{unit}]"))
     norms[-1].set_xlabel("t [s]", fontsize=SMALL, color=INK)
     names = [
         Line2D([], [], color=colour(i), linewidth=2.0, label=short_name(name, 30)) for i, name in enumerate(runs)
     ]
-    if joint is not None:
+    if joint is not None and not any(is_task_run(run) for run in runs.values()):
         names.append(Line2D([], [], color=INK, linewidth=0.9, linestyle=DASHED, label="reference"))
     legend_above(top, names)
     grid = bottom.subplots(rows, len(bars), squeeze=False)
@@ -80,23 +86,52 @@ def compare(
     return figure
 
 
-def _check(runs: Mapping[str, Run], measures: Sequence[str], joint: str | None) -> None:
+def _check(runs: Mapping[str, Run], measures: Sequence[str] | None, joint: str | None) -> Sequence[str]:
+    """The metrics to draw."""
     from taut.base.errors import unknown_name
 
     if not isinstance(runs, Mapping) or not all(isinstance(run, Run) for run in runs.values()):
         raise UsageError("compare takes runs by name: compare({'PID': run1, 'computed torque': run2})", name="runs")
     if not 0 < len(runs) <= MOST:
         raise UsageError(f"compare draws 1 to {MOST} runs in one figure; got {len(runs)}", name="runs")
-    for measure in measures:
+    for measure in measures or ():
         if measure not in MEASURES:
             raise unknown_name("a run", "metric", measure, MEASURES)
-    if not measures:
+    if measures is not None and not measures:
         raise UsageError("compare needs one metric at least; got measures=()", name="measures")
+    of_task = [name for name, run in runs.items() if is_task_run(run)]
     for name, run in runs.items():
-        if run.error is None or not len(run):
+        if not len(run) or (run.error is None and name not in of_task):
             raise UsageError(f"run '{name}' has no tracking error to compare", name="runs")
+        if of_task and name not in of_task:
+            raise UsageError(
+                f"run '{of_task[0]}' has errors of the task and run '{name}' of joints; compare them apart",
+                name="runs",
+            )
         if joint is not None and joint not in run.joint_names:
             raise unknown_name(f"run '{name}'", "joint", joint, run.joint_names)
+    return measures or (TASK_BARS if of_task else BARS)
+
+
+Head = tuple[str, str]  # title and unit of an error
+
+
+def _errors(run: Run) -> dict[Head, Float64Array]:
+    """(k,) norms of a run's errors."""
+    if run.error is None:
+        position, rotation = run.task.position_error, run.task.rotation_error
+        assert position is not None
+        assert rotation is not None
+        return {
+            ("norm of the tool's position error", "m"): np.linalg.norm(position, axis=1),
+            ("angle of the tool's rotation error", "rad"): np.linalg.norm(rotation, axis=1),
+        }
+    out = {}
+    for unit in dict.fromkeys(run.units):
+        joints = [joint for joint in range(run.n) if run.units[joint] == unit]
+        head = f"norm of the tracking error of the joints in {unit}", unit
+        out[head] = np.sqrt(np.sum(run.error[:, joints] ** 2, axis=1))
+    return out
 
 
 def _by_unit(runs: Mapping[str, Run], measure: str, joint: str | None) -> dict[str, list[float]]:
@@ -112,27 +147,28 @@ def _one_joint(runs: Mapping[str, Run], joint: str, above: Axes, below: Axes) ->
     for i, run in enumerate(runs.values()):
         place = run.joint_names.index(joint)
         unit = run.units[place]
-        assert run.error is not None
         line(above, run.t, run.q[:, place], colour(i))
+        if run.error is None:
+            line(below, run.t, run.v[:, place], colour(i))
+            continue
         line(below, run.t, run.error[:, place], colour(i))
         line(above, run.t, getattr(run.reference, "q")[:, place], INK, reference=True)  # noqa: B009  (any reference)
     prepared(above, f"position of {short_name(joint, 40)}", f"q [{unit}]")
-    prepared(below, "tracking error", f"wanted - true [{unit}]")
+    if any(run.error is None for run in runs.values()):
+        prepared(below, "velocity", f"v [{unit}/s]")
+    else:
+        prepared(below, "tracking error", f"wanted - true [{unit}]")
     below.axhline(0.0, color=INK, linewidth=0.6)
     for ax in (above, below):
         ax.margins(x=0.01)
 
 
-def _norms(runs: Mapping[str, Run], unit: str, ax: Axes) -> None:
+def _norms(runs: Mapping[str, Run], norms: Sequence[Float64Array | None], ax: Axes) -> None:
     sizes = []
-    for i, run in enumerate(runs.values()):
-        joints = [joint for joint in range(run.n) if run.units[joint] == unit]
-        if not joints:
-            continue
-        assert run.error is not None
-        norm = np.sqrt(np.sum(run.error[:, joints] ** 2, axis=1))
-        sizes.append(float(np.sqrt(np.mean(norm**2))))
-        line(ax, run.t, norm, colour(i))
+    for i, (run, norm) in enumerate(zip(runs.values(), norms, strict=True)):
+        if norm is not None:
+            sizes.append(float(np.sqrt(np.mean(norm**2))))
+            line(ax, run.t, norm, colour(i))
     if min(sizes) > 0.0 and max(sizes) / min(sizes) > FAR_APART:
         ax.set_yscale("log")
         ax.set_ylim(bottom=1e-2 * min(sizes))

@@ -38,8 +38,10 @@ def arrays(run: Run) -> dict[str, Float64Array]:
 def column_names(run: Run) -> dict[str, list[str]]:
     """Names of the numbers in one row of each array."""
     out = {}
+    grown = type(run.reference).fields(run.n + 1)  # six entries of a twist are no joints of an arm with six
+    fixed = {f"reference.{name}" for name, shape in grown.items() if shape != (run.n + 1,)}
     for name, array in columns_of(run).items():
-        if array.shape[1:] == (run.n,) and not name.startswith("extra."):
+        if array.shape[1:] == (run.n,) and not name.startswith("extra.") and name not in fixed:
             out[name] = [f"{name}.{joint}" for joint in run.joint_names]
         elif array.ndim == 1:
             out[name] = [name]
@@ -60,6 +62,9 @@ def units_of(run: Run) -> dict[str, list[str]]:
         "reference.q": run.units,
         "reference.v": tuple(f"{unit}/s" for unit in run.units),
         "reference.a": tuple(f"{unit}/s^2" for unit in run.units),
+        "reference.p": ("m",) * 3,
+        "reference.twist": ("m/s",) * 3 + ("rad/s",) * 3,
+        "reference.acceleration": ("m/s^2",) * 3 + ("rad/s^2",) * 3,
         "extra.F_ext": ("N",) * 3 + ("N m",) * 3,
         "extra.sensed.q": run.units,
         "extra.sensed.v": tuple(f"{unit}/s" for unit in run.units),

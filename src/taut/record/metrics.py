@@ -17,13 +17,15 @@ from taut.base.checks import read_only
 from taut.base.named import Named
 from taut.base.types import Float64Array
 from taut.control.limiting import LIMIT_TERMS
+from taut.control.task_reference import TaskMotion
 from taut.record.step import step_response
 from taut.record.sticking import reversal_error, stuck
+from taut.record.task import TOOL
 
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = ["MEASURES", "OF_STEPS", "Measure", "Metrics", "metrics_of"]
+__all__ = ["MEASURES", "OF_JOINT_MOTION", "OF_STEPS", "OF_TASK_MOTION", "Measure", "Metrics", "metrics_of"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,12 +34,18 @@ class Measure:
 
     title: str
     unit: str  # {q} stands for rad or m, {tau} for N m or N, {command} for the command's unit
-    overall: str  # in words
+    overall: str  # in words; of the tool, what it is
+    per_joint: bool = True  # else one number of the run, about the tool
 
     @property
     def per_unit(self) -> bool:
         """Whether joints in rad and joints in m have no common number of it."""
         return "{" in self.unit
+
+
+def of_tool(title: str, unit: str, words: str) -> Measure:
+    """A number of the tool, of which a run has one."""
+    return Measure(title=title, unit=unit, overall=words, per_joint=False)
 
 
 MEASURES: Final = {
@@ -59,10 +67,19 @@ MEASURES: Final = {
     "largest_cut": Measure(title="largest cut", unit="{command}", overall="the largest"),
     "chatter": Measure(title="chatter", unit="{tau}/s", overall="the sum"),
     "energy": Measure(title="energy", unit="J", overall="the sum"),
+    "task_rms": of_tool("task RMS", "m", "RMS of the norm of the tool's position error"),
+    "task_peak": of_tool("task peak", "m", "peak of the norm of the tool's position error"),
+    "task_rms_rotation": of_tool("rotation RMS", "rad", "RMS of the angle of the tool's rotation error"),
+    "task_peak_rotation": of_tool("rotation peak", "rad", "peak of the angle of the tool's rotation error"),
+    "least_singular_value": of_tool("least singular", "1", "the smallest singular value of J in the run"),
+    "peak_force": of_tool("peak force", "N", "peak of the norm of the environment's force"),
+    "peak_moment": of_tool("peak moment", "N m", "peak of the norm of the environment's moment"),
 }
 
 
 OF_STEPS: Final = ("overshoot", "settling_time", "steady_state_error")  # which only a set-point has
+OF_JOINT_MOTION: Final = (*OF_STEPS, "rms_error", "peak_error", "final_error", "stuck_time", "reversal_error")
+OF_TASK_MOTION: Final = ("task_rms", "task_peak", "task_rms_rotation", "task_peak_rotation", "least_singular_value")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,7 +88,8 @@ class Metrics:
 
     NaN (null in JSON) where a number has no meaning: overshoot, settling time and steady-state error where the
     reference is not constant, or where a joint had no initial error; saturation where nothing limits the command;
-    stuck time and reversal error where the reference does not move, or never turns round;
+    stuck time and reversal error where the reference does not move, or never turns round; errors of joints where the
+    reference is one of the task, and the task's where it is one of joints; forces where none are recorded;
     an overall number of joints with different units, each of which has its number in `groups`.
 
     Attributes:
@@ -96,6 +114,14 @@ class Metrics:
         largest_cut: (n,) [N m | N] largest magnitude that the limits took away, in the command's unit.
         chatter: (n,) [N m/s | N/s] total variation of tau per second.
         energy: (n,) [J] work of tau on the joint, integral of tau v.
+        task_rms: [m] root of the mean square of the tool's distance from where it should be.
+        task_peak: [m] its largest.
+        task_rms_rotation: [rad] root of the mean square of the angle of log(R_des R^T).
+        task_peak_rotation: [rad] its largest.
+        least_singular_value: The smallest singular value of the tool's Jacobian in the run, metres and radians taken
+            as alike; 0 at a singularity.
+        peak_force: [N] largest force of the environment on the arm.
+        peak_moment: [N m] its largest moment at the tool.
         overall: One number of each for all joints together; `MEASURES[name].overall` says which.
         groups: The same for the joints of each unit: {"rad": {"rms_error": ...}, "m": {"rms_error": ...}}.
 
@@ -125,17 +151,31 @@ class Metrics:
     largest_cut: Float64Array
     chatter: Float64Array
     energy: Float64Array
+    task_rms: float
+    task_peak: float
+    task_rms_rotation: float
+    task_peak_rotation: float
+    least_singular_value: float
+    peak_force: float
+    peak_moment: float
     overall: dict[str, float]
     groups: dict[str, dict[str, float]]
 
     def unit(self, name: str, group: str | None = None) -> str:
         """Unit of a metric, of a group if one is named; of joints with different units, both."""
+        if not MEASURES[name].per_joint:
+            return MEASURES[name].unit
         places = zip(self.units["rms_error"], self.units[name], strict=True)
         return " | ".join(dict.fromkeys(unit for of, unit in places if group in (None, of)))
 
     def by_unit(self, name: str, joint: str | None = None) -> dict[str, float]:
-        """A metric by its unit: of one joint; or the overall number, or one for each group where there is none."""
-        if joint is not None:
+        """A metric by its unit: of one joint; or the overall number, or one for each group where there is none.
+
+        Args:
+            name: The metric.
+            joint: The joint; it makes no difference to a number of the tool.
+        """
+        if joint is not None and MEASURES[name].per_joint:
             i = self.joint_names.index(joint)
             return {self.units[name][i]: float(getattr(self, name)[i])}
         if len(self.groups) == 1 or not MEASURES[name].per_unit:
@@ -145,7 +185,10 @@ class Metrics:
     def json(self) -> dict[str, Any]:
         """As plain values: {"duration", "setpoint", "rms_error": {"unit", "overall", "groups", "joints"}, ...}."""
         out: dict[str, Any] = {"duration": {"unit": "s", "overall": self.duration}, "setpoint": self.setpoint}
-        for name in MEASURES:
+        for name, measure in MEASURES.items():
+            if not measure.per_joint:
+                out[name] = {"unit": measure.unit, "overall": _plain(self.overall[name])}
+                continue
             per_joint = zip(self.joint_names, getattr(self, name), strict=True)
             out[name] = {
                 "unit": self.unit(name),
@@ -181,16 +224,19 @@ def metrics_of(run: Run) -> Metrics:
             unit: Named("a run", "metric", _together(run, columns, [i for i in range(run.n) if run.units[i] == unit]))
             for unit in dict.fromkeys(run.units)
         }
+        tool = _of_tool(run)
     if len(groups) > 1:
         overall |= {name: np.nan for name, measure in MEASURES.items() if measure.per_unit}
+    values: dict[str, Any] = {name: read_only(numbers) for name, numbers in columns.items()}
     return Metrics(
         joint_names=run.joint_names,
-        units={name: _units(run, measure.unit) for name, measure in MEASURES.items()},
+        units={name: _units(run, measure.unit) for name, measure in MEASURES.items() if measure.per_joint},
         duration=float(run.t[-1] - run.t[0]) if len(run) else 0.0,
         setpoint=setpoint,
-        overall=Named("a run", "metric", overall),
+        overall=Named("a run", "metric", overall | tool),
         groups=Named("a run", "group of joints, by unit,", groups),
-        **{name: read_only(values) for name, values in columns.items()},
+        **values,
+        **tool,
     )
 
 
@@ -200,7 +246,7 @@ def _units(run: Run, text: str) -> tuple[str, ...]:
 
 
 def _per_joint(run: Run, setpoint: bool) -> dict[str, Float64Array]:
-    columns = {name: np.full(run.n, np.nan) for name in MEASURES}
+    columns = {name: np.full(run.n, np.nan) for name, measure in MEASURES.items() if measure.per_joint}
     if not len(run):
         return columns
     error = run.error
@@ -231,7 +277,27 @@ def _together(run: Run, columns: Mapping[str, Float64Array], joints: list[int]) 
         numbers |= {name: float(number(norm)) for name, number in NORMS.items()}
     for name, value in _acting(run).items() if len(run) else ():
         numbers[name] = float(np.sum((value[:-1, joints] != 0.0).any(axis=1) * np.diff(run.t)))
-    return {name: numbers[name] for name in MEASURES}
+    return {name: numbers[name] for name, measure in MEASURES.items() if measure.per_joint}
+
+
+def _of_tool(run: Run) -> dict[str, Any]:
+    """Everything about the tool: where it should be, and what pushes it."""
+    out: dict[str, Any] = {name: np.nan for name, measure in MEASURES.items() if not measure.per_joint}
+    if not len(run):
+        return out
+    if isinstance(run.reference, TaskMotion) and TOOL in run.info:
+        task = run.task
+        errors = {"": task.position_error, "_rotation": task.rotation_error}
+        for what, error in errors.items():
+            assert error is not None
+            size = np.linalg.norm(error, axis=1)
+            out |= {f"task_rms{what}": float(_rms(size)), f"task_peak{what}": float(_peak(size))}
+        out["least_singular_value"] = float(task.least_singular_value.min())
+    if "F_ext" in run.extra:
+        wrench = run.extra["F_ext"]
+        for name, part in (("peak_force", wrench[:, :3]), ("peak_moment", wrench[:, 3:])):
+            out[name] = float(np.linalg.norm(part, axis=1).max())
+    return out
 
 
 def _rms(x: Float64Array) -> Float64Array:

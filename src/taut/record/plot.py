@@ -28,6 +28,7 @@ from taut.record.style import (
     short,
     short_name,
 )
+from taut.record.task_plot import TASK_HEIGHT, is_task_run, plot_task
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,6 +56,8 @@ TERMS: Final = {
 def plot(run: Run, *, joints: Iterable[str | int] | None = None) -> Figure:
     """Positions with the reference dashed, tracking error, torque with its limits, and the terms, over time.
 
+    Where the reference is one of the task, the tool's position and both its errors stand above.
+
     Args:
         run: The run.
         joints: Names or indices; by default all, of more than eight the eight with the largest error.
@@ -72,9 +75,14 @@ def plot(run: Run, *, joints: Iterable[str | int] | None = None) -> Figure:
     overview_rows = 2 if len(shown) == 1 else len(units)
     term_rows = 0 if len(shown) == 1 or not run.terms else -(-len(shown) // ACROSS)
     heights = [0.55 + 1.75 * overview_rows, 0.45 + 1.35 * term_rows][: 2 if term_rows else 1]
+    of_task = is_task_run(run)
+    heights = [TASK_HEIGHT, *heights] if of_task else heights
     figure = Figure(figsize=(WIDTH, 0.5 + sum(heights)), dpi=150, layout="constrained")
     figure.suptitle(_title(run, shown), fontsize=9.0, color=INK, x=0.01, ha="left")
     parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+    if of_task:
+        plot_task(run, parts[0])
+        parts = parts[1:]
     if len(shown) == 1:
         _one_joint(run, shown[0], parts[0])
     else:
@@ -171,8 +179,8 @@ def _small_pictures(run: Run, shown: Sequence[int], figure: SubFigure, rows: int
 
 
 def _positions(run: Run, joints: Sequence[int], unit: str, ax: Axes, places: Sequence[int] = (0,)) -> None:
-    prepared(ax, "position and reference", f"q [{unit}]")
     wanted = getattr(run.reference, "q", None)
+    prepared(ax, "position" if wanted is None else "position and reference", f"q [{unit}]")
     for place, joint in zip(places, joints, strict=True):
         line(ax, run.t, run.q[:, joint], colour(place))
         if wanted is not None:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from taut.record.metrics import Metrics
+    from taut.record.task import TaskSide
 
 __all__ = ["Run"]
 
@@ -56,7 +57,7 @@ class Run:
     tau: Float64Array  # (k, n) [N m | N]
     command: Float64Array  # (k, n) in the unit of the command's kind
     terms: Mapping[str, Float64Array]  # (k, n) each; they add up to the command
-    reference: Sample  # the wanted sample, with fields (k, n)
+    reference: Sample  # the wanted sample, with fields (k, n), or (k, 3) and the like of the task
     outcome: Outcome
     joint_names: tuple[str, ...]
     units: tuple[str, ...]  # of each entry of q: rad or m
@@ -100,6 +101,17 @@ class Run:
         """
         wanted = getattr(self.reference, "q", None)
         return None if wanted is None else short_way(np.asarray(wanted) - self.q, self.continuous)
+
+    @cached_property
+    def task(self) -> TaskSide:
+        """What the frame that the law controls did: pose, twist, Jacobian, and errors of position and rotation.
+
+        Raises:
+            UsageError: A run that was not made by `taut.run` does not say which frame that is.
+        """
+        from taut.record.task import task_of
+
+        return task_of(self)
 
     @cached_property
     def metrics(self) -> Metrics:

@@ -15,7 +15,8 @@ __all__ = ["metrics_table", "number_text"]
 
 def metrics_table(metrics: Metrics) -> str:
     """The metrics that have a meaning for this run, with units."""
-    names = [name for name in MEASURES if not all(math.isnan(x) for x in getattr(metrics, name))]
+    joints = [name for name, measure in MEASURES.items() if measure.per_joint]
+    names = [name for name in joints if not all(math.isnan(x) for x in getattr(metrics, name))]
     # One kind of limit that acted alone says what "saturated" says.
     whole = metrics.saturation_time.tolist()
     names = [name for name in names if not name.endswith("_limit_time") or getattr(metrics, name).tolist() != whole]
@@ -29,7 +30,16 @@ def metrics_table(metrics: Metrics) -> str:
         numbers = [number_text(x) for x in getattr(metrics, name)]
         last = [number_text(values[name]) for values in together.values()]
         columns.append([*_heading(MEASURES[name].title), metrics.unit(name), *numbers, *last])
-    return _aligned(["", "", "", *metrics.joint_names, *together], columns)
+    return "\n".join([_aligned(["", "", "", *metrics.joint_names, *together], columns), *_of_tool(metrics)])
+
+
+def _of_tool(metrics: Metrics) -> list[str]:
+    """The numbers of the tool, one line each."""
+    found = {name: metrics.overall[name] for name, measure in MEASURES.items() if not measure.per_joint}
+    shown = {name: value for name, value in found.items() if not math.isnan(value)}
+    width = max((len(name) for name in shown), default=0)
+    words = {name: f"[{MEASURES[name].unit}]: {MEASURES[name].overall}" for name in shown}
+    return [f"{name.ljust(width)}  {number_text(value)} {words[name]}" for name, value in shown.items()]
 
 
 def _heading(title: str) -> tuple[str, str]:

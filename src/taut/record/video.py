@@ -20,10 +20,11 @@ from taut.arm.description import Arm
 from taut.base.checks import positive_scalar
 from taut.base.errors import FileError, MatchError, RangeError, UsageError
 from taut.base.types import Float64Array
+from taut.control.task_reference import TaskMotion
 from taut.record import painter, render, scene, sketch
 from taut.record.files import checked_target, written_aside
 from taut.record.progress import Progress
-from taut.record.skeleton import Skeleton, View
+from taut.record.skeleton import Skeleton, View, upright
 
 if TYPE_CHECKING:
     from taut.record.run import Run
@@ -143,6 +144,9 @@ def _ticks(run: Run, period: float) -> Ticks:
 
 def _wanted(run: Run, arm: Arm, ticks: Ticks) -> Float64Array:
     """(k, 3) where the tool should be, if the reference moves; else (0, 3)."""
+    if isinstance(run.reference, TaskMotion):
+        p = run.reference.p
+        return p[ticks] @ upright(arm).T if np.any(p != p[0]) else np.zeros((0, 3))
     q = getattr(run.reference, "q", None)
     if q is None or not np.any(q != q[0]):
         return np.zeros((0, 3))

@@ -13,6 +13,7 @@ from taut.arm.description import Arm
 from taut.base.errors import UsageError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
+from taut.control.fade import Fade, can_fade
 from taut.control.lawside import LawSide
 from taut.control.reference import Chunk, Hold, Reference, Sample, Stream, sample_rows
 from taut.maths.model import PayloadValues
@@ -43,6 +44,7 @@ class ReferenceFeed:
         self._since = 0.0  # time at which a chunk started
         self._current: Any = None
         self._asked = -1  # the last tick at which a stream was asked
+        self._fade: Fade | None = None  # from the answer before
         if isinstance(ref, Hold):
             self._ref = at_rest if ref.sample is None else ref.sample
         if isinstance(self._ref, Sample) and not isinstance(self._ref, kind):
@@ -52,6 +54,10 @@ class ReferenceFeed:
         if isinstance(ref, Stream) and ref.source is None:
             raise UsageError(
                 "a stream in a simulation needs source=, a function that gives the next sample", name="ref"
+            )
+        if isinstance(ref, Stream) and ref.blend is not None and not can_fade(kind):
+            raise UsageError(
+                f"blend is for a stream of motions, and the law follows {kind.__name__}; leave it out", name="blend"
             )
 
     def next_question(self, tick: int) -> int | None:
@@ -76,21 +82,35 @@ class ReferenceFeed:
         """
         count = len(next(iter(views.values())))
         times: Float64Array = (first + np.arange(count, dtype=np.float64)) * self._dt
-        source = self._ref
-        if isinstance(source, Stream):
-            if first != self._asked and (first == 0 or self.next_question(first - 1) == first):
-                self._asked, self._since = first, first * self._dt
-                self._current = self._answer(source, state())
-            source = self._current
-            times = times - self._since
-        if isinstance(source, Sample):
-            table = sample_rows(_Constant(source), times[:1], self._kind, self._arm.n)
-        else:
-            table = sample_rows(source, times, self._kind, self._arm.n)
+        if isinstance(self._ref, Stream):
+            self._ask(self._ref, first, state)
+        table = self._rows(times)
         if "q" in table:
             require_radians("ref.q", table["q"], self._arm)
         for name, view in views.items():
             view[...] = table[name]
+
+    def _ask(self, stream: Stream, first: int, state: Callable[[], Any]) -> None:
+        """The next answer of a stream, if its time has come, and the fade from the one before."""
+        if first == self._asked or (first != 0 and self.next_question(first - 1) != first):
+            return
+        now = np.array([first * self._dt])
+        before = None if stream.blend is None or self._current is None else self._rows(now)
+        self._asked, self._since, self._fade = first, first * self._dt, None
+        self._current = self._answer(stream, state())
+        if before is not None:
+            assert stream.blend is not None
+            self._fade = Fade.of(self._kind, before, self._rows(now), self._since, stream.blend, self._arm)
+
+    def _rows(self, times: Float64Array) -> dict[str, Float64Array]:
+        """Each field at many times: one row each, or a single one where all are the same."""
+        streaming = isinstance(self._ref, Stream)
+        source = self._current if streaming else self._ref
+        if isinstance(source, Sample):
+            table = sample_rows(_Constant(source), times[:1], self._kind, self._arm.n)
+        else:
+            table = sample_rows(source, times - self._since if streaming else times, self._kind, self._arm.n)
+        return table if self._fade is None else self._fade.applied(table, times)
 
     def _answer(self, stream: Stream, x: Any) -> Sample | Chunk:
         assert stream.source is not None

@@ -15,8 +15,10 @@ from taut.base.types import ArrayLike
 from taut.control.reference import Hold, Reference, as_reference
 from taut.controller import Controller
 from taut.loop import Loop, ModelPlant, check_fit, state_at_start
+from taut.maths.chain import Chain
 from taut.record.progress import Progress
 from taut.record.run import Run
+from taut.record.task import TOOL
 from taut.runtime.events import Event, sorted_events
 from taut.runtime.fused import FusedRun
 from taut.runtime.host import HostPlant
@@ -87,6 +89,7 @@ def run(
         "arm": ctrl.side.arm.name,
         "plant": target.name,
         "events": [event.json() for _, event in due],
+        TOOL: Chain.of(ctrl.side.model, law.controlled_frame).json(),
     }
     going: FusedRun | HostedRun
     if isinstance(target, ModelPlant):

@@ -1,0 +1,74 @@
+"""Tables of samples: times that increase, and CSV files of them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from taut.base.checks import finite_array, readable_file
+from taut.base.errors import FileError, RangeError, ShapeError
+from taut.base.types import ArrayLike, Float64Array
+
+__all__ = ["read_rows", "sample_times"]
+
+
+def sample_times(times: ArrayLike) -> Float64Array:
+    """(k,) times [s], one at least, increasing.
+
+    Raises:
+        ShapeError: No vector, or an empty one.
+        RangeError: They do not increase.
+    """
+    t = finite_array("times", times, unit="s")
+    if t.ndim != 1 or not t.size:
+        raise ShapeError(f"times must be a vector (k,); got shape {t.shape}", name="times")
+    wrong = np.diff(t) <= 0.0
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        raise RangeError(
+            f"times must increase; times[{k + 1}] = {t[k + 1]:g} follows {t[k]:g}", name="times", rule="increasing"
+        )
+    return t
+
+
+def read_rows(
+    path: str | os.PathLike[str], example: str, columns: Callable[[Sequence[str]], Sequence[str]]
+) -> tuple[list[str], Float64Array]:
+    """Header and numbers (rows, columns) of a CSV file whose first column is t.
+
+    Args:
+        path: The file.
+        example: The columns, as a message names them.
+        columns: From the header, what it should be.
+
+    Raises:
+        FileError: No such file, no header, a column or a number that does not fit.
+    """
+    file = readable_file("CSV file", path)
+    with file.open(encoding="utf-8-sig", errors="replace") as lines:
+        header = [word.strip() for word in lines.readline().split(",")]
+        if header[0] != "t":
+            raise FileError(f"{file}: the first line must name the columns {example}; got {header}", name=str(file))
+        expected = list(columns(header))
+        if header != expected:
+            raise FileError(
+                f"{file}: the columns must be {', '.join(expected)}; got {', '.join(header)}", name=str(file)
+            )
+        rows = []
+        for number, line in enumerate(lines, start=2):
+            if not line.strip():
+                continue
+            try:
+                row = [float(word) for word in line.split(",")]
+            except ValueError as cause:
+                raise FileError(f"{file}, line {number}: not a number: {cause}", name=str(file)) from cause
+            if len(row) != len(header):
+                raise FileError(
+                    f"{file}, line {number}: {len(header)} numbers are needed; got {len(row)}", name=str(file)
+                )
+            rows.append(row)
+    if not rows:
+        raise FileError(f"{file}: there are no samples below the header", name=str(file))
+    return header, np.array(rows)

@@ -1,0 +1,366 @@
+"""Lines, screws, circles and samples of task space: the poses they go through, their rates, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation, Slerp
+from task_motion_tools import AXIS, POSES, START, assert_exact_rates, away
+
+import taut
+from taut.maths.spatial import pose_exp, pose_log
+
+T = 2.0
+INSIDE = np.linspace(0.013, T - 0.017, 23)  # off the instants at which an acceleration jumps
+FIELDS = ("p", "R", "twist", "acceleration")
+SCALINGS = ("quintic", "cubic", "trapezoidal")
+
+
+def straight(T1: taut.Pose, **options: Any) -> taut.Line:
+    return taut.Line(T0=START, T1=T1, **({"duration": T} | options))
+
+
+def screw(T1: taut.Pose, **options: Any) -> taut.Screw:
+    return taut.Screw(T0=START, T1=T1, **({"duration": T} | options))
+
+
+def ring(**options: Any) -> taut.Circle:
+    given: dict[str, Any] = {"centre": START.p + np.array([0.0, 0.1, 0.0]), "axis": [1.0, 0.0, 0.0], "duration": T}
+    return taut.Circle(T0=START, **(given | options))
+
+
+@pytest.fixture(params=SCALINGS)
+def scaling(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.mark.parametrize("make", [straight, screw], ids=["line", "screw"])
+@pytest.mark.parametrize("T1", POSES.values(), ids=POSES)
+class TestFromPoseToPose:
+    def test_it_goes_from_rest_to_rest_and_stays_there(self, make: Any, T1: taut.Pose, scaling: str) -> None:
+        motion = make(T1, scaling=scaling)
+        for t, pose in ((-1.0, START), (0.0, START), (T, T1), (T + 5.0, T1)):
+            sample = motion.at(t)
+            np.testing.assert_allclose(sample.p, pose.p, atol=1e-14)
+            np.testing.assert_allclose(sample.R, pose.R, atol=1e-14)
+            np.testing.assert_allclose(sample.twist, 0.0, atol=1e-14)
+        for t in (-1.0, T + 5.0):
+            np.testing.assert_array_equal(motion.at(t).acceleration, 0.0)
+
+    def test_twist_and_acceleration_are_the_rates_of_the_pose(self, make: Any, T1: taut.Pose, scaling: str) -> None:
+        assert_exact_rates(make(T1, scaling=scaling), INSIDE)
+
+    def test_many_times_at_once_are_the_same_as_one_by_one(self, make: Any, T1: taut.Pose) -> None:
+        motion, times = make(T1), np.linspace(-0.2, T + 0.2, 11)
+        rows = motion.rows(times)
+        for k, t in enumerate(times):
+            for name in FIELDS:
+                np.testing.assert_allclose(getattr(rows, name)[k], getattr(motion.at(float(t)), name), atol=1e-15)
+
+
+class TestLine:
+    def test_the_origin_goes_straight_and_the_orientation_is_slerp(self) -> None:
+        T1 = POSES["generic"]
+        rows = straight(T1).rows(INSIDE)
+        s = np.linalg.norm(rows.p - START.p, axis=1) / np.linalg.norm(T1.p - START.p)
+        np.testing.assert_allclose(rows.p, START.p + s[:, np.newaxis] * (T1.p - START.p), atol=1e-15)
+        slerp = Slerp([0.0, 1.0], Rotation.from_matrix([START.R, T1.R]))
+        np.testing.assert_allclose(rows.R, slerp(s).as_matrix(), atol=1e-14)
+
+    @pytest.mark.parametrize("axis", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], AXIS, [0.0, -0.6, 0.8]])
+    @pytest.mark.parametrize("off", [0.0, 1e-12, -1e-12])
+    def test_a_rotation_by_pi_goes_the_way_that_is_stated(self, axis: Any, off: float) -> None:
+        lead = np.asarray(axis) * np.sign(next(x for x in axis if x))
+        for sign in (1.0, -1.0):
+            motion = straight(away(sign * (np.pi + off) * np.asarray(axis)))
+            half = Rotation.from_matrix(START.R.T @ motion.at(0.5 * T).R).as_rotvec()
+            np.testing.assert_allclose(half, 0.5 * np.pi * lead, atol=1e-9)
+            np.testing.assert_allclose(motion.at(T).R, motion.T1.R, atol=1e-14)
+
+
+class TestScrew:
+    def test_its_body_twist_is_constant_but_for_its_speed(self) -> None:
+        T1 = POSES["generic"]
+        xi = pose_log(START.inverse() @ T1)
+        rows = screw(T1).rows(INSIDE)
+        for R, twist in zip(rows.R, rows.twist, strict=True):
+            body = np.concatenate([R.T @ twist[:3], R.T @ twist[3:]])
+            np.testing.assert_allclose(body, xi * (body @ xi) / (xi @ xi), atol=1e-14)
+
+    def test_its_poses_are_those_of_the_exponential(self) -> None:
+        T1 = POSES["generic"]
+        xi = pose_log(START.inverse() @ T1)
+        for x in (0.2, 0.5, 0.9):
+            s, sample = 10 * x**3 - 15 * x**4 + 6 * x**5, screw(T1).at(x * T)
+            expected = START @ pose_exp(s * xi)
+            np.testing.assert_allclose(sample.p, expected.p, atol=1e-14)
+            np.testing.assert_allclose(sample.R, expected.R, atol=1e-14)
+
+    def test_without_rotation_it_is_a_straight_line(self) -> None:
+        T1 = POSES["pure translation"]
+        for name in FIELDS:
+            ours, line = (getattr(motion.rows(INSIDE), name) for motion in (screw(T1), straight(T1)))
+            np.testing.assert_allclose(ours, line, atol=1e-14)
+
+
+class TestCircle:
+    @pytest.mark.parametrize("orientation", ["keep", "turn"])
+    @pytest.mark.parametrize("angle", [2.0 * np.pi, -0.5, 7.0, 0.0])
+    def test_it_stays_on_the_circle_with_exact_rates(self, orientation: str, angle: float, scaling: str) -> None:
+        motion = ring(angle=angle, orientation=orientation, scaling=scaling)
+        assert_exact_rates(motion, INSIDE, second=1e-4)  # seven radians in two seconds: larger third derivatives
+        rows = motion.rows(INSIDE)
+        spokes = rows.p - START.p - [0.0, 0.1, 0.0]
+        np.testing.assert_allclose(np.linalg.norm(spokes, axis=1), 0.1, atol=1e-14)
+        np.testing.assert_allclose(spokes @ [1.0, 0.0, 0.0], 0.0, atol=1e-14)
+        end = START.R if orientation == "keep" else Rotation.from_rotvec([angle, 0.0, 0.0]).as_matrix() @ START.R
+        np.testing.assert_allclose(motion.at(T).R, end, atol=1e-13)
+
+    def test_it_goes_about_its_axis_by_the_right_hand_rule(self) -> None:
+        quarter = ring(angle=0.5 * np.pi).at(T)
+        np.testing.assert_allclose(quarter.p, START.p + np.array([0.0, 0.1, -0.1]), atol=1e-15)
+
+    def test_an_arc_through_points_goes_through_them(self) -> None:
+        rng = np.random.default_rng(3)
+        for _ in range(20):
+            via, end = START.p + 0.2 * rng.standard_normal((2, 3))
+            arc = taut.Circle.through(T0=START, via=via, end=end, duration=T)
+            np.testing.assert_allclose(arc.at(T).p, end, atol=1e-12)
+            distances = np.linalg.norm(arc.rows(np.linspace(0.0, T, 20001)).p - via, axis=1)
+            assert distances.min() < 1e-3 * arc.radius  # of the nearest of the rows
+
+    def test_an_axis_of_any_length_will_do(self) -> None:
+        for size in (1e-300, 1e-3, 1e300):
+            np.testing.assert_allclose(ring(axis=[size, 0.0, 0.0]).at(0.7).p, ring().at(0.7).p, atol=1e-15)
+
+
+class TestLimits:
+    @pytest.mark.parametrize(
+        "limits",
+        [
+            ((0.1, 9.0), (9.0, 9.0)),
+            ((9.0, 0.2), (9.0, 9.0)),
+            ((9.0, 9.0), (0.3, 9.0)),
+            ((9.0, 9.0), (9.0, 0.3)),
+            ((0.3, 0.9), (0.6, 2.0)),
+        ],
+    )
+    @pytest.mark.parametrize(
+        "make",
+        [
+            lambda **o: straight(POSES["generic"], **o),
+            lambda **o: screw(POSES["generic"], **o),
+            lambda **o: ring(orientation="turn", **o),
+        ],
+        ids=["line", "screw", "circle"],
+    )
+    def test_the_fastest_motion_reaches_one_of_them_and_keeps_all(self, make: Any, limits: Any, scaling: str) -> None:
+        motion = make(duration=None, velocity=limits[0], acceleration=limits[1], scaling=scaling)
+        rows = motion.rows(np.linspace(0.0, motion.duration, 4001))
+        parts = [
+            np.linalg.norm(x[:, part], axis=1).max()
+            for x in (rows.twist, rows.acceleration)
+            for part in (slice(3), slice(3, 6))
+        ]
+        used = np.array(parts) / np.array([*limits[0], *limits[1]])
+        assert used.max() <= 1.0 + 1e-9
+        # A trapezoid on a curve leaves room for both parts of its acceleration.
+        least = 0.7 if scaling == "trapezoidal" and not isinstance(motion, taut.Line) else 0.999
+        assert used.max() > least
+
+    def test_a_duration_that_limits_allow_is_kept_with_them(self, scaling: str) -> None:
+        limits = {"velocity": (0.5, 1.0), "acceleration": (1.0, 2.0)}
+        fastest = straight(POSES["generic"], duration=None, scaling=scaling, **limits)
+        slower = straight(POSES["generic"], duration=3.0 * fastest.duration, scaling=scaling, **limits)
+        np.testing.assert_allclose(slower.at(3.0 * fastest.duration).p, slower.T1.p, atol=1e-14)
+        np.testing.assert_allclose(slower.at(3.0 * 0.4).p, fastest.at(0.4).p, atol=1e-12)
+        again = straight(POSES["generic"], duration=fastest.duration, scaling=scaling, **limits)
+        np.testing.assert_allclose(again.at(0.4).p, fastest.at(0.4).p, atol=1e-12)
+
+    def test_a_motion_to_where_it_is_takes_no_time_and_rests(self, scaling: str) -> None:
+        for make in (straight, screw):
+            motion = make(START, duration=None, velocity=(1.0, 1.0), acceleration=(1.0, 1.0), scaling=scaling)
+            assert motion.duration == 0.0
+            assert not motion.rows(np.linspace(-1.0, 1.0, 5)).twist.any()
+            np.testing.assert_allclose(motion.at(0.3).R, START.R, atol=1e-15)
+
+
+WAY = [
+    START,
+    away([0.3, 0.0, 0.0], [0.1, 0.0, 0.0]),
+    away([0.3, 1.0, 0.0], [0.1, 0.1, 0.0]),
+    away([0.0, 0.4, 2.0], [0.0, 0.1, 0.2]),
+]
+KNOTS = [0.0, 0.6, 1.1, 2.0]
+
+
+class TestSamples:
+    @pytest.mark.parametrize("interpolation", ["spline", "linear"])
+    @pytest.mark.parametrize("count", [1, 2, 3, 4])
+    def test_they_go_through_their_poses_with_exact_rates(self, interpolation: str, count: int) -> None:
+        motion = taut.TaskSamples(times=KNOTS[:count], poses=WAY[:count], interpolation=interpolation)
+        for t, pose in zip(KNOTS[:count], WAY, strict=False):
+            np.testing.assert_allclose(motion.at(t).p, pose.p, atol=1e-14)
+            np.testing.assert_allclose(motion.at(t).R, pose.R, atol=1e-13)
+        assert_exact_rates(motion, INSIDE)
+
+    def test_a_spline_starts_and_ends_at_rest_and_its_acceleration_is_continuous(self) -> None:
+        motion = taut.TaskSamples(times=KNOTS, poses=WAY)
+        assert motion.duration == 2.0
+        for t in (-0.5, 0.0, 2.0, 2.5):
+            np.testing.assert_allclose(motion.at(t).twist, 0.0, atol=1e-14)
+        for t in KNOTS[1:-1]:
+            near, far = motion.at(t - 1e-9), motion.at(t + 1e-9)
+            np.testing.assert_allclose(near.twist, far.twist, atol=1e-6)
+            np.testing.assert_allclose(near.acceleration, far.acceleration, atol=1e-5)
+
+    def test_linear_ones_are_slerp_in_between(self) -> None:
+        motion = taut.TaskSamples(times=KNOTS, poses=WAY, interpolation="linear")
+        slerp = Slerp(KNOTS, Rotation.from_matrix([pose.R for pose in WAY]))
+        np.testing.assert_allclose(motion.rows(INSIDE).R, slerp(INSIDE).as_matrix(), atol=1e-14)
+
+    @pytest.mark.parametrize("order", ["xyzw", "wxyz", "rpy"])
+    def test_a_csv_file_says_the_order_of_its_rotation_in_the_header(self, order: str, tmp_path: Path) -> None:
+        names = {"xyzw": "qx, qy, qz, qw", "wxyz": "qw, qx, qy, qz", "rpy": "roll, pitch, yaw"}[order]
+        lines = [f"t, x, y, z, {names}"]
+        lines += [
+            ", ".join(map(repr, [t, *pose.p.tolist(), *getattr(pose, order).tolist()]))
+            for t, pose in zip(KNOTS, WAY, strict=True)
+        ]
+        file = tmp_path / "way.csv"
+        file.write_text("\n".join(lines))
+        read = taut.TaskSamples.from_csv(file)
+        given = taut.TaskSamples(times=KNOTS, poses=WAY)
+        for name in FIELDS:
+            np.testing.assert_allclose(
+                getattr(read.rows(INSIDE), name), getattr(given.rows(INSIDE), name), atol=1e-11
+            )
+
+
+POINT = {"T0": START, "T1": START}
+NOT_A_POSE: Any = [0.4, 0.0, 0.3]
+REFUSED: list[tuple[Any, type[Exception], str]] = [
+    (
+        lambda: taut.Line(T0=NOT_A_POSE, T1=START, duration=1.0),
+        taut.UsageError,
+        "T0 must be a taut.Pose(p=..., rpy=...); got list",
+    ),
+    (
+        lambda: taut.Screw(T0=START, T1=NOT_A_POSE, duration=1.0),
+        taut.UsageError,
+        "T1 must be a taut.Pose(p=..., rpy=...); got list",
+    ),
+    (
+        lambda: taut.Line(**POINT),
+        taut.UsageError,
+        "Line needs duration= [s], or velocity= and acceleration=, each (linear, angular)",
+    ),
+    (
+        lambda: taut.Line(**POINT, velocity=(1.0, 1.0)),
+        taut.UsageError,
+        "Line needs acceleration= too, as (linear, angular) [m/s^2, rad/s^2]",
+    ),
+    (
+        lambda: ring(acceleration=(1.0, 1.0)),
+        taut.UsageError,
+        "Circle needs velocity= too, as (linear, angular) [m/s, rad/s]",
+    ),
+    (
+        lambda: taut.Line(**POINT, velocity=0.5, acceleration=(1.0, 1.0)),
+        taut.ShapeError,
+        "velocity must be (linear, angular) [m/s, rad/s]; got 0.5",
+    ),
+    (
+        lambda: taut.Line(**POINT, velocity=(0.5, 0.0), acceleration=(1.0, 1.0)),
+        taut.RangeError,
+        "velocity[1] must be > 0 [m/s, rad/s]; got 0.0",
+    ),
+    (lambda: taut.Line(**POINT, duration=0.0), taut.RangeError, "duration must be > 0 [s]; got 0.0"),
+    (
+        lambda: taut.Line(**POINT, duration=1.0, scaling="min-jerk"),
+        taut.UsageError,
+        "scaling must be one of 'quintic', 'cubic', 'trapezoidal'; got 'min-jerk'",
+    ),
+    (
+        lambda: straight(POSES["pure translation"], duration=0.1, velocity=(0.1, 1.0), acceleration=(1.0, 1.0)),
+        taut.RangeError,
+        "duration must be >= 5.04859 [s], which velocity and acceleration allow; got 0.1",
+    ),
+    (lambda: ring(axis=[0.0, 0.0, 0.0]), taut.RangeError, "axis must have a direction; got zeros"),
+    (
+        lambda: ring(centre=START.p),
+        taut.RangeError,
+        "centre is where the circle starts, so that it has no radius; give another point",
+    ),
+    (
+        lambda: ring(centre=[0.41, 0.0, 0.3]),
+        taut.RangeError,
+        "centre must be in the plane through T0 that the axis is normal to; it is 0.01 m off, and the nearest point is [0.4, 0.0, 0.3]",
+    ),
+    (lambda: ring(orientation="free"), taut.UsageError, "orientation must be one of 'keep', 'turn'; got 'free'"),
+    (
+        lambda: taut.Circle.through(T0=START, via=START.p, end=START.p + 0.1, duration=1.0),
+        taut.RangeError,
+        "via and end must make a circle with T0: three different points that are not on one line; for a straight line take taut.Line",
+    ),
+    (
+        lambda: taut.Circle.through(T0=START, via=START.p + 0.05, end=START.p + 0.1, duration=1.0),
+        taut.RangeError,
+        "via and end must make a circle with T0",
+    ),
+    (lambda: straight(START).at(np.nan), taut.RangeError, "t must be finite [s]; got nan"),
+    (
+        lambda: taut.TaskSamples(times=[0.0], poses=[NOT_A_POSE]),
+        taut.UsageError,
+        "poses must be a list of taut.Pose(p=..., rpy=...)",
+    ),
+    (
+        lambda: taut.TaskSamples(times=[0.0, 1.0], poses=[START]),
+        taut.ShapeError,
+        "poses must have one pose per time; got 1 for 2 times",
+    ),
+    (
+        lambda: taut.TaskSamples(times=[0.0, 0.0], poses=[START, START]),
+        taut.RangeError,
+        "times must increase; times[1] = 0 follows 0",
+    ),
+    (lambda: taut.TaskSamples(times=[], poses=[]), taut.ShapeError, "times must be a vector (k,); got shape (0,)"),
+    (
+        lambda: taut.TaskSamples(times=[0.0], poses=[START], interpolation="cubic"),
+        taut.UsageError,
+        "interpolation must be one of 'spline', 'linear'; got 'cubic'",
+    ),
+]
+
+
+@pytest.mark.parametrize(("make", "kind", "words"), REFUSED, ids=[words[:60] for _, _, words in REFUSED])
+def test_bad_input_is_refused_in_one_sentence(make: Any, kind: type[Exception], words: str) -> None:
+    with pytest.raises(kind) as caught:
+        make()
+    assert str(caught.value).startswith(words)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("x, y\n", "the first line must name the columns t, x, y, z, qx, qy, qz, qw; got ['x', 'y']"),
+        ("t, x, y, z\n0, 1, 2, 3\n", "the columns must be t, x, y, z, qx, qy, qz, qw; got t, x, y, z"),
+        (
+            "t, x, y, z, roll, pitch\n",
+            "the columns must be t, x, y, z, roll, pitch, yaw; got t, x, y, z, roll, pitch",
+        ),
+        (
+            "t, x, y, z, qx, qy, qz, qw\n0, 1, 2, 3, 0, 0, 0, 2\n",
+            "sample 1: xyzw must have length 1; its length is 2; divide it by its length",
+        ),
+    ],
+)
+def test_a_csv_file_that_holds_no_poses_is_refused(text: str, words: str, tmp_path: Path) -> None:
+    file = tmp_path / "way.csv"
+    file.write_text(text)
+    with pytest.raises(taut.FileError) as caught:
+        taut.TaskSamples.from_csv(file)
+    assert str(caught.value).endswith(words)
