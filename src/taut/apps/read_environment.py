@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-from taut.apps.read_pose import pose_table
 from taut.apps.read_drives import made_from
+from taut.apps.read_pose import pose_table
 from taut.apps.toml import Section
 from taut.base.errors import quoted_list
 from taut.plant.environment import Environment, Environments
