@@ -46,7 +46,7 @@ def test_the_radial_clearance_of_the_hole_is_nowhere_more_than_0_2_mm() -> None:
     margin, half = float(geom.attrib["margin"]), np.pi / len(wedges)
     face = corners[:, 0].min() - margin
     assert 0.16e-3 < face - PEG["tool_radius"] < 0.2e-3
-    assert 0.1999e-3 < face / np.cos(half) - PEG["tool_radius"] < 0.2e-3
+    assert 0.1995e-3 < face / np.cos(half) - PEG["tool_radius"] < 0.2e-3
     # Wedges meet without a gap, all round, down to 40 mm; the chamfer is as deep as wide.
     np.testing.assert_allclose(np.abs(corners[:, 1]), corners[:, 0] * np.tan(half), rtol=1e-6)
     angles = [2.0 * np.arctan2(*[float(w.attrib["quat"].split()[i]) for i in (3, 0)]) for w in wedges]
@@ -62,7 +62,7 @@ def test_a_peg_that_is_pressed_with_30_newtons_sinks_in_by_less_than_a_micrometr
     plant = taut.MujocoPlant(arm, scene=HOLE, scene_at=beside, **PEG)
     ctrl = taut.compile(taut.laws.Impedance(K=(3000, 30), zeta=1.0), arm)
     out = taut.run(
-        ctrl, plant, taut.TaskMotion(pose=taut.Pose(T.p - [0, 0, 0.0101], R=T.R)), duration=1.5, q0=arm.home
+        ctrl, plant, taut.TaskMotion(pose=taut.Pose(T.p - [0, 0, 0.0101], R=T.R)), duration=0.8, q0=arm.home
     )
     assert out.extra["F_ext"][-1, 2] == pytest.approx(30.0, abs=0.1)
     assert abs(out.task.p[-1, 2] - beside.p[2]) < 1e-6
@@ -122,7 +122,7 @@ columns = ["peak_error", "final_z"]
 [[pass]]
 law = "PD"
 metric = "peak_error"
-max = 1.0
+max = 2.0
 """
 
 
@@ -156,7 +156,7 @@ def test_each_run_has_its_scene_elsewhere_and_is_a_run_of_its_own(
     assert list(scenario.cases) == ["run 1", "run 2", "run 3"]
     for k, one in enumerate(scenario.cases.values(), start=1):
         plant: Any = one.plant
-        geom = plant.model.ngeom - 1
+        geom = int(np.flatnonzero((plant.model.geom_size == [0.05, 1.0, 1.0]).all(axis=1))[0])
         plant.reset(one.arm.home, np.zeros(2), 1e-3)
         import mujoco
 
@@ -175,7 +175,7 @@ def test_each_run_has_its_scene_elsewhere_and_is_a_run_of_its_own(
 def test_a_figure_that_one_run_misses_is_missed_and_the_run_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    text = SPREAD.replace("max = 1.0", 'max = 1e-6\ncase = "run 2"')
+    text = SPREAD.replace("max = 2.0", 'max = 1e-6\ncase = "run 2"')
     assert main(["run", written(tmp_path, text), "--out", str(tmp_path / "out")]) == 1
     missed = [text for text in capsys.readouterr().out.splitlines() if text.startswith("missed")]
     assert len(missed) == 1
