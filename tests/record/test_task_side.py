@@ -131,6 +131,7 @@ class TestMetrics:
         assert m.task_rms_rotation == pytest.approx(np.sqrt(np.mean(rotation**2)))
         assert m.task_peak_rotation == pytest.approx(rotation.max())
         assert m.least_singular_value == pytest.approx(task.least_singular_value.min())
+        np.testing.assert_array_equal([m.final_x, m.final_y, m.final_z], task.p[-1])
         assert np.isnan([m.peak_force, m.peak_moment]).all()  # nothing recorded a force
         assert run.error is None
         for name in OF_JOINT_MOTION:

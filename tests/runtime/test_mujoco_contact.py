@@ -64,6 +64,35 @@ def test_a_wall_pushes_back_with_the_sign_of_the_wall_on_the_arm() -> None:
     assert np.abs(out.tau[-1] + J.T @ F_ext[-1] - g).max() < 1e-2  # [N m], of 40; it still settles
 
 
+def test_a_tool_with_a_length_touches_with_its_side_and_with_the_edge_of_its_end() -> None:
+    arm, radius, length = panda(), 0.01, 0.06
+    x, _, z = tool(arm)
+    # A ledge beside the tool, 30 mm above its end: only the side of a cylinder reaches it, after 2 mm.
+    ledge = f'<geom type="box" size="0.05 1 0.01" pos="{x + 0.05 + radius + 0.002} 0 {z + 0.03}" friction="0"/>'
+    pushing = arm.home + np.array([0.0, 0.05, 0.0, 0.1, 0.0, 0.0, 0.0])
+    cylinder = hold(taut.MujocoPlant(arm, scene=ledge, tool_radius=radius, tool_length=length), arm, pushing)
+    sphere = hold(taut.MujocoPlant(arm, scene=ledge, tool_radius=radius), arm, pushing)
+    first = int(np.argmax(cylinder.extra["F_ext"].any(axis=1)))
+    assert cylinder.extra["F_ext"][first, 0] < -5.0
+    assert not sphere.extra["F_ext"][: first + 20].any()
+
+
+def test_a_scene_stands_where_it_is_put() -> None:
+    arm = panda()
+    x, y, z = tool(arm)
+    wall = '<geom type="box" size="0.05 1 1" pos="0.05 0 0" friction="0"/>'  # its face at the origin, along -x
+    here = f'<geom type="box" size="0.05 1 1" pos="{x + 0.012 + 0.05} {y} {z}" friction="0"/>'
+    pushing = arm.home + np.array([0.0, 0.05, 0.0, 0.1, 0.0, 0.0, 0.0])
+    put = hold(taut.MujocoPlant(arm, scene=wall, scene_at=taut.Pose([x + 0.012, y, z])), arm, pushing)
+    written = hold(taut.MujocoPlant(arm, scene=here), arm, pushing)
+    assert put.extra["F_ext"][-1, 0] < -5.0
+    np.testing.assert_allclose(put.extra["F_ext"], written.extra["F_ext"], atol=1e-6)
+    # Turned by half a turn about z it is behind its face, where the tool pushes away from it.
+    turned = taut.Pose([x - 0.012, y, z], rpy=[0.0, 0.0, np.pi])
+    behind = hold(taut.MujocoPlant(arm, scene=wall, scene_at=turned), arm, pushing)
+    assert not behind.extra["F_ext"].any()
+
+
 def test_the_sensor_at_the_site_says_what_f_ext_says_and_the_payloads_weight_and_inertia() -> None:
     arm = panda().with_payload(2.0, com=(0.0, 0.0, 0.1))
     x, y, z = tool(arm)

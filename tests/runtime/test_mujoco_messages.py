@@ -42,6 +42,13 @@ def said(act: Callable[[], object], kind: type[taut.TautError]) -> str:
         ({"timestep": 0.0}, taut.RangeError, "timestep must be > 0 [s]; got 0.0"),
         ({"timestep": np.nan}, taut.RangeError, "timestep must be finite [s]; got nan"),
         ({"tool_radius": -1.0}, taut.RangeError, "tool_radius must be > 0 [m]; got -1.0"),
+        ({"tool_length": 0.0}, taut.RangeError, "tool_length must be > 0 [m]; got 0.0"),
+        ({"scene_at": [0, 0, 0]}, taut.UsageError, "scene_at must be a taut.Pose; got list"),
+        (
+            {"scene_at": taut.Pose.identity()},
+            taut.UsageError,
+            "scene_at says where the scene stands, and there is none; give scene= too",
+        ),
         ({"link_radius": "a"}, taut.ShapeError, "link_radius must be one number [m]; got 'a'"),
         (
             {"adds": ("gravty",)},

@@ -248,7 +248,7 @@ def _check_files(scenario: Scenario, section: Section) -> None:
     """Files that could not be made after the run."""
     wanted = scenario.outputs
     runs = sum(_parts(one.laws.get(trial.law)) for trial, one in scenario.trials.items())
-    if wanted.plot is not None and runs > MOST_RUNS:
+    if wanted.plot is not None and scenario.spread is None and runs > MOST_RUNS:
         what = "laws, counted in each case" if scenario.cases else "laws"
         raise section.error(f"plot draws at most {MOST_RUNS} {what}; got {runs}; leave it out, or some of the laws")
     if wanted.video is not None and wanted.video.endswith(".mp4") and shutil.which("ffmpeg") is None:

@@ -35,6 +35,11 @@ def read_arm(section: Section, folder: Path) -> Arm:
     arm = _assembled(section, opened, {key: value for key, value in given.items() if value is not None})
     if friction_word(section, "none") == "none":
         arm = arm.with_friction(Friction())
+    if "tool_offset" in section:
+        offset = pose_table(section.section("tool_offset"))
+        with section.blamed("tool_offset"):
+            arm = arm.with_tool(arm.tool, offset)
+    section.take("tool_offset", None)  # known, so that a misspelt one is compared with it
     arm = _changed(section, arm)
     section.done()
     return arm

@@ -11,6 +11,7 @@ from taut.apps.read_arm import read_true_arm
 from taut.apps.read_drives import made_from, read_actuation
 from taut.apps.read_environment import read_environment
 from taut.apps.read_joints import friction_word
+from taut.apps.read_pose import pose_table
 from taut.apps.toml import Section, file_beside
 from taut.arm.description import Arm, Payload
 from taut.maths.adds import Adds
@@ -25,7 +26,7 @@ __all__ = ["Plant", "read_plant"]
 MOST_STEPS: Final = 1000  # of MuJoCo in a control period, as of the other plant
 
 OF_RIGID: Final = ("integrator", "takes", "substeps", "sweeps", "energy")
-OF_MUJOCO: Final = ("timestep", "scene")
+OF_MUJOCO: Final = ("timestep", "scene", "scene_at", "tool_radius", "tool_length")
 
 Plant: TypeAlias = RigidPlant | HostPlant
 
@@ -78,7 +79,11 @@ def _in_mujoco(section: Section, arm: Arm, options: dict[str, Any], rate: float,
     from taut.runtime.drivers.mujoco import MujocoPlant
 
     timestep, scene = section.number("timestep", None), section.text("scene", None)
-    section.only(elsewhere=dict.fromkeys(OF_RIGID, ', which is for kind = "rigid"'))
+    if "scene_at" in section:
+        options["scene_at"] = pose_table(section.section("scene_at"))
+    section.take("scene_at", None)  # known, so that a misspelt one is compared with it
+    options |= {word: section.number(word) for word in ("tool_radius", "tool_length") if word in section}
+    section.only(*OF_MUJOCO, elsewhere=dict.fromkeys(OF_RIGID, ', which is for kind = "rigid"'))
     if timestep is not None and 0.0 < timestep * rate * MOST_STEPS < 1.0:
         raise section.error(
             f"timestep must be >= {1.0 / (rate * MOST_STEPS):g} [s], {MOST_STEPS} of which make a control period; "

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import math
 import os
+import statistics
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -24,6 +26,7 @@ from taut.record.files import cannot_write, checked_target, written_aside
 from taut.record.metrics import MEASURES, Metrics
 from taut.record.part import PARTS
 from taut.record.run import Run
+from taut.record.spread_plot import spread_figure
 from taut.record.table import number_text
 from taut.runtime.simulate import run
 from taut.study.impedance import check_impedance, impedance_of
@@ -83,6 +86,8 @@ class ScenarioResult:
             width: Letters in a line. One row stands for each run, or one column where the rows would be longer.
         """
         names, joint = self.scenario.outputs.columns or COLUMNS, self.scenario.outputs.joint
+        if self.scenario.spread is not None:
+            return self._of_spread(names, joint)
         runs = _apart(self.runs)
         rows_of = [[one.metrics.by_unit(name, joint) for name in names] for one in runs.values()]
         heads = dict.fromkeys((i, unit) for row in rows_of for i, by_unit in enumerate(row) for unit in by_unit)
@@ -104,6 +109,32 @@ class ScenarioResult:
         for row in rows[1:]:
             table.add_row(*map(escape, row))
         return table
+
+    def _of_spread(self, names: Sequence[str], joint: str | None) -> Table:
+        """A row for each metric: how it is spread over the runs of each law, and which run has the largest."""
+        table = Table(title=escape(self.scenario.title))
+        for head in ("law", "metric", "runs", "least", "median", "largest", "largest in"):
+            table.add_column(head, overflow="fold")
+        for law in self.scenario.laws:
+            runs = {trial.case: one for trial, one in self.runs.items() if trial.law == law}
+            for name in names:
+                found = {case: one.metrics.by_unit(name, joint) for case, one in runs.items()}
+                for unit in dict.fromkeys(unit for numbers in found.values() for unit in numbers):
+                    row = _spread_row({case: numbers.get(unit, math.nan) for case, numbers in found.items()})
+                    if row is not None:
+                        table.add_row(*map(escape, (law, f"{MEASURES[name].title} [{unit}]", *row)))
+            ended = sum(one.outcome.ok for one in runs.values())
+            table.add_row(escape(law), "completed", f"{ended} of {len(runs)}")
+        return table
+
+
+def _spread_row(values: Mapping[str, float]) -> list[str] | None:
+    """Count, least, median and largest of what is a number, and the run of the largest; None if nothing is."""
+    known = {case: value for case, value in values.items() if not math.isnan(value)}
+    if not known:
+        return None
+    least, median, largest = (number_text(f(known.values())) for f in (min, statistics.median, max))
+    return [str(len(known)), least, median, largest, max(known, key=lambda case: known[case])]
 
 
 def _apart(runs: Mapping[Trial, Run]) -> dict[Trial, Run]:
@@ -142,15 +173,26 @@ def run_scenario(
         ScenarioError: A law that cannot be compiled, a run that cannot begin.
     """
     files = _targets(scenario, folder)
-    runs = {trial: _one_run(one, trial, say, engine) for trial, one in scenario.trials.items()}
+    runs: dict[Trial, Run] = {}
+    made: dict[str, Controller] = {}  # in a spread the plants differ, and the controllers do not
+    for trial, one in scenario.trials.items():
+        ctrl = made.get(trial.law)
+        if ctrl is None:
+            ctrl = _compiled(one, trial, engine)
+            remark = _remark(ctrl, one)
+            if remark:
+                say(f"law '{trial.law}': {remark}")
+        if scenario.spread is not None:
+            made[trial.law] = ctrl
+        runs[trial] = _one_run(one, ctrl, trial, say)
     outputs, skipped = _written(scenario, runs, files, say)
     missed = tuple(text for figure in scenario.figures for text in _missed(figure, runs))
     return ScenarioResult(scenario=scenario, runs=runs, outputs=outputs, skipped=skipped, missed=missed)
 
 
-def _one_run(scenario: Scenario, trial: Trial, say: Callable[[str], None], engine: str) -> Run:
-    try:
-        ctrl = compile(
+def _compiled(scenario: Scenario, trial: Trial, engine: str) -> Controller:
+    with _blamed(scenario, trial):
+        return compile(
             scenario.laws[trial.law],
             scenario.arm,
             rate=scenario.rate,
@@ -159,10 +201,11 @@ def _one_run(scenario: Scenario, trial: Trial, say: Callable[[str], None], engin
             adds=scenario.plant.adds,
             engine=engine,  # type: ignore[arg-type]  # the command line checks the word
         )
-        remark = _remark(ctrl, scenario)
-        if remark:
-            say(f"law '{trial.law}': {remark}")
-        say(f"running {trial.label} ...")
+
+
+def _one_run(scenario: Scenario, ctrl: Controller, trial: Trial, say: Callable[[str], None]) -> Run:
+    say(f"running {trial.label} ...")
+    with _blamed(scenario, trial):
         return run(
             ctrl,
             scenario.plant,
@@ -173,7 +216,14 @@ def _one_run(scenario: Scenario, trial: Trial, say: Callable[[str], None], engin
             seed=scenario.seed,
             events=scenario.events,
         )
-    except TautError as cause:  # what loading could not see: code that cannot be traced, memory that is full
+
+
+@contextmanager
+def _blamed(scenario: Scenario, trial: Trial) -> Iterator[None]:
+    """What loading could not see, such as code that cannot be traced or memory that is full, names its place."""
+    try:
+        yield
+    except TautError as cause:
         section = SECTIONS.get((cause.name or "").partition(".")[0])
         place = f"[{section}]" if section else f"law '{trial.law}':"
         raise ScenarioError(f"{scenario.source}: {place} {cause}") from cause
@@ -264,7 +314,9 @@ def _save_plot(scenario: Scenario, runs: Mapping[Trial, Run], path: Path) -> Non
     if not drawn:
         raise UsageError("there is nothing to plot: no law got through its first tick", name="plot")
     wanted, joints = scenario.outputs, None if scenario.outputs.joint is None else [scenario.outputs.joint]
-    if len(runs) > 1:
+    if scenario.spread is not None:
+        figure = spread_figure(drawn)
+    elif len(runs) > 1:
         figure = compare(drawn, measures=wanted.columns, joint=wanted.joint)
     else:
         figure = next(iter(drawn.values())).plot(joints=joints)

@@ -18,6 +18,7 @@ from taut.apps.read_laws import read_law, read_limits
 from taut.apps.read_plant import Plant, read_plant
 from taut.apps.read_reference import read_reference
 from taut.apps.read_sensing import SENSED, read_sensing
+from taut.apps.spread import Spread, read_spread
 from taut.apps.toml import Section, read_toml
 from taut.arm.description import Arm
 from taut.base.checks import positive_scalar
@@ -32,7 +33,7 @@ from taut.runtime.events import Event
 
 __all__ = ["Outputs", "PassFigure", "Scenario", "built_in_scenarios", "load_scenario"]
 
-SECTIONS: Final = (*OF_A_CASE, "title", "outputs", "pass", "cases")
+SECTIONS: Final = (*OF_A_CASE, "title", "outputs", "pass", "cases", "spread")
 SUFFIXES: Final = {
     "plot": (".png", ".pdf", ".svg"),
     "video": (".gif", ".mp4"),
@@ -91,6 +92,7 @@ class Scenario:
     outputs: Outputs
     figures: tuple[PassFigure, ...]
     cases: Mapping[str, Scenario]  # the scenario with some keys replaced; where there are any, only they are run
+    spread: Spread | None = None  # what chance does to it; its runs are the cases
 
     @property
     def trials(self) -> dict[Trial, Scenario]:
@@ -122,19 +124,25 @@ def load_scenario(name: str, own_laws: Mapping[str, Law] | None = None) -> Scena
     source = f"scenario '{name}'"
     root = read_toml(path, source)
     root.only(*SECTIONS)
+    spread = read_spread(root)
     changed = cases_of(root)
     title, outputs, figures = root.text("title", path.stem), root.section("outputs"), root.sections("pass")
     parts, places = _experiment(root, path.parent, own_laws)
     others = {case: _experiment(section, path.parent, own_laws) for case, section in changed.items()}
+    chances = [] if spread is None else list(spread.plants())
+    names = [*others, *(name for name, _ in chances)]
     laws = list(parts["laws"])
     common: dict[str, Any] = {
         "name": path.stem,
         "title": title,
-        "outputs": _outputs(outputs, laws, places.labels, list(others)),
-        "figures": tuple(_figure(section, places.labels or laws, list(others)) for section in figures),
+        "outputs": _outputs(outputs, laws, places.labels, names),
+        "figures": tuple(_figure(section, places.labels or laws, names) for section in figures),
     }
     cases = {case: Scenario(**fields, **common, cases={}) for case, (fields, _) in others.items()}
-    scenario = Scenario(**parts, **common, cases=cases)
+    for case, section in chances:
+        plant = read_plant(section, parts["arm"], parts["rate"], path.parent)
+        cases[case] = Scenario(**{**parts, "plant": plant}, **common, cases={})
+    scenario = Scenario(**parts, **common, cases=cases, spread=spread)
     refuse_misfits(scenario, places)
     for case, (_, places_of_case) in others.items():
         refuse_misfits(cases[case], places_of_case)

@@ -71,6 +71,9 @@ MEASURES: Final = {
     "torque_jump": Measure(title="torque jump", unit="{tau}", overall="the largest"),
     "torque_use": Measure(title="torque", unit="% of limit", overall="the largest"),
     "speed_use": Measure(title="speed", unit="% of limit", overall="the largest"),
+    "final_x": of_tool("final x", "m", "where the tool is at the end, along the world's x axis"),
+    "final_y": of_tool("final y", "m", "where the tool is at the end, along the world's y axis"),
+    "final_z": of_tool("final z", "m", "where the tool is at the end, along the world's z axis"),
     "task_rms": of_tool("task RMS", "m", "RMS of the norm of the tool's position error"),
     "task_peak": of_tool("task peak", "m", "peak of the norm of the tool's position error"),
     "task_final": of_tool("task final", "m", "norm of the tool's position error in the last tick"),
@@ -141,6 +144,9 @@ class Metrics:
         task_final: [m] that of the last tick.
         task_rms_rotation: [rad] root of the mean square of the angle of log(R_des R^T).
         task_peak_rotation: [rad] its largest.
+        final_x: [m] where the tool is in the last tick, in the world; final_y and final_z likewise.
+        final_y: [m]
+        final_z: [m]
         least_singular_value: The smallest singular value of the tool's Jacobian in the run, metres and radians taken
             as alike; 0 at a singularity.
         peak_force: [N] largest force of the environment on the arm.
@@ -187,6 +193,9 @@ class Metrics:
     task_final: float
     task_rms_rotation: float
     task_peak_rotation: float
+    final_x: float
+    final_y: float
+    final_z: float
     least_singular_value: float
     peak_force: float
     peak_moment: float
@@ -319,6 +328,8 @@ def _of_tool(run: Run) -> dict[str, Any]:
     out: dict[str, Any] = {name: np.nan for name, measure in MEASURES.items() if not measure.per_joint}
     if not len(run):
         return out
+    if TOOL in run.info:
+        out |= {f"final_{axis}": float(value) for axis, value in zip("xyz", run.task.p[-1], strict=True)}
     if isinstance(run.reference, TaskMotion) and TOOL in run.info:
         task = run.task
         errors = {"": task.position_error, "_rotation": task.rotation_error}

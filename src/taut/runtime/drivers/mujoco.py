@@ -14,6 +14,7 @@ from taut.arm.description import Arm, Payload
 from taut.base.checks import one_of, positive_scalar
 from taut.base.errors import MatchError, UsageError, unknown_name
 from taut.base.paths import subtree
+from taut.base.pose import Pose
 from taut.base.types import ArrayLike, Float64Array
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
@@ -77,6 +78,7 @@ class MujocoPlant:
         arm: The true arm; make it differ from the controller's and there is a modelling error.
         scene: An MJCF fragment, as text or a path: bodies, geoms, assets, what ties them together. Files come from
             its own folder only. Options and key frames are refused.
+        scene_at: Where the scene's origin stands in the world; the world's own origin if left out.
         friction: "arm" for the arm's own viscous and dry friction, None for none.
         limits: "arm" for the arm's own position limits, None for none.
         timestep: [s] of MuJoCo, a whole part of the control period; by default the largest one up to 1 ms.
@@ -86,6 +88,8 @@ class MujocoPlant:
         touch: What of the arm can touch the scene: "tool" for a sphere at the tool's origin, "links" for capsules
             along the links too, None for nothing. The arm never touches itself; friction is that of what it touches.
         tool_radius: [m] of the sphere.
+        tool_length: [m] of a cylinder of that radius in the sphere's place, such as a peg: its axis is the tool's z
+            axis, and its end, which is flat, is at the tool's origin. It has no mass; that is the payload's.
         link_radius: [m] of the capsules.
         looks: What a viewer shows: "plain" shapes, or the arm's "meshes", which take longer to load.
         actuation: The drives, as of RigidPlant: delay, amplifier, motor, gear; ideal if left out.
@@ -115,6 +119,7 @@ class MujocoPlant:
         arm: Arm,
         *,
         scene: str | os.PathLike[str] | None = None,
+        scene_at: Pose | None = None,
         friction: Literal["arm"] | None = "arm",
         limits: Literal["arm"] | None = "arm",
         timestep: float | None = None,
@@ -122,6 +127,7 @@ class MujocoPlant:
         adds: Adds | Iterable[str] | Mapping[str, Payload | None] = (),
         touch: Touch | None = "tool",
         tool_radius: float = 0.01,
+        tool_length: float | None = None,
         link_radius: float = 0.05,
         looks: Looks = "plain",
         actuation: Actuation | None = None,
@@ -153,6 +159,8 @@ class MujocoPlant:
             integrator=one_of("integrator", integrator, INTEGRATORS),
             touch=None if touch is None else one_of("touch", touch, TOUCHES),
             tool_radius=positive_scalar("tool_radius", tool_radius, unit="m"),
+            tool_length=None if tool_length is None else positive_scalar("tool_length", tool_length, unit="m"),
+            scene_at=_place(scene_at, scene is not None),
             link_radius=positive_scalar("link_radius", link_radius, unit="m"),
             looks=one_of("looks", looks, LOOKS),
         )
@@ -551,3 +559,14 @@ class MujocoPlant:
 
     def __repr__(self) -> str:
         return self.name
+
+
+def _place(at: Pose | None, there: bool) -> Pose:
+    """Where the scene stands."""
+    if at is None:
+        return Pose.identity()
+    if not isinstance(at, Pose):
+        raise UsageError(f"scene_at must be a taut.Pose; got {type(at).__name__}", name="scene_at")
+    if not there:
+        raise UsageError("scene_at says where the scene stands, and there is none; give scene= too", name="scene_at")
+    return at

@@ -44,6 +44,8 @@ class ModelOptions:
     integrator: Integrator
     touch: Touch | None
     tool_radius: float  # [m]
+    tool_length: float | None  # [m] of a cylinder; None for a sphere
+    scene_at: Pose
     link_radius: float  # [m]
     looks: Looks
 
@@ -61,8 +63,8 @@ def built(arm: Arm, scene: Scene | None, options: ModelOptions, adds: Adds) -> R
     shapes.show(options.looks)
     if scene is not None:
         if options.touch is not None:
-            shapes.touch(options.touch, options.tool_radius, options.link_radius)
-        attach_scene(builder.spec, scene)
+            shapes.touch(options.touch, options.tool_radius, options.tool_length, options.link_radius)
+        attach_scene(builder.spec, scene, options.scene_at)
     try:
         with Guard(builder.spec.option), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that names of a scene have no prefix

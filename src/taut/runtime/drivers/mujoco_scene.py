@@ -19,6 +19,7 @@ from taut.arm.meshes import OutsideError, file_inside
 from taut.arm.xml import MAX_BYTES, Element, is_not_finite, parse_xml
 from taut.base.checks import readable_file
 from taut.base.errors import ModelError, Problem, UsageError, quoted_list
+from taut.base.pose import Pose
 from taut.runtime.drivers.mujoco_health import Guard
 
 if TYPE_CHECKING:
@@ -209,8 +210,8 @@ def _write(element: Element, renamed: Mapping[int, Mapping[str, str]], text: lis
     lines.append(element)
 
 
-def attach_scene(spec: mujoco.MjSpec, scene: Scene) -> None:
-    """Put a scene into the world of a spec that has the arm already.
+def attach_scene(spec: mujoco.MjSpec, scene: Scene, at: Pose) -> None:
+    """Put a scene into the world of a spec that has the arm already, with its origin at a pose.
 
     Raises:
         ModelError: MuJoCo refuses it, or it has a name that the arm has.
@@ -230,7 +231,7 @@ def attach_scene(spec: mujoco.MjSpec, scene: Scene) -> None:
         try:
             child = mujoco.MjSpec.from_string(scene.text, assets=scene.files)
             wanted = _linked(child)
-            spec.attach(child, frame=spec.worldbody.add_frame(), prefix="")
+            spec.attach(child, frame=spec.worldbody.add_frame(pos=at.p, quat=at.wxyz), prefix="")
         except (ValueError, RuntimeError, mujoco.FatalError) as cause:
             raise refused(str(cause), scene) from cause
     # MuJoCo leaves out in silence what names a thing that it does not find.

@@ -42,13 +42,20 @@ class Shapes:
         self._arm, self._spec, self._bodies, self._tool = arm, spec, bodies, tool
         self._kinds: Any = mujoco.mjtGeom
 
-    def touch(self, what: Touch, tool_radius: float, link_radius: float) -> None:
+    def touch(self, what: Touch, tool_radius: float, tool_length: float | None, link_radius: float) -> None:
         """What can touch the scene. It answers to contacts and starts none, so that the arm never meets itself."""
-        sphere = self._spec.body(self._tool).add_geom(type=self._kinds.mjGEOM_SPHERE, size=[tool_radius, 0.0, 0.0])
-        _make_touching(sphere)
+        _make_touching(self._tool_shape(tool_radius, tool_length))
         if what == "links":
             for bone in self._bones():
                 _make_touching(self._capsule(bone, link_radius))
+
+    def _tool_shape(self, radius: float, length: float | None) -> mujoco.MjsGeom:
+        """A sphere about the tool's origin, or a cylinder along its z axis that ends there."""
+        body = self._spec.body(self._tool)
+        if length is None:
+            return body.add_geom(type=self._kinds.mjGEOM_SPHERE, size=[radius, 0.0, 0.0])
+        middle = [0.0, 0.0, -0.5 * length]
+        return body.add_geom(type=self._kinds.mjGEOM_CYLINDER, size=[radius, 0.5 * length, 0.0], pos=middle)
 
     def show(self, looks: Looks) -> None:
         """The arm's own shapes, and bones for bodies that have none; nothing touches them."""
