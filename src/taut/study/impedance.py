@@ -44,7 +44,7 @@ def impedance_of(law: Law) -> tuple[Impedance | Stiffness, str] | None:
 def check_impedance(
     ctrl: Controller, q: ArrayLike | None = None, *, delay: float = 0.0, band: float = HAND
 ) -> StiffnessCheck:
-    """Whether the stiffness of an impedance controller is safe at a pose, with gains, payload, rate and sensing as now.
+    """Whether the stiffness of an impedance controller is safe at a pose, with gains, payload and sensing as now.
 
     At rest at the reference, with gravity compensated; the damping of the arm's own viscous friction counts.
 
