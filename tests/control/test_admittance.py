@@ -273,6 +273,7 @@ class TestRefused:
             ({"tool": "tool0"}, r"^Admittance moves the frame 'tool0' and its inner law of the arm's tool; give both"),
             ({"model": "mine"}, r"^model must be one of 'own', 'measured'; got 'mine'$"),
             ({"frame": "base"}, r"^frame must be one of 'world', 'task', 'tool'; got 'base'$"),
+            ({"error_max": 0.1}, r"^error_max needs one number for metres and one for radians"),
             ({"error_max": (0.0, 0.1)}, r"^error_max\[0\] must be > 0 \[m, rad\]; got 0"),
         ],
     )  # fmt: skip

@@ -129,6 +129,90 @@ def test_the_bound_of_the_spring_is_a_term_of_its_own() -> None:
     assert force[0] == pytest.approx(800.0 * 0.04, rel=1e-4)
 
 
+@pytest.mark.parametrize("frame", ["world", "tool"])
+def test_the_bounded_spring_is_the_gradient_of_an_energy_too(frame: Any) -> None:
+    arm = taut.load_arm("panda")
+    most = np.array([0.02, 0.1])
+    ctrl = taut.compile(Stiffness(K=K, error_max=most, frame=frame), arm)
+    q, _, moving = state(arm, 2)
+    ref = TaskMotion(pose=moving.pose)
+    ctrl.step(q, np.zeros(7), ref)
+
+    def energy(q: Any) -> float:
+        X = Compliance.of("decoupled", frame, taut.snapshot(arm, q), ref, None, None).X
+        parts = [X[:3], X[3:]]
+        Y = np.concatenate(
+            [
+                x * np.sqrt(2.0 / (1.0 + np.hypot(1.0, np.linalg.norm(x) / m)))
+                for x, m in zip(parts, most, strict=True)
+            ]
+        )
+        return float(0.5 * Y @ (K * Y))
+
+    slope = np.array([(energy(q + 1e-6 * e) - energy(q - 1e-6 * e)) / 2e-6 for e in np.eye(7)])
+    spring = ctrl.terms["P"] + ctrl.terms["bound"]
+    assert spring == pytest.approx(-slope, abs=1e-6 * np.abs(spring).max())
+
+
+def test_a_bounded_spring_pays_for_what_grows_while_another_falls() -> None:
+    arm = taut.load_arm("panda")
+    law = Impedance(K=(5000.0, 1.0), B=(1.0, 1.0), error_max=(0.001, 1.0), tank=0.05, settle=0.001, null=None)
+    ctrl = taut.compile(law, arm)
+    T = taut.snapshot(arm, arm.home).T()
+    turned = rotation_exp(np.array([0.5, 0.0, 0.0])) @ T.R
+    ref = TaskMotion(pose=taut.Pose.of(turned, T.p + 10.0 * NEAR))
+    ctrl.step(arm.home, np.zeros(7), ref)
+    ctrl.parameters["law.K"] = (0.0, 100.0)  # 0.7 J less, 12.4 J more, where X K X / 2 says 50 J less
+    for _ in range(5):
+        ctrl.step(arm.home, np.zeros(7), ref)
+    assert ctrl.memory["law.K_now"][3] < 5.0
+    assert ctrl.memory["law.energy"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_a_law_holds_beside_does_not_say_which_frame_it_controls() -> None:
+    arm, elbow = taut.load_arm("panda"), taut.laws.Manipulability(tool="panda_link4")
+    wall = taut.laws.VirtualWall(point=[0.0, 0.0, 0.0], normal=[0.0, 0.0, 1.0], K=100.0, tool="panda_link4")
+    x = taut.snapshot(arm, arm.home)
+    for law in (
+        Impedance(K=(500.0, 20.0), zeta=0.7, null=elbow),
+        wall + Impedance(K=(500.0, 20.0), zeta=0.7),
+    ):
+        assert law.controlled_frame is None
+        assert law.at_rest(x).p == pytest.approx(x.T().p)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("twist", [0.5, -0.5])
+def test_a_reference_that_moves_before_a_blocked_arm_fills_no_tank(twist: float) -> None:
+    arm = taut.load_arm("panda")
+    ctrl = taut.compile(Impedance(K=(500.0, 20.0), B=(50.0, 5.0), tank=1.0, settle=0.01, null=None), arm)
+    T = taut.snapshot(arm, arm.home).T()
+    ref = TaskMotion(pose=taut.Pose(T.p + 10.0 * NEAR, R=T.R), twist=[twist, 0.0, 0.0, 0.0, 0.0, 0.0])
+    ctrl.step(arm.home, np.zeros(7), ref)
+    ctrl.parameters["law.K"] = (3000.0, 20.0)
+    for _ in range(200):
+        ctrl.step(arm.home, np.zeros(7), ref)
+    assert ctrl.memory["law.energy"] == pytest.approx(0.0, abs=1e-9)
+    assert 0.5 * (ctrl.memory["law.K_now"][0] - 500.0) * 0.02 == pytest.approx(1.0, rel=1e-6)
+
+
+def test_a_wrench_of_another_link_is_refused() -> None:
+    sentence = "the wrist sensor of 'panda' is at its tool 'panda_hand_tcp', and 'panda_link6' is on another link, of"
+    inner = taut.laws.TaskVelocity(kp=5.0, tool="panda_link6")
+    for law in (
+        Impedance(**gains(D=(2.0, 0.2), tool="panda_link6")),
+        taut.laws.Admittance(D=(5.0, 0.5), B=(40.0, 4.0), tool="panda_link6", inner=inner),
+    ):
+        with pytest.raises(taut.MatchError, match=sentence):
+            taut.compile(law, taut.load_arm("panda")).needs  # noqa: B018
+    taut.compile(Impedance(**gains(D=(2.0, 0.2), tool="panda_hand")), taut.load_arm("panda"))
+
+
+def test_an_inertia_cannot_become_zero_in_a_run() -> None:
+    ctrl = taut.compile(Impedance(**gains(D=(5.0, 0.5))), taut.load_arm("panda"))
+    with pytest.raises(taut.RangeError, match=r"D must be > 0 \[kg, kg m\^2\] in every direction; its least is 0;"):
+        ctrl.parameters["law.D"] = (0.0, 0.5)
+
+
 def test_damping_and_inertia_may_depend_on_the_pose() -> None:
     arm = taut.load_arm("panda")
     x = taut.snapshot(arm, arm.home)
@@ -199,6 +283,16 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         gains(K=function_of),
         "K as a function of the pose needs tank= [J], which keeps it from bringing in energy at its borders; a wall or "
         "a groove is a law to add: + taut.laws.VirtualWall(...)",
+    ),
+    "feedback without an inertia": (
+        gains(feedback="acceleration"),
+        "feedback='acceleration' is for an inertia D to be felt, and this Impedance has none; give D, or leave "
+        "feedback out",
+    ),
+    "a damping ratio without a swing": (
+        gains(K=(800.0, 0.0)),
+        "zeta damps the swing on K, and K has a direction without stiffness, which would have no damping; give B "
+        "instead",
     ),
     "a tank without changes": (
         gains(settle=0.1),

@@ -47,6 +47,17 @@ def test_a_change_of_a_gain_changes_the_answer() -> None:
     assert taut.check_impedance(ctrl).stable_up_to == pytest.approx(0.5 * before, rel=1e-3)
 
 
+def test_a_payload_of_now_counts() -> None:
+    arm = taut.load_arm("panda")
+    ctrl = taut.compile(taut.laws.Impedance(K=(800.0, 30.0), B=(20.0, 1.0)), arm)
+    ctrl.parameters["model.payload.mass"] = 3.0
+    carried = taut.compile(ctrl.law, arm.with_payload(mass=3.0))
+    assert taut.check_impedance(ctrl).loop.mass == pytest.approx(taut.check_impedance(carried).loop.mass, rel=1e-9)
+    assert np.linalg.norm(taut.check_impedance(ctrl).loop.mass) > 1.1 * np.linalg.norm(
+        taut.check_impedance(taut.compile(ctrl.law, arm)).loop.mass
+    )
+
+
 def test_axes_and_errors_of_the_law_are_those_of_the_answer() -> None:
     arm = taut.load_arm("panda")
     six = [500.0, 1000.0, 3000.0, 20.0, 40.0, 80.0]
@@ -75,12 +86,28 @@ def test_a_spring_of_a_sum_is_found() -> None:
     ("law", "sentence"),
     [
         (taut.laws.TaskComputedTorque(kp=1.0, kd=1.0), "with one Impedance or Stiffness law; this one has TaskComp"),
+        (
+            taut.laws.Impedance(K=(1.0, 1.0), zeta=1.0)
+            + taut.laws.VirtualWall(point=[0.0, 0.0, 0.0], normal=[0.0, 0.0, 1.0], K=1e6),
+            "knows no virtual objects, and VirtualWall adds a spring of its own; ask taut.check_stiffness_at",
+        ),
         (taut.laws.Impedance(K=(1.0, 1.0), zeta=1.0, D=(1.0, 1.0)), "with D the loop goes through the wrist sensor"),
     ],
 )
 def test_what_it_cannot_answer_is_refused(law: taut.Law, sentence: str) -> None:
     with pytest.raises(taut.UsageError, match=sentence):
         taut.check_impedance(taut.compile(law, taut.load_arm("panda")))
+
+
+@pytest.mark.parametrize("name", ["planar2", "so101"])
+def test_arms_of_few_joints_are_judged_in_the_directions_that_they_have(name: str) -> None:
+    arm = taut.load_arm(name)
+    q = arm.home + 0.3
+    law = taut.laws.Impedance(K=(50.0, 1.0), B=(1.0, 0.01))
+    found = taut.check_impedance(taut.compile(law, arm), q)
+    wanted = taut.check_stiffness_at(arm, q, K=(50.0, 1.0), B=(1.0, 0.01), band=20.0)
+    assert found.spare_in_band == pytest.approx(wanted.spare_in_band, rel=1e-6, abs=1e-9)
+    assert found.stable == wanted.stable
 
 
 def test_something_else_than_a_controller_is_refused() -> None:

@@ -8,13 +8,14 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from taut.base import math as tm
-from taut.base.checks import one_of, require_positive
+from taut.base.checks import one_of
 from taut.base.errors import RangeError, UsageError
 from taut.base.types import Float64Array, Matrix, Vector, Wrench
 from taut.control.command import Command, Terms, Torque
-from taut.control.compliance import FRAMES, GainFrame
+from taut.control.compliance import FRAMES, GainFrame, check_sensor, wrench_at
 from taut.control.gains import Gain, GainValue
 from taut.control.law import Law, MemoryView, call
+from taut.control.task import check_error_max
 from taut.control.task_reference import TaskMotion
 from taut.control.virtual_dynamics import Body, Model, answered, damping_matrix, integrated
 from taut.maths.snapshot import Snapshot
@@ -103,16 +104,19 @@ class Admittance(Law):
         _check_inner(self.inner, self.tool)
         _check_damping(self)
         _check_inertia(self.D)
-        if self.gives("error_max"):
-            require_positive("error_max", np.asarray(self.error_max.as_array()), unit="m, rad")
+        check_error_max(self.error_max if self.gives("error_max") else None, "decoupled")
 
     def check_rate(self, rate: float) -> None:
         _check_inertia(self.D)
+        check_error_max(self.error_max if self.gives("error_max") else None, "decoupled")
         D, B, K = (np.asarray(x, dtype=np.float64) for x in (self.D.matrix(6), self._damping(), self.K.matrix(6)))
         if self.model == "own":
             _check_own(D, B, K, rate)
         else:
             _check_measured(D, B, K, rate)
+
+    def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
+        check_sensor(x, self.tool)
 
     def _damping(self) -> Matrix:
         return damping_matrix(self.D, self.K, self.zeta) if self.gives("zeta") else self.B.matrix(6)
@@ -148,9 +152,7 @@ class Admittance(Law):
 
     def _felt(self, x: Snapshot) -> Wrench:
         """(6,) what moves the virtual mass, at the tool that is controlled, in world axes."""
-        F = x.F_ext
-        if self.tool is not None and self.tool != x.arm.tool:
-            F = tm.array([*F[:3], *(F[3:] + tm.cross(x.T().p - x.T(self.tool).p, F[:3]))])
+        F = wrench_at(x, self.tool)
         if not self.gives("deadband"):
             return F
         force, moment = (_beyond(part, self.deadband[k]) for k, part in enumerate((F[:3], F[3:])))

@@ -12,20 +12,30 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from taut.base import math as tm
-from taut.base.errors import UsageError
+from taut.base.errors import MatchError, UsageError
 from taut.base.linalg import LTDL, times_square_root
 from taut.base.types import Array, Matrix, Rotation, Vector, Wrench
 from taut.control.gains import GainValue
 from taut.control.task_error import Coordinates, ErrorKind, TaskError, task_error
 from taut.control.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
-from taut.maths.spatial import pose_log_rate, rotated, turned_back
+from taut.maths.spatial import curve, pose_log_rate, rotated, turned_back
 
-__all__ = ["FRAMES", "Compliance", "GainFrame", "check_frame", "modal_damping", "six_gains"]
+__all__ = [
+    "FRAMES",
+    "Compliance",
+    "GainFrame",
+    "bounded_force",
+    "check_frame",
+    "check_sensor",
+    "modal_damping",
+    "of_energy",
+    "six_gains",
+    "wrench_at",
+]
 
 GainFrame = Literal["world", "task", "tool"]
 FRAMES: Final[tuple[GainFrame, ...]] = ("world", "task", "tool")
-SMALL: Final = 1e-4  # [rad^2]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,21 +93,10 @@ class Compliance:
             out: Wrench = pose_log_rate(self.X if self.kind == "body" else -self.X).T @ force
             return out
         w = self.X[3:]
-        angle2 = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
-        c = _curve(angle2)
-        moment = turned_back(w, c, force[3:], -1.0 if self.frame == "tool" else 1.0)
+        moment = turned_back(w, curve(w), force[3:], -1.0 if self.frame == "tool" else 1.0)
         if self.frame == "tool":
             moment = moment + tm.cross(self.X[:3], force[:3])
         return tm.array([*force[:3], *moment])
-
-
-def _curve(angle2: Any) -> Any:
-    """(1 - (a/2) / tan(a/2)) / a^2."""
-    small = angle2 < SMALL
-    safe = tm.where(small, 1.0, angle2)
-    half = 0.5 * tm.sqrt(safe)
-    series = 1.0 / 12.0 + angle2 * (1.0 / 720.0 + angle2 * (1.0 / 30240.0))
-    return tm.where(small, series, (1.0 - half * tm.cos(half) / tm.sin(half)) / safe)
 
 
 def _turned(R: Rotation, C: Matrix) -> Matrix:
@@ -106,6 +105,33 @@ def _turned(R: Rotation, C: Matrix) -> Matrix:
     for i in (0, 3):
         for j in (0, 3):
             out[i : i + 3, j : j + 3] = R @ C[i : i + 3, j : j + 3] @ R.T
+    return out
+
+
+def of_energy(X: Vector, most: GainValue) -> Vector:
+    """(6,) Y with the energy Y . K Y / 2 of a spring whose error is bounded: part by part X sqrt(2 / (1 + root))."""
+    return tm.array([entry for part, share, _ in _bounds(X, most) for entry in share * part])
+
+
+def bounded_force(K: GainValue, X: Vector, most: GainValue) -> Vector:
+    """(6,) the force of a spring whose error is bounded: the gradient of the energy Y . K Y / 2 of `of_energy`.
+
+    With one stiffness for all directions of a part it is K X / sqrt(1 + X . X / most^2).
+    """
+    force, parts = K @ of_energy(X, most), []
+    for k, (part, share, bend) in enumerate(_bounds(X, most)):
+        own = force[3 * k : 3 * k + 3]
+        parts.extend(share * (own - bend * (part @ own) * part))
+    return tm.array(parts)
+
+
+def _bounds(X: Vector, most: GainValue) -> list[tuple[Vector, Any, Any]]:
+    """Of each part: itself, its share in the energy, and how that share falls."""
+    out = []
+    for k, part in enumerate((X[:3], X[3:])):
+        square = most[k] * most[k]
+        root = tm.sqrt(1.0 + (part @ part) / square)
+        out.append((part, tm.sqrt(2.0 / (1.0 + root)), 0.5 / ((1.0 + root) * root * square)))
     return out
 
 
@@ -121,6 +147,28 @@ def modal_damping(inertia: LTDL, K: Matrix, zeta: Any, V: Vector) -> Vector:
     mapped = times_square_root(inertia.between_roots(K), inertia.times_root_transposed(V))
     out: Vector = 2.0 * zeta * inertia.times_root(mapped)
     return out
+
+
+def wrench_at(x: Snapshot, tool: str | None) -> Wrench:
+    """(6,) the measured wrench at the origin of a frame of the link that carries the sensor, world axes [N, N m]."""
+    F = x.F_ext
+    if tool is None or tool == x.arm.tool:
+        return F
+    return tm.array([*F[:3], *(F[3:] + tm.cross(x.T().p - x.T(tool).p, F[:3]))])
+
+
+def check_sensor(x: Snapshot, tool: str | None) -> None:
+    """A wrist sensor tells what acts on the link of the arm's tool, and nothing of other links.
+
+    Raises:
+        MatchError: The frame that is controlled is on another one.
+    """
+    if x.model.placement(tool)[0] != x.model.placement(None)[0]:
+        raise MatchError(
+            f"the wrist sensor of '{x.arm.name}' is at its tool '{x.arm.tool}', and '{tool}' is on another link, of "
+            "which it knows nothing; control a frame of the tool's link, or load the arm with that tool",
+            name="tool",
+        )
 
 
 def six_gains(value: Any, size: int, name: str) -> GainValue:

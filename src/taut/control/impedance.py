@@ -13,11 +13,22 @@ from taut.base.errors import RangeError, UsageError
 from taut.base.linalg import factor_spd
 from taut.base.types import Array, Matrix, Vector, Wrench
 from taut.control.command import Command, Terms, Torque
-from taut.control.compliance import FRAMES, Compliance, GainFrame, check_frame, modal_damping, six_gains
+from taut.control.compliance import (
+    FRAMES,
+    Compliance,
+    GainFrame,
+    bounded_force,
+    check_frame,
+    check_sensor,
+    modal_damping,
+    of_energy,
+    six_gains,
+    wrench_at,
+)
 from taut.control.gains import Gain, GainValue
 from taut.control.law import Law, MemoryView
 from taut.control.nullspace import Posture
-from taut.control.task import bounded, check_error_max, check_null, null_torque
+from taut.control.task import check_error_max, check_null, null_torque
 from taut.control.task_error import ERRORS, Coordinates, ErrorKind, check_coordinates, dimensions
 from taut.control.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
@@ -66,8 +77,9 @@ class Impedance(Law):
         error: "decoupled", "body", "space" or "coordinates": see `taut.laws.TaskComputedTorque`.
         coordinates: With error="coordinates": what is controlled.
         error_max: (2,) largest error that the spring answers [m, rad], smoothly; what it takes is the term `bound`.
+            The bounded spring too is the gradient of an energy.
         tank: Most energy that changes of K and D may bring in [J]. New values then come in over `settle` seconds, as
-            far as the tank pays for them; damping fills it.
+            far as the tank pays for them; damping fills it, as far as it brakes the arm.
         settle: Time constant of such changes [s].
         coriolis: "cancel" or "keep".
         null: A law for the motion that the task leaves free; None to leave it free.
@@ -104,8 +116,20 @@ class Impedance(Law):
         check_error_max(self.error_max if self.gives("error_max") else None, self.error)
         check_null(self.null)
         _check_damping(self.has("B"), self.gives("zeta"))
+        if self.gives("zeta") and self.gives("K") and _least(self.K) <= 0.0:
+            raise RangeError(
+                "zeta damps the swing on K, and K has a direction without stiffness, which would have no damping; "
+                "give B instead",
+                name="zeta",
+            )
         if self.gives("D"):
             _check_inertia(self.D)
+        elif not self.has("D") and self.feedback != "wrench":
+            raise UsageError(
+                f"feedback='{self.feedback}' is for an inertia D to be felt, and this Impedance has none; give D, or "
+                "leave feedback out",
+                name="feedback",
+            )
         changing = [name for name in ("K", "D") if callable(getattr(self, name))]
         if changing and not self.gives("tank"):
             raise UsageError(
@@ -118,6 +142,10 @@ class Impedance(Law):
     def dimensions(self) -> int:
         """Entries of the error: 6, or those of the coordinates."""
         return dimensions(self.error, self.coordinates)
+
+    def check_rate(self, rate: float) -> None:  # noqa: ARG002
+        if self.gives("D"):
+            _check_inertia(self.D)
 
     def has(self, gain: str) -> bool:
         """Whether K, B or D is there, as numbers or as a function of the pose."""
@@ -133,8 +161,14 @@ class Impedance(Law):
         return TaskInertia.bounded(J, x.M_factors, HEAVY * sum(body.mass for body in x.arm.bodies))
 
     def check_state(self, x: Snapshot, rate: float) -> None:
-        """The algebraic loop of feedback="acceleration" is stable where 0 < eig(Lambda^-1 (D + B dt / 2)) < 2."""
-        if not self.has("D") or self.feedback != "acceleration":
+        """The algebraic loop of feedback="acceleration" is stable where 0 < eig(Lambda^-1 (D + B dt / 2)) < 2.
+
+        That of feedback="wrench" needs its sensor on the link that is controlled.
+        """
+        if not self.has("D"):
+            return
+        if self.feedback == "wrench":
+            check_sensor(x, self.tool)
             return
         ref = TaskMotion.at_rest(x, self.tool)
         felt = Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
@@ -183,10 +217,10 @@ class Impedance(Law):
             after |= {"K_now": K.as_array()} | ({} if D is None else {"D_now": D.as_array()})
         spring = Terms(P=K @ felt.X)
         if self.gives("error_max"):
-            spring = spring + Terms(bound=K @ (bounded(felt.X, self.error_max) - felt.X))
+            spring = spring + Terms(bound=bounded_force(K, felt.X, self.error_max) - K @ felt.X)
         damping = self._damping(x, felt, K, D, inertia)
         if self.gives("tank"):
-            after["energy"] = self._filled(memory.energy, share, felt.V @ damping, dt)
+            after["energy"] = self._filled(memory.energy, share, self._braked(x, felt, damping), dt)
         wrench = spring.mapped(felt.wrench) + Terms(D=damping)
         cancels = self.coriolis == "cancel"
         motion = Terms(feedforward=error.acceleration)
@@ -230,17 +264,21 @@ class Impedance(Law):
         """The gains after this tick on their way to new ones, as far as the tank pays; and what it paid [J]."""
         settled = dt / tm.maximum(self.settle.as_array(), dt)
         dK = GainValue((K.as_array() - memory.K_now) * settled, "K")
-        cost = 0.5 * (felt.X @ (dK @ felt.X))
+        X = of_energy(felt.X, self.error_max) if self.gives("error_max") else felt.X
+        cost = 0.5 * (X @ (dK @ X))
         dD = None
         if D is not None:
             dD = GainValue((D.as_array() - memory.D_now) * settled, "D")
             cost = cost + 0.5 * (felt.V @ (dD @ felt.V))
         short = cost > memory.energy
         share = tm.where(short, memory.energy / tm.where(short, cost, 1.0), 1.0)
-        back = 0.0 if self.gives("error_max") else 1.0  # of a bounded spring less comes back than X K X / 2 says
-        paid = tm.where(cost > 0.0, share * cost, back * cost)
+        paid = share * cost  # what comes back when gains fall fills it
         now = GainValue(memory.K_now + share * dK.as_array(), "K")
         return now, None if dD is None else GainValue(memory.D_now + share * dD.as_array(), "D"), paid
+
+    def _braked(self, x: Snapshot, felt: Compliance, damping: Vector) -> Any:
+        """[W] what the damper takes from the arm, at most what it turns into heat; X_des at work fills nothing."""
+        return tm.minimum(felt.V @ damping, -(felt.inwards(felt.error.J @ x.v) @ damping))
 
     def _filled(self, energy: Any, paid: Any, dissipated: Any, dt: Any) -> Any:
         """[J] in the tank after this tick."""
@@ -249,15 +287,12 @@ class Impedance(Law):
 
 def _at_frame(law: Impedance, x: Snapshot, inertia: TaskInertia) -> Wrench:
     """The measured wrench in the coordinates of the error."""
-    F = x.F_ext
-    p = x.T(law.tool).p
-    if law.tool is not None and law.tool != x.arm.tool:
-        F = tm.array([*F[:3], *(F[3:] + tm.cross(x.T().p - p, F[:3]))])
+    F = wrench_at(x, law.tool)
     if law.error == "body":
         R = x.T(law.tool).R
         return tm.array([*(R.T @ F[:3]), *(R.T @ F[3:])])
     if law.error == "space":
-        return tm.array([*F[:3], *(F[3:] + tm.cross(p, F[:3]))])
+        return tm.array([*F[:3], *(F[3:] + tm.cross(x.T(law.tool).p, F[:3]))])
     if law.error == "coordinates":
         out: Array = inertia.Lambda @ inertia.acceleration(x.J(law.tool).T @ F)
         return out
@@ -278,10 +313,14 @@ def _check_damping(B: bool, zeta: bool) -> None:
         )
 
 
+def _least(gain: GainValue) -> float:
+    values = np.asarray(gain.as_array())
+    return float(np.linalg.eigvalsh(values)[0]) if values.ndim == 2 else float(values.min())
+
+
 def _check_inertia(D: GainValue) -> None:
     """An inertia is inverted, so that none of its directions may be zero."""
-    values = np.asarray(D.as_array())
-    least = float(np.linalg.eigvalsh(values)[0]) if values.ndim == 2 else float(values.min())
+    least = _least(D)
     if least <= 0.0:
         raise RangeError(
             f"D must be > 0 [kg, kg m^2] in every direction; its least is {least:g}; leave D out for the arm's own "
@@ -339,6 +378,6 @@ class Stiffness(Law):
         felt = Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
         spring = Terms(P=self.K @ felt.X)
         if self.gives("error_max"):
-            spring = spring + Terms(bound=self.K @ (bounded(felt.X, self.error_max) - felt.X))
+            spring = spring + Terms(bound=bounded_force(self.K, felt.X, self.error_max) - self.K @ felt.X)
         wrench = spring.mapped(felt.wrench).mapped(felt.outwards)
         return Torque(felt.error.J.T @ wrench + Terms(gravity=x.g, D=-(self.kd @ x.v)))

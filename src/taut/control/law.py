@@ -211,8 +211,11 @@ class Law:
     @property
     def controlled_frame(self) -> str | None:
         """The frame that this law, or a law that it holds, controls; None for the arm's tool."""
-        own: str | None = vars(self).get("tool")
-        return own or next((frame for law in self.children().values() if (frame := law.controlled_frame)), None)
+        if "tool" in vars(self):  # what it holds beside, such as a law in `null`, may look at another frame
+            own: str | None = vars(self)["tool"]
+            return own
+        followers = [law for law in self.children().values() if not law.ignores_reference]
+        return next((frame for law in followers if (frame := law.controlled_frame)), None)
 
     def at_rest(self, x: Snapshot) -> Sample:
         """The sample that asks this law to stay as in the snapshot."""

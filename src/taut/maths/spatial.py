@@ -17,6 +17,7 @@ from taut.base.types import Matrix, Rotation, Twist, Vector3
 
 __all__ = [
     "adjoint",
+    "curve",
     "left_jacobian",
     "left_jacobian_inverse",
     "pose_exp",
@@ -125,13 +126,17 @@ def _curve(angle2: Any, defect: Any) -> Any:
     return tm.where(small, series, defect / tm.where(small, 1.0, angle2))
 
 
+def curve(w: Vector3) -> Any:
+    """c of `turned_back` for a rotation vector w, |w| up to pi."""
+    angle2 = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
+    half = 0.5 * tm.sqrt(tm.where(angle2 < SMALL, 1.0, angle2))
+    return _curve(angle2, 1.0 - half * tm.cos(half) / tm.sin(half))
+
+
 def left_jacobian_inverse(w: Vector3) -> Matrix:
     """(3, 3) inverse of `left_jacobian`, for |w| up to pi: the rate of w of a rotation that turns at J dw."""
-    angle2 = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
-    safe = tm.where(angle2 < SMALL, 1.0, angle2)
-    half = 0.5 * tm.sqrt(safe)
     W = tm.skew(w)
-    c = _curve(angle2, 1.0 - half * tm.cos(half) / tm.sin(half))
+    c = curve(w)
     return tm.eye(3) - 0.5 * W + c * (W @ W)  # type: ignore[no-any-return]
 
 
