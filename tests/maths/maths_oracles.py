@@ -124,13 +124,15 @@ def _text(name: str) -> str:
 def catalogue_oracle(name: str, arm: taut.Arm) -> Oracle:
     """The catalogue's file, read by Pinocchio on its own."""
     model = pin.buildModelFromXML(_text(name))
-    assert list(model.names)[1:] == list(arm.joint_names)
+    names = list(model.names)[1:]
+    assert sorted(names) == sorted(arm.joint_names)
+    order = [arm.joint_names.index(joint) for joint in names]  # Pinocchio takes branches by their names
     for frame_name, (link, T_link_frame) in CATALOGUE[name].frames.items():
         parent = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
         placement = parent.placement * se3(T_link_frame)
         model.addFrame(pin.Frame(frame_name, parent.parentJoint, 0, placement, pin.FrameType.BODY))
     model.armature = np.zeros(model.nv)
-    return Oracle(model, model.getFrameId(arm.tool, pin.FrameType.BODY))
+    return Oracle(model, model.getFrameId(arm.tool, pin.FrameType.BODY), order)
 
 
 def oracle_of(arm: taut.Arm) -> Oracle:

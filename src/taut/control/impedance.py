@@ -8,8 +8,8 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from taut.base import math as tm
-from taut.base.checks import one_of
-from taut.base.errors import RangeError, UsageError
+from taut.base.checks import finite_array, one_of, require_at_least, symmetric_psd
+from taut.base.errors import MatchError, RangeError, UsageError
 from taut.base.linalg import factor_spd
 from taut.base.types import Array, Matrix, Vector, Wrench
 from taut.control.command import Command, Terms, Torque
@@ -40,6 +40,7 @@ Feedback = Literal["wrench", "acceleration"]
 FEEDBACKS: Final[tuple[Feedback, ...]] = ("wrench", "acceleration")
 Coriolis = Literal["cancel", "keep"]
 CORIOLIS: Final[tuple[Coriolis, ...]] = ("cancel", "keep")
+LOST: Final = 1e-9  # of the largest: below it a direction is not there
 HEAVY: Final = 10.0  # times the arm's mass, which no direction of its tool is made heavier than
 
 
@@ -78,8 +79,9 @@ class Impedance(Law):
         coordinates: With error="coordinates": what is controlled.
         error_max: (2,) largest error that the spring answers [m, rad], smoothly; what it takes is the term `bound`.
             The bounded spring too is the gradient of an energy.
-        tank: Most energy that changes of K and D may bring in [J]. New values then come in over `settle` seconds, as
-            far as the tank pays for them; damping fills it, as far as it brakes the arm.
+        tank: Energy that is kept for changes of K and D [J]: they bring in no more than is there. New values come in
+            over `settle` seconds, as far as the tank pays for them; it starts full, and what damping takes from the
+            arm fills it again, up to that much. Without it a new K acts at once, jump and energy included.
         settle: Time constant of such changes [s].
         coriolis: "cancel" or "keep".
         null: A law for the motion that the task leaves free; None to leave it free.
@@ -165,13 +167,17 @@ class Impedance(Law):
 
         That of feedback="wrench" needs its sensor on the link that is controlled.
         """
+        for name in ("K", "B", "D"):
+            if callable(getattr(self, name)):
+                _check_given(name, np.asarray(self.gain_at(name, x).as_array(), dtype=np.float64))
+        ref = TaskMotion.at_rest(x, self.tool)
+        felt = Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
+        check_directions(x, self.tool, felt.error.J)
         if not self.has("D"):
             return
         if self.feedback == "wrench":
             check_sensor(x, self.tool)
             return
-        ref = TaskMotion.at_rest(x, self.tool)
-        felt = Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
         inverse = felt.error.J @ x.M_factors.solve(felt.error.J.T)
         size = self.dimensions
         K, D = self.gain_at("K", x).matrix(size), self.gain_at("D", x).matrix(size)
@@ -180,7 +186,9 @@ class Impedance(Law):
         else:
             zeta, factors = self.zeta.as_array(), factor_spd(D)
             B = np.column_stack([modal_damping(factors, K, zeta, column) for column in np.eye(size)])
-        ratios = np.linalg.eigvals(inverse @ felt.matrix_outwards(D + B * (0.5 / rate)))
+        sizes, axes = np.linalg.eigh(0.5 * (inverse + inverse.T))
+        U = axes[:, sizes > LOST * sizes[-1]]  # the directions that the arm can move in at all
+        ratios = np.linalg.eigvals(U.T @ inverse @ U @ (U.T @ felt.matrix_outwards(D + B * (0.5 / rate)) @ U))
         low, high = float(np.min(ratios.real)), float(np.max(ratios.real))
         if not 0.0 < low <= high < 2.0:
             raise RangeError(
@@ -316,6 +324,41 @@ def _check_damping(B: bool, zeta: bool) -> None:
 def _least(gain: GainValue) -> float:
     values = np.asarray(gain.as_array())
     return float(np.linalg.eigvalsh(values)[0]) if values.ndim == 2 else float(values.min())
+
+
+def _check_given(name: str, values: Array) -> None:
+    """What a function of the pose gives where a run starts is as good as numbers would be.
+
+    Raises:
+        RangeError: It is not finite, not symmetric, not positive.
+    """
+    finite_array(name, values)
+    if values.ndim == 2:
+        symmetric_psd(name, values)
+    else:
+        require_at_least(name, values, 0.0)
+    if name == "D":
+        _check_inertia(GainValue(values, name))
+
+
+def check_directions(x: Snapshot, tool: str | None, J: Matrix) -> None:
+    """An arm may lack one direction of its tool, and those that a planar arm never has, but no more.
+
+    Raises:
+        MatchError: It lacks more.
+    """
+    rows = [i for i in range(len(J)) if np.any(J[i] != 0.0)]
+    sizes = np.linalg.svd(np.asarray(J, dtype=np.float64)[rows], compute_uv=False)
+    body = x.model.placement(tool)[0]
+    moving = len(x.arm.ancestors(body)) if body >= 0 else 0
+    lost = len(rows) - min(len(rows), moving)
+    if lost > 1 and len(rows) - int(np.sum(sizes > LOST * sizes[0])) > 1:
+        name = tool or x.arm.tool
+        raise MatchError(
+            f"frame '{name}' of '{x.arm.name}' is moved by {moving} joints, and is asked for {len(rows)} directions; "
+            "control another frame, or what it can do: error='coordinates', coordinates=taut.Coordinates.position()",
+            name="tool",
+        )
 
 
 def _check_inertia(D: GainValue) -> None:
