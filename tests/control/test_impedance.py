@@ -349,3 +349,9 @@ def test_a_new_stiffness_is_checked_like_the_first() -> None:
     assert ctrl.parameters["law.K"].tolist() == [500.0] * 3 + [10.0] * 3
     with pytest.raises(taut.RangeError, match=r"law.error_max|no parameter"):
         taut.compile(Impedance(**gains(error_max=(0.1, 0.1))), arm).parameters["law.error_max"] = (0.0, 0.1)
+
+
+def test_three_numbers_are_refused_with_what_is_taken() -> None:
+    with pytest.raises(taut.ShapeError) as caught:
+        taut.compile(Impedance(**gains(K=[1.0, 1.0, 1.0])), taut.load_arm("panda"))
+    assert str(caught.value) == "K must be (linear, angular), (6,) or (6, 6) as its law declares it; got shape (3,)"

@@ -117,3 +117,23 @@ def test_parts_of_two_kinds_of_command_are_refused(baxter: taut.Arm) -> None:
     law = taut.SideBySide(left=held("left"), right=(taut.laws.VelocityPI(kp=1.0), right))
     with pytest.raises(taut.MatchError, match="left a torque, right a velocity"):
         taut.compile(law, baxter).needs  # noqa: B018
+
+
+def test_references_of_other_names_are_told_with_both_lists(baxter: taut.Arm) -> None:
+    pose = taut.snapshot(baxter, baxter.home).T("left_gripper")
+    still = taut.TaskMotion(pose=pose)
+    ctrl = taut.compile(taut.SideBySide(left=held("left"), right=held("right")), baxter)
+    for given, sentence in (
+        (
+            taut.together(left=still, rihgt=still),
+            "the law follows Together(left=TaskMotion, right=TaskMotion); the reference is a "
+            "Together(left=TaskMotion, rihgt=TaskMotion)",
+        ),
+        (
+            taut.together(left=taut.Line(T0=pose, T1=pose, duration=1.0)),
+            "the law follows Together(left=TaskMotion, right=TaskMotion); the reference gives Together(left=TaskMotion)",
+        ),
+    ):
+        with pytest.raises(taut.UsageError) as caught:
+            taut.run(ctrl, taut.RigidPlant(baxter), given, duration=0.01)
+        assert str(caught.value) == sentence

@@ -65,12 +65,12 @@ CASES: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (
         lambda: task(kp=[1.0, 2.0, 3.0]),
         taut.ShapeError,
-        "kp must be a scalar, (6,) or (6, 6) as its law declares it; got shape (3,)",
+        "kp must be a scalar, (linear, angular), (6,) or (6, 6) as its law declares it; got shape (3,)",
     ),
     (
         lambda: task(kd=np.eye(7)),
         taut.ShapeError,
-        "kd must be a scalar, (6,) or (6, 6) as its law declares it; got shape (7, 7)",
+        "kd must be a scalar, (linear, angular), (6,) or (6, 6) as its law declares it; got shape (7, 7)",
     ),
     (lambda: task(kp=(100.0, -1.0)), taut.RangeError, "kp[1] must be >= 0 [1/s^2]; got -1.0"),
     (lambda: task(ki=np.nan), taut.RangeError, "ki must be finite [1/s^3]; got nan"),

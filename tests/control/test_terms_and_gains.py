@@ -187,3 +187,14 @@ def test_equal_laws_in_a_sum_keep_gains_of_their_own() -> None:
     assert [path for path in ctrl.parameters if path.endswith("kp")] == ["law.PID.kp", "law.PID2.kp"]
     tau = ctrl.step(np.zeros(2), np.zeros(2), taut.JointMotion(q=[1.0, 0.0]))
     np.testing.assert_allclose(tau, [3.0, 0.0])
+
+
+def test_a_law_of_the_tool_and_one_of_the_joints_do_not_add() -> None:
+    tool = taut.laws.TaskComputedTorque(kp=100.0, kd=20.0)
+    with pytest.raises(taut.UsageError) as caught:
+        tool + taut.laws.FrictionCompensation()
+    assert str(caught.value) == (
+        "TaskComputedTorque follows TaskMotion and FrictionCompensation JointMotion; only laws that follow the same "
+        "kind of reference add; taut.via_joint_space(law) makes one of joint motion follow a TaskMotion"
+    )
+    assert isinstance(tool + taut.via_joint_space(taut.laws.FrictionCompensation()), taut.laws.Sum)

@@ -190,7 +190,7 @@ class TestSamples:
         (lambda: taut.stream(period=0.0), "period must be > 0 [s]; got 0.0"),
         (
             lambda: taut.hold([0.0]),
-            "hold takes a sample such as taut.JointMotion(q=...); got [0.0]",
+            "hold takes a sample such as taut.JointMotion(q=...) or taut.TaskMotion(pose=...); got [0.0]",
         ),
         (lambda: taut.JointMotion(q=[[0.0]]), "ref.q must be a vector (n,); got shape (1, 1)"),
         (

@@ -276,6 +276,7 @@ CASES: list[tuple[object, type[taut.TautError], str]] = [
     (Gives(OtherSample()), taut.UsageError, "the law follows JointMotion; the reference gives OtherSample"),
     (Gives(None), taut.UsageError, "the law follows JointMotion; the reference gives NoneType"),
     (taut.JointMotion(q=[0.0]), taut.ShapeError, "ref.q must have shape (2,); the reference gives (1,)"),
+    (taut.Pose(), taut.UsageError, "a reference is a sample such as taut.JointMotion(q=...), taut.hold(), a trajectory with at(t), taut.stream(...) or taut.chunk(...); got Pose; a pose to go to is taut.TaskMotion(pose=...)"),
     (taut.load_arm, taut.UsageError, "a reference is a sample such as taut.JointMotion(q=...), taut.hold(), a trajectory with at(t), taut.stream(...) or taut.chunk(...); got function"),
     (Gives(broken([0.0, np.nan]), since=0.0095), taut.RangeError, "ref.q[1] must be finite; the reference gives nan at t = 0.01 s"),
     (taut.stream(period=0.01), taut.UsageError, "a stream in a simulation needs source=, a function that gives the next sample"),

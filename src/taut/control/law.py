@@ -162,8 +162,16 @@ class Law:
         head, _, rest = path.partition(".")
         if rest:
             return self.children()[head].gain_size(rest)
-        size: int | str | None = type(self).__dict__[head].size
+        size = self.gain_declared(path).size
         return int(getattr(self, size)) if isinstance(size, str) else size
+
+    def gain_declared(self, path: str) -> Gain:
+        """How the gain behind a path is declared."""
+        head, _, rest = path.partition(".")
+        if rest:
+            return self.children()[head].gain_declared(rest)
+        declared: Gain = type(self).__dict__[head]
+        return declared
 
     def gives(self, gain: str) -> bool:
         """Whether an optional gain was given, and has a meaning."""
@@ -198,8 +206,11 @@ class Law:
                 ours = type(self).__module__.startswith("taut.")
                 way_out = "" if ours or declared else "; a gain of another size is declared as taut.Gain(size=...)"
                 whose = f"for {n} {'joint' if n == 1 else 'joints'}" if declared is None else "as its law declares it"
+                gain = self.gain_declared(path)
+                short = ["a scalar"] * gain.scalar + ["(linear, angular)"] * (gain.pairs and size == 6)
                 raise ShapeError(
-                    f"{path} must be a scalar, ({size},) or ({size}, {size}) {whose}; got shape {values.shape}"
+                    f"{path} must be {', '.join([*short, f'({size},)'])} or ({size}, {size}) {whose}; got shape "
+                    f"{values.shape}"
                     f"{way_out}",
                     name=path,
                 )

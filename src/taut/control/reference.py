@@ -54,6 +54,11 @@ class Sample(ABC):
         """A sample from values that are known to fit; symbols too."""
 
     @classmethod
+    def described(cls) -> str:
+        """What it is, for messages."""
+        return cls.__name__
+
+    @classmethod
     def between(
         cls, times: Float64Array, knots: Float64Array, rows: Mapping[str, Float64Array]
     ) -> dict[str, Float64Array]:
@@ -229,7 +234,10 @@ Reference: TypeAlias = Sample | Hold | Stream | Chunk | Trajectory
 def hold(sample: Sample | None = None) -> Hold:
     """Stay at `sample`; without one, at the state of the first tick. Never times out."""
     if sample is not None and not isinstance(sample, Sample):
-        raise UsageError(f"hold takes a sample such as taut.JointMotion(q=...); got {sample!r}", name="sample")
+        raise UsageError(
+            f"hold takes a sample such as taut.JointMotion(q=...) or taut.TaskMotion(pose=...); got {sample!r}",
+            name="sample",
+        )
     return Hold(sample=sample)
 
 
@@ -327,9 +335,10 @@ def as_reference(ref: object) -> Reference:
         return ref
     if isinstance(ref, Trajectory):
         return ref
+    hint = "; a pose to go to is taut.TaskMotion(pose=...)" if isinstance(ref, Pose) else ""
     raise UsageError(
         f"a reference is a sample such as taut.JointMotion(q=...), taut.hold(), a trajectory with at(t), "
-        f"taut.stream(...) or taut.chunk(...); got {type(ref).__name__}",
+        f"taut.stream(...) or taut.chunk(...); got {type(ref).__name__}{hint}",
         name="ref",
     )
 
@@ -400,4 +409,5 @@ def _check_shape(name: str, got: tuple[int, ...], shape: tuple[int, ...]) -> Non
 
 def _check_kind(sample: object, kind: type[Sample]) -> None:
     if not isinstance(sample, kind):
-        raise UsageError(f"the law follows {kind.__name__}; the reference gives {type(sample).__name__}", name="ref")
+        got = sample.described() if isinstance(sample, Sample) else type(sample).__name__
+        raise UsageError(f"the law follows {kind.described()}; the reference gives {got}", name="ref")

@@ -131,7 +131,7 @@ def _made(self: SideBySide, **laws: Law | tuple[Law, Sequence[str]]) -> None:
             )
         if own is None and law.controlled_frame is None:
             raise UsageError(
-                f"SideBySide: {name} must name its joints, as in {name}=(law, ['joint_1', ...]): a "
+                f"SideBySide: {name} must name its joints, as in {name}=(law, ['joint_1', ...]): "
                 f"{type(law).__name__} without tool= does not say them",
                 name=name,
             )
@@ -187,6 +187,10 @@ class _AnyTogether(Sample):
             setattr(self, name, samples[name])
             for field in kind.fields(n):
                 setattr(self, f"{name}_{field}", getattr(samples[name], field))
+
+    @classmethod
+    def described(cls) -> str:
+        return f"Together({', '.join(f'{name}={kind.described()}' for name, kind, _ in cls.parts)})"
 
     @classmethod
     def fields(cls, n: int) -> dict[str, tuple[int, ...]]:  # noqa: ARG003

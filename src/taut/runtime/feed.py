@@ -49,7 +49,7 @@ class ReferenceFeed:
             self._ref = at_rest if ref.sample is None else ref.sample
         if isinstance(self._ref, Sample) and not isinstance(self._ref, kind):
             raise UsageError(
-                f"the law follows {kind.__name__}; the reference is a {type(self._ref).__name__}", name="ref"
+                f"the law follows {kind.described()}; the reference is a {self._ref.described()}", name="ref"
             )
         if isinstance(ref, Stream) and ref.source is None:
             raise UsageError(
