@@ -355,3 +355,29 @@ def test_three_numbers_are_refused_with_what_is_taken() -> None:
     with pytest.raises(taut.ShapeError) as caught:
         taut.compile(Impedance(**gains(K=[1.0, 1.0, 1.0])), taut.load_arm("panda"))
     assert str(caught.value) == "K must be (linear, angular), (6,) or (6, 6) as its law declares it; got shape (3,)"
+
+
+def test_a_function_that_gives_no_gain_is_told_where_a_run_starts() -> None:
+    arm = taut.load_arm("panda")
+    law = Impedance(K=lambda T: [-100.0 + 0.0 * T.p[0], 10.0], B=(8.0, 1.0), tank=0.1)
+    with pytest.raises(taut.RangeError, match=r"K\[0\] must be >= 0"):
+        taut.compile(law, arm).needs  # noqa: B018
+
+
+def test_a_frame_that_lacks_two_directions_is_told() -> None:
+    with pytest.raises(
+        taut.MatchError, match="frame 'panda_link4' of 'panda' is moved by 4 joints, and is asked for 6"
+    ):
+        taut.compile(Impedance(**gains(tool="panda_link4")), taut.load_arm("panda")).needs  # noqa: B018
+
+
+def test_a_posture_in_degrees_is_told() -> None:
+    arm = taut.load_arm("panda")
+    law = Impedance(**gains(null=taut.laws.Posture(q=[0.0, -45.0, 0.0, -135.0, 0.0, 90.0, 45.0])))
+    with pytest.raises(taut.RangeError, match="degrees"):
+        taut.compile(law, arm).needs  # noqa: B018
+
+
+def test_a_pose_in_degrees_is_told() -> None:
+    with pytest.raises(taut.RangeError, match=r"rpy\[0\] must be an angle in rad; got 180, which looks like degrees"):
+        taut.Pose([0.0, 0.0, 0.0], rpy=[180.0, 0.0, 90.0])

@@ -252,3 +252,14 @@ class TestDrawn:
             match=r"^run 'stiff' has errors of the task and run 'joints' of joints; compare them apart$",
         ):
             compare({"stiff": run, "joints": joints})
+
+
+def test_a_run_that_was_touched_shows_force_and_moment() -> None:
+    arm = taut.load_arm("planar2")
+    ctrl = taut.compile(taut.laws.GravityPID(kp=100.0, kd=10.0), arm)
+    push = taut.Push(peak=[5.0, 0.0, 0.0, 0.0, 0.0, 0.0], t=0.1, duration=0.1)
+    pushed = taut.run(ctrl, taut.RigidPlant(arm, environment=push), duration=0.3).plot()
+    free = taut.run(ctrl, taut.RigidPlant(arm), duration=0.3).plot()
+    titles = [ax.get_title(loc="left") for ax in pushed.axes]
+    assert {"force on the arm", "moment on the arm"} <= set(titles)
+    assert "force on the arm" not in [ax.get_title(loc="left") for ax in free.axes]

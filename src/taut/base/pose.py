@@ -72,7 +72,7 @@ class Pose:
             w, x, y, z = vector("wxyz", wxyz, 4)
             rotation = _from_quaternion("wxyz", w, x, y, z)
         elif rpy is not None:
-            rotation = _from_rpy(*vector("rpy", rpy, 3, unit="rad"))
+            rotation = _from_rpy(*_radians(vector("rpy", rpy, 3, unit="rad")))
         else:
             rotation = np.eye(3)
         self._set(vector("p", p, 3, unit="m"), _frozen(rotation))
@@ -204,6 +204,20 @@ def snapped(R: Float64Array) -> Float64Array:
     along = np.count_nonzero(out, axis=1) == 1
     out[along] = np.sign(out[along])
     return out
+
+
+def _radians(rpy: Float64Array) -> Float64Array:
+    """Angles of more than two turns are degrees."""
+    far = np.abs(rpy) > 4.0 * math.pi
+    if far.any():
+        k = int(np.argmax(far))
+        raise RangeError(
+            f"rpy[{k}] must be an angle in rad; got {rpy[k]:g}, which looks like degrees; use np.radians(...)",
+            name="rpy",
+            value=float(rpy[k]),
+            rule="radians",
+        )
+    return rpy
 
 
 def _frozen(rotation: Float64Array) -> Float64Array:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from taut.arm.angles import require_radians
 from taut.base import math as tm
 from taut.base.checks import vector
 from taut.base.errors import ShapeError, UsageError
@@ -50,6 +51,11 @@ class Posture(Law):
 
     def start(self, x: Snapshot, ref: Sample) -> Mapping[str, Vector]:  # noqa: ARG002
         return {"rest": x.q if self.q is None else tm.array(vector("q", self.q, x.n, joints=x.arm.joint_names))}
+
+    def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
+        """A posture that lies far beyond a joint's limits is meant in degrees."""
+        if self.q is not None:
+            require_radians("q", vector("q", self.q, x.n, joints=x.arm.joint_names), x.arm)
 
     def command(self, x: Snapshot, ref: Sample, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:  # noqa: ARG002
         e = x.difference(memory.rest)

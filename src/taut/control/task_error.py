@@ -93,6 +93,9 @@ class Coordinates:
         return cls(function=_cylindrical, angles=(1,))
 
 
+NEVER: Final = 1e-24  # keeps a root from zero, where it has no slope
+
+
 def _position(T: Pose) -> Array:
     return T.p
 
@@ -103,14 +106,14 @@ def _planar(T: Pose) -> Array:
 
 def _position_and_rpy(T: Pose) -> Array:
     R = T.R
-    upright = tm.sqrt(R[0, 0] * R[0, 0] + R[1, 0] * R[1, 0])
+    upright = tm.sqrt(R[0, 0] * R[0, 0] + R[1, 0] * R[1, 0] + NEVER)
     roll, pitch, yaw = tm.atan2(R[2, 1], R[2, 2]), tm.atan2(-R[2, 0], upright), tm.atan2(R[1, 0], R[0, 0])
     return tm.array([*T.p, roll, pitch, yaw])
 
 
 def _cylindrical(T: Pose) -> Array:
     x, y, z = T.p
-    return tm.array([tm.sqrt(x * x + y * y), tm.atan2(y, x), z])
+    return tm.array([tm.sqrt(x * x + y * y + NEVER), tm.atan2(y, x), z])
 
 
 def task_error(

@@ -28,7 +28,7 @@ from taut.record.style import (
     short,
     short_name,
 )
-from taut.record.task_plot import TASK_HEIGHT, is_task_run, plot_task
+from taut.record.task_plot import TASK_HEIGHT, is_task_run, is_touched, plot_task, plot_wrench
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,7 +56,8 @@ TERMS: Final = {
 def plot(run: Run, *, joints: Iterable[str | int] | None = None) -> Figure:
     """Positions with the reference dashed, tracking error, torque with its limits, and the terms, over time.
 
-    Where the reference is one of the task, the tool's position and both its errors stand above.
+    Where the reference is one of the task, the tool's position and both its errors stand above, and where something
+    touched the tool, its force and moment.
 
     Args:
         run: The run.
@@ -76,12 +77,16 @@ def plot(run: Run, *, joints: Iterable[str | int] | None = None) -> Figure:
     term_rows = 0 if len(shown) == 1 or not run.terms else -(-len(shown) // ACROSS)
     heights = [0.55 + 1.75 * overview_rows, 0.45 + 1.35 * term_rows][: 2 if term_rows else 1]
     of_task = is_task_run(run)
-    heights = [TASK_HEIGHT, *heights] if of_task else heights
+    touched = is_touched(run)
+    heights = [TASK_HEIGHT] * (of_task + touched) + heights
     figure = Figure(figsize=(WIDTH, 0.5 + sum(heights)), dpi=150, layout="constrained")
     figure.suptitle(_title(run, shown), fontsize=9.0, color=INK, x=0.01, ha="left")
     parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
     if of_task:
         plot_task(run, parts[0])
+        parts = parts[1:]
+    if touched:
+        plot_wrench(run, parts[0])
         parts = parts[1:]
     if len(shown) == 1:
         _one_joint(run, shown[0], parts[0])

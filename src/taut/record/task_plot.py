@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from taut.control.task_reference import TaskMotion
 from taut.record.style import DASHED, INK, colour, legend_above, line, prepared, short_name
 from taut.record.task import TOOL
@@ -13,7 +15,7 @@ if TYPE_CHECKING:
 
     from taut.record.run import Run
 
-__all__ = ["TASK_HEIGHT", "is_task_run", "plot_task"]
+__all__ = ["TASK_HEIGHT", "is_task_run", "is_touched", "plot_task", "plot_wrench"]
 
 TASK_HEIGHT: Final = 2.3  # [in]
 AXES: Final = ("x", "y", "z")
@@ -22,6 +24,28 @@ AXES: Final = ("x", "y", "z")
 def is_task_run(run: Run) -> bool:
     """Whether a run has errors of the task."""
     return isinstance(run.reference, TaskMotion) and TOOL in run.info
+
+
+def is_touched(run: Run) -> bool:
+    """Whether something touched the tool in a run."""
+    return "F_ext" in run.extra and bool(np.any(run.extra["F_ext"] != 0.0))
+
+
+def plot_wrench(run: Run, figure: SubFigure) -> None:
+    """Force and moment of the environment on the arm at the tool, in world axes."""
+    from matplotlib.lines import Line2D
+
+    F = run.extra["F_ext"]
+    for ax, first, what in zip(
+        figure.subplots(1, 2, sharex=True), (0, 3), ("force [N]", "moment [N m]"), strict=True
+    ):
+        prepared(ax, what.partition(" [")[0] + " on the arm", what)
+        ax.axhline(0.0, color=INK, linewidth=0.6)
+        for i in range(3):
+            line(ax, run.t, F[:, first + i], colour(i))
+    heading = Line2D([], [], linewidth=0.0, label="F_ext at the tool, world axes:")
+    keys = [Line2D([], [], color=colour(i), linewidth=1.5, label=name) for i, name in enumerate(AXES)]
+    legend_above(figure, [heading, *keys])
 
 
 def plot_task(run: Run, figure: SubFigure) -> None:
