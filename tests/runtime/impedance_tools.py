@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import taut
 from taut.base import math as tm
 from taut.base.types import Float64Array
-from taut.maths.spatial import rotation_log
 
 Values = Mapping[str, Any]
 
@@ -58,13 +58,10 @@ class Kick:
         return parameters["most"] * tm.sin(np.pi * phase), {}
 
 
-def deviation(arm: taut.Arm, run: taut.Run, pose: taut.Pose, every: int = 1) -> Float64Array:
+def deviation(run: taut.Run, pose: taut.Pose, every: int = 1) -> Float64Array:
     """(k, 6) where the tool is, less where it should be, world axes [m, rad]."""
-    rows = []
-    for q in run.q[::every]:
-        T = taut.snapshot(arm, q).T()
-        rows.append([*(T.p - pose.p), *rotation_log(T.R @ pose.R.T)])
-    return np.array(rows)
+    turn = Rotation.from_matrix(run.task.R[::every] @ pose.R.T).as_rotvec()
+    return np.hstack([run.task.p[::every] - pose.p, turn])
 
 
 def poses_of(arm: taut.Arm, count: int, seed: int) -> list[Float64Array]:
