@@ -253,6 +253,20 @@ def test_it_gives_back_no_more_than_it_got(name: str, frame: str) -> None:
     assert work_on_the_arm(run).min() >= -1e-6
 
 
+@pytest.mark.parametrize(("share", "gives"), [(0.0, True), (1.5, False)])
+def test_a_held_torque_gives_energy_without_damping_and_none_with_k_dt_and_more(share: float, gives: bool) -> None:
+    arm = taut.load_arm("panda")
+    q = poses_of(arm, 1, 9)[0]
+    stiff, dt = np.array([1000.0] * 3 + [40.0] * 3), 0.01
+    law = impedance(K=stiff, B=share * stiff * dt, zeta=None, coriolis="keep", null=None)
+    shaker = Shaker(amplitude=[8.0, 5.0, -6.0, 0.05, 0.04, -0.06], frequency=1.7)
+    # Many steps in a period, in which the torque is held: one step alone would hide what the hold does.
+    plant = taut.RigidPlant(arm, friction=None, substeps=50, environment=shaker)
+    run = taut.run(taut.compile(law, arm, rate=1.0 / dt), plant, at(arm, q), q0=q, duration=5.0)
+    least = np.nanmin(work_on_the_arm(run))
+    assert least < -1.0 if gives else least >= -1e-6
+
+
 def test_a_stiff_spring_without_damping_does_gain_energy_from_being_sampled() -> None:
     arm = taut.load_arm("panda")
     law = impedance(K=(20000.0, 1000.0), B=(0.0, 0.0), zeta=None, null=None)
