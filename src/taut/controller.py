@@ -337,7 +337,8 @@ class Controller:
         for path in ("q", "ref.q"):  # in the first tick alone: nothing must stop an arm that moves already
             if path in self._inputs:
                 require_radians(path, self._inputs[path], self.arm)
-        self.side.check_start(self._inputs["q"].copy(), self.parameters)
+        ref = self.law.reference.of(subtree({path: np.array(value) for path, value in self._inputs.items()}, "ref"))
+        self.side.check_start(self._inputs["q"].copy(), self.parameters, ref)
         if TOLD in self._inputs:
             told = self._torque_at_start
             self._inputs[TOLD][...] = told is not None

@@ -6,6 +6,7 @@ from taut.base.errors import unknown_name
 from taut.control.admittance import Admittance
 from taut.control.combine import Sum
 from taut.control.friction import FrictionCompensation
+from taut.control.hybrid import HybridMotionForce
 from taut.control.impedance import Impedance, Stiffness
 from taut.control.joint import (
     PID,
@@ -40,6 +41,7 @@ __all__ = [
     "Impedance",
     "Stiffness",
     "Admittance",
+    "HybridMotionForce",
     "VirtualWall",
     "VirtualGroove",
     "VirtualBall",
