@@ -83,7 +83,7 @@ def contact_impulses(
         sweep(1)
         return tm.array(p)
     sweep(sweeps // 2)
-    p = _together(W, r, touches, p, slip)
+    p = _together(W, r, touches, slip)
     sweep(sweeps - sweeps // 2)
     return tm.array(p)
 
@@ -157,7 +157,9 @@ class _Block:
 
     def _rubbing(self, r_h: Vector, r_t: Vector, y: Vector, p_h: list[Any], mu: Any) -> tuple[list[Any], Any, Any]:
         """Impulses with friction, whether it sticks, and where it slides."""
-        assert self.all is not None and self.across is not None and self.plane is not None
+        assert self.all is not None
+        assert self.across is not None
+        assert self.plane is not None
         stop = -self.all.solve(tm.array([*r_h, *r_t]))
         h = len(p_h)
         pressed = mu * stop[0]
@@ -203,9 +205,7 @@ def _sliding(W: Matrix, z: Sequence[Any], c: Any) -> tuple[Any, Any]:
     return d[0] * size, d[1] * size
 
 
-def _together(
-    W: Matrix, r: Vector, touches: Sequence[Touch], p: Sequence[Any], slip: Sequence[_Slip]
-) -> list[Any]:
+def _together(W: Matrix, r: Vector, touches: Sequence[Touch], slip: Sequence[_Slip]) -> list[Any]:
     """Impulses of all contacts as they touch, stick and slide now, exactly; those that would pull go."""
     m = len(r)
     A = [[0.0] * m for _ in range(m)]

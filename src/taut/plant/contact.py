@@ -44,16 +44,16 @@ class RigidContact:
     impulses of the constraint (as RATTLE does), so that nothing drifts and a frictionless contact keeps the energy.
     Of a gap that closes in a step, the instant is interpolated.
 
-    A row that holds both ways beside one-sided ones of the same function, as the two tilts of `plane(face=...)`, holds
-    as long as one of them touches; what tilt there is at landing is gone in some milliseconds, as a face that lies
-    down. The corners of a face as four one-sided rows can tip over an edge, which a `face` cannot.
+    A row that holds both ways beside one-sided ones of the same function, as the two tilts of `plane(face=...)`,
+    holds as long as one of them touches; what tilt there is at landing is gone in some milliseconds, as a face that
+    lies down. The corners of a face as four one-sided rows can tip over an edge, which a `face` cannot.
 
     Columns of a run:
-        contact.lam (k,), the multipliers at the tick, at the same state and torque, without any correction of drift; of
-        a gap that closes in the step, impulse / dt. contact.drift, the largest |phi| of what touches at the tick.
-        contact.on (k,), 1.0 for rows that act in the step. contact.correction, by how much the step's impulses / dt
-        differ from lam: what the way through the step takes, drift and impacts. contact.slip (c, 3) [m/s], at which
-        points with friction slide at the tick.
+        contact.lam (k,), the multipliers at the tick, at the same state and torque, without any correction of drift;
+        of a gap that closes in the step, impulse / dt. contact.on (k,), 1.0 for rows that act after the step.
+        contact.drift, the largest |phi| of what touches at the tick. contact.correction, by how much the step's
+        impulses / dt differ from lam: what the way through the step takes. contact.slip (c, 3) [m/s], at which points
+        with friction slide at the tick.
 
     Args:
         constraint: What holds: a taut.Constraint.
@@ -110,8 +110,8 @@ class RigidContact:
             )
         if not any(self.constraint.one_sided):
             raise UsageError(
-                "contact.restitution is for one-sided constraints, and this one holds both ways; leave it out, or give "
-                "the constraint one_sided=True",
+                "contact.restitution is for one-sided constraints, and this one holds both ways; leave it out, or "
+                "give the constraint one_sided=True",
                 name="restitution",
             )
 
@@ -294,8 +294,9 @@ class Contacts:
                 why = "it depends on how the tool is turned"
         if why:
             raise UsageError(
-                f"contact.friction needs a point of contact, the origin of a frame, and this constraint has none: {why}; "
-                "give a function of T.p alone, such as Constraint.plane, with frame= at the point, or leave friction out",
+                f"contact.friction needs a point of contact, the origin of a frame, and this constraint has none: "
+                f"{why}; give a function of T.p alone, such as Constraint.plane, with frame= at the point, or leave "
+                "friction out",
                 name="friction",
             )
 

@@ -54,7 +54,8 @@ class _Here:
         phi, B, moves, bias = tm.zeros(k), tm.zeros((m, x.n)), tm.zeros(m), tm.zeros(m)
         A: dict[int, Any] = {}
         arms: dict[int, Array] = {}
-        scale, tangents = [], []
+        scale: list[Any] = []
+        tangents: list[Matrix] = []
         for place in contacts.places:
             rows = place.piece.at(x)
             felt = contacts.at_tool(place)
@@ -132,7 +133,7 @@ def contact_step(
         dt: Length of the step [s].
         sweeps: Of block Gauss-Seidel.
     """
-    k, touches, fixed = contacts.count, contacts.touches, contacts.fixed
+    k, touches = contacts.count, contacts.touches
     here = _Here.at(contacts, Snapshot(model, q=q, v=v, t=t))
     on = [memory["contact.on"][i] > 0.5 for i in range(k)]
     guess = [x * dt for x in memory["contact.force"]]
@@ -155,7 +156,7 @@ def contact_step(
         for i in touch.beside:
             goal[i] = here.phi[i] * tm.exp(-dt / LIES_DOWN)
     missing = tm.array([(here.phi[i] - goal[i]) / dt + rate[i] for i in range(k)])
-    first = solver.impulses(W_n, missing, (), [True] * len(touches), p[:k], rub=False)
+    first = solver.impulses(W_n, missing, (), [True] * len(touches), list(p[:k]), rub=False)
     acts: list[Any] = [True] * k
     for touch in touches:
         if touch.one_sided:
@@ -165,10 +166,10 @@ def contact_step(
     q_there = q + dt * v_half
     there = _Here.at(contacts, Snapshot(model, q=q_there, v=v_half, t=t + dt))
     left = tm.array([there.phi[i] - goal[i] for i in range(k)])
-    q_new = q_there + sol_n @ held_impulses(W_n, left, acts)
-    # Velocities along the constraints, by impulses at the end.
     sol_end = factors.solve(there.B.T)
     W_end = there.B @ sol_end
+    q_new = q_there + sol_end[:, :k] @ held_impulses(W_end[:k, :k], left, acts)
+    # Velocities along the constraints, by impulses at the end.
     so_far = tm.array([*first, *p[k:]])
     v_base = v_half - sol_end @ so_far
     wanted = [*bounce.speed, *([0.0] * (contacts.size - k))]
@@ -176,7 +177,9 @@ def contact_step(
         for i in touch.beside:
             wanted[i] = -there.phi[i] / LIES_DOWN
     final = there.B @ v_base + there.moves - tm.array(wanted)
-    total = solver.impulses(W_end, final, there.scale, [acts[touch.normal] for touch in touches], so_far, rub=True)
+    total = solver.impulses(
+        W_end, final, there.scale, [acts[touch.normal] for touch in touches], list(so_far), rub=True
+    )
     v_new = v_base + sol_end @ total
     # What is told of it. A gap that closes in the step shows its impulse.
     closes = [both(opposite(on[i]), acts[i]) for i in range(k)]

@@ -98,7 +98,9 @@ class RigidPlant:
     actuation: Actuation = field(default_factory=Actuation, kw_only=True)
     sensors: Sensors = field(default_factory=Sensors, kw_only=True)
     environment: Environment | None = field(default=None, kw_only=True)
-    contact: RigidContact | Constraint | Sequence[RigidContact | Constraint] | None = field(default=None, kw_only=True)
+    contact: RigidContact | Constraint | Sequence[RigidContact | Constraint] | None = field(
+        default=None, kw_only=True
+    )
     adds: Adds | Iterable[str] | Mapping[str, Payload | None] = field(default=(), kw_only=True)
     sweeps: int = field(default=SWEEPS, kw_only=True)
     energy: bool = field(default=False, kw_only=True)
@@ -160,13 +162,14 @@ class RigidPlant:
     def _check_contacts(self) -> None:
         if self.takes != "torque":
             raise UsageError(
-                f"contact is for torque commands, for stiff drives do not give way to it; this plant takes {self.takes}; "
-                "give environment=taut.StiffWall(...), or takes='torque'",
+                f"contact is for torque commands, for stiff drives do not give way to it; this plant takes "
+                f"{self.takes}; give environment=taut.StiffWall(...), or takes='torque'",
                 name="contact",
             )
         if self.integrator == "rk4":
             raise UsageError(
-                "rk4 needs smooth forces, and a contact stops the arm at once; use semi-implicit-euler", name="contact"
+                "rk4 needs smooth forces, and a contact stops the arm at once; use semi-implicit-euler",
+                name="contact",
             )
         assert self.contacts is not None
         self.contacts.check()
@@ -332,12 +335,12 @@ class RigidPlant:
             )
             memory["F_ext"], _ = self._motion.touch(q, v, memory, parameters, 0.0, dt / self.substeps)
         if self.contacts is not None:
-            memory |= self._touching(q, v, memory, parameters)
+            memory |= self._touching(q, v, memory)
         if self.sensors.needs_acceleration:
             memory["a"] = rest
         return memory
 
-    def _touching(self, q: Vector, v: Vector, memory: Values, parameters: Values) -> dict[str, Any]:
+    def _touching(self, q: Vector, v: Vector, memory: Values) -> dict[str, Any]:
         """Memory of rigid contacts at the start of a run."""
         assert self.contacts is not None
         self.contacts.check_start(q, v)
