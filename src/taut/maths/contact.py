@@ -13,8 +13,8 @@ from taut.base.types import Matrix, Vector
 __all__ = ["SWEEPS", "Touch", "both", "choose", "contact_impulses", "held_impulses", "opposite"]
 
 SWEEPS: Final = 8  # of block Gauss-Seidel where several contacts act together, half before the exact solve
-ROUNDS: Final = 3  # of the direction of sliding, which depends on the normal force and the other way round
-STEPS: Final = 3  # of Newton's method for the speed of sliding
+ROUNDS: Final = 8  # of the direction of sliding, which depends on the normal force and the other way round
+FEWER: Final = 3  # of them in each sweep
 SLACK: Final = 1e-11  # of the diagonal, so that contacts that share a load need not be independent
 JAMMED: Final = 1e-3  # least share of a normal mobility that friction leaves; below it rigid bodies jam
 NOTHING: Final = 1e-30
@@ -77,7 +77,7 @@ def contact_impulses(
                 own = set(block.rows)
                 others = [j for j in range(len(r)) if j not in own]
                 free = {i: _sum(r[i], ((W[i, j], p[j]) for j in others)) for i in block.rows}
-                slip[c] = block.solve(free, p, mu[c], there[c])
+                slip[c] = block.solve(free, p, mu[c], there[c], ROUNDS if alone else FEWER)
 
     if alone:
         sweep(1)
@@ -132,7 +132,7 @@ class _Block:
         return cls(
             touch=touch,
             held=factor_spd(inner),
-            all=factor_spd(_part(W, rows, rows)),
+            all=factor_spd(_firm(_part(W, rows, rows))),
             across=_part(W, held, tangents),
             plane=_part(W, tangents, tangents),
         )
@@ -141,7 +141,7 @@ class _Block:
     def rows(self) -> tuple[int, ...]:
         return (*self.touch.held, *self.touch.tangents)
 
-    def solve(self, r: dict[int, Any], p: list[Any], mu: Any, there: Any) -> _Slip:
+    def solve(self, r: dict[int, Any], p: list[Any], mu: Any, there: Any, rounds: int) -> _Slip:
         """Write its impulses into p, from velocities without them."""
         held, tangents = self.touch.held, self.touch.tangents
         r_h = tm.array([r[i] for i in held])
@@ -149,13 +149,16 @@ class _Block:
         best = [-entry for entry in y]
         sticks, along = False, (0.0, 0.0)
         if tangents:
-            best, sticks, along = self._rubbing(r_h, tm.array([r[i] for i in tangents]), y, best, mu)
+            r_t = tm.array([r[i] for i in tangents])
+            best, sticks, along = self._rubbing(r_h, r_t, y, best, mu, rounds)
         on = there if not self.touch.one_sided else both(there, best[0] > 0.0)
         for i, value in zip(self.rows, best, strict=True):
             p[i] = choose(on, value, 0.0)
         return _Slip(on=on, sticks=sticks, along=along)
 
-    def _rubbing(self, r_h: Vector, r_t: Vector, y: Vector, p_h: list[Any], mu: Any) -> tuple[list[Any], Any, Any]:
+    def _rubbing(
+        self, r_h: Vector, r_t: Vector, y: Vector, p_h: list[Any], mu: Any, rounds: int
+    ) -> tuple[list[Any], Any, Any]:
         """Impulses with friction, whether it sticks, and where it slides."""
         assert self.all is not None
         assert self.across is not None
@@ -166,12 +169,12 @@ class _Block:
         sticks = stop[h] * stop[h] + stop[h + 1] * stop[h + 1] <= pressed * pressed
         if self.touch.one_sided:
             sticks = both(sticks, stop[0] > 0.0)
-        signed, d = mu, (0.0, 0.0)
-        for _ in range(ROUNDS):
+        signed, d, speed = mu, (0.0, 0.0), None
+        for _ in range(rounds):
             if not self.touch.one_sided:
                 signed = choose(p_h[0] < 0.0, -mu, mu)
             z = [_sum(r_t[k], ((self.across[i, k], p_h[i]) for i in range(h))) for k in range(2)]
-            d = _sliding(self.plane, z, tm.maximum(signed * p_h[0], 0.0))
+            d, speed = _sliding(self.plane, z, tm.maximum(signed * p_h[0], 0.0), speed)
             bent = self.held.solve(tm.array([self.across[i, 0] * d[0] + self.across[i, 1] * d[1] for i in range(h)]))
             normal = -y[0] / tm.maximum(1.0 - signed * bent[0], JAMMED)
             p_h = [normal, *(signed * normal * bent[i] - y[i] for i in range(1, h))]
@@ -180,29 +183,29 @@ class _Block:
         return [choose(sticks, a, b) for a, b in zip(stop, slides, strict=True)], sticks, along
 
 
-def _sliding(W: Matrix, z: Sequence[Any], c: Any) -> tuple[Any, Any]:
-    """The direction d in which a point slides that friction of size c brakes: s d + c W d = z with |d| = 1, s >= 0.
+def _sliding(W: Matrix, z: Sequence[Any], c: Any, speed: Any) -> tuple[tuple[Any, Any], Any]:
+    """The direction d in which a point slides that friction of size c brakes, and its speed s, from a guess of that.
 
-    1 / |(s + c W)^-1 z| is nearly straight in s, and exactly so where W is the same in all directions.
+    One step of Newton's method for the speed, of s d + c W d = z with |d| = 1, s >= 0. 1 / |(s + c W)^-1 z| is nearly straight in s, and exactly so where W is the
+    same in all directions.
     """
     size = tm.sqrt(z[0] * z[0] + z[1] * z[1])
     least = 1e-12 * size + NOTHING
-    s = tm.maximum(size - c * (W[0, 0] + W[1, 1]), least)
+    s = tm.maximum(size - c * (W[0, 0] + W[1, 1]) if speed is None else speed, least)
 
     def solved(b: Sequence[Any]) -> tuple[Any, Any]:
         a00, a01, a11 = s + c * W[0, 0], c * W[0, 1], s + c * W[1, 1]
         scale = 1.0 / (a00 * a11 - a01 * a01)
         return (a11 * b[0] - a01 * b[1]) * scale, (a00 * b[1] - a01 * b[0]) * scale
 
-    for _ in range(STEPS):
-        d = solved(z)
-        slower = solved(d)
-        square = d[0] * d[0] + d[1] * d[1]
-        fall = d[0] * slower[0] + d[1] * slower[1]
-        s = tm.maximum(s + (tm.sqrt(square) - 1.0) * square / (fall + NOTHING), least)
+    d = solved(z)
+    slower = solved(d)
+    square = d[0] * d[0] + d[1] * d[1]
+    fall = d[0] * slower[0] + d[1] * slower[1]
+    s = tm.maximum(s + (tm.sqrt(square) - 1.0) * square / (fall + NOTHING), least)
     d = solved(z)
     size = 1.0 / tm.sqrt(d[0] * d[0] + d[1] * d[1] + NOTHING)
-    return d[0] * size, d[1] * size
+    return (d[0] * size, d[1] * size), s
 
 
 def _together(W: Matrix, r: Vector, touches: Sequence[Touch], slip: Sequence[_Slip]) -> list[Any]:
@@ -236,14 +239,11 @@ def _together(W: Matrix, r: Vector, touches: Sequence[Touch], slip: Sequence[_Sl
 
 
 def _part(W: Matrix, rows: Sequence[int], columns: Sequence[int]) -> Matrix:
-    out = tm.array([[W[i, j] for j in columns] for i in rows])
-    return out if rows != columns else _firm(out)
+    return tm.array([[W[i, j] for j in columns] for i in rows])
 
 
 def _firm(W: Matrix) -> Matrix:
     """W with a little more on its diagonal, also where no joint moves a row."""
-    if len(W) == 1:
-        return W
     mean = _sum(0.0, ((W[i, i], 1.0 / len(W)) for i in range(len(W))))
     for i in range(len(W)):
         W[i, i] = W[i, i] + SLACK * mean

@@ -21,6 +21,7 @@ __all__ = ["TOLD", "ContactStep", "contact_start", "contact_step"]
 Values = Mapping[str, Any]
 TOLD: Final = ("lam", "on", "drift", "correction", "slip")
 """What a run records of contacts, by name below "contact"."""
+SHUT: Final = 1e-12  # [m | rad] a gap below this is none
 LIES_DOWN: Final = 2e-3  # [s] in which the tilt that a face lands with is gone to 1/e
 
 
@@ -158,10 +159,11 @@ def contact_step(
     missing = tm.array([(here.phi[i] - goal[i]) / dt + rate[i] for i in range(k)])
     first = solver.impulses(W_n, missing, (), [True] * len(touches), list(p[:k]), rub=False)
     acts: list[Any] = [True] * k
+    apart = missing + W_n @ first  # [m/s], what opens the gaps
     for touch in touches:
         if touch.one_sided:
             for i in touch.held:
-                acts[i] = first[touch.normal] > 0.0
+                acts[i] = dt * apart[touch.normal] <= SHUT
     v_half = v_rubbed + sol_n @ first
     q_there = q + dt * v_half
     there = _Here.at(contacts, Snapshot(model, q=q_there, v=v_half, t=t + dt))
