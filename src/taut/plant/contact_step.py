@@ -22,7 +22,7 @@ Values = Mapping[str, Any]
 TOLD: Final = ("lam", "on", "drift", "correction", "slip")
 """What a run records of contacts, by name below "contact"."""
 SHUT: Final = 1e-12  # [m | rad] a gap below this is none
-LIES_DOWN: Final = 2e-3  # [s] in which the tilt that a face lands with is gone to 1/e
+LIES_DOWN: Final = 0.02  # [s] in which the tilt that a face lands with is gone to 1/e
 
 
 @dataclass(frozen=True, kw_only=True)
