@@ -186,8 +186,8 @@ class _Block:
 def _sliding(W: Matrix, z: Sequence[Any], c: Any, speed: Any) -> tuple[tuple[Any, Any], Any]:
     """The direction d in which a point slides that friction of size c brakes, and its speed s, from a guess of that.
 
-    One step of Newton's method for the speed, of s d + c W d = z with |d| = 1, s >= 0. 1 / |(s + c W)^-1 z| is nearly straight in s, and exactly so where W is the
-    same in all directions.
+    One step of Newton's method in s d + c W d = z with |d| = 1, s >= 0: 1 / |(s + c W)^-1 z| is nearly straight in
+    s, and exactly so where W is the same in all directions.
     """
     size = tm.sqrt(z[0] * z[0] + z[1] * z[1])
     least = 1e-12 * size + NOTHING
