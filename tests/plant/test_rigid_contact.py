@@ -7,6 +7,7 @@ import functools
 import numpy as np
 import pytest
 from plant_laws import TorqueOf
+from scipy.integrate import solve_ivp
 
 import taut
 from taut import math as tm
@@ -117,6 +118,19 @@ def test_a_sliding_tool_stops_after_the_closed_forms_time_and_way() -> None:
     stops = found.t[np.argmax(np.abs(found.v[:, 0]) < 1e-12)]
     assert stops == pytest.approx(0.3 / slows, abs=2e-3)
     assert found.extra["work.environment"][-1] == pytest.approx(-0.5 * 21.0 * 0.3**2, rel=1e-9)
+
+
+def test_a_tool_with_another_mass_in_each_direction_slides_as_integrated() -> None:
+    push, M = np.array([3.0, 5.0]), np.array([21.0, 9.0])
+
+    def rates(_: float, y: Array) -> Array:
+        speed = y[2:]
+        return np.concatenate([speed, (push - MU * WEIGHT * speed / np.linalg.norm(speed)) / M])
+
+    found = run(taut.RigidContact(constraint=FLOOR, friction=MU), [*push, 0.0], v0=[0.3, -0.2, 0.0], duration=0.1)
+    wanted = solve_ivp(rates, (0.0, 0.1), [0.0, 0.0, 0.3, -0.2], rtol=1e-10, atol=1e-12).y[:, -1]
+    np.testing.assert_allclose(found.q[-1, :2], wanted[:2], atol=1e-4)  # of a step of 1 ms
+    np.testing.assert_allclose(found.v[-1, :2], wanted[2:], atol=2e-4)
 
 
 def test_friction_acts_in_impacts_too() -> None:
