@@ -12,100 +12,14 @@ import numpy as np
 from taut.base.checks import finite_array, finite_scalar, read_only, vector
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
+from taut.study.linear_environment import LinearEnvironment
 from taut.study.linear_words import and_list, combination, written
 
-__all__ = ["LinearEnvironment", "Specification", "check_specification", "possible_specifications"]
+__all__ = ["Specification", "check_specification", "possible_specifications"]
 
 DEPENDENT: Final = 1e-9  # smallest singular value of what is given, each row scaled to length 1
 NEARLY: Final = 1e-3
-NOTHING: Final = 1e-12  # of the largest number of the environment: a force that no motion makes
 MOST: Final = 6  # directions, of which all choices are listed
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LinearEnvironment:
-    """F = G y + F0 at one instant, with y the highest rate of motion that the environment feels.
-
-    Args:
-        G: (n, n) M, else B, else K.
-        F0: (n,) what the lower rates make, which are what they are at that instant [N, N m].
-        names: (2n,) of y, then of F.
-    """
-
-    G: Float64Array
-    F0: Float64Array
-    names: tuple[str, ...]
-
-    @property
-    def n(self) -> int:
-        """Number of directions, and of freedoms."""
-        return len(self.F0)
-
-    @property
-    def all(self) -> Float64Array:
-        """(2n, n) from y to all of the quantities, less F0."""
-        return np.vstack([np.eye(self.n), self.G])
-
-    def felt(self, rows: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """(m, n) rows over all quantities as rows over y, each of length 1 or 0; and the lengths."""
-        full = rows @ self.all
-        largest = max(float(np.abs(self.G).max()), 1e-300)
-        least = NOTHING * (np.abs(rows[:, : self.n]).sum(axis=1) + largest * np.abs(rows[:, self.n :]).sum(axis=1))
-        sizes = np.linalg.norm(full, axis=1)
-        sizes = np.where(sizes <= least, 0.0, sizes)
-        return np.divide(full, sizes[:, None], out=np.zeros_like(full), where=sizes[:, None] > 0.0), sizes
-
-    @classmethod
-    def of(
-        cls,
-        *,
-        B: ArrayLike | None,
-        K: ArrayLike | None,
-        M: ArrayLike | None,
-        X: ArrayLike | None,
-        V: ArrayLike | None,
-        axes: Sequence[str] | None,
-    ) -> LinearEnvironment:
-        """That of M V-dot + B V + K X = F."""
-        given = {name: finite_array(name, m) for name, m in (("M", M), ("B", B), ("K", K)) if m is not None}
-        if not given:
-            raise UsageError(
-                "an environment F = M V_dot + B V + K X needs one of B, K and M, such as B=[[2, 1], [1, 1]]", name="B"
-            )
-        n = max(len(m) if m.ndim else 1 for m in given.values())
-        G, *lower = (_square(name, m, n) for name, m in given.items())
-        known = {"B": ("V", V, "velocity"), "K": ("X", X, "displacement")}
-        F0 = np.zeros(n)
-        for name, matrix in zip(list(given)[1:], lower, strict=True):
-            symbol, value, word = known[name]
-            if value is None:
-                raise UsageError(
-                    f"{name} beside {next(iter(given))} needs {symbol}=, the {word} at that instant", name=symbol
-                )
-            F0 = F0 + matrix @ vector(symbol, value, n)
-        for name, (symbol, value, word) in known.items():
-            if value is not None and name not in list(given)[1:]:
-                raise UsageError(
-                    f"{symbol} is the {word} at that instant, for {name} beside a higher rate; here it has no part: "
-                    "leave it out",
-                    name=symbol,
-                )
-        motion = {"M": "V_dot", "B": "V", "K": "X"}[next(iter(given))]
-        return cls(G=read_only(G), F0=read_only(F0), names=_names(motion, n, axes))
-
-
-def _square(name: str, given: Float64Array, n: int) -> Float64Array:
-    if given.shape not in ((), (n,), (n, n)):
-        raise ShapeError(f"{name} must be a number, ({n},) or ({n}, {n}); got shape {given.shape}", name=name)
-    return given if given.ndim == 2 else np.diag(np.broadcast_to(given, (n,)))
-
-
-def _names(motion: str, n: int, axes: Sequence[str] | None) -> tuple[str, ...]:
-    if axes is None:
-        return tuple(f"{symbol}{i + 1}" for symbol in (motion, "F") for i in range(n))
-    if isinstance(axes, str) or len(set(axes)) != n or not all(isinstance(a, str) and a.isidentifier() for a in axes):
-        raise UsageError(f"axes must be {n} different words, such as ('x', 'y'); got {axes!r}", name="axes")
-    return tuple(f"{symbol}_{axis}" for symbol in (motion, "F") for axis in axes)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -206,12 +120,12 @@ def check_specification(
 ) -> Specification:
     """Which motions and forces may be chosen against a linear environment, and what that makes of the others.
 
-    Law:          F = M V_dot + B V + K X: n directions have n freedoms among their 2n motions and forces. What is chosen,
-                    S (y, F) = s with F = G y + F0, must have S (I; G) of rank n                         section 10.4
+    Law:          F = M V_dot + B V + K X: n directions have n freedoms among their 2n motions and forces. What is
+                    chosen, S (y, F) = s with F = G y + F0, must have S (I; G) of rank n                 section 10.4
 
     y is the highest rate that the environment feels: V_dot with M, else V with B, else X with K; lower ones are known
-    at that instant. Quantities are called V1, V2, ..., F1, F2, ...; or V_x, ..., with `axes`. F is what is applied to the
-    environment, F_app.
+    at that instant. Quantities are called V1, V2, ..., F1, F2, ...; or V_x, ..., with `axes`. F is what is applied to
+    the environment, F_app.
 
     Rows scaled to length 1 count as dependent where their smallest singular value is below 1e-9, as nearly so, with a
     `warning`, below 1e-3; a force below 1e-12 of the environment's largest number counts as one that no motion makes.
@@ -323,8 +237,9 @@ def _relation(environment: LinearEnvironment, words: Sequence[str], rows: Float6
         constant = 0.0 if abs(constant) <= 1e-12 * float(np.abs(F_part).max()) else constant
         among = [word for word, share in zip(words[:last], shares, strict=True) if share]
         return (
-            f"{and_list([*among, words[last]])} may not be chosen together, for they are in the same direction and not "
-            f"independent: {words[last]} = {written(shares, words[:last], constant)} in this environment; leave one out"
+            f"{and_list([*among, words[last]])} may not be chosen together, for they are in the same direction and "
+            f"not independent: {words[last]} = {written(shares, words[:last], constant)} in this environment; leave "
+            "one out"
         )
     raise AssertionError("there are rows")
 
