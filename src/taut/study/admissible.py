@@ -12,7 +12,7 @@ from taut.base.checks import finite_array
 from taut.base.errors import UsageError
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.hybrid_motion import HybridMotion
-from taut.control.reference import Sample
+from taut.control.reference import Sample, Trajectory
 from taut.control.task_reference import TaskMotion
 from taut.study.contact_modes import FrictionMargin, HeldRows, Mode
 from taut.study.freedom_words import axis_words, rubbed
@@ -72,6 +72,8 @@ def asked(
     if isinstance(inner, Sample) and (joints or not isinstance(inner, TaskMotion)):
         wanted = f"{m} joint speeds" if joints else "a motion of the tool, such as taut.TaskMotion(pose=...)"
         raise UsageError(f"check takes {wanted}; got {type(inner).__name__}", name="motion")
+    if isinstance(inner, Trajectory):
+        raise UsageError("check takes a sample of a motion, such as ref.at(0.0); got a whole motion", name="motion")
     given = {"F_app": F_app is not None, "lam": lam is not None, "taut.pressing(...)": pressed is not None}
     words = [name for name, there in given.items() if there]
     if len(words) > 1:

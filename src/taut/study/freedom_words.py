@@ -108,7 +108,9 @@ def table_text(
         right.append(f"{row.artificial} = {f'k{i + 1}' if values is None else _number(values[row.index])}")
     width = max(len("natural"), *(len(row.natural) for row in rows)) + 2
     free = sum(row.free == "motion" for row in rows)
-    title = f"{TITLES.get(mode, 'in contact' if touches else 'held')}: {_count(free, 'motion')} and {_count(len(rows) - free, 'force')} may be chosen"
+    what = TITLES.get(mode, "in contact" if touches else "held")
+    freedoms = f"{_count(free, 'motion')} and {_count(len(rows) - free, 'force')}"
+    title = f"{what}: {freedoms} may be chosen"
     lines = [f"{row.natural:<{width}}{text}" for row, text in zip(rows, right, strict=True)]
     return "\n".join([title, f"{'natural':<{width}}artificial", *lines, *notes])
 

@@ -94,7 +94,7 @@ class Freedoms:
 
         Args:
             motion: A sample for the tool, of which the twist counts; one of `taut.pressing(...)`, with its forces; or
-                V, (6,) the twist of the tool in world axes [m/s, rad/s], (n,) joint speeds for a constraint of joints.
+                V, (6,) twist of the tool in world axes [m/s, rad/s], (n,) joint speeds for a constraint of joints.
             F_app: (6,) wrench of the arm on the environment at the tool, in world axes [N, N m].
             lam: In its place (k,) multipliers, F_app = A^T lam, one for each row of the constraint.
 
@@ -152,8 +152,8 @@ def freedoms(
     joints or of several frames has its rows along the joints.
 
     A contact (a one-sided row) has three modes. "slide" takes it for an equality, as the chapter does; its friction
-    is a force that is not chosen. "stick" holds what touches along the surface too, while the force along it is inside
-    the friction cone: 3 + 3 for a chalk. "apart" has none of what belongs to the contact: 6 + 0. Friction acts at one
+    is a force that is not chosen. "stick" holds what touches along the surface too, while the force along it is
+    inside the friction cone: 3 + 3 for a chalk. "apart" has none of what belongs to the contact: 6 + 0. Friction acts at one
     point, with no moment about the normal, and a surface on which something sticks does not move sideways.
 
     Args:
