@@ -153,8 +153,8 @@ def freedoms(
 
     A contact (a one-sided row) has three modes. "slide" takes it for an equality, as the chapter does; its friction
     is a force that is not chosen. "stick" holds what touches along the surface too, while the force along it is
-    inside the friction cone: 3 + 3 for a chalk. "apart" has none of what belongs to the contact: 6 + 0. Friction acts at one
-    point, with no moment about the normal, and a surface on which something sticks does not move sideways.
+    inside the friction cone: 3 + 3 for a chalk. "apart" has none of what belongs to the contact: 6 + 0. Friction acts
+    at one point, with no moment about the normal, and what something sticks to does not move sideways.
 
     Args:
         constraint: The constraint.
