@@ -129,7 +129,7 @@ class TestLinearEnvironments:
 
     def test_rounding_makes_no_force_where_the_environment_makes_none(self) -> None:
         """A damper in one direction, turned: what is left of 0 in the other is rounding, here 1e-16 of the largest."""
-        for angle, refused in ((1.1, ["F1", "F2"]), (np.pi / 2, ["F1", "V2"])):
+        for angle, refused in ((1.1, ["F1", "F2"]), (np.pi / 2, ["F1", "V1"])):
             c, s = np.cos(angle), np.sin(angle)
             turn = np.array([[c, -s], [s, c]])
             B = turn @ np.diag([2.0, 0.0]) @ turn.T
