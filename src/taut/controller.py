@@ -299,7 +299,7 @@ class Controller:
         if not isinstance(ref, self.law.reference):
             hint = "; for a trajectory pass ref.at(t)" if isinstance(ref, Trajectory) else ""
             got = "none" if ref is None else type(ref).__name__
-            raise UsageError(f"step needs ref, a taut.{self.law.reference.__name__}; got {got}{hint}", name="ref")
+            raise UsageError(f"step needs ref, a taut.{self.law.reference.described()}; got {got}{hint}", name="ref")
         joints = self.arm.joint_names
         taken = given | {path: getattr(ref, path[4:]) for path in self._inputs if path.startswith("ref.")}
         checked = {

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final, Literal
 
-import numpy as np
-
 from taut.base import math as tm
 from taut.base.checks import one_of
 from taut.base.errors import UsageError
@@ -95,7 +93,7 @@ class HybridMotionForce(Law):
     kfp: Gain = Gain(optional=True, size="rows")  # [-]
     kfi: Gain = Gain(optional=True, size="rows")  # [1/s]
     e_int_max: Gain = Gain(optional=True, size="rows")  # [N s, N m s]
-    kdamp: Gain = Gain(0.0, size="rows")  # [N s/m, N m s/rad]
+    kdamp: Gain = Gain(optional=True, size="rows")  # [N s/m, N m s/rad]
     feedback: ForceFeedback = "wrench"
     curvature: bool = True
     tolerance: float = 0.01
@@ -238,7 +236,7 @@ class HybridMotionForce(Law):
                     most = self.e_int_max.as_array()
                     e_int = tm.clip(e_int, -most, most)
                 lam = lam + Terms(force_I=self.kfi @ e_int)
-        if self._damps:
+        if self.gives("kdamp"):
             lam = lam + Terms(force_D=-(self.kdamp @ rows.rate(x.v)))
         if any(rows.one_sided):
             total = tm.array(
@@ -247,18 +245,13 @@ class HybridMotionForce(Law):
             lam = lam.up_to(total, "one_sided")
         return lam, e_int
 
-    @property
-    def _damps(self) -> bool:
-        values = self.kdamp.as_array()
-        return values.dtype == object or bool(np.any(values))
-
     def _wanted(self, rows: ConstraintRows, ref: Any) -> Vector:
         """(k,) the multipliers that are asked for."""
         lam: Vector = ref.lam[: rows.count]
         if rows.A is None:
             return lam
         gradient = rows.A[0, :3]
-        pressed = tm.array([-ref.press / tm.sqrt(gradient @ gradient + 1e-24), *([0.0] * (rows.count - 1))])
+        pressed = tm.array([-ref.press[0] / tm.sqrt(gradient @ gradient + 1e-24), *([0.0] * (rows.count - 1))])
         return lam + pressed + _of_wrench(rows, ref.F_app)
 
     def _measured(self, x: Snapshot, rows: ConstraintRows, held: Constrained) -> Vector:

@@ -11,36 +11,40 @@ import numpy as np
 from taut.base.checks import finite_array, finite_scalar, read_only, vector
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.types import Array, ArrayLike, Float64Array
-from taut.control.reference import Hold, Sample, Trajectory
+from taut.control.reference import Hold, JointMotion, Sample, Trajectory
 from taut.control.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
 
 __all__ = ["MOST_ROWS", "HybridMotion", "hybrid_kind", "pressing"]
 
 MOST_ROWS: Final = 12  # of all constraints at once
-FORCES: Final = {"press": (), "lam": (MOST_ROWS,), "F_app": (6,)}
+FORCES: Final = {"press": (1,), "lam": (MOST_ROWS,), "F_app": (6,)}
 
 
 class HybridMotion(Sample):
     """A motion, and the forces that the arm is to apply against its constraints; `taut.pressing` makes them.
 
     Fields are those of the motion, and the forces, which add up:
-        press [N] into the surface of the first row, `lam` (12,) the multipliers of eq. 10.40, row by row, and `F_app`
+        press (1,) [N] into the surface of the first row, lam (12,) the multipliers of eq. 10.40, row by row, and F_app
         (6,) a wrench [N, N m] of the arm on the environment at the tool, in world axes.
     """
 
-    __slots__ = ("F_app", "lam", "motion", "press")
+    __slots__ = ("F_app", "_motion", "lam", "press")
     kind: ClassVar[type[Sample]] = TaskMotion
 
-    motion: Sample
-    press: Any
+    press: Array
     lam: Array
     F_app: Array
 
-    def __init__(self, motion: Sample, press: Any, lam: Array, F_app: Array) -> None:
-        self.motion, self.press, self.lam, self.F_app = motion, press, lam, F_app
+    def __init__(self, motion: Sample, press: Array, lam: Array, F_app: Array) -> None:
+        self._motion, self.press, self.lam, self.F_app = motion, press, lam, F_app
         for name in self.kind.fields(0):  # where the call path finds them
             setattr(self, name, getattr(motion, name))
+
+    @property
+    def motion(self) -> Sample:
+        """The motion without the forces."""
+        return self._motion
 
     @classmethod
     def described(cls) -> str:
@@ -65,15 +69,13 @@ class HybridMotion(Sample):
     @classmethod
     def at_rest(cls, x: Snapshot, tool: str | None) -> Self:
         """To stay, and to apply no force."""
-        return cls(cls.kind.at_rest(x, tool), np.zeros(()), np.zeros(MOST_ROWS), np.zeros(6))
+        return cls(cls.kind.at_rest(x, tool), np.zeros(1), np.zeros(MOST_ROWS), np.zeros(6))
 
     def __repr__(self) -> str:
         if self.F_app.dtype == object:
             return "HybridMotion(<traced>)"
-        forces = [f"press={float(self.press):g}"] if np.any(self.press) else []
-        forces += [
-            f"{name}={getattr(self, name).tolist()}" for name in ("lam", "F_app") if np.any(getattr(self, name))
-        ]
+        given = {name: np.asarray(getattr(self, name)) for name in FORCES}
+        forces = [f"{name}={values.squeeze().tolist()}" for name, values in given.items() if np.any(values)]
         return f"pressing({', '.join([repr(self.motion), *forces])})"
 
 
@@ -81,6 +83,9 @@ class HybridMotion(Sample):
 def hybrid_kind(motion: type[Sample]) -> type[HybridMotion]:
     """The kind of sample that holds this kind of motion."""
     return type("HybridMotion", (HybridMotion,), {"__slots__": tuple(motion.fields(0)), "kind": motion})
+
+
+OF_TASK, OF_JOINTS = hybrid_kind(TaskMotion), hybrid_kind(JointMotion)  # so that logs find them
 
 
 class Pressing:
@@ -95,7 +100,7 @@ class Pressing:
         """The sample at time t [s]."""
         motion = self._motion if isinstance(self._motion, Sample) else self._motion.at(t)
         press = _checked_press(self._press(t), t) if callable(self._press) else self._press
-        return hybrid_kind(type(motion))(motion, np.asarray(press), self._lam, self._F_app)
+        return hybrid_kind(type(motion))(motion, np.array([press]), self._lam, self._F_app)
 
     @property
     def duration(self) -> float | None:
@@ -162,7 +167,7 @@ def pressing(
     wrench = np.zeros(6) if F_app is None else vector("F_app", F_app, 6, unit="N, N m")
     force = press if callable(press) else _checked_press(press)
     if isinstance(taken, Sample) and not callable(force):
-        return hybrid_kind(type(taken))(taken, np.asarray(force), read_only(full), read_only(wrench))
+        return hybrid_kind(type(taken))(taken, read_only([force]), read_only(full), read_only(wrench))
     return Pressing(taken, force, read_only(full), read_only(wrench))
 
 

@@ -152,7 +152,9 @@ class LawSide:
         try:
             x, command, after = self._first_run(self.arm.home)
         except NumericalError:  # a law that inverts what is singular at home
-            x, command, after = self._first_run(self.arm.home + 0.1 * np.cos(np.arange(self.arm.n)))
+            elsewhere = self.arm.home + 0.1 * np.cos(np.arange(self.arm.n))
+            self.check_start(elsewhere, self._own_parameters)  # a law that knows why says it better
+            x, command, after = self._first_run(elsewhere)
         self.check_start(x.q, self._own_parameters)
         added = self._limit_terms(command)
         shapes = {f"law.{path}": np.shape(as_array(v, path)) for path, v in flatten(after).items()}
