@@ -69,7 +69,7 @@ def check_surface(constraint: Constraint, x: Snapshot, tool: str | None) -> None
     own, moved = (x.arm.tool if name is None else name for name in (frame, tool))
     if own != moved:
         raise UsageError(
-            f"estimate needs the motion and the constraint to be of one frame, and these are of '{moved}' and '{own}'",
+            f"estimate needs motion and constraint to be of one frame, and these are of '{moved}' and '{own}'",
             name="estimate",
         )
     A = constraint.at(x).A

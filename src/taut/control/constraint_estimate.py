@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, Final
 
 from taut.base import math as tm
 from taut.base.errors import UsageError
@@ -18,34 +18,35 @@ from taut.maths.constraint import Constraint, ConstraintRows
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotated, rotation_exp, rotation_log
 
-__all__ = ["NormalEstimate", "along_surface", "turn_between", "turned_rows"]
+__all__ = ["NEVER", "NormalEstimate", "along_surface", "turn_between", "turned_rows"]
 
-NEVER = 1e-24  # keeps a root from zero, where it has no slope
+NEVER: Final = 1e-24  # keeps a root from zero, where it has no slope
 
 
 class NormalEstimate(Law):
     """Where the surface of a hybrid law really faces, from force and motion: `HybridMotionForce(estimate=...)`.
 
-    Law:          n_hat = (n_0 + tilt) / |n_0 + tilt|, where n_0 is the stated normal and tilt is at right angles to it
+    Law:          n_hat = (n_0 + tilt) / |n_0 + tilt|, with the stated normal n_0 and tilt at right angles to it
                   tilt-dot = rate w (seen - tilt)
-                    seen = g / (n_0 . g) - n_0,  g = F_ext - (F_ext . s) s,  s = v / |v|, v of the tool over the surface
+                    seen = g / (n_0 . g) - n_0,  g = F_ext - (F_ext . s) s,  s = v / |v|
+                    v is the velocity of the tool over the surface
                     w = 1 where the tool slides and presses, 0 below `speed` or `force` and beyond the angle `most`
-    Closed loop:  tilt - tilt_true falls as exp(-rate integral(w dt)), whatever the arm does: nothing of the estimate is
-                    in `seen`. From 15 degrees to 1 degree takes 2.8 / rate of sliding, 0.34 s with rate = 8
+    Closed loop:  tilt - tilt_true falls as exp(-rate integral(w dt)), whatever the arm does, for nothing of the
+                    estimate is in `seen`. 15 degrees become 1 in 2.8 / rate of sliding, 0.34 s with rate = 8
                   The contact gives N n - mu N s with an unknown mu. A sliding tool moves in the surface, n . s = 0, so
                     g = N n: friction is in F_ext and not in g, and one direction of sliding shows both tilts, that
                     across it by the force, that along it by the motion alone
-                  White noise of size d_F, d_v in each tick leaves sqrt(rate dt / 2) (d_F / N, d_v / |v|) rad across and
+                  White noise of d_F and d_v in each tick leaves sqrt(rate dt / 2) (d_F / N, d_v / |v|) rad across and
                     along the motion; a constant force that is no contact's, such as a bias, leaves its share of N
                   n_hat turns by less than 2 rate tan(most) a second, and not at all where the tool rests or is free
 
     What is estimated is a rotation of the whole constraint about where the tool touches: rows of a face turn with it,
-    and a curved surface bends as it is stated to. Where the true surface is elsewhere on a curve the tilt changes along
-    the way, by a rate of change w_n, and the estimate is w_n / rate behind.
+    and a curved surface bends as it is stated to. Where the true surface is elsewhere on a curve the tilt changes on
+    the way, at a rate w_n, and the estimate is w_n / rate behind.
 
     Frames:
-        World axes. Rows of a constraint that move by themselves are counted along n_0 only: a surface that moves in its
-        own plane drags by friction where nothing says so.
+        World axes. Of a surface that moves, what moves along n_0 is counted: one that moves in its own plane drags by
+        friction where nothing says so.
 
     Args:
         rate: Of the estimate.
@@ -78,7 +79,11 @@ class NormalEstimate(Law):
     recorded = ("normal",)
 
     def command(
-        self, x: Snapshot, ref: Sample, memory: MemoryView, dt: float  # noqa: ARG002
+        self,
+        x: Snapshot,  # noqa: ARG002
+        ref: Sample,  # noqa: ARG002
+        memory: MemoryView,  # noqa: ARG002
+        dt: float,  # noqa: ARG002
     ) -> tuple[Command, dict[str, object]]:
         raise UsageError(
             "NormalEstimate gives no torque; a hybrid law holds it: taut.laws.HybridMotionForce(..., "
@@ -157,6 +162,4 @@ def along_surface(x: Snapshot, rows: ConstraintRows, ref: TaskMotion, frame: str
     off = A.T @ factors.solve(A @ tm.array([*(ref.p - T.p), *rotation_log(ref.R @ T.R.T)]))
     V = ref.twist - A.T @ factors.solve(A @ (ref.twist - x.twist(frame)))
     a = ref.acceleration - A.T @ factors.solve(A @ ref.acceleration + rows.curvature)
-    return TaskMotion.of(
-        {"p": ref.p - off[:3], "R": rotation_exp(-off[3:]) @ ref.R, "twist": V, "acceleration": a}
-    )
+    return TaskMotion.of({"p": ref.p - off[:3], "R": rotation_exp(-off[3:]) @ ref.R, "twist": V, "acceleration": a})

@@ -19,7 +19,7 @@ from taut.control.constraint_checks import (
     check_place,
     check_surface,
 )
-from taut.control.constraint_estimate import NormalEstimate, along_surface, turn_between, turned_rows
+from taut.control.constraint_estimate import NEVER, NormalEstimate, along_surface, turn_between, turned_rows
 from taut.control.gains import Gain, Memory
 from taut.control.hybrid_motion import HybridMotion, hybrid_kind
 from taut.control.law import Law, MemoryView, call
@@ -68,8 +68,8 @@ class HybridMotionForce(Law):
         feedback: With kfp or kfi, what measures the force: "wrench" or "joint_torque".
         curvature: Whether the term of that name is in the law.
         tolerance: How far phi may be from zero where a run starts [m, rad].
-        estimate: `taut.laws.NormalEstimate()` for a surface of which the direction is not well known: the law is then that
-            of the constraint turned to where force and motion show it, and the reference is followed along it.
+        estimate: `taut.laws.NormalEstimate()` where it is not well known where the surface faces: the law is then that
+            of the constraint turned as force and motion show it, and the reference is followed along it.
 
     Raises:
         UsageError: No constraint, or no law of motion that gives torques; an estimate of what is no surface.
@@ -210,14 +210,15 @@ class HybridMotionForce(Law):
         self, estimate: NormalEstimate, x: Snapshot, stated: ConstraintRows, memory: Any, dt: Any
     ) -> tuple[ConstraintRows, dict[str, object]]:
         """The rows as they are turned by the estimate of the first one's normal, and its memory."""
-        assert self.natural.frame is not None and stated.A is not None
+        assert self.natural.frame is not None
+        assert stated.A is not None
         V = x.twist(*self.natural.frame)
-        size = tm.sqrt(stated.A[0, :3] @ stated.A[0, :3])
+        size = tm.sqrt(stated.A[0, :3] @ stated.A[0, :3] + NEVER)
         n_0 = stated.A[0, :3] / size
         over = V[:3] + ((stated.A[0, 3:] @ V[3:] + stated.phi_t[0]) / size) * n_0
         tilt = estimate.updated(memory["tilt"], n_0, over, x.F_ext[:3], dt)
         n = n_0 + tilt
-        n = n / tm.sqrt(n @ n)
+        n = n / tm.sqrt(n @ n + NEVER)
         return turned_rows(self.natural, x, turn_between(n_0, n)), {"tilt": tilt, "normal": n}
 
     def _multipliers(
