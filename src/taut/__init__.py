@@ -96,6 +96,7 @@ if TYPE_CHECKING:
     from taut.maths.snapshot import snapshot as snapshot
     from taut.plant.actuation import Actuation as Actuation
     from taut.plant.actuation import Ripple as Ripple
+    from taut.plant.contact import RigidContact as RigidContact
     from taut.plant.environment import Environment as Environment
     from taut.plant.environment import Environments as Environments
     from taut.plant.environment_held import Hand as Hand
@@ -187,6 +188,7 @@ _HOME: Final = {
     "maths.onto": ("onto",),
     "maths.snapshot": ("Snapshot", "snapshot"),
     "plant.actuation": ("Actuation", "Ripple"),
+    "plant.contact": ("RigidContact",),
     "plant.environment": ("Environment", "Environments"),
     "plant.environment_held": ("Hand", "Handle"),
     "plant.environment_push": ("Push",),
