@@ -5,6 +5,7 @@ from __future__ import annotations
 from taut.base.errors import unknown_name
 from taut.control.admittance import Admittance
 from taut.control.combine import Sum
+from taut.control.force import ForceControl
 from taut.control.friction import FrictionCompensation
 from taut.control.impedance import Impedance, Stiffness
 from taut.control.joint import (
@@ -40,6 +41,7 @@ __all__ = [
     "Impedance",
     "Stiffness",
     "Admittance",
+    "ForceControl",
     "VirtualWall",
     "VirtualGroove",
     "VirtualBall",
