@@ -326,7 +326,9 @@ def _save_plot(scenario: Scenario, runs: Mapping[Trial, Run], path: Path) -> Non
     if scenario.spread is not None:
         figure = spread_figure(drawn)
     elif len(runs) > 1:
-        figure = compare(drawn, measures=wanted.columns, joint=wanted.joint)
+        whole = wanted.window is None or all(one.t[-1] >= wanted.window[1] for one in drawn.values())
+        window = wanted.window if whole else None
+        figure = compare(drawn, measures=wanted.columns, joint=wanted.joint, window=window)
     else:
         figure = next(iter(drawn.values())).plot(joints=joints)
     with written_aside("plot", path) as aside:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
@@ -39,31 +38,30 @@ class ForceControl(Law):
                   feedback="none" is eq. 10.34; kfp and kfi make eq. 10.35, kdamp eq. 10.38
                   kdamp V is that of the arm alone when the tick ends, (I + kdamp Lambda^-1 dt)^-1 kdamp V, which is
                     stable for any kdamp at any pose
-    Closed loop:  (I + kfp) F_e + kfi int(F_e) = kdamp V + g_true - g, in tool axes: at rest F_e decays with the
-                    pole -kfi / (1 + kfp), to nothing whatever is wrong with g              eq. 10.36, 10.37 corrected
-                  on a contact of stiffness k the same pole while kfi kdamp / k is far below (1 + kfp)^2; the arm
-                    swings on it as m s^2 + (kdamp + (1 + kfp) b) s + (1 + kfp) k
-                  the force is old by a lag, of dt / 2 for the hold and of what the sensor takes: on a rigid contact
-                    stable where kfp + kfi dt / 2 < 1 with a force that is a tick old, on one of stiffness k and
-                    damping b where kfp k lag < kdamp + (1 + kfp) b; kfi needs m kfi < (1 + kfp) of what is left
+    Closed loop:  (I + kfp) F_e + kfi int(F_e) = kdamp V + what g does not know: at rest F_e decays with the pole
+                    -kfi / (1 + kfp), to nothing whatever is wrong with g              eq. 10.36, 10.37 corrected
+                  on a contact of stiffness k and damping b the arm swings as m s^2 + c s + (1 + kfp) k with
+                    c = kdamp + (1 + kfp) b - kfp k lag, which needs c > 0 and kfi < (1 + kfp) c / m; the lag is
+                    dt / 2 of the hold and the age of the measured force
+                  on a rigid contact, with a force that is a tick old, stable where kfp + kfi dt / 2 < 1
                   with nothing to press on V tends to kdamp^-1 ((I + kfp) F_des + kfi int(F_e)); see `speed_bound`
 
     What F_app is, feedback="joint_torque": J_bar^T (tau_meas - C v - g) with J_bar = M^-1 J^T Lambda, the least
-    squares of the joints' residuals weighted with M^-1. For six joints it is J^-T of them; of more joints this is the
-    one pseudoinverse in which the free motion's own accelerations do not show as a force: J_bar^T M a = Lambda J a. It
-    is right at rest, a tick old, and as good as g: a payload that the model does not know is taken for contact,
-    and only a wrist sensor lets the integral take it out. Friction of gears does not show in it.
+    squares of the joints' residuals weighted with M^-1. For six joints it is J^-T of them; of more joints this is
+    the one pseudoinverse in which the free motion's own accelerations do not show as a force: J_bar^T M a is
+    Lambda J a. It is right at rest, a tick old, and as good as g: a payload that the model does not know is taken
+    for contact, and only a wrist sensor lets the integral take it out. Friction of gears does not show in it.
 
-    Contact is lost when less than `contact` is measured along F_des while more is asked for, longer than `patience`:
-    memory `lost` is 1, a column of a run; the metric contact_lost_time and the outcome tell.
+    Contact is lost when less than `contact` is measured along F_des while more is asked for, longer than
+    `patience`: memory `lost` is 1, a column of a run; the metric contact_lost_time and the outcome tell.
 
     Loss of contact, why the speed is bounded: with w = (I + kfp) F_des + kfi int(F_e) and E = v . M v / 2, exact g,
     and a null law that feeds no energy in, E-dot = V . (w - kdamp V). In the norm |y|^2 = V . kdamp V, in which
     |y_w|^2 = w . kdamp^-1 w, that is at most |y| (|y_w| - |y|). So E falls whenever |y| > |y_w|, and over any time T
-    the mean of |y|^2 is at most max |y_w|^2 + 2 E(0) / T, for any arm and any motion. Where Lambda hardly changes, as
-    about a pose, y-dot = -S (y - y_w) with S = kdamp^1/2 Lambda^-1 kdamp^1/2 symmetric positive, and a start from rest
-    keeps |y| <= max |y_w| at every instant; sampled, Lambda^-1 w dt may come on top. The integral is cut at e_int_max,
-    so that w is bounded.
+    the mean of |y|^2 is at most max |y_w|^2 + 2 E(0) / T, for any arm and any motion. Where Lambda hardly changes,
+    as about a pose, y-dot = -S (y - y_w), S = kdamp^1/2 Lambda^-1 kdamp^1/2 symmetric positive, and a start from
+    rest keeps |y| <= max |y_w| at every instant, for w along one line; sampled, Lambda^-1 w dt may come on top. The
+    integral is cut at e_int_max, so that w is bounded.
 
     Frames:
         frame= names the axes of the gains and the integral, "world" or "tool"; F_des has a frame of its own. All at
@@ -104,10 +102,10 @@ class ForceControl(Law):
 
     reference = TaskForce
     recorded: ClassVar[tuple[str, ...]] = ("e_int", "lost", "bounded")
-    notices: ClassVar[Mapping[str, str]] = {
-        "lost": "the tool met less than was asked for, contact was lost",
-        "bounded": "the integral of the force error was at its bound e_int_max",
-    }
+    notices: ClassVar[tuple[tuple[str, str], ...]] = (
+        ("lost", "the tool met less than was asked for, contact was lost"),
+        ("bounded", "the integral of the force error was at its bound e_int_max"),
+    )
     kfp: Gain = Gain(0.0, size=6, pairs=True, where=MEASURED)  # [1]
     kfi: Gain = Gain(0.0, size=6, pairs=True, where=MEASURED)  # [1/s]
     kdamp: Gain = Gain(size=6, pairs=True, scalar=False, optional=True)  # [N s/m, N m s/rad]

@@ -74,7 +74,7 @@ class Law:
     * optionally `check_state(self, x, rate)`, which refuses gains that have no meaning where a run starts;
     * `reference`, the kind of sample it follows (JointMotion unless said);
     * `recorded`, the entries of its memory that a run keeps as further columns (none unless said);
-    * `notices`, what the outcome of a run says in words where a recorded entry is not zero.
+    * `notices`, pairs of a recorded entry and what the outcome of a run says where that is not zero.
 
     Laws add: `FeedForward() + PID(kp=..., kd=...)`. A law must not inherit from another one: it holds it in a field.
     A law that it holds in `inner: taut.Law` starts with it, and is called as
@@ -84,7 +84,7 @@ class Law:
     reference: ClassVar[type[Sample]] = JointMotion
     ignores_reference: ClassVar[bool] = False  # such a law adds to, and is held by, laws of every kind of sample
     recorded: ClassVar[tuple[str, ...]] = ()
-    notices: ClassVar[Mapping[str, str]] = {}  # of recorded entries: what a run's outcome says where one is not zero
+    notices: ClassVar[tuple[tuple[str, str], ...]] = ()  # recorded entry, and what an outcome says where it is not 0
     uses_memory: ClassVar[bool] = False
 
     def __init_subclass__(cls) -> None:

@@ -231,9 +231,7 @@ class LawSide:
     @cached_property
     def notices(self) -> dict[str, str]:
         """What a run's outcome says where a recorded entry of the memory is not zero, by path."""
-        return {
-            f"{path}.{name}": text for path, law in all_laws(self.law, "law") for name, text in law.notices.items()
-        }
+        return {f"{path}.{name}": text for path, law in all_laws(self.law, "law") for name, text in law.notices}
 
     @property
     def needs(self) -> tuple[str, ...]:

@@ -32,7 +32,12 @@ FAR_APART: Final = 30.0  # ratio of errors above which their axis is logarithmic
 
 
 def compare(
-    runs: Mapping[str, Run], *, title: str = "", measures: Sequence[str] | None = None, joint: str | None = None
+    runs: Mapping[str, Run],
+    *,
+    title: str = "",
+    measures: Sequence[str] | None = None,
+    joint: str | None = None,
+    window: tuple[float, float] | None = None,
 ) -> Figure:
     """Error norm over time of several runs, and bars of their metrics, as a matplotlib Figure.
 
@@ -44,6 +49,7 @@ def compare(
         runs: The runs by the name that each gets in the figure.
         title: A title for the figure.
         measures: Names of the metrics to draw as bars; by default two of the error, effort and chatter.
+        window: (start, end) of what the bars are about [s]; of all if left out.
         joint: The joint whose motion, error and metrics are drawn, instead of those of all together.
 
     Raises:
@@ -56,7 +62,8 @@ def compare(
     measures = _check(runs, measures, joint)
     errors = {name: _errors(run) for name, run in runs.items()}
     heads = list(dict.fromkeys(head for parts in errors.values() for head in parts)) if joint is None else [("", "")]
-    bars = {measure: _by_unit(runs, measure, joint) for measure in measures}
+    within = {name: run if window is None else run.between(*window) for name, run in runs.items()}
+    bars = {measure: _by_unit(within, measure, joint) for measure in measures}
     rows = max(len(values) for values in bars.values())
     over_time = [2.1] if len(heads) == 1 else [1.6] * len(heads)
     over_time = over_time if joint is None else [1.9, 1.7]
@@ -82,6 +89,8 @@ def compare(
     if promised:
         names.append(Line2D([], [], color=INK, linewidth=0.9, linestyle=DASHED, label="eq. 10.48"))
     legend_above(top, names)
+    if window is not None:
+        bottom.suptitle(f"from {window[0]:g} to {window[1]:g} s", fontsize=SMALL, color=INK, x=0.01, ha="left")
     grid = bottom.subplots(rows, len(bars), squeeze=False)
     for column, (measure, values) in zip(grid.T, bars.items(), strict=True):
         for i, ax in enumerate(column):

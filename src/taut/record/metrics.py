@@ -92,14 +92,12 @@ MEASURES: Final = {
     "least_singular_value": of_tool("least singular", "1", "the smallest singular value of J in the run"),
     "peak_force": of_tool("peak force", "N", "peak of the norm of the environment's force"),
     "peak_moment": of_tool("peak moment", "N m", "peak of the norm of the environment's moment"),
-    "force_error_rms": of_tool(
-        "force error RMS", "N", "RMS of the norm of the error of the force that the arm applies"
-    ),
-    "force_error_peak": of_tool("force error peak", "N", "peak of the norm of that error"),
+    "force_error_rms": of_tool("force RMS", "N", "RMS of the norm of the error of the force that the arm applies"),
+    "force_error_peak": of_tool("force peak", "N", "peak of the norm of that error"),
     "moment_error_rms": of_tool(
-        "moment error RMS", "N m", "RMS of the norm of the error of the moment that the arm applies"
+        "moment RMS", "N m", "RMS of the norm of the error of the moment that the arm applies"
     ),
-    "moment_error_peak": of_tool("moment error peak", "N m", "peak of the norm of that error"),
+    "moment_error_peak": of_tool("moment peak", "N m", "peak of the norm of that error"),
     "contact_lost_time": of_tool("contact lost", "s", "time in which the tool met less than was asked for"),
     "impedance_error": of_tool("against eq. 10.48", "%", "RMS difference to eq. 10.48 integrated, of its RMS"),
     "felt_mass": of_tool("felt mass", "kg", "m of F_ext - K x = m a + b v, by least squares"),
