@@ -142,10 +142,10 @@ def _errors(run: Run) -> dict[Head, Float64Array]:
     """(k,) norms of a run's errors."""
     wrench = force_error(run)
     if wrench is not None:
-        return {
-            ("norm of the force's error", "N"): np.linalg.norm(wrench[:, :3], axis=1),
-            ("norm of the moment's error", "N m"): np.linalg.norm(wrench[:, 3:], axis=1),
-        }
+        parts = {("norm of the force's error", "N"): np.linalg.norm(wrench[:, :3], axis=1)}
+        if np.any(wrench[:, 3:]):
+            parts["norm of the moment's error", "N m"] = np.linalg.norm(wrench[:, 3:], axis=1)
+        return parts
     if run.error is None:
         position, rotation = run.task.position_error, run.task.rotation_error
         assert position is not None
