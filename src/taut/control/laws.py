@@ -6,6 +6,7 @@ from taut.base.errors import unknown_name
 from taut.control.admittance import Admittance
 from taut.control.combine import Sum
 from taut.control.constraint_estimate import NormalEstimate
+from taut.control.force import ForceControl
 from taut.control.friction import FrictionCompensation
 from taut.control.hybrid import HybridMotionForce
 from taut.control.impedance import Impedance, Stiffness
@@ -44,6 +45,7 @@ __all__ = [
     "Admittance",
     "HybridMotionForce",
     "NormalEstimate",
+    "ForceControl",
     "VirtualWall",
     "VirtualGroove",
     "VirtualBall",
