@@ -109,11 +109,11 @@ class Tape:
                 f"; joint '{arm.joint_names[joint]}' went {beyond[joint]:.3g} {arm.units[joint]} beyond its limits, "
                 "where a real one meets its stop"
             )
-        message += self._saturated(ticks)
+        message += self._remarks(ticks)
         return Outcome(kind="completed", message=message, tick=ticks - 1)
 
-    def _saturated(self, ticks: int) -> str:
-        """Which sensors were at their range, in the first ticks of the run."""
+    def _remarks(self, ticks: int) -> str:
+        """Which sensors were at their range in the first ticks of the run, and what the law has to say of them."""
         said = ""
         for name, column in self.outputs.items():
             at = np.flatnonzero(column[:ticks])
@@ -122,6 +122,10 @@ class Tape:
                     f"; the sensor of {name.removeprefix('saturated.')} was at its range in {len(at)} of {ticks} "
                     f"ticks, first at t = {self.inputs['t'][at[0]]:.6g} s"
                 )
+        for path, text in self._side.notices.items():
+            at = np.flatnonzero(self.outputs[path][:ticks])
+            if len(at):
+                said += f"; {text} in {len(at)} of {ticks} ticks, first at t = {self.inputs['t'][at[0]]:.6g} s"
         return said
 
     def is_sane(self, tick: int) -> bool:
@@ -147,6 +151,6 @@ class Tape:
         message = (
             f"the simulation diverged at t = {t:.6g} s (tick {tick}): joint '{names[joint]}' was at "
             f"{speeds[joint]:.3g} {units[joint]}/s; try smaller gains, a higher rate or more substeps"
-            f"{self._saturated(kept)}"
+            f"{self._remarks(kept)}"
         )
         return kept, Outcome(kind="diverged", message=message, tick=kept - 1, joint=names[joint])
