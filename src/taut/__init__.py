@@ -55,6 +55,8 @@ if TYPE_CHECKING:
     from taut.control.filters import Notch as Notch
     from taut.control.gains import Gain as Gain
     from taut.control.gains import Memory as Memory
+    from taut.control.hybrid_motion import HybridMotion as HybridMotion
+    from taut.control.hybrid_motion import pressing as pressing
     from taut.control.law import Law as Law
     from taut.control.limits import Limits as Limits
     from taut.control.reference import JointMotion as JointMotion
@@ -86,12 +88,16 @@ if TYPE_CHECKING:
     from taut.controller import compile as compile
     from taut.loop import Loop as Loop
     from taut.maths import dynamics as dynamics
+    from taut.maths.constraint import Constraint as Constraint
+    from taut.maths.constraint import ConstraintRows as ConstraintRows
     from taut.maths.gearing import rotor_share as rotor_share
     from taut.maths.ik import IkOutcome as IkOutcome
+    from taut.maths.onto import onto as onto
     from taut.maths.snapshot import Snapshot as Snapshot
     from taut.maths.snapshot import snapshot as snapshot
     from taut.plant.actuation import Actuation as Actuation
     from taut.plant.actuation import Ripple as Ripple
+    from taut.plant.contact import RigidContact as RigidContact
     from taut.plant.environment import Environment as Environment
     from taut.plant.environment import Environments as Environments
     from taut.plant.environment_held import Hand as Hand
@@ -161,6 +167,7 @@ _HOME: Final = {
     "control.command": ("Position", "Terms", "Torque", "Velocity"),
     "control.filters": ("LowPass", "Notch"),
     "control.gains": ("Gain", "Memory"),
+    "control.hybrid_motion": ("HybridMotion", "pressing"),
     "control.law": ("Law",),
     "control.limits": ("Limits",),
     "control.reference": ("JointMotion", "chunk", "hold", "stream"),
@@ -177,10 +184,13 @@ _HOME: Final = {
     "control.wrist": ("Wrist",),
     "controller": ("Controller", "compile"),
     "loop": ("Loop",),
+    "maths.constraint": ("Constraint", "ConstraintRows"),
     "maths.gearing": ("rotor_share",),
     "maths.ik": ("IkOutcome",),
+    "maths.onto": ("onto",),
     "maths.snapshot": ("Snapshot", "snapshot"),
     "plant.actuation": ("Actuation", "Ripple"),
+    "plant.contact": ("RigidContact",),
     "plant.environment": ("Environment", "Environments"),
     "plant.environment_held": ("Hand", "Handle"),
     "plant.environment_push": ("Push",),

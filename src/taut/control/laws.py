@@ -7,6 +7,7 @@ from taut.control.admittance import Admittance
 from taut.control.combine import Sum
 from taut.control.force import ForceControl
 from taut.control.friction import FrictionCompensation
+from taut.control.hybrid import HybridMotionForce
 from taut.control.impedance import Impedance, Stiffness
 from taut.control.joint import (
     PID,
@@ -42,6 +43,7 @@ __all__ = [
     "Stiffness",
     "Admittance",
     "ForceControl",
+    "HybridMotionForce",
     "VirtualWall",
     "VirtualGroove",
     "VirtualBall",

@@ -53,6 +53,11 @@ class Sample(ABC):
     def of(cls, values: Mapping[str, Any]) -> Self:
         """A sample from values that are known to fit; symbols too."""
 
+    @property
+    def motion(self) -> Sample:
+        """The motion that it asks for; of a sample that asks for forces too, without them."""
+        return self
+
     @classmethod
     def described(cls) -> str:
         """What it is, for messages."""

@@ -360,7 +360,7 @@ def _of_tool(run: Run) -> dict[str, Any]:
         return out
     if TOOL in run.info:
         out |= {f"final_{axis}": float(value) for axis, value in zip("xyz", run.task.p[-1], strict=True)}
-    if isinstance(run.reference, TaskMotion) and TOOL in run.info:
+    if isinstance(run.reference.motion, TaskMotion) and TOOL in run.info:
         task = run.task
         errors = {"": task.position_error, "_rotation": task.rotation_error}
         for what, error in errors.items():

@@ -24,7 +24,7 @@ AXES: Final = ("x", "y", "z")
 
 def is_task_run(run: Run) -> bool:
     """Whether a run has errors of the task."""
-    return isinstance(run.reference, TaskMotion) and TOOL in run.info
+    return isinstance(run.reference.motion, TaskMotion) and TOOL in run.info
 
 
 def is_touched(run: Run) -> bool:

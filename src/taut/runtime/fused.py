@@ -67,7 +67,7 @@ class FusedRun:
         # One generator per measurement, by its name: neither how the run is cut into blocks nor what else is noisy
         # changes the numbers.
         self._noise = {name: np.random.default_rng([seed, *name.encode()]) for name in loop.plant.noise}
-        side.check_start(q, loop.parameters)
+        side.check_start(q, loop.parameters, loop.ref)
         at_rest = side.at_rest(q)
         self._feed = ReferenceFeed(loop.ref, side.law.reference, side.arm, loop.dt, at_rest)
         first = np.zeros((1, self._inputs.size))

@@ -76,7 +76,7 @@ class HostedRun:
         wanted = self._kernel.blocks.layout["inputs"].shapes
         kept = {path: shape for path, shape in wanted.items() if path.startswith("ref.")}
         self.tape = Tape(side, plant, ticks, Block.of({"t": (), **kept}), Block.of(shapes), info)
-        side.check_start(q, ctrl.parameters)
+        side.check_start(q, ctrl.parameters, ref)
         self._feed = ReferenceFeed(ref, side.law.reference, side.arm, side.dt, side.at_rest(q))
         self._filled = 0
         # Where each number goes from and to in every tick, found once.
