@@ -24,9 +24,9 @@ from taut.maths.task_inertia import TaskInertia
 
 __all__ = ["ForceControl", "wrench_of_torques"]
 
-Feedback = Literal["wrist", "joint_torque", "none"]
-FEEDBACKS: Final[tuple[Feedback, ...]] = ("wrist", "joint_torque", "none")
-MEASURED: Final = ("feedback", ("wrist", "joint_torque"))
+Feedback = Literal["wrench", "joint_torque", "none"]
+FEEDBACKS: Final[tuple[Feedback, ...]] = ("wrench", "joint_torque", "none")
+MEASURED: Final = ("feedback", ("wrench", "joint_torque"))
 HEAVY: Final = 10.0  # times the arm's mass, which no direction of its tool is made heavier than
 
 
@@ -73,7 +73,7 @@ class ForceControl(Law):
         kdamp: Damping of the tool: (linear, angular), (6,) or (6, 6); none if left out, and then nothing bounds the
             speed when contact is lost.
         e_int_max: (linear, angular) the largest length of each part of the integral.
-        feedback: "wrist", "joint_torque" or "none".
+        feedback: "wrench", "joint_torque" or "none".
         frame: "world" or "tool".
         contact: (force, moment) that count as contact.
         patience: Time without it after which contact is lost.
@@ -110,7 +110,7 @@ class ForceControl(Law):
     kfi: Gain = Gain(0.0, size=6, pairs=True, where=MEASURED)  # [1/s]
     kdamp: Gain = Gain(size=6, pairs=True, scalar=False, optional=True)  # [N s/m, N m s/rad]
     e_int_max: Gain = Gain((20.0, 2.0), size=2, scalar=False, minimum=1e-9, where=MEASURED)  # [N s, N m s]
-    feedback: Feedback = "wrist"
+    feedback: Feedback = "wrench"
     frame: ForceFrame = "world"
     contact: Gain = Gain((1.0, 0.1), size=2, scalar=False, minimum=1e-9, where=MEASURED)  # [N, N m]
     patience: Gain = Gain(0.05, size=0, where=MEASURED)  # [s]
@@ -154,7 +154,7 @@ class ForceControl(Law):
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
         """The wrist sensor must be on the link that is controlled."""
-        if self.feedback == "wrist":
+        if self.feedback == "wrench":
             check_sensor(x, self.tool)
 
     def speed_bound(self, *, F_app: ArrayLike) -> tuple[float, float]:
@@ -190,7 +190,7 @@ class ForceControl(Law):
         w = Terms(feedforward=_inwards(R, F_des))
         after: dict[str, object] = {name: getattr(memory, name) for name in ("e_int", "alone", "lost", "bounded")}
         if self.measures:
-            F_app = _felt(J, -wrench_at(x, self.tool) if self.feedback == "wrist" else wrench_of_torques(x, inertia))
+            F_app = _felt(J, -wrench_at(x, self.tool) if self.feedback == "wrench" else wrench_of_torques(x, inertia))
             F_e = _inwards(R, _felt(J, F_des) - F_app)
             e_int, after["bounded"] = self._integral(x, memory.e_int, F_e, R, inertia, dt)
             after |= {"e_int": e_int} | self._contact(F_des, F_app, memory.alone, dt)
