@@ -68,8 +68,8 @@ class HybridMotionForce(Law):
         feedback: With kfp or kfi, what measures the force: "wrench" or "joint_torque".
         curvature: Whether the term of that name is in the law.
         tolerance: How far phi may be from zero where a run starts [m, rad].
-        estimate: `taut.laws.NormalEstimate()` where it is not well known where the surface faces: the law is then that
-            of the constraint turned as force and motion show it, and the reference is followed along it.
+        estimate: `taut.laws.NormalEstimate()` where it is not well known where the surface faces: the law is then
+            that of the constraint turned as force and motion show it, and the reference is followed along it.
 
     Raises:
         UsageError: No constraint, or no law of motion that gives torques; an estimate of what is no surface.

@@ -331,8 +331,8 @@ class Snapshot:
     def turned(self, R: Rotation, frame: str | None = None) -> Snapshot:
         """The same state, with the motion of a frame told in axes that are turned by R about its origin.
 
-        Its pose is the same, its twist and Jacobian are those of here times R^T: what a constraint sees that is turned
-        by R.
+        Its pose is the same, its twist and Jacobian are those of here times R^T: what a constraint sees that is
+        turned by R.
         """
         twin = self.with_own_record()
         twin.used = self.used
