@@ -78,6 +78,7 @@ class HybridMotionForce(Law):
         (1987), IEEE Journal of Robotics and Automation 3 (1).
     """
 
+    reference = HybridMotion
     constraint: Constraint | Callable[..., Any]
     motion: Law
     kfp: Gain = Gain(optional=True, size="rows")  # [-]

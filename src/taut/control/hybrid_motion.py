@@ -25,7 +25,7 @@ class HybridMotion(Sample):
     """A motion, and the forces that the arm is to apply against its constraints; `taut.pressing` makes them.
 
     Fields are those of the motion, and the forces, which add up:
-        press (1,) [N] into the surface of the first row, lam (12,) the multipliers of eq. 10.40, row by row, and F_app
+        press (1,) [N] into the surface of the first row, lam (12,) the multipliers of eq. 10.40 row by row, and F_app
         (6,) a wrench [N, N m] of the arm on the environment at the tool, in world axes.
     """
 
