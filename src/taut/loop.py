@@ -29,7 +29,7 @@ Values = Mapping[str, Any]
 DT: Final = "dt"
 PROVIDED_BY: Final[Mapping[str, str]] = {
     "v": "; sensing=taut.Sensing(velocity='difference') needs positions only",
-    "F_ext": "; give the plant environment=, or take a taut.MujocoPlant",
+    "F_ext": "; give the plant environment= or contact=, or take a taut.MujocoPlant",
     "tau_meas": "; give the plant sensors=taut.Sensors(torque=taut.TorqueSensor())",
     "q_motor": "; give the plant sensors=taut.Sensors(motor=taut.Encoder())",
     "v_motor": "; give the plant sensors=taut.Sensors(motor_velocity=taut.Tachometer())",

@@ -71,7 +71,7 @@ CASES: list[tuple[Callable[[], tuple[taut.Controller, Any]], type[taut.TautError
         lambda: (compiled(Pushed(kp=1.0)), plant()),
         taut.MatchError,
         "Pushed needs F_ext, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; "
-        "give the plant environment=, or take a taut.MujocoPlant",
+        "give the plant environment= or contact=, or take a taut.MujocoPlant",
     ),
     (
         lambda: (compiled(), HandPlant(measures="")),
