@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from taut.control.side_by_side import SideBySide as SideBySide
     from taut.control.side_by_side import together as together
     from taut.control.task_error import Coordinates as Coordinates
+    from taut.control.task_force import TaskForce as TaskForce
     from taut.control.task_reference import TaskMotion as TaskMotion
     from taut.control.task_samples import TaskSamples as TaskSamples
     from taut.control.task_trajectory import Circle as Circle
@@ -181,6 +182,7 @@ _HOME: Final = {
     "control.sensing": ("Sensing",),
     "control.side_by_side": ("SideBySide", "together"),
     "control.task_error": ("Coordinates",),
+    "control.task_force": ("TaskForce",),
     "control.task_reference": ("TaskMotion",),
     "control.task_samples": ("TaskSamples",),
     "control.task_trajectory": ("Circle", "Line", "Screw"),
