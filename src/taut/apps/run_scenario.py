@@ -19,8 +19,10 @@ from rich.table import Table
 from taut.apps.cases import Trial
 from taut.apps.scenario import SUFFIXES, PassFigure, Scenario
 from taut.base.errors import FileError, ScenarioError, TautError, UsageError
+from taut.control.hybrid import HybridMotionForce
 from taut.control.impedance import Impedance
 from taut.controller import Controller, compile
+from taut.maths.snapshot import snapshot
 from taut.record.compare import compare
 from taut.record.files import cannot_write, checked_target, written_aside
 from taut.record.metrics import MEASURES, Metrics
@@ -29,6 +31,7 @@ from taut.record.run import Run
 from taut.record.spread_plot import spread_figure
 from taut.record.table import number_text
 from taut.runtime.simulate import run
+from taut.study.freedoms import freedoms
 from taut.study.impedance import check_impedance, impedance_of
 
 __all__ = ["ScenarioResult", "run_scenario"]
@@ -239,7 +242,10 @@ def _blamed(scenario: Scenario, trial: Trial) -> Iterator[None]:
 
 
 def _remark(ctrl: Controller, scenario: Scenario) -> str:
-    """What is to be said of a spring at the tool before it runs."""
+    """What is to be said of a spring at the tool, or of a constraint, before it runs."""
+    if isinstance(ctrl.law, HybridMotionForce):
+        q = scenario.arm.home if scenario.q0 is None else scenario.q0
+        return str(freedoms(ctrl.law.natural, at=snapshot(scenario.arm, q)))
     found = impedance_of(ctrl.law)
     if found is None or (isinstance(found[0], Impedance) and found[0].has("D")):
         return ""
