@@ -614,7 +614,10 @@ def _not_finite(side: LawSide, kernel: Kernel) -> TautError:
 
 
 class Parameters(MutableMapping[str, Float64Array]):
-    """Run-time parameters by path. A new value is checked like the first one and acts from the next tick."""
+    """Run-time parameters by path. A new value is checked like the first one and acts from the next tick.
+
+    What has a meaning in some poses only is checked at that of the last tick.
+    """
 
     def __init__(self, side: LawSide, kernel: Kernel) -> None:
         self._side = side
@@ -643,6 +646,10 @@ class Parameters(MutableMapping[str, Float64Array]):
 
     def __setitem__(self, path: str, value: ArrayLike) -> None:
         checked = self._side.checked_parameter(path, value)
+        if self._kernel.ready or self.changed:  # then it is known where the arm was in the last tick
+            blocks = self._kernel.blocks
+            q = blocks.layout["inputs"].views(blocks.seen)["q"].copy()
+            self._side.check_change(q, self._views, {path: checked})
         if self._kept is None or self._kept[0] != self._kernel.count:
             self._kept = (self._kernel.count, self._kernel.blocks.parameters.copy())
         self._views[path][...] = checked

@@ -71,7 +71,8 @@ class Law:
       with memory, a dict of the new memory by name;
     * optionally `start(self, x, ref) -> dict`: memory that starts from the measured state;
     * optionally `check_rate(self, rate)`, which refuses gains that have no meaning at that rate [Hz];
-    * optionally `check_state(self, x, rate)`, which refuses gains that have no meaning where a run starts;
+    * optionally `check_state(self, x, rate)`, which refuses gains that have no meaning where a run starts, and
+      `check_change(self, x, rate)`, which refuses new ones where the arm is then;
     * optionally `check_reference(self, x, ref, rate)`, which refuses what a run is to follow from there;
     * `reference`, the kind of sample it follows (JointMotion unless said);
     * `recorded`, the entries of its memory that a run keeps as further columns (none unless said);
@@ -247,15 +248,21 @@ class Law:
         if check is not None:
             check(rate)
 
-    def check_states(self, x: Snapshot, rate: float) -> None:
+    def check_states(self, x: Snapshot, rate: float, *, changed: bool = False) -> None:
         """Every law that has a `check_state` must fit the state of a snapshot, with the gains that it has now.
+
+        Args:
+            x: The state.
+            rate: [Hz].
+            changed: Whether gains have changed on the way: then it is `check_change` that is asked.
 
         Raises:
             RangeError: A gain that has no meaning there.
         """
         for law in self.children().values():
-            law.check_states(x, rate)
-        check: Callable[[Snapshot, float], None] | None = getattr(self, "check_state", None)
+            law.check_states(x, rate, changed=changed)
+        hook = "check_change" if changed else "check_state"
+        check: Callable[[Snapshot, float], None] | None = getattr(self, hook, None)
         if check is not None:
             check(x, rate)
 
@@ -421,6 +428,7 @@ RESERVED: Final = frozenset(name for name in vars(Law) if not name.startswith("_
     "command",
     "start",
     "check_rate",
+    "check_change",
     "check_state",
     "check_reference",
 }

@@ -215,8 +215,15 @@ class LawSide:
         """The sample that asks to stay at joint positions q."""
         return self.law.at_rest(Snapshot(self.model, q=q, v=np.zeros(self.arm.n)))
 
-    def check_start(self, q: Float64Array, parameters: Mapping[str, Any], ref: Reference | None = None) -> None:
-        """The law, and what it is to follow, must have a meaning where a run starts.
+    def check_start(
+        self,
+        q: Float64Array,
+        parameters: Mapping[str, Any],
+        ref: Reference | None = None,
+        *,
+        changed: bool = False,
+    ) -> None:
+        """The law, and what it is to follow, must have a meaning where a run starts, or its parameters `changed`.
 
         Raises:
             RangeError: A gain that has none there; a reference that the law cannot follow from there.
@@ -225,9 +232,24 @@ class LawSide:
         payload = _payload_of(parameters)
         x = Snapshot(self.model, q=q, v=np.zeros(self.arm.n), payload=payload)
         law = self.law.bound(subtree(parameters, "law"))
-        law.check_states(x, self.rate)
+        law.check_states(x, self.rate, changed=changed)
         if ref is not None:
             law.check_references(x, ref, self.rate)
+
+    def check_change(self, q: Float64Array, before: Mapping[str, Any], new: Mapping[str, ArrayLike]) -> None:
+        """New parameters must have a meaning where the arm is.
+
+        Args:
+            q: (n,) where it is.
+            before: All parameters of the law side, by path.
+            new: Those that change, and others, which are passed over.
+
+        Raises:
+            RangeError: A gain that has none there.
+        """
+        ours = {path: self.checked_parameter(path, value) for path, value in new.items() if path in self.parameters}
+        if any(path.startswith(("law.", "model.")) for path in ours):
+            self.check_start(q, {**before, **ours}, changed=True)
 
     @cached_property
     def recorded(self) -> tuple[str, ...]:

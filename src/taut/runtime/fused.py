@@ -67,7 +67,7 @@ class FusedRun:
         # One generator per measurement, by its name: neither how the run is cut into blocks nor what else is noisy
         # changes the numbers.
         self._noise = {name: np.random.default_rng([seed, *name.encode()]) for name in loop.plant.noise}
-        side.check_start(q, loop.parameters, loop.ref)
+        side.check_start(q, self._parameters.views(self._values), loop.ref)
         at_rest = side.at_rest(q)
         self._feed = ReferenceFeed(loop.ref, side.law.reference, side.arm, loop.dt, at_rest)
         first = np.zeros((1, self._inputs.size))
@@ -135,6 +135,9 @@ class FusedRun:
         running = Outcome(kind="stopped", message="the run is still going on", tick=0)
         while k < ticks:
             end = self._end_of_block(k, ticks)
+            refused = self._refused(k)
+            if refused is not None:
+                return k, refused
             self._prepare(k, end)
             done = self._run.run(tape.input_rows[k:end], self._values, self._state, tape.output_rows[k:end])
             if done < end - k:
@@ -162,6 +165,18 @@ class FusedRun:
                 message = f"{error} (t = {float(row['t']):.6g} s)"
                 return k, Outcome(kind="diverged", message=message, tick=k - 1, joint=error.joint)
         return self.tape.diverged(k)
+
+    def _refused(self, k: int) -> Outcome | None:
+        """How the run ends where an event asks for what has no meaning where the arm is."""
+        new = self._events.get(k)
+        if not new or k == 0:  # what begins with the run is refused before
+            return None
+        q = np.array(self._memory.views(self._state)["plant.q"])
+        try:
+            self._loop.side.check_change(q, self._parameters.views(self._values), new)
+        except RangeError as error:
+            return self.tape.refused(k, new, error)
+        return None
 
     def _end_of_block(self, k: int, ticks: int) -> int:
         later = bisect_right(self._stops, k)

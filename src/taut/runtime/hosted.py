@@ -76,7 +76,9 @@ class HostedRun:
         wanted = self._kernel.blocks.layout["inputs"].shapes
         kept = {path: shape for path, shape in wanted.items() if path.startswith("ref.")}
         self.tape = Tape(side, plant, ticks, Block.of({"t": (), **kept}), Block.of(shapes), info)
-        side.check_start(q, ctrl.parameters, ref)
+        at_once = {path: value for path, value in self._events.get(0, {}).items() if path in side.parameters}
+        first = {**ctrl.parameters, **{p: side.checked_parameter(p, v) for p, v in at_once.items()}}
+        side.check_start(q, first, ref)
         self._feed = ReferenceFeed(ref, side.law.reference, side.arm, side.dt, side.at_rest(q))
         self._filled = 0
         # Where each number goes from and to in every tick, found once.
@@ -112,6 +114,9 @@ class HostedRun:
 
     def _tick(self, k: int) -> Outcome | None:
         tape, plant, kernel = self.tape, self._plant, self._kernel
+        refused = self._refused(k)
+        if refused is not None:
+            return refused
         before = self._apply(self._events.get(k, {}))
         out = tape.outputs
         out["q"][k], out["v"][k] = plant.state()
@@ -147,6 +152,17 @@ class HostedRun:
         where = f" at t = {tape.inputs['t'][k]:.6g} s (tick {k})" + (f", joint '{who}'" if who else "")
         message = f"the simulation diverged{where}: {words}{self.tape.out_of_reach(k + 1)}"
         return Outcome(kind="diverged", message=message, tick=k, joint=who)
+
+    def _refused(self, k: int) -> Outcome | None:
+        """How the run ends where an event asks for what has no meaning where the arm is."""
+        new = self._events.get(k)
+        if not new or k == 0:  # what begins with the run is refused before
+            return None
+        try:
+            self._side.check_change(self._plant.state()[0], self._kernel.blocks.views("parameters"), new)
+        except RangeError as error:
+            return self.tape.refused(k, new, error)
+        return None
 
     def _apply(self, values: Mapping[str, ArrayLike]) -> Float64Array | None:
         """New values of parameters; those of the controller before, where a blend takes up the change."""

@@ -144,6 +144,12 @@ class Tape:
             f"least at t = {self.inputs['t'][worst]:.6g} s; bring it nearer"
         )
 
+    def refused(self, tick: int, new: Mapping[str, object], error: RangeError) -> Outcome:
+        """The outcome of a run that ends before an event, whose new values have no meaning there."""
+        t = self.inputs["t"][tick]
+        message = f"stopped at t = {t:.6g} s, before the event that sets {', '.join(new)}: {error}"
+        return Outcome(kind="stopped", message=message, tick=tick - 1)
+
     def is_sane(self, tick: int) -> bool:
         """Whether the arm's motion in a row is one that an arm can have: then what is wrong is the law."""
         return bool((np.abs(self.outputs["v"][tick]) < SANE).all())
