@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping, Sequence
 from typing import Any, Final, Literal, NoReturn
 
 import numpy as np
@@ -25,6 +25,9 @@ from taut.control.law import Law
 from taut.control.lawside import HELD, TOLD, LawSide, Probe
 from taut.control.limiting import take_up
 from taut.control.limits import Limits
+from taut.control.phase import Phase
+from taut.control.phases import Phases
+from taut.control.task_steps import TaskSteps
 from taut.control.reference import Sample, Trajectory
 from taut.control.sensing import Sensing
 from taut.maths.adds import Adds
@@ -38,7 +41,7 @@ DT: Final = "dt"  # the period stands beside the parameters, so that code serves
 
 
 def compile(
-    law: Law,
+    law: Law | Sequence[Phase],
     arm: Arm,
     *,
     rate: float = 1000.0,
@@ -50,7 +53,7 @@ def compile(
     """A controller: the law for this arm, as native code.
 
     Args:
-        law: A law of `taut.laws`, a sum of them, or one of your own.
+        law: A law of `taut.laws`, a sum of them, or one of your own; or a task, a list of `taut.Phase`.
         arm: The controller's model of the arm, payload included.
         rate: Ticks per second [Hz].
         sensing: Where the velocity comes from, measured by default; filters of what is measured.
@@ -72,6 +75,10 @@ def compile(
         >>> ctrl.step(np.zeros(2), np.zeros(2), taut.JointMotion(q=[0.1, 0.0])).tolist()
         [1.0, 0.0]
     """
+    if isinstance(law, (list, tuple)):
+        law = Phases.of(law)
+    if isinstance(law, Phase):
+        raise UsageError("a task is a list of phases: taut.compile([taut.Phase(...)], arm)", name="law")
     if not isinstance(law, Law):  # callers without a type checker
         raise UsageError(
             f"compile takes a law such as taut.laws.PID(kp=...), with its gains; got {law!r}", name="law"
@@ -121,7 +128,9 @@ class Controller:
         self._inputs = self._kernel.blocks.views("inputs")
         self._command = self._kernel.blocks.views("outputs")["command"]
         self._torque_at_start: Float64Array | None = None
-        vars(self)["step"] = self._kernel.step  # the builtin stands before the method that documents it
+        self._task = TaskSteps(side, side.law) if isinstance(side.law, Phases) else None
+        # The builtin stands before the method that documents it; the references of a task are made in Python.
+        vars(self)["step"] = self._kernel.step if self._task is None else self._slow
 
     def recording_kernel(self, sensed: tuple[str, ...] = ()) -> Kernel:
         """A kernel of the same law with blocks of its own, that gives every term in every tick: for simulations.
@@ -258,9 +267,25 @@ class Controller:
 
     def _slow(self, *args: Any, **kwargs: Any) -> Any:
         """A tick with whatever was passed: checked in words, converted, started where needed."""
-        self._take(*self._arguments(args, kwargs))
+        given, ref = self._arguments(args, kwargs)
+        if self._task is not None:
+            ref = self._of_task(self._task, given, ref)
+        self._take(given, ref)
         self._kernel.tick()
         return self._command.copy()
+
+    def _of_task(self, task: TaskSteps, given: dict[str, Any], ref: Any) -> Sample:
+        """What the phase that acts follows in the coming tick."""
+        kernel, blocks = self._kernel, self._kernel.blocks
+        going = kernel.ready or self.parameters.changed
+        self._check_given(given)
+        return task.sample(
+            kernel.count if going else 0,
+            blocks.views("memory") if going else None,
+            given,
+            ref,
+            blocks.views("parameters"),
+        )
 
     def _arguments(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[dict[str, Any], Any]:
         known = ("q", "v", "ref", "F_app", *MEASUREMENTS)
@@ -286,16 +311,7 @@ class Controller:
 
     def _take(self, given: dict[str, Any], ref: Any) -> None:
         """Check everything, then write everything."""
-        for name in ("q", *self.needs):
-            if name not in given:
-                raise UsageError(f"step needs {name}{_WHY.get(name, '')}; got none", name=name)
-        for name in given:
-            if name not in ("q", *self.side.takes):
-                raise UsageError(
-                    f"step got {name}, which this controller does not use"
-                    f"{'; its sensing makes v from positions' if name == 'v' else ''}; leave it out",
-                    name=name,
-                )
+        self._check_given(given)
         if not isinstance(ref, self.law.reference):
             hint = "; for a trajectory pass ref.at(t)" if isinstance(ref, Trajectory) else ""
             got = "none" if ref is None else type(ref).__name__
@@ -311,6 +327,19 @@ class Controller:
         self.side.check_finite(checked, self._kernel.count if self._kernel.ready else 0)
         for path, value in checked.items():
             self._inputs[path][...] = value
+
+    def _check_given(self, given: dict[str, Any]) -> None:
+        """What is measured must be what is asked for."""
+        for name in ("q", *self.needs):
+            if name not in given:
+                raise UsageError(f"step needs {name}{_WHY.get(name, '')}; got none", name=name)
+        for name in given:
+            if name not in ("q", *self.side.takes):
+                raise UsageError(
+                    f"step got {name}, which this controller does not use"
+                    f"{'; its sensing makes v from positions' if name == 'v' else ''}; leave it out",
+                    name=name,
+                )
 
     def _first(self) -> None:
         """The first tick of all, or the first one after a change of parameters that a blend takes up."""
@@ -390,7 +419,25 @@ class Controller:
             >>> k.command.round(6).tolist()
             [2.0, 1.0]
         """
+        if self._task is not None:
+            raise UsageError(
+                "bind is for a law, whose reference is written from outside; the references of a task are made as its "
+                "phases begin: take ctrl.step",
+                name="bind",
+            )
         return BoundKernel(self._kernel, self.law.reference)
+
+    @property
+    def phase(self) -> str:
+        """The phase of a task that the coming tick belongs to; "stop" where the task has stopped.
+
+        Raises:
+            UsageError: The controller is of a law, not of a task.
+        """
+        if self._task is None:
+            raise UsageError("a controller of one law has no phases; compile a list of taut.Phase", name="phase")
+        going = self._kernel.ready or self.parameters.changed
+        return self._task.name(self._kernel.blocks.views("memory") if going else None)
 
     # ---------------------------------------------------------------- looking inside
 
@@ -495,7 +542,7 @@ class _Functions:
         terms = {f"terms.{name}": value for name, value in tick.terms.items()} if self._record else {}
         sensed = {f"sensed.{name}": tick.seen[name] for name in self._sensed}
         told = {name: tick.seen[name] for name in self._side.sensing.tells} if self._record else {}
-        kept = {path: tick.memory[path] for path in self._side.recorded} if self._record else {}
+        kept = {column: tick.memory[path] for column, path in self._side.recorded.items()} if self._record else {}
         return {"command": tick.command, **terms, **sensed, **told, **kept}, tick.memory
 
     def start(self, inputs: Values, parameters: Values, memory: Values) -> tuple[Values, Values]:  # noqa: ARG002
@@ -526,7 +573,7 @@ def _kernel_of(
     held = {TOLD: (), HELD: (n,)} if "limits.tau_applied" in probe.shapes else {}
     terms = {f"terms.{name}": (n,) for name in probe.terms} if record else {}
     sensed_sizes = {f"sensed.{name}": sizes[name] for name in sensed}
-    kept = {path: probe.shapes[path] for path in side.recorded} if record else {}
+    kept = {column: probe.shapes[path] for column, path in side.recorded.items()} if record else {}
     told = dict.fromkeys(side.sensing.tells, ()) if record else {}
     inputs = Block.of({"t": (), "q": (n,), **{name: sizes[name] for name in side.takes}, **ref_fields, **held})
     parameters = Block.of({path: value.shape for path, value in side.parameters.items()} | {DT: ()})

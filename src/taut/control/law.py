@@ -73,7 +73,8 @@ class Law:
     * optionally `check_rate(self, rate)`, which refuses gains that have no meaning at that rate [Hz];
     * optionally `check_state(self, x, rate)`, which refuses gains that have no meaning where a run starts;
     * `reference`, the kind of sample it follows (JointMotion unless said);
-    * `recorded`, the entries of its memory that a run keeps as further columns (none unless said).
+    * `recorded`, the entries of its memory that a run keeps as further columns (none unless said);
+    * `needs_contact`, whether a `taut.Phase` with it never starts without contact (not unless said).
 
     Laws add: `FeedForward() + PID(kp=..., kd=...)`. A law must not inherit from another one: it holds it in a field.
     A law that it holds in `inner: taut.Law` starts with it, and is called as
@@ -83,6 +84,7 @@ class Law:
     reference: ClassVar[type[Sample]] = JointMotion
     ignores_reference: ClassVar[bool] = False  # such a law adds to, and is held by, laws of every kind of sample
     recorded: ClassVar[tuple[str, ...]] = ()
+    needs_contact: ClassVar[bool] = False  # a phase of such a law never starts without contact
     uses_memory: ClassVar[bool] = False
 
     def __init_subclass__(cls) -> None:

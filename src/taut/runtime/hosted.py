@@ -11,13 +11,15 @@ from taut.base.errors import NumericalError, RangeError, unknown_name
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.layout import Block
+from taut.control.phase_feed import PhaseFeed
+from taut.control.phases import Phases
 from taut.control.reference import Reference
 from taut.controller import Controller, take_up_change
 from taut.loop import sensed_of
 from taut.maths.snapshot import Snapshot
 from taut.record.outcome import Outcome
 from taut.runtime.events import Event
-from taut.runtime.feed import ReferenceFeed, plain_snapshot
+from taut.control.feed import ReferenceFeed, plain_snapshot
 from taut.runtime.host import HostPlant
 from taut.runtime.tape import RowLog, Tape
 
@@ -77,7 +79,12 @@ class HostedRun:
         kept = {path: shape for path, shape in wanted.items() if path.startswith("ref.")}
         self.tape = Tape(side, plant, ticks, Block.of({"t": (), **kept}), Block.of(shapes), info)
         side.check_start(q, ctrl.parameters)
-        self._feed = ReferenceFeed(ref, side.law.reference, side.arm, side.dt, side.at_rest(q))
+        self._feed: ReferenceFeed | PhaseFeed = (
+            PhaseFeed(side.law, side)
+            if isinstance(side.law, Phases)
+            else ReferenceFeed(ref, side.law.reference, side.arm, side.dt, side.at_rest(q))
+        )
+        self._memory = self._kernel.blocks.views("memory")
         self._filled = 0
         # Where each number goes from and to in every tick, found once.
         inputs = self._kernel.blocks.views("inputs")
@@ -158,7 +165,9 @@ class HostedRun:
 
     def _reference(self, k: int, measured: dict[str, Float64Array]) -> None:
         """Fill the reference of the next ticks, at most up to where a stream is asked again."""
-        if k < self._filled:
+        if isinstance(self._feed, PhaseFeed) and k > 0 and self._memory["law.ticks"] < 0.5:
+            self._feed.begin(int(self._memory["law.next"]), k)
+        elif k < self._filled:
             return
         question = self._feed.next_question(k)
         stops = [k + BLOCK, self._ticks]

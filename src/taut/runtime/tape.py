@@ -12,8 +12,10 @@ from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
 from taut.control.lawside import LawSide
+from taut.control.phases import Phases
 from taut.loop import AnyPlant
 from taut.record.outcome import Outcome
+from taut.record.phases import told, windows
 from taut.record.run import Run
 
 __all__ = ["RowLog", "Tape"]
@@ -110,7 +112,16 @@ class Tape:
                 "where a real one meets its stop"
             )
         message += self._saturated(ticks)
-        return Outcome(kind="completed", message=message, tick=ticks - 1)
+        return self.with_phases(Outcome(kind="completed", message=message, tick=ticks - 1))
+
+    def with_phases(self, outcome: Outcome) -> Outcome:
+        """The outcome with how the phases of a task ended, where the law is one."""
+        law = self._side.law
+        if not isinstance(law, Phases) or outcome.tick < 0:
+            return outcome
+        rows = slice(outcome.tick + 1)
+        phase, ended = (self.outputs[name][rows] for name in ("phase", "phase_ended"))
+        return told(windows(law.names, phase, ended, self.inputs["t"][rows]), outcome)
 
     def _saturated(self, ticks: int) -> str:
         """Which sensors were at their range, in the first ticks of the run."""
