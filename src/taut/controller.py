@@ -127,10 +127,11 @@ class Controller:
         self.parameters = Parameters(side, self._kernel)
         self._inputs = self._kernel.blocks.views("inputs")
         self._command = self._kernel.blocks.views("outputs")["command"]
+        self._memory = self._kernel.blocks.views("memory")
         self._torque_at_start: Float64Array | None = None
         self._task = TaskSteps(side, side.law) if isinstance(side.law, Phases) else None
         # The builtin stands before the method that documents it; the references of a task are made in Python.
-        vars(self)["step"] = self._kernel.step if self._task is None else self._slow
+        vars(self)["step"] = self._kernel.step if self._task is None else self._task_step
 
     def recording_kernel(self, sensed: tuple[str, ...] = ()) -> Kernel:
         """A kernel of the same law with blocks of its own, that gives every term in every tick: for simulations.
@@ -267,24 +268,23 @@ class Controller:
 
     def _slow(self, *args: Any, **kwargs: Any) -> Any:
         """A tick with whatever was passed: checked in words, converted, started where needed."""
-        given, ref = self._arguments(args, kwargs)
-        if self._task is not None:
-            ref = self._of_task(self._task, given, ref)
-        self._take(given, ref)
+        self._take(*self._arguments(args, kwargs))
         self._kernel.tick()
         return self._command.copy()
 
-    def _of_task(self, task: TaskSteps, given: dict[str, Any], ref: Any) -> Sample:
-        """What the phase that acts follows in the coming tick."""
-        kernel, blocks = self._kernel, self._kernel.blocks
+    def _task_step(self, *args: Any, **kwargs: Any) -> Any:
+        """A tick of a task: the sample is made here, and what was passed is checked where it goes on to."""
+        assert self._task is not None
+        given, ref = self._arguments(args, kwargs)
+        kernel = self._kernel
         going = kernel.ready or self.parameters.changed
-        self._check_given(given)
-        return task.sample(
-            kernel.count if going else 0,
-            blocks.views("memory") if going else None,
-            given,
-            ref,
-            blocks.views("parameters"),
+        tick, memory = (kernel.count, self._memory) if going else (0, None)
+        if self._task.looks(tick, memory):
+            self._check_given(given)
+        sample = self._task.sample(tick, memory, given, ref, self.parameters.views)
+        measured = [given.pop(name) for name in ("q", "v") if name in given]
+        return kernel.step(*measured, sample, **given) if len(measured) == 2 else self._slow(
+            *measured, ref=sample, **given
         )
 
     def _arguments(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[dict[str, Any], Any]:
@@ -437,7 +437,7 @@ class Controller:
         if self._task is None:
             raise UsageError("a controller of one law has no phases; compile a list of taut.Phase", name="phase")
         going = self._kernel.ready or self.parameters.changed
-        return self._task.name(self._kernel.blocks.views("memory") if going else None)
+        return self._task.name(self._memory if going else None)
 
     # ---------------------------------------------------------------- looking inside
 
@@ -510,6 +510,8 @@ class Controller:
         for path, value in self.parameters.items():
             unit = f"  [{units[path]}]" if path in units else ""
             lines.append(f"  {path:{width}} {short(value)}{unit}")
+        if isinstance(side.law, Phases):
+            lines += ["", *(f"phase          {line}" for line in side.law.plan())]
         lines += ["", f"terms          {', '.join(side.probe.terms)}"]
         lines += [f"sensing        {side.sensing.summary}"] if side.sensing.alters else []
         lines.append(f"needs          {', '.join(('q', *side.needs))}")
@@ -618,7 +620,7 @@ def _probed(side: LawSide) -> Probe:
     except TautError:
         raise
     except Exception as cause:
-        name = type(side.law).__name__
+        name = title(side.law)
         raise UsageError(f"{name} fails on plain numbers, at rest at home: {failure(cause)}", name=name) from cause
 
 
@@ -626,12 +628,16 @@ def _random_samples(side: LawSide, blocks: Blocks) -> list[tuple[Float64Array, F
     """Three states near home, at which compiled code is compared with the float run."""
     rng = np.random.default_rng(0)
     samples = []
-    for _ in range(3):
+    task = side.law if isinstance(side.law, Phases) else None
+    for k in range(3 if task is None else max(3, 2 * len(task.names))):
         inputs, memory = (0.3 * rng.standard_normal(block.size) for block in (blocks.inputs, blocks.memory))
         views = blocks.layout["inputs"].views(inputs)
         for name in ("q", "q_motor", "ref.q"):
             if name in views:
                 views[name] += side.arm.home
+        if task is not None:  # each phase in its first tick and in another one
+            held = blocks.layout["memory"].views(memory)
+            held["law.next"][...], held["law.ticks"][...] = k // 2 % len(task.names), k % 2
         samples.append((inputs, blocks.parameters.copy(), memory))
     return samples
 
@@ -644,7 +650,7 @@ def _not_finite(side: LawSide, kernel: Kernel) -> TautError:
         side.check_reading(blocks.views("inputs"), blocks.views("memory"), kernel.count)
     except RangeError as error:
         return error
-    law = type(side.law).__name__
+    law = title(side.law)
     bad = np.flatnonzero(~np.isfinite(blocks.views("outputs")["command"]))
     joint = joints[int(bad[0])] if bad.size else None
     who = f"the {side.probe.kind} of joint '{joint}'" if joint is not None else "its new memory"
@@ -665,7 +671,8 @@ class Parameters(MutableMapping[str, Float64Array]):
     def __init__(self, side: LawSide, kernel: Kernel) -> None:
         self._side = side
         self._kernel = kernel
-        self._views = kernel.blocks.views("parameters")
+        self.views = kernel.blocks.views("parameters")
+        """The numbers that the compiled code reads."""
         self._kept: tuple[int, Float64Array] | None = None  # a tick, and the values that it was computed with
         self.changed = False
         """Whether a blend has to take up the jump of a new value in the next tick."""
@@ -683,7 +690,7 @@ class Parameters(MutableMapping[str, Float64Array]):
     def __getitem__(self, path: str) -> Float64Array:
         if path not in self._side.parameters:
             raise unknown_name("the controller", "parameter", path, self._side.parameters)
-        value = self._views[path].copy()
+        value = self.views[path].copy()
         value.flags.writeable = False
         return value
 
@@ -691,7 +698,7 @@ class Parameters(MutableMapping[str, Float64Array]):
         checked = self._side.checked_parameter(path, value)
         if self._kept is None or self._kept[0] != self._kernel.count:
             self._kept = (self._kernel.count, self._kernel.blocks.parameters.copy())
-        self._views[path][...] = checked
+        self.views[path][...] = checked
         if self._kernel.ready and self._side.blends((path,)):
             self.changed = True
             self._kernel.clear()

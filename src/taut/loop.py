@@ -5,6 +5,7 @@ This is what is fused into native code, swept, linearised and tuned. Every param
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping, MutableMapping
 from typing import Any, Final, Protocol, runtime_checkable
 
@@ -133,13 +134,22 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
     for name in side.needs:
         if name not in plant.measures:
             raise MatchError(
-                f"{law} needs {name}, which plant '{plant.name}' does not measure; it measures "
+                f"{_asking(side, name)} needs {name}, which plant '{plant.name}' does not measure; it measures "
                 f"{', '.join(sorted(plant.measures)) or 'positions only'}" + PROVIDED_BY.get(name, ""),
                 name=name,
             )
     _check_weight(side, plant)
     _check_adds(law, side.adds, probe.used, plant)
     _check_start(side, plant)
+
+
+def _asking(side: LawSide, name: str) -> str:
+    """What asks for a measurement: of a task, the phase."""
+    if isinstance(side.law, Phases):
+        for phase in side.law.phases:
+            if name in dataclasses.replace(side, law=side.law.alone(phase)).probe.used:
+                return f"phase '{phase}'"
+    return title(side.law)
 
 
 def require_no_reference(side: LawSide, ref: object) -> None:

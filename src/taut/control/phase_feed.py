@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from taut.base.errors import UsageError
+from taut.base.errors import TautError, UsageError
 from taut.base.types import Float64Array
 from taut.control.feed import ReferenceFeed
 from taut.control.lawside import LawSide
@@ -64,6 +64,11 @@ class PhaseFeed:
         """A phase begins with a tick: its reference is made when it is first asked for."""
         self._index, self._since, self._inner = index, tick, None
 
+    def prepare(self, state: Callable[[], Any]) -> None:
+        """Make the reference of a phase that has begun, if that was not done yet."""
+        if self._inner is None:
+            self._begin(state())
+
     def next_question(self, tick: int) -> int | None:
         """The first tick after `tick` at which the source of a stream is asked; None if never."""
         question = None if self._inner is None else self._inner.next_question(tick - self._since)
@@ -81,8 +86,7 @@ class PhaseFeed:
             given: The sample of a caller, where the phase `waits` for one.
         """
         law = self._law
-        if self._inner is None:
-            self._begin(state())
+        self.prepare(state)
         start = ""
         if isinstance(kind := self._task.reference, type) and issubclass(kind, PhaseSample):
             start = f"{kind.name_of(law.reference)}_"
@@ -108,7 +112,13 @@ class PhaseFeed:
         law, name = self._law, self._name
         given = None if name == STOP else self._task.phases[name].reference
         if callable(given) and not isinstance(given, Trajectory):
-            given = given(x)
+            try:
+                given = given(x)
+            except TautError as cause:
+                raise UsageError(f"phase '{name}': its reference: {cause}", name="reference") from cause
+            except Exception as cause:
+                how = f"{type(cause).__name__}: {cause}"
+                raise UsageError(f"phase '{name}': its reference fails: {how}", name="reference") from cause
         at_rest: Sample = law.at_rest(x)
         try:
             reference = Hold() if given is None or self.waits else as_reference(given)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
 from taut.base import math as tm
-from taut.base.errors import MatchError, ShapeError
+from taut.base.errors import MatchError, ShapeError, TautError, UsageError
 from taut.base.types import Array
 from taut.control.command import Command, Terms
 from taut.control.guards import Lasting, condition
@@ -190,7 +191,14 @@ class Phases(Law):
         guard = getattr(phase, word)
         if guard is None:
             return np.bool_(False)
-        holds = condition(guard(seen), f"{word} of phase '{name}'")
+        who = f"{word} of phase '{name}'"
+        try:
+            given = guard(seen)
+        except TautError:
+            raise
+        except Exception as cause:
+            raise UsageError(f"{who} fails: {type(cause).__name__}: {cause}", name=word) from cause
+        holds = condition(given, who)
         if not isinstance(guard, Lasting):
             return holds
         memory, fresh, here, counts = now
@@ -215,6 +223,22 @@ class Phases(Law):
         return kinds.pop()
 
     # ---------------------------------------------------------------- in words
+
+    def alone(self, name: str) -> Phases:
+        """The task of one of the phases."""
+        return Phases.of([replace(self.phases[name], name=name, otherwise=STOP, then=None)])
+
+    def plan(self) -> list[str]:
+        """What ends each phase, and what follows then, a line each."""
+        lines = []
+        for i, (name, phase) in enumerate(self.phases.items()):
+            onward, back = (self.names[self._target(i, to)] for to in (phase.then, phase.otherwise))
+            parts = [f"until {_called(phase.until)} -> {onward}"] if phase.until is not None else []
+            parts += [f"unless {_called(phase.unless)} -> {back}"] if phase.unless is not None else []
+            parts += [f"after {phase.timeout:g} s -> {back}"] if phase.timeout is not None else []
+            parts += [f"without contact -> {back}"] if phase.needs_contact else []
+            lines.append(f"{name}: {'; '.join(parts) or 'to the end'}")
+        return lines
 
     def __repr__(self) -> str:
         return f"[{', '.join(f'{name}: {self.laws[name]!r}' for name in self.phases)}]"
@@ -248,6 +272,14 @@ def _of_the_acting(commands: Mapping[str, Command], acting: Mapping[str, Any], n
         for term, values in command.terms.parts.items():
             terms[term] = tm.where(acting[name], values, terms.get(term, tm.zeros(n)))
     return total, terms
+
+
+def _called(guard: Any) -> str:
+    """What a guard is called."""
+    inner = guard.guard if isinstance(guard, Lasting) else guard
+    word = getattr(inner, "__name__", type(inner).__name__)
+    word = "its guard" if word == "<lambda>" else word
+    return f"{word} for {guard.ticks} ticks" if isinstance(guard, Lasting) else word
 
 
 def _counters(phase: Phase) -> list[Lasting]:
