@@ -27,9 +27,9 @@ from taut.control.limiting import take_up
 from taut.control.limits import Limits
 from taut.control.phase import Phase
 from taut.control.phases import Phases
-from taut.control.task_steps import TaskSteps
 from taut.control.reference import Sample, Trajectory
 from taut.control.sensing import Sensing
+from taut.control.task_steps import TaskSteps
 from taut.maths.adds import Adds
 from taut.maths.snapshot import AT_TOOL, MEASUREMENTS, measurement_shapes
 
@@ -283,8 +283,10 @@ class Controller:
             self._check_given(given)
         sample = self._task.sample(tick, memory, given, ref, self.parameters.views)
         measured = [given.pop(name) for name in ("q", "v") if name in given]
-        return kernel.step(*measured, sample, **given) if len(measured) == 2 else self._slow(
-            *measured, ref=sample, **given
+        return (
+            kernel.step(*measured, sample, **given)
+            if len(measured) == 2
+            else self._slow(*measured, ref=sample, **given)
         )
 
     def _arguments(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[dict[str, Any], Any]:
@@ -421,8 +423,8 @@ class Controller:
         """
         if self._task is not None:
             raise UsageError(
-                "bind is for a law, whose reference is written from outside; the references of a task are made as its "
-                "phases begin: take ctrl.step",
+                "bind is for a law, whose reference is written from outside; the references of a task are made as "
+                "its phases begin: take ctrl.step",
                 name="bind",
             )
         return BoundKernel(self._kernel, self.law.reference)

@@ -102,7 +102,7 @@ class PhaseFeed:
 
     @property
     def _law(self) -> Any:
-        """The law that is followed; where the task has stopped, or nothing is followed, any that follows something."""
+        """The law that is followed; where nothing is, the first one that follows something."""
         law = self._task.laws[self._name]
         followers = [one for one in self._task.laws.values() if not one.ignores_reference]
         return law if not law.ignores_reference or not followers else followers[0]

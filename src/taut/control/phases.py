@@ -136,7 +136,7 @@ class Phases(Law):
         for name, law in self.laws.items():
             own = self.sample_of(name, ref)
             if name == STOP:
-                law = law._replaced({"kind": self._kind(commands)})  # noqa: PLW2901, SLF001  (a law of ours)
+                law = law._replaced({"kind": self._kind(commands)})
             old, new = memory[name], initial_memory(law, x, own)
             held = _chosen(fresh, new, old)
             commands[name], left = call(law, x, own, held, dt)
@@ -261,7 +261,9 @@ def _chosen(which: Any, a: Any, b: Any) -> Any:
     return tm.where(which, a, b)
 
 
-def _of_the_acting(commands: Mapping[str, Command], acting: Mapping[str, Any], n: int) -> tuple[Array, dict[str, Any]]:
+def _of_the_acting(
+    commands: Mapping[str, Command], acting: Mapping[str, Any], n: int
+) -> tuple[Array, dict[str, Any]]:
     """The command of the law that acts, and its terms, zero where it has none of that name."""
     total: Array = commands[STOP].total
     for name, command in commands.items():

@@ -45,7 +45,7 @@ class TaskSteps:
 
     def looks(self, tick: int, memory: Mapping[str, Float64Array] | None) -> bool:
         """Whether `sample` looks at what is measured in a tick."""
-        return memory is None or memory["law.ticks"] < 0.5 or tick not in self._filled
+        return memory is None or bool(memory["law.ticks"] < 0.5) or tick not in self._filled
 
     def sample(
         self,

@@ -131,7 +131,9 @@ def _sample_class(description: Description, path: Path) -> type[Sample]:
     of_phases = description.reference.startswith(f"{PhaseSample.__name__}[")
     if of_phases:  # the class of a task's samples is made by what its phases follow
         words = description.reference.partition("[")[2].removesuffix("]").split(",")
-        kinds = [next((one for one in reversed([*_subclasses(Sample)]) if one.__name__ == word), None) for word in words]
+        kinds = [
+            next((one for one in reversed([*_subclasses(Sample)]) if one.__name__ == word), None) for word in words
+        ]
         if None not in kinds:
             phase_sample(tuple(kind for kind in kinds if kind is not None))
     named = [kind for kind in _subclasses(Sample) if kind.__name__ == description.reference]

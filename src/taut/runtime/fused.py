@@ -14,6 +14,7 @@ from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
 from taut.codegen.loop import FloatLoop, NativeLoop
+from taut.control.feed import ReferenceFeed, plain_snapshot
 from taut.control.limiting import take_up
 from taut.control.phase_feed import PhaseFeed
 from taut.control.phases import Phases
@@ -21,7 +22,6 @@ from taut.loop import DT, Loop
 from taut.maths.snapshot import Snapshot
 from taut.record.outcome import Outcome
 from taut.runtime.events import Event
-from taut.control.feed import ReferenceFeed, plain_snapshot
 from taut.runtime.tape import RowLog, Tape
 
 __all__ = ["FusedRun"]
@@ -143,8 +143,7 @@ class FusedRun:
         tape, ticks, k = self.tape, self._loop.ticks, 0
         running = Outcome(kind="stopped", message="the run is still going on", tick=0)
         while k < ticks:
-            end = self._end_of_block(k, ticks)
-            self._prepare(k, end)
+            end = self._prepare(k, ticks)
             end, done = self._block(k, end)
             if done < end - k:
                 kept, outcome = self._diverged(k + done)
@@ -195,21 +194,32 @@ class FusedRun:
         question = self._feed.next_question(k)
         return min(stops if question is None else [*stops, question])
 
-    def _prepare(self, k: int, end: int) -> None:
-        """Events that act at tick k, then noise and reference of the block."""
+    def _prepare(self, k: int, ticks: int) -> int:
+        """Events that act at tick k, then noise and reference of the block, whose end is returned."""
         before = self._apply(k)
-        first = self._drawn  # a block that was taken back has had its noise
-        if first < end:
-            self._draw({path: column[first:end] for path, column in self.tape.inputs.items()})
-            self._drawn = end
+        self._draw_up_to(k + 1)
         row = self._inputs.views(self.tape.input_rows[k])
         memory = self._memory.views(self._state)
         plant, sensing = subtree(memory, "plant"), subtree(memory, "sensing")
+
+        def state() -> Snapshot:
+            return self._seen(plant, sensing, row)
+
         if isinstance(self._feed, PhaseFeed) and k > 0 and Phases.begins(subtree(memory, "law")):
             self._feed.begin(int(memory["law.next"]), k)
-        self._feed.fill(self.tape.reference(k, end), k, lambda: self._seen(plant, sensing, row))
+            self._feed.prepare(state)
+        end = self._end_of_block(k, ticks)
+        self._draw_up_to(end)
+        self._feed.fill(self.tape.reference(k, end), k, state)
         if before is not None and k > 0:  # in the first tick there is nothing yet to go on from
             self._take_up(k, before)
+        return end
+
+    def _draw_up_to(self, end: int) -> None:
+        """The noise of the ticks before `end`, as far as it was not drawn for a block that was taken back."""
+        if self._drawn < end:
+            self._draw({path: column[self._drawn : end] for path, column in self.tape.inputs.items()})
+            self._drawn = end
 
     def _seen(
         self, plant: Mapping[str, Any], sensing: Mapping[str, Any] | None, inputs: Mapping[str, Any]

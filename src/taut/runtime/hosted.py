@@ -11,6 +11,7 @@ from taut.base.errors import NumericalError, RangeError, unknown_name
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.layout import Block
+from taut.control.feed import ReferenceFeed, plain_snapshot
 from taut.control.phase_feed import PhaseFeed
 from taut.control.phases import Phases
 from taut.control.reference import Reference
@@ -19,7 +20,6 @@ from taut.loop import sensed_of
 from taut.maths.snapshot import Snapshot
 from taut.record.outcome import Outcome
 from taut.runtime.events import Event
-from taut.control.feed import ReferenceFeed, plain_snapshot
 from taut.runtime.host import HostPlant
 from taut.runtime.tape import RowLog, Tape
 
@@ -169,14 +169,16 @@ class HostedRun:
             self._feed.begin(int(self._memory["law.next"]), k)
         elif k < self._filled:
             return
-        question = self._feed.next_question(k)
-        stops = [k + BLOCK, self._ticks]
-        end = min(stops if question is None else [*stops, question])
 
         def state() -> Snapshot:
             parameters = self._kernel.blocks.views("parameters")
             sensing = subtree(self._kernel.blocks.views("memory"), "sensing") if self._kernel.ready else None
             return plain_snapshot(self._side, measured, sensing, parameters, k * self._side.dt)
 
+        if isinstance(self._feed, PhaseFeed):
+            self._feed.prepare(state)
+        question = self._feed.next_question(k)
+        stops = [k + BLOCK, self._ticks]
+        end = min(stops if question is None else [*stops, question])
         self._feed.fill(self.tape.reference(k, end), k, state)
         self._filled = end

@@ -78,8 +78,8 @@ def run(
     """
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise RangeError(f"seed must be a whole number >= 0; got {seed!r}", name="seed")
-    if isinstance(ctrl, (list, tuple)) and plant is not None and hasattr(plant, "advance"):
-        ctrl = compile(ctrl, plant.arm, adds=plant.adds)
+    if not isinstance(ctrl, (Controller, Loop)):
+        ctrl = _of_task(ctrl, plant)
     target, reference, length = _what_to_run(ctrl, plant, ref, duration)
     ticks = round(length * ctrl.side.rate) + 1
     due = sorted_events(events, ctrl.side.rate, ticks)
@@ -97,7 +97,11 @@ def run(
     }
     going: FusedRun | HostedRun
     if isinstance(target, ModelPlant):
-        loop = ctrl if isinstance(ctrl, Loop) else Loop(ctrl, target, None if ref is None else reference, duration=length)
+        loop = (
+            ctrl
+            if isinstance(ctrl, Loop)
+            else Loop(ctrl, target, None if ref is None else reference, duration=length)
+        )
         info["parameters"] = {path: value.tolist() for path, value in loop.parameters.items()}
         going = FusedRun(loop, q, v, int(seed), due, info)
     else:
@@ -106,6 +110,22 @@ def run(
         info["parameters"] = {path: value.tolist() for path, value in both.items()}
         going = HostedRun(ctrl, target, reference, ticks, q, v, due, info)
     return _recorded(going, log, progress)
+
+
+def _of_task(task: Sequence[Phase], plant: Plant | None) -> Controller:
+    """The controller of a task, for the arm of a plant.
+
+    Raises:
+        UsageError: No list of phases, or no plant.
+    """
+    if not isinstance(task, (list, tuple)):
+        raise UsageError(
+            "run takes a controller from taut.compile, a taut.Loop, or a list of taut.Phase; got "
+            f"{type(task).__name__}"
+        )
+    if plant is None or not hasattr(plant, "advance"):
+        raise UsageError("run needs a plant: taut.run([taut.Phase(...)], taut.RigidPlant(arm), duration=5.0)")
+    return compile(task, plant.arm, adds=plant.adds)
 
 
 def _recorded(going: FusedRun | HostedRun, log: str | os.PathLike[str] | None, progress: bool | None) -> Run:
@@ -124,14 +144,12 @@ def _recorded(going: FusedRun | HostedRun, log: str | os.PathLike[str] | None, p
 
 
 def _what_to_run(
-    ctrl: object, plant: Plant | None, ref: object, duration: float | None
+    ctrl: Controller | Loop, plant: Plant | None, ref: object, duration: float | None
 ) -> tuple[Plant, Reference, float]:
     if isinstance(ctrl, Loop):
         if plant is not None or ref is not None or duration is not None:
             raise UsageError("a Loop has its plant, reference and duration already; pass run(loop) alone")
         return ctrl.plant, ctrl.ref, ctrl.duration
-    if not isinstance(ctrl, Controller):
-        raise UsageError(f"run takes a controller from taut.compile, or a taut.Loop; got {type(ctrl).__name__}")
     if plant is None:
         raise UsageError("run needs a plant: taut.run(ctrl, taut.RigidPlant(arm), ref, duration=5.0)", name="plant")
     if duration is None:
