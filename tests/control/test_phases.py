@@ -432,3 +432,20 @@ def test_the_gains_of_a_task_have_the_names_of_its_phases() -> None:
         "stop.kp",
         "stop.kd",
     ]
+
+
+def test_what_limits_cut_from_a_law_is_nothing_for_the_one_after_it() -> None:
+    class Cut(taut.Law):
+        """Law: tau = what was cut in the last tick."""
+
+        def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+            return taut.Torque(P=0.1 * x.tau_cut, ask=ref.q)
+
+    ask = taut.JointMotion(q=np.full(3, 10.0))
+    task = [taut.Phase(Cut(), ask, name="a", until=lambda x: x.elapsed > 0.0005), taut.Phase(Cut(), ask, name="b")]
+    ctrl = taut.compile(task, PLANAR, limits=taut.Limits(tau=1.0))
+    seen = []
+    for _ in range(4):
+        ctrl.step(REST)
+        seen.append(float(ctrl.terms["P"][0]))
+    assert seen == pytest.approx([0.0, 0.9, 0.0, 0.9])
