@@ -317,7 +317,7 @@ class Controller:
         if not isinstance(ref, self.law.reference):
             hint = "; for a trajectory pass ref.at(t)" if isinstance(ref, Trajectory) else ""
             got = "none" if ref is None else type(ref).__name__
-            raise UsageError(f"step needs ref, a taut.{self.law.reference.__name__}; got {got}{hint}", name="ref")
+            raise UsageError(f"step needs ref, a taut.{self.law.reference.described()}; got {got}{hint}", name="ref")
         joints = self.arm.joint_names
         taken = given | {path: getattr(ref, path[4:]) for path in self._inputs if path.startswith("ref.")}
         checked = {
@@ -368,7 +368,8 @@ class Controller:
         for path in ("q", "ref.q"):  # in the first tick alone: nothing must stop an arm that moves already
             if path in self._inputs:
                 require_radians(path, self._inputs[path], self.arm)
-        self.side.check_start(self._inputs["q"].copy(), self.parameters)
+        ref = self.law.reference.of(subtree({path: np.array(value) for path, value in self._inputs.items()}, "ref"))
+        self.side.check_start(self._inputs["q"].copy(), self.parameters, ref)
         if TOLD in self._inputs:
             told = self._torque_at_start
             self._inputs[TOLD][...] = told is not None

@@ -313,6 +313,33 @@ def test_a_first_phase_without_contact_stops_in_words() -> None:
     assert taut.run(by_hand, taut.RigidPlant(PLANAR), duration=0.01, q0=REST).phases[0].ended is None
 
 
+def test_force_and_hybrid_laws_need_contact_and_follow_their_own_samples_in_one_task() -> None:
+    arm = taut.load_arm("panda")
+    move = taut.laws.TaskComputedTorque(kp=100.0, kd=20.0)
+    force = taut.laws.ForceControl(kfi=5.0, kdamp=(100.0, 5.0))
+    hybrid = taut.laws.HybridMotionForce(constraint=lambda T: T.p[2] - 0.1, motion=move, kfi=5.0)
+    task = [
+        taut.Phase(move, name="approach", until=lambda x: x.elapsed > -1.0),
+        taut.Phase(force, taut.TaskForce(F_app=[0, 0, -5.0, 0, 0, 0]), name="press", until=lambda x: x.elapsed > 0.0),
+        taut.Phase(hybrid, lambda x: taut.pressing(taut.TaskMotion(pose=x.T()), 5.0), name="slide"),
+    ]
+    assert [phase.needs_contact for phase in task] == [False, True, True]
+    ctrl = taut.compile(task, arm, engine="float")
+    alone = taut.compile(force, arm, engine="float")
+    F, zero = np.array([0, 0, 3.0, 0, 0, 0]), np.zeros(7)
+    ctrl.step(arm.home, zero, F_ext=F)
+    np.testing.assert_allclose(
+        ctrl.step(arm.home, zero, F_ext=F), alone.step(arm.home, zero, task[1].reference, F_ext=F), atol=1e-9
+    )
+    ctrl.step(arm.home, zero, F_ext=F)
+    assert ctrl.phase == "slide"
+    assert np.isfinite(ctrl.step(arm.home, zero, F_ext=F)).all()
+    ctrl.reset()
+    ctrl.step(arm.home, zero, F_ext=F)
+    np.testing.assert_allclose(ctrl.step(arm.home, zero, F_ext=0.2 * F), taut.snapshot(arm, arm.home).g, atol=1e-9)
+    assert ctrl.phase == "stop"
+
+
 # -------------------------------------------------------------------- bad input
 
 
@@ -446,6 +473,6 @@ def test_what_limits_cut_from_a_law_is_nothing_for_the_one_after_it() -> None:
     ctrl = taut.compile(task, PLANAR, limits=taut.Limits(tau=1.0))
     seen = []
     for _ in range(4):
-        ctrl.step(REST)
+        ctrl.step(REST, np.zeros(3))
         seen.append(float(ctrl.terms["P"][0]))
     assert seen == pytest.approx([0.0, 0.9, 0.0, 0.9])

@@ -24,7 +24,7 @@ from taut.control.law import Law, as_array, call, initial_memory
 from taut.control.limiting import anew, fresh_blend, limited, term_names
 from taut.control.limits import Limits
 from taut.control.phases import Phases
-from taut.control.reference import Sample
+from taut.control.reference import Reference, Sample
 from taut.control.sensing import Sensing
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
@@ -153,7 +153,9 @@ class LawSide:
         try:
             x, command, after = self._first_run(self.arm.home)
         except NumericalError:  # a law that inverts what is singular at home
-            x, command, after = self._first_run(self.arm.home + 0.1 * np.cos(np.arange(self.arm.n)))
+            elsewhere = self.arm.home + 0.1 * np.cos(np.arange(self.arm.n))
+            self.check_start(elsewhere, self._own_parameters)  # a law that knows why says it better
+            x, command, after = self._first_run(elsewhere)
         self.check_start(x.q, self._own_parameters)
         added = self._limit_terms(command)
         shapes = {f"law.{path}": np.shape(as_array(v, path)) for path, v in flatten(after).items()}
@@ -214,15 +216,19 @@ class LawSide:
         """The sample that asks to stay at joint positions q."""
         return self.law.at_rest(Snapshot(self.model, q=q, v=np.zeros(self.arm.n)))
 
-    def check_start(self, q: Float64Array, parameters: Mapping[str, Any]) -> None:
-        """The law must have a meaning where a run starts.
+    def check_start(self, q: Float64Array, parameters: Mapping[str, Any], ref: Reference | None = None) -> None:
+        """The law, and what it is to follow, must have a meaning where a run starts.
 
         Raises:
-            RangeError: A gain that has none there.
+            RangeError: A gain that has none there; a reference that the law cannot follow from there.
+            UsageError: A reference that has no meaning for the law.
         """
         payload = _payload_of(parameters)
         x = Snapshot(self.model, q=q, v=np.zeros(self.arm.n), payload=payload)
-        self.law.bound(subtree(parameters, "law")).check_states(x, self.rate)
+        law = self.law.bound(subtree(parameters, "law"))
+        law.check_states(x, self.rate)
+        if ref is not None:
+            law.check_references(x, ref, self.rate)
 
     @cached_property
     def recorded(self) -> dict[str, str]:
@@ -230,6 +236,11 @@ class LawSide:
         of_task = {"phase": "law.phase", "phase_ended": "law.ended"} if isinstance(self.law, Phases) else {}
         paths = [f"{path}.{name}" for path, law in all_laws(self.law, "law") for name in law.recorded]
         return of_task | {path: path for path in paths}
+
+    @cached_property
+    def notices(self) -> dict[str, str]:
+        """What a run's outcome says where a recorded entry of the memory is not zero, by path."""
+        return {f"{path}.{name}": text for path, law in all_laws(self.law, "law") for name, text in law.notices}
 
     @property
     def needs(self) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from taut.control.halt import Halt
 from taut.control.law import Law, MemoryView, call, initial_memory
 from taut.control.phase import STOP, Phase, named_phases
 from taut.control.phase_sample import PhaseSample, phase_sample
-from taut.control.reference import JointMotion, Sample
+from taut.control.reference import Chunk, Hold, JointMotion, Reference, Sample, Stream, Trajectory
 from taut.maths.snapshot import PhaseView, Snapshot
 
 __all__ = ["ENDED", "Phases"]
@@ -111,6 +111,13 @@ class Phases(Law):
         """Only the first phase starts where the run does."""
         first = next(iter(self.phases))
         self.laws[first].check_states(x, rate)
+
+    def check_references(self, x: Snapshot, ref: Reference, rate: float) -> None:  # noqa: ARG002
+        """What the first phase is to follow, where that is known before."""
+        name, phase = next(iter(self.phases.items()))
+        given = phase.reference
+        if given is None or isinstance(given, (Sample, Hold, Stream, Chunk, Trajectory)):
+            self.laws[name].check_references(x, Hold() if given is None else given, rate)
 
     # ---------------------------------------------------------------- a tick
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -131,11 +132,9 @@ def _sample_class(description: Description, path: Path) -> type[Sample]:
     of_phases = description.reference.startswith(f"{PhaseSample.__name__}[")
     if of_phases:  # the class of a task's samples is made by what its phases follow
         words = description.reference.partition("[")[2].removesuffix("]").split(",")
-        kinds = [
-            next((one for one in reversed([*_subclasses(Sample)]) if one.__name__ == word), None) for word in words
-        ]
-        if None not in kinds:
-            phase_sample(tuple(kind for kind in kinds if kind is not None))
+        known = [[kind for kind in _subclasses(Sample) if kind.__name__ == word] for word in words]
+        for kinds in itertools.product(*known):
+            phase_sample(kinds)
     named = [kind for kind in _subclasses(Sample) if kind.__name__ == description.reference]
     for kind in reversed(named):  # a dataclass with slots leaves its first draft behind, which came before it
         if kind.fields(n) == description.fields:

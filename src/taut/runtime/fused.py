@@ -70,7 +70,7 @@ class FusedRun:
         # One generator per measurement, by its name: neither how the run is cut into blocks nor what else is noisy
         # changes the numbers.
         self._noise = {name: np.random.default_rng([seed, *name.encode()]) for name in loop.plant.noise}
-        side.check_start(q, loop.parameters)
+        side.check_start(q, loop.parameters, loop.ref)
         at_rest = side.at_rest(q)
         task = side.law if isinstance(side.law, Phases) else None
         self._feed: ReferenceFeed | PhaseFeed = (
