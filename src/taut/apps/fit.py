@@ -20,6 +20,7 @@ from taut.base.types import Float64Array
 from taut.control.hybrid_motion import HybridMotion, Pressing, hybrid_kind
 from taut.control.law import Law
 from taut.control.lawside import LawSide
+from taut.control.phases import Phases
 from taut.control.reference import Chunk, Hold, JointMotion, Reference, Sample, Stream, Trajectory, sample_rows
 from taut.control.side_by_side import SideBySide
 from taut.control.task_force import TaskForce
@@ -194,6 +195,11 @@ def _part(part: str, label: str, law: Law | None, section: Section) -> Law | Non
     """One of laws side by side."""
     if law is None:
         return None
+    if isinstance(law, Phases):
+        if part not in law.phases:
+            with section.blamed("part"):
+                raise unknown_name("the task", "phase", part, law.phases)
+        return law.laws[part]
     if not isinstance(law, SideBySide):
         raise section.error(f"part is for laws side by side, and '{label}' is one law; leave part out")
     if part not in law.parts:

@@ -103,6 +103,7 @@ class ForceControl(Law):
     """
 
     reference = TaskForce
+    needs_contact: ClassVar[bool] = True
     recorded: ClassVar[tuple[str, ...]] = ("e_int", "lost", "bounded")
     notices: ClassVar[tuple[tuple[str, str], ...]] = (
         ("lost", "the tool met less than was asked for, contact was lost"),

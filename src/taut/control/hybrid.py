@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
 from taut.base import math as tm
 from taut.base.checks import one_of
@@ -89,6 +89,7 @@ class HybridMotionForce(Law):
     """
 
     reference = HybridMotion
+    needs_contact: ClassVar[bool] = True
     constraint: Constraint | Callable[..., Any]
     motion: Law
     kfp: Gain = Gain(optional=True, size="rows")  # [-]

@@ -76,7 +76,8 @@ class Law:
     * optionally `check_reference(self, x, ref, rate)`, which refuses what a run is to follow from there;
     * `reference`, the kind of sample it follows (JointMotion unless said);
     * `recorded`, the entries of its memory that a run keeps as further columns (none unless said);
-    * `notices`, pairs of a recorded entry and what the outcome of a run says where that is not zero.
+    * `notices`, pairs of a recorded entry and what the outcome of a run says where that is not zero;
+    * `needs_contact`, whether a `taut.Phase` with it never starts without contact (not unless said).
 
     Laws add: `FeedForward() + PID(kp=..., kd=...)`. A law must not inherit from another one: it holds it in a field.
     A law that it holds in `inner: taut.Law` starts with it, and is called as
@@ -86,6 +87,7 @@ class Law:
     reference: ClassVar[type[Sample]] = JointMotion
     ignores_reference: ClassVar[bool] = False  # such a law adds to, and is held by, laws of every kind of sample
     recorded: ClassVar[tuple[str, ...]] = ()
+    needs_contact: ClassVar[bool] = False  # a phase of such a law never starts without contact
     notices: ClassVar[tuple[tuple[str, str], ...]] = ()  # recorded entry, and what an outcome says where it is not 0
     uses_memory: ClassVar[bool] = False
 

@@ -21,8 +21,9 @@ from taut.base.types import Array, ArrayLike, Float64Array, Vector
 from taut.control.command import Command, Terms, Torque, Velocity
 from taut.control.describe import all_laws
 from taut.control.law import Law, as_array, call, initial_memory
-from taut.control.limiting import fresh_blend, limited, term_names
+from taut.control.limiting import anew, fresh_blend, limited, term_names
 from taut.control.limits import Limits
+from taut.control.phases import Phases
 from taut.control.reference import Reference, Sample
 from taut.control.sensing import Sensing
 from taut.maths import dynamics as dyn
@@ -252,9 +253,11 @@ class LawSide:
             self.check_start(q, {**before, **ours}, changed=True)
 
     @cached_property
-    def recorded(self) -> tuple[str, ...]:
-        """Paths of the memory that a run keeps, as it is after each tick: law.ik_error."""
-        return tuple(f"{path}.{name}" for path, law in all_laws(self.law, "law") for name in law.recorded)
+    def recorded(self) -> dict[str, str]:
+        """Paths of the memory that a run keeps, as it is after each tick, by its column: law.ik_error."""
+        of_task = {"phase": "law.phase", "phase_ended": "law.ended"} if isinstance(self.law, Phases) else {}
+        paths = [f"{path}.{name}" for path, law in all_laws(self.law, "law") for name in law.recorded]
+        return of_task | {path: path for path in paths}
 
     @cached_property
     def notices(self) -> dict[str, str]:
@@ -372,15 +375,20 @@ class LawSide:
     ) -> Tick:
         """One tick: sense, evaluate the law, limit."""
         nested = unflatten(memory)
+        begins = Phases.begins(nested["law"]) if isinstance(self.law, Phases) else None
+        before = nested.get("limits", {})
+        if begins is not None and "tau_cut" in before:  # what another law was cut is nothing for this one's integral
+            before = {**before, "tau_cut": tm.where(begins, tm.zeros(self.arm.n), before["tau_cut"])}
         seen, sensing = self.sense(measured, subtree(memory, "sensing"), parameters, dt)
-        x = self._snapshot(seen, seen["v"], parameters, nested.get("limits", {}))
+        x = self._snapshot(seen, seen["v"], parameters, before)
         law = self.law.bound(subtree(parameters, "law"))
         command, after = call(law, x, ref, _nested_memory(law, nested.get("law", {})), dt)
         total = as_array(command.total, "command")
         applied, terms, held = total, {}, {}
         if self.limits is not None:
             given, moving = subtree(parameters, "limits"), x if command.kind == Torque.kind else None
-            made = limited(total, nested.get("limits", {}), given, dt, moving)
+            kept = before if begins is None or "blend" not in given else anew(before, total, begins)
+            made = limited(total, kept, given, dt, moving)
             applied, terms, held = made.command, made.terms, {**made.memory, "tau_cut": made.cut}
         held["tau_applied"] = applied
         new = flatten({"law": after, "sensing": sensing, "limits": held})
