@@ -705,7 +705,7 @@ class Parameters(MutableMapping[str, Float64Array]):
         if self._kernel.ready or self.changed:  # then it is known where the arm was in the last tick
             blocks = self._kernel.blocks
             q = blocks.layout["inputs"].views(blocks.seen)["q"].copy()
-            self._side.check_change(q, self._views, {path: checked})
+            self._side.check_change(q, self.views, {path: checked})
         if self._kept is None or self._kept[0] != self._kernel.count:
             self._kept = (self._kernel.count, self._kernel.blocks.parameters.copy())
         self.views[path][...] = checked

@@ -48,7 +48,12 @@ ERRORS_OF: Final[Mapping[type[Sample], tuple[str, ...]]] = {
     hybrid_kind(TaskMotion): (*OF_TASK_MOTION, *OF_PRESSING),
     TaskForce: OF_FORCE,
 }
-WHOSE: Final[Mapping[type[Sample], str]] = {JointMotion: "joints", TaskMotion: "the tool", hybrid_kind(TaskMotion): "a contact", TaskForce: "forces"}
+WHOSE: Final[Mapping[type[Sample], str]] = {
+    JointMotion: "joints",
+    TaskMotion: "the tool",
+    hybrid_kind(TaskMotion): "a contact",
+    TaskForce: "forces",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,7 +130,11 @@ def _check_kind(reference: Reference, label: str, law: Law, section: Section) ->
     given, wanted = _kind_of(reference), law.reference
     if isinstance(reference, Hold) or given is wanted:
         return
-    kinds = {TaskMotion: list(TASK_KINDS), hybrid_kind(TaskMotion): list(TASK_KINDS), TaskForce: list(FORCE_KINDS)}.get(wanted, list(JOINT_KINDS))
+    kinds = {
+        TaskMotion: list(TASK_KINDS),
+        hybrid_kind(TaskMotion): list(TASK_KINDS),
+        TaskForce: list(FORCE_KINDS),
+    }.get(wanted, list(JOINT_KINDS))
     raise section.error(
         f"kind gives a {given.__name__}, and the law '{label}' follows a {wanted.__name__}; take one of "
         f"{quoted_list(['hold', *kinds], most=len(kinds) + 1)}"

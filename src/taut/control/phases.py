@@ -107,10 +107,10 @@ class Phases(Law):
         joined: Sample = kind.joined(own)  # type: ignore[attr-defined]  # a sample of several kinds
         return joined
 
-    def check_states(self, x: Snapshot, rate: float) -> None:
-        """Only the first phase starts where the run does."""
-        first = next(iter(self.phases))
-        self.laws[first].check_states(x, rate)
+    def check_states(self, x: Snapshot, rate: float, *, changed: bool = False) -> None:
+        """Only the first phase starts where the run does; what changes may be of any."""
+        for name in self.laws if changed else [next(iter(self.phases))]:
+            self.laws[name].check_states(x, rate, changed=changed)
 
     def check_references(self, x: Snapshot, ref: Reference, rate: float) -> None:  # noqa: ARG002
         """What the first phase is to follow, where that is known before."""
