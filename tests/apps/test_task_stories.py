@@ -30,6 +30,10 @@ STORIES = (
     "wrist_alignment",
     "policy_10hz",
     "panda_presses",
+    "panda_erases",
+    "panda_writes",
+    "panda_writes_round",
+    "panda_polishes",
 )
 
 
@@ -183,3 +187,36 @@ def test_policies_are_refused_in_words(old: str, tmp_path: Path) -> None:
     new, words = POLICY[old]
     with pytest.raises(TautError, match=re.escape(words)):
         changed(tmp_path, "policy_10hz", (old, new))
+
+
+# -------------------------------------------------------------------- contact
+
+
+def test_the_phases_of_a_story_tell_what_is_their_own(told: Any) -> None:
+    """What the law of another phase remembered, such as an estimate, is not what this one took for true."""
+    run = told("panda_erases").runs[Trial("", "task")]
+    lying, erasing = run.phase("lie_down"), run.phase("erase")
+    assert "law.lie_down.estimate.normal" in lying.extra
+    assert "law.lie_down.estimate.normal" not in erasing.extra
+    assert erasing.metrics.normal_error < 1.0 < lying.metrics.normal_error
+    assert np.isnan(run.phase("approach").metrics.normal_error)
+
+
+def test_what_sticks_is_held_by_friction_within_its_cone(told: Any) -> None:
+    stuck = told("panda_writes").runs[Trial("", "task")].phase("stick")
+    x, y, z = stuck.extra["F_ext"][-1, :3]
+    assert (x, z) == pytest.approx((-2.5, 10.0), abs=0.05)
+    assert np.hypot(x, y) < 0.4 * z
+    assert np.linalg.norm(stuck.task.twist[-1, :3]) < 1e-3
+
+
+def test_a_round_surface_is_written_on_at_its_speed(told: Any) -> None:
+    wrote = told("panda_writes_round").runs[Trial("", "task")].phase("write")
+    speed = np.linalg.norm(wrote.task.twist[:, :3], axis=1)
+    assert np.median(speed[400:800]) == pytest.approx(0.2, rel=0.01)
+    assert np.ptp(wrote.task.p[:, 2]) > 0.08
+
+
+def test_a_surface_that_is_polished_goes_to_and_fro(told: Any) -> None:
+    polished = told("panda_polishes").runs[Trial("", "task")].phase("polish").between(0.7, 4.1)
+    assert np.abs(polished.task.twist[:, 2]).max() == pytest.approx(0.1, rel=0.05)
