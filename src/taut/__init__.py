@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from taut.control.side_by_side import SideBySide as SideBySide
     from taut.control.side_by_side import together as together
     from taut.control.task_error import Coordinates as Coordinates
+    from taut.control.task_force import TaskForce as TaskForce
     from taut.control.task_reference import TaskMotion as TaskMotion
     from taut.control.task_samples import TaskSamples as TaskSamples
     from taut.control.task_trajectory import Circle as Circle
@@ -126,12 +127,20 @@ if TYPE_CHECKING:
     from taut.runtime.drivers.mujoco import MujocoPlant as MujocoPlant
     from taut.runtime.events import Event as Event
     from taut.runtime.simulate import run as run
+    from taut.study.admissible import Admissible as Admissible
+    from taut.study.contact_modes import FrictionMargin as FrictionMargin
+    from taut.study.freedom_words import FreedomRow as FreedomRow
+    from taut.study.freedoms import Freedoms as Freedoms
+    from taut.study.freedoms import freedoms as freedoms
     from taut.study.impedance import check_impedance as check_impedance
     from taut.study.limits import StiffnessCheck as StiffnessCheck
     from taut.study.limits import StiffnessLimits as StiffnessLimits
     from taut.study.limits import check_stiffness as check_stiffness
     from taut.study.limits import stiffness_limits as stiffness_limits
     from taut.study.sampled import SampledLoop as SampledLoop
+    from taut.study.specification import Specification as Specification
+    from taut.study.specification import check_specification as check_specification
+    from taut.study.specification import possible_specifications as possible_specifications
     from taut.study.tip import check_stiffness_at as check_stiffness_at
     from taut.study.tip import safe_stiffness as safe_stiffness
     from taut.study.wrist import WristCalibration as WristCalibration
@@ -173,6 +182,7 @@ _HOME: Final = {
     "control.sensing": ("Sensing",),
     "control.side_by_side": ("SideBySide", "together"),
     "control.task_error": ("Coordinates",),
+    "control.task_force": ("TaskForce",),
     "control.task_reference": ("TaskMotion",),
     "control.task_samples": ("TaskSamples",),
     "control.task_trajectory": ("Circle", "Line", "Screw"),
@@ -209,9 +219,14 @@ _HOME: Final = {
     "runtime.drivers.mujoco": ("MujocoPlant",),
     "runtime.events": ("Event",),
     "runtime.simulate": ("run",),
+    "study.admissible": ("Admissible",),
+    "study.contact_modes": ("FrictionMargin",),
+    "study.freedom_words": ("FreedomRow",),
+    "study.freedoms": ("Freedoms", "freedoms"),
     "study.impedance": ("check_impedance",),
     "study.limits": ("StiffnessCheck", "StiffnessLimits", "check_stiffness", "stiffness_limits"),
     "study.sampled": ("SampledLoop",),
+    "study.specification": ("Specification", "check_specification", "possible_specifications"),
     "study.tip": ("check_stiffness_at", "safe_stiffness"),
     "study.wrist": ("WristCalibration", "calibrate_wrist"),
     "study.wrist_poses": ("calibration_poses",),

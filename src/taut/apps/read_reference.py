@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from taut.apps.read_force_reference import FORCE_KINDS, read_force_reference
 from taut.apps.read_pose import HomeFrame
 from taut.apps.read_task_reference import TASK_KINDS, read_task_reference
 from taut.apps.toml import Section, file_beside
@@ -39,7 +40,7 @@ POSITIONS: Final = ("q", "q0", "q1", "center", "points")  # which "home" and rel
 def read_reference(
     section: Section, arm: Arm, home: Float64Array, folder: Path, laws: Mapping[str, Law]
 ) -> Reference:
-    """A hold, a set-point or a trajectory, of joints or of the task.
+    """A hold, a set-point or a trajectory, of joints, of the task or of a force.
 
     Args:
         section: [reference]; a hold of the first state if it is empty.
@@ -50,10 +51,12 @@ def read_reference(
     """
     if not section.left:
         return Hold()
-    kind = section.word("kind", ("hold", *JOINT_KINDS, *TASK_KINDS))
+    kind = section.word("kind", ("hold", *JOINT_KINDS, *TASK_KINDS, *FORCE_KINDS))
     if kind == "hold":
         section.done()
         return Hold()
+    if kind in FORCE_KINDS:
+        return read_force_reference(section, kind)
     relative = section.flag("relative_to_home", False)
     if kind in TASK_KINDS:
         T = snapshot(arm, home).T(_controlled_frame(section, laws))

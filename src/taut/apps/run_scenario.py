@@ -89,7 +89,8 @@ class ScenarioResult:
         if self.scenario.spread is not None:
             return self._of_spread(names, joint)
         runs = _apart(self.runs)
-        rows_of = [[one.metrics.by_unit(name, joint) for name in names] for one in runs.values()]
+        window = self.scenario.outputs.window
+        rows_of = [[_within(one, window).by_unit(name, joint) for name in names] for one in runs.values()]
         heads = dict.fromkeys((i, unit) for row in rows_of for i, by_unit in enumerate(row) for unit in by_unit)
         cells = [["case", *(trial.case for trial in runs)]] if self.scenario.cases else []
         cells.append(["law", *(trial.law for trial in runs)])
@@ -103,6 +104,7 @@ class ScenarioResult:
             list(zip(*cells, strict=True)) if needed <= width else [[c.replace("\n", " ") for c in r] for r in cells]
         )
         of_joint = "" if joint is None else f"\nnumbers of joint '{joint}'"
+        of_joint += "" if window is None else f"\nfrom {window[0]:g} to {window[1]:g} s"
         table = Table(title=escape(self.scenario.title + of_joint))
         for head in rows[0]:
             table.add_column(escape(head), overflow="fold")
@@ -126,6 +128,13 @@ class ScenarioResult:
             ended = sum(one.outcome.ok for one in runs.values())
             table.add_row(escape(law), "completed", f"{ended} of {len(runs)}")
         return table
+
+
+def _within(one: Run, window: tuple[float, float] | None) -> Metrics:
+    """The metrics of a run in a window of it; of all of it where it ended before."""
+    if window is None or not len(one) or one.t[-1] < window[0]:
+        return one.metrics
+    return one.between(*window).metrics
 
 
 def _spread_row(values: Mapping[str, float]) -> list[str] | None:
@@ -317,7 +326,9 @@ def _save_plot(scenario: Scenario, runs: Mapping[Trial, Run], path: Path) -> Non
     if scenario.spread is not None:
         figure = spread_figure(drawn)
     elif len(runs) > 1:
-        figure = compare(drawn, measures=wanted.columns, joint=wanted.joint)
+        whole = wanted.window is None or all(one.t[-1] >= wanted.window[1] for one in drawn.values())
+        window = wanted.window if whole else None
+        figure = compare(drawn, measures=wanted.columns, joint=wanted.joint, window=window)
     else:
         figure = next(iter(drawn.values())).plot(joints=joints)
     with written_aside("plot", path) as aside:
@@ -352,7 +363,7 @@ def _missed(figure: PassFigure, runs: Mapping[Trial, Run]) -> Iterator[str]:
     for trial, one in runs.items():
         if trial.law == figure.law and figure.case in (None, trial.case):
             measured = one if figure.part is None else one.part(figure.part)
-            text = _shortfall(figure, measured.metrics)
+            text = _shortfall(figure, _within(measured, figure.window))
             if text is not None:
                 yield f"{trial.label}{'' if figure.part is None else f', {figure.part}'}: {text}"
 

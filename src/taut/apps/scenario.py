@@ -55,6 +55,7 @@ class Outputs:
     shown: Trial  # whose video, log and table are made
     columns: tuple[str, ...] | None  # metrics in the table and the plot; None for the usual ones
     joint: str | None  # whose numbers and motion these are; None for all joints together
+    window: tuple[float, float] | None  # [s] of the run that the table is about; None for all of it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +69,7 @@ class PassFigure:
     part: str | None  # of laws side by side, the one that it is about; None for the whole
     least: float
     most: float
+    window: tuple[float, float] | None  # [s] of the run that it is about; None for all of it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -320,9 +322,10 @@ def _outputs(section: Section, laws: list[str], labels: list[str], cases: list[s
             raise section.error(f"{word} must be a file name ending in {' or '.join(suffixes)}; got {name!r}")
         if len(name.encode()) > MOST_BYTES:
             raise section.error(f"{word} must be a file name of at most {MOST_BYTES} bytes; got {len(name.encode())}")
-    joint = section.text("joint", None)
+    joint, window = section.text("joint", None), _window(section)
     section.done()
     return Outputs(
+        window=window,
         shown=Trial(case or (cases[-1] if cases else ""), shown if shown in laws else laws[-1]),
         columns=None if columns is None else tuple(columns),
         joint=joint,
@@ -344,7 +347,7 @@ def _figure(section: Section, labels: list[str], cases: list[str]) -> PassFigure
     case = _case(section, "case", cases)
     label, metric, joint = section.text("law"), section.text("metric"), section.text("joint", None)
     part = section.text("part", None)
-    least, most = section.number("min", -np.inf), section.number("max", np.inf)
+    least, most, window = section.number("min", -np.inf), section.number("max", np.inf), _window(section)
     section.done()
     if label not in labels:
         raise section.error(f"law must be one of {quoted_list(labels)}; got {label!r}")
@@ -356,5 +359,22 @@ def _figure(section: Section, labels: list[str], cases: list[str]) -> PassFigure
     if least > most:
         raise section.error(f"min must be <= max, which is {most:g}; got {least:g}")
     return PassFigure(
-        case=case, law=label, metric=metric, joint=joint, part=part, least=float(least), most=float(most)
+        case=case,
+        law=label,
+        metric=metric,
+        joint=joint,
+        part=part,
+        least=float(least),
+        most=float(most),
+        window=window,
     )
+
+
+def _window(section: Section) -> tuple[float, float] | None:
+    """window = [start, end] of the run [s]."""
+    given = section.numbers("window", None)
+    if given is None:
+        return None
+    if not isinstance(given, list) or len(given) != 2 or not 0.0 <= given[0] < given[1]:
+        raise section.error(f"window must be [start, end] with 0 <= start < end [s]; got {given}")
+    return float(given[0]), float(given[1])

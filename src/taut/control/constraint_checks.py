@@ -14,7 +14,7 @@ from taut.control.task_reference import TaskMotion
 from taut.maths.constraint import Constraint, ConstraintRows
 from taut.maths.snapshot import Snapshot
 
-__all__ = ["check_constraint", "check_forces", "check_motion", "check_place"]
+__all__ = ["check_constraint", "check_forces", "check_motion", "check_place", "check_surface"]
 
 DEPENDENT: Final = 1e-9  # of the largest singular value, rows scaled to length 1
 OUT_OF_RANGE: Final = 1e-6  # of the wrench
@@ -56,6 +56,28 @@ def check_constraint(constraint: Constraint, x: Snapshot) -> None:
             f"the joints of '{x.arm.name}' cannot press against each row of the constraint {where}: A J has the "
             f"singular values {', '.join(f'{value:.3g}' for value in values)}; start from another pose",
             name="constraint",
+        )
+
+
+def check_surface(constraint: Constraint, x: Snapshot, tool: str | None) -> None:
+    """What is to be estimated is the normal of a surface, at the frame that the motion is of.
+
+    Raises:
+        UsageError: The first row holds rotations only, or is of another frame.
+    """
+    (frame,) = constraint.frame or (None,)
+    own, moved = (x.arm.tool if name is None else name for name in (frame, tool))
+    if own != moved:
+        raise UsageError(
+            f"estimate needs motion and constraint to be of one frame, and these are of '{moved}' and '{own}'",
+            name="estimate",
+        )
+    A = constraint.at(x).A
+    if A is None or np.linalg.norm(np.asarray(A, dtype=np.float64)[0, :3]) < 1e-9:
+        raise UsageError(
+            "estimate is of a surface's normal, and the first row of the constraint holds rotations only; put the "
+            "surface first, or leave it out",
+            name="estimate",
         )
 
 

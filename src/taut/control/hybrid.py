@@ -12,11 +12,19 @@ from taut.base.linalg import factor_spd
 from taut.base.types import Vector
 from taut.control.command import Command, Terms, Torque
 from taut.control.compliance import check_sensor
-from taut.control.constraint_checks import check_constraint, check_forces, check_motion, check_place
+from taut.control.constraint_checks import (
+    check_constraint,
+    check_forces,
+    check_motion,
+    check_place,
+    check_surface,
+)
+from taut.control.constraint_estimate import NEVER, NormalEstimate, along_surface, turn_between, turned_rows
 from taut.control.gains import Gain, Memory
 from taut.control.hybrid_motion import HybridMotion, hybrid_kind
 from taut.control.law import Law, MemoryView, call
 from taut.control.reference import Reference, Sample
+from taut.control.task_reference import TaskMotion
 from taut.maths.constrained import Constrained
 from taut.maths.constraint import Constraint, ConstraintRows
 from taut.maths.snapshot import Snapshot
@@ -60,9 +68,11 @@ class HybridMotionForce(Law):
         feedback: With kfp or kfi, what measures the force: "wrench" or "joint_torque".
         curvature: Whether the term of that name is in the law.
         tolerance: How far phi may be from zero where a run starts [m, rad].
+        estimate: `taut.laws.NormalEstimate()` where it is not well known where the surface faces: the law is then that
+            of the constraint turned as force and motion show it, and the reference is followed along it.
 
     Raises:
-        UsageError: No constraint, or no law of motion that gives torques.
+        UsageError: No constraint, or no law of motion that gives torques; an estimate of what is no surface.
         MatchError: A wrist sensor that knows nothing of the constraint's frame.
 
     Example:
@@ -88,6 +98,7 @@ class HybridMotionForce(Law):
     feedback: ForceFeedback = "wrench"
     curvature: bool = True
     tolerance: float = 0.01
+    estimate: Law | None = None
     e_int: Memory = Memory(0.0)  # [N s, N m s]
     lam: Memory = Memory(0.0)  # multipliers by eq. 10.42 of what is commanded [N, N m]
     phi: Memory = Memory(0.0)  # [m, rad]
@@ -116,7 +127,21 @@ class HybridMotionForce(Law):
                 "several frames take feedback='joint_torque', or leave kfp and kfi out",
                 name="feedback",
             )
+        if self.estimate is not None:
+            self._check_estimate()
         object.__setattr__(self, "reference", hybrid_kind(self.motion.reference))
+
+    def _check_estimate(self) -> None:
+        if not isinstance(self.estimate, NormalEstimate):
+            raise UsageError(
+                f"estimate holds taut.laws.NormalEstimate(); got {type(self.estimate).__name__}", name="estimate"
+            )
+        if self.natural.frame is None or self.motion.reference is not TaskMotion:
+            raise UsageError(
+                "estimate is for a surface that one frame touches, and a motion of that frame, such as "
+                "TaskComputedTorque; leave it out",
+                name="estimate",
+            )
 
     @property
     def natural(self) -> Constraint:
@@ -142,9 +167,11 @@ class HybridMotionForce(Law):
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
         check_constraint(self.natural, x)
-        if self.measures and self.feedback == "wrench":
+        if (self.measures and self.feedback == "wrench") or self.estimate is not None:
             frame = self.natural.frame
             check_sensor(x, None if frame is None else frame[0])
+        if self.estimate is not None:
+            check_surface(self.natural, x, self.motion.controlled_frame)
 
     def check_reference(self, x: Snapshot, ref: Reference, rate: float) -> None:  # noqa: ARG002
         """The run starts on the constraint, forces can be applied against it, and the motion keeps to it.
@@ -157,9 +184,12 @@ class HybridMotionForce(Law):
         check_motion(self.natural, x, ref, self.motion.controlled_frame, self.tolerance)
 
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, object]]:
-        rows = self.natural.at(x)
+        rows, follow, estimated = self.natural.at(x), ref.motion, None
+        if isinstance(self.estimate, NormalEstimate):
+            rows, estimated = self._estimated(self.estimate, x, rows, memory["estimate"], dt)
+            follow = along_surface(x, rows, follow, self.motion.controlled_frame)
         held = Constrained.of(rows, x.M_factors)
-        command, motion = call(self.motion, x, ref.motion, memory["motion"], dt)
+        command, motion = call(self.motion, x, follow, memory["motion"], dt)
         if not isinstance(command, Torque):
             raise UsageError(
                 f"motion holds a law that gives torques, and {type(self.motion).__name__} gives a {command.kind}",
@@ -173,7 +203,24 @@ class HybridMotionForce(Law):
         tau = command.terms.mapped(held.along) + Terms(nonlinear=held.against(x.h)) + force.mapped(held.pressing)
         told = lam.total if self.curvature else lam.total + curved
         after: dict[str, object] = {"motion": motion, "e_int": e_int, "lam": told, "phi": rows.phi}
+        if estimated is not None:
+            after["estimate"] = estimated
         return Torque(tau), after
+
+    def _estimated(
+        self, estimate: NormalEstimate, x: Snapshot, stated: ConstraintRows, memory: Any, dt: Any
+    ) -> tuple[ConstraintRows, dict[str, object]]:
+        """The rows as they are turned by the estimate of the first one's normal, and its memory."""
+        assert self.natural.frame is not None
+        assert stated.A is not None
+        V = x.twist(*self.natural.frame)
+        size = tm.sqrt(stated.A[0, :3] @ stated.A[0, :3] + NEVER)
+        n_0 = stated.A[0, :3] / size
+        over = V[:3] + ((stated.A[0, 3:] @ V[3:] + stated.phi_t[0]) / size) * n_0
+        tilt = estimate.updated(memory["tilt"], n_0, over, x.F_ext[:3], dt)
+        n = n_0 + tilt
+        n = n / tm.sqrt(n @ n + NEVER)
+        return turned_rows(self.natural, x, turn_between(n_0, n)), {"tilt": tilt, "normal": n}
 
     def _multipliers(
         self, x: Snapshot, rows: ConstraintRows, held: Constrained, ref: Any, memory: MemoryView, dt: Any

@@ -17,17 +17,19 @@ from taut.control.compliance import (
     FRAMES,
     Compliance,
     GainFrame,
-    bounded_force,
     check_frame,
     check_sensor,
+    eased_spring,
     modal_damping,
-    of_energy,
     six_gains,
+    spring,
     wrench_at,
 )
 from taut.control.gains import Gain, GainValue
 from taut.control.law import Law, MemoryView
 from taut.control.nullspace import Posture
+from taut.control.spring import Bound
+from taut.control.targets import asked_of, calm_torque, out_of_reach
 from taut.control.task import check_error_max, check_null, null_torque
 from taut.control.task_error import ERRORS, Coordinates, ErrorKind, check_coordinates, dimensions
 from taut.control.task_reference import TaskMotion
@@ -65,6 +67,9 @@ class Impedance(Law):
     The wrench of the spring is the gradient of X_e . K X_e / 2, so that a stiffness that differs by direction gains
     nothing along a closed path; it is K X_e itself where X_e is along an axis of K. With zeta= the damping is
     designed at each pose from K and the inertia that is felt, D or Lambda(q): zeta is the damping ratio of each mode.
+
+    To a target that is certainly out of reach the torque is that of the spring alone, without error_max eased to 0.05
+    of the reach, 0.3 rad, on joints that settle at 5/s within their speed limits: the term `reach`, else zero.
 
     Frames:
         frame= names the axes of K, B and D: "world", "task" (of the reference pose) or "tool".
@@ -220,16 +225,14 @@ class Impedance(Law):
         error, after = felt.error, dict[str, object]()
         inertia = self.inertia_of(x, error.J)
         K, D = self.gain_at("K", x), self.gain_at("D", x) if self.has("D") else None
+        bound = Bound.of(self.error_max) if self.gives("error_max") else None
         if self.gives("tank"):
-            K, D, share = self._paid(felt, K, D, memory, dt)
+            K, D, share = self._paid(felt, bound, K, D, memory, dt)
             after |= {"K_now": K.as_array()} | ({} if D is None else {"D_now": D.as_array()})
-        spring = Terms(P=K @ felt.X)
-        if self.gives("error_max"):
-            spring = spring + Terms(bound=bounded_force(K, felt.X, self.error_max) - K @ felt.X)
         damping = self._damping(x, felt, K, D, inertia)
         if self.gives("tank"):
             after["energy"] = self._filled(memory.energy, share, self._braked(x, felt, damping), dt)
-        wrench = spring.mapped(felt.wrench) + Terms(D=damping)
+        wrench = spring(felt, K, bound).mapped(felt.wrench) + Terms(D=damping)
         cancels = self.coriolis == "cancel"
         motion = Terms(feedforward=error.acceleration)
         if cancels:
@@ -254,6 +257,10 @@ class Impedance(Law):
         if self.null is not None and x.n > self.dimensions:  # else there is no free motion
             free, after["null"] = null_torque(self.null, x, ref, memory["null"], dt, inertia)
             tau = tau + free
+        away = out_of_reach(x, ref, self.tool, asked_of(self.error, self.coordinates))
+        if away is not None:
+            calm = calm_torque(x, error.J, eased_spring(felt, K, bound, away))
+            tau = tau.up_to(tau.total + away.clear * (calm - tau.total), "reach")
         return Torque(tau), after
 
     def _damping(
@@ -267,12 +274,12 @@ class Impedance(Law):
         return modal_damping(factor_spd(matrix), K.matrix(self.dimensions), self.zeta.as_array(), felt.V)
 
     def _paid(
-        self, felt: Compliance, K: GainValue, D: GainValue | None, memory: MemoryView, dt: Any
+        self, felt: Compliance, bound: Bound | None, K: GainValue, D: GainValue | None, memory: MemoryView, dt: Any
     ) -> tuple[GainValue, GainValue | None, Any]:
         """The gains after this tick on their way to new ones, as far as the tank pays; and what it paid [J]."""
         settled = dt / tm.maximum(self.settle.as_array(), dt)
         dK = GainValue((K.as_array() - memory.K_now) * settled, "K")
-        X = of_energy(felt.X, self.error_max) if self.gives("error_max") else felt.X
+        X = felt.X if bound is None else bound.stretch(felt.X)
         cost = 0.5 * (X @ (dK @ X))
         dD = None
         if D is not None:
@@ -381,6 +388,9 @@ class Stiffness(Law):
     Closed loop:  M a + C v + kd v = J^T (K X_e + F_ext): F_ext = -K X_e at rest
                   the energy of arm and spring falls at the rate v . kd v, and stays with kd = 0
 
+    To a target that is certainly out of reach the spring is eased, without error_max, to 0.05 of the reach, 0.3 rad:
+    the term `reach`, else zero.
+
     Frames:
         frame= names the axes of K: "world", "task" (of the reference pose) or "tool".
 
@@ -419,8 +429,9 @@ class Stiffness(Law):
 
     def command(self, x: Snapshot, ref: TaskMotion) -> Command:
         felt = Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
-        spring = Terms(P=self.K @ felt.X)
-        if self.gives("error_max"):
-            spring = spring + Terms(bound=bounded_force(self.K, felt.X, self.error_max) - self.K @ felt.X)
-        wrench = spring.mapped(felt.wrench).mapped(felt.outwards)
+        bound = Bound.of(self.error_max) if self.gives("error_max") else None
+        wrench = spring(felt, self.K, bound).mapped(felt.wrench).mapped(felt.outwards)
+        away = out_of_reach(x, ref, self.tool, asked_of(self.error, self.coordinates))
+        if away is not None and bound is None:
+            wrench = wrench.up_to(eased_spring(felt, self.K, None, away), "reach")
         return Torque(felt.error.J.T @ wrench + Terms(gravity=x.g, D=-(self.kd @ x.v)))

@@ -74,7 +74,8 @@ class Law:
     * optionally `check_state(self, x, rate)`, which refuses gains that have no meaning where a run starts;
     * optionally `check_reference(self, x, ref, rate)`, which refuses what a run is to follow from there;
     * `reference`, the kind of sample it follows (JointMotion unless said);
-    * `recorded`, the entries of its memory that a run keeps as further columns (none unless said).
+    * `recorded`, the entries of its memory that a run keeps as further columns (none unless said);
+    * `notices`, pairs of a recorded entry and what the outcome of a run says where that is not zero.
 
     Laws add: `FeedForward() + PID(kp=..., kd=...)`. A law must not inherit from another one: it holds it in a field.
     A law that it holds in `inner: taut.Law` starts with it, and is called as
@@ -84,6 +85,7 @@ class Law:
     reference: ClassVar[type[Sample]] = JointMotion
     ignores_reference: ClassVar[bool] = False  # such a law adds to, and is held by, laws of every kind of sample
     recorded: ClassVar[tuple[str, ...]] = ()
+    notices: ClassVar[tuple[tuple[str, str], ...]] = ()  # recorded entry, and what an outcome says where it is not 0
     uses_memory: ClassVar[bool] = False
 
     def __init_subclass__(cls) -> None:
@@ -345,7 +347,8 @@ def _check_arguments(cls: type[Law]) -> None:
             if isinstance(gain, Gain) and not gain.has_meaning(self):
                 assert gain.where is not None
                 other, value = gain.where
-                case = f"{other}=" if value is ... else f"{other}='{value}'"
+                words = value if isinstance(value, tuple) else (value,)
+                case = f"{other}=" if value is ... else f"{other}=" + " or ".join(f"'{word}'" for word in words)
                 raise UsageError(
                     f"{cls.__name__}: {name} is for {case}, and this one has {getattr(self, other)!r}; leave it out",
                     name=name,

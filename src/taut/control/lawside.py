@@ -234,6 +234,11 @@ class LawSide:
         """Paths of the memory that a run keeps, as it is after each tick: law.ik_error."""
         return tuple(f"{path}.{name}" for path, law in all_laws(self.law, "law") for name in law.recorded)
 
+    @cached_property
+    def notices(self) -> dict[str, str]:
+        """What a run's outcome says where a recorded entry of the memory is not zero, by path."""
+        return {f"{path}.{name}": text for path, law in all_laws(self.law, "law") for name, text in law.notices}
+
     @property
     def needs(self) -> tuple[str, ...]:
         """What the law side asks to be measured, beyond positions."""

@@ -13,7 +13,7 @@ from taut.base.checks import one_of, vector
 from taut.base.errors import MatchError, UsageError, unknown_name
 from taut.base.linalg import LTDL
 from taut.base.pose import Pose
-from taut.base.types import Array, ArrayLike, Matrix, Twist, Vector, Wrench
+from taut.base.types import Array, ArrayLike, Matrix, Rotation, Twist, Vector, Wrench
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
 from taut.maths.model import Model, PayloadValues, model_of
@@ -327,6 +327,21 @@ class Snapshot:
             used=self.used,
             elsewhere=self.elsewhere,
         )
+
+    def turned(self, R: Rotation, frame: str | None = None) -> Snapshot:
+        """The same state, with the motion of a frame told in axes that are turned by R about its origin.
+
+        Its pose is the same, its twist and Jacobian are those of here times R^T: what a constraint sees that is turned
+        by R.
+        """
+        twin = self.with_own_record()
+        twin.used = self.used
+        twin._cache = {
+            ("T", frame): self.T(frame),
+            ("J", frame, "W"): tm.array([*(R.T @ self.J(frame)[:3]), *(R.T @ self.J(frame)[3:])]),
+            ("Jdot_v", frame, "W"): tm.array([*(R.T @ self.Jdot_v(frame)[:3]), *(R.T @ self.Jdot_v(frame)[3:])]),
+        }
+        return twin
 
     def with_own_record(self) -> Snapshot:
         """The same snapshot, shared, with a record of its own of what is asked for."""

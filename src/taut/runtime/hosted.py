@@ -145,7 +145,8 @@ class HostedRun:
         words, joint = trouble
         who = None if joint is None else self._side.arm.joint_names[joint]
         where = f" at t = {tape.inputs['t'][k]:.6g} s (tick {k})" + (f", joint '{who}'" if who else "")
-        return Outcome(kind="diverged", message=f"the simulation diverged{where}: {words}", tick=k, joint=who)
+        message = f"the simulation diverged{where}: {words}{self.tape.out_of_reach(k + 1)}"
+        return Outcome(kind="diverged", message=message, tick=k, joint=who)
 
     def _apply(self, values: Mapping[str, ArrayLike]) -> Float64Array | None:
         """New values of parameters; those of the controller before, where a blend takes up the change."""
