@@ -157,6 +157,19 @@ def test_on_a_rigid_contact_kfp_and_half_of_kfi_dt_are_below_one(gains: Any, sta
     assert (sizes[-1] > 10.0 * sizes[0]) != stable
 
 
+@pytest.mark.parametrize(("kfp", "kfi", "stable"), [(0.9, 0.0, True), (1.05, 0.0, False), (0.5, 900.0, True), (0.5, 1100.0, False)])  # fmt: skip
+def test_so_it_is_in_a_plant_with_a_rigid_floor(kfp: float, kfi: float, stable: bool) -> None:
+    arm = arm_of("gantry3")
+    floor = taut.Constraint.plane(point=taut.snapshot(arm, arm.home).T().p, normal=[0.0, 0.0, 1.0])
+    law = L.ForceControl(kfp=kfp, kfi=kfi, kdamp=(20.0, 1.0), null=None, e_int_max=(1e6, 1e6))
+    plant = taut.RigidPlant(arm, friction=None, contact=taut.RigidContact(constraint=floor))
+    press = taut.TaskForce(F_app=[0, 0, -10.0, 0, 0, 0])
+    out = taut.run(taut.compile(law, arm), plant, press, duration=0.2)
+    left = np.abs(out.extra["F_ext"][100:, 2] - 10.0).max()
+    assert (left < 0.1) == stable
+    assert (left > 5.0) != stable
+
+
 @pytest.mark.parametrize(("substeps", "lag"), [(1, 1.0), (10, 0.55)])
 @pytest.mark.parametrize(("kfp", "kdamp", "b"), [(0.5, 50.0, 0.0), (2.0, 50.0, 20.0)])
 def test_on_a_springy_contact_the_lag_of_the_force_takes_kfp_k_lag_from_the_damping(

@@ -216,7 +216,7 @@ class TestRunTakes:
         [
             (
                 lambda: taut.run(PID, plant(), duration=1.0),  # type: ignore[arg-type]
-                "run takes a controller from taut.compile, or a taut.Loop; got PID",
+                "run takes a controller from taut.compile, a taut.Loop, or a list of taut.Phase; got PID",
             ),
             (
                 lambda: taut.run(compiled(), duration=1.0),

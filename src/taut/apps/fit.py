@@ -17,8 +17,10 @@ from taut.arm.angles import require_radians
 from taut.arm.description import Arm
 from taut.base.errors import TautError, quoted_list, unknown_name
 from taut.base.types import Float64Array
+from taut.control.hybrid_motion import HybridMotion, Pressing, hybrid_kind
 from taut.control.law import Law
 from taut.control.lawside import LawSide
+from taut.control.phases import Phases
 from taut.control.reference import Chunk, Hold, JointMotion, Reference, Sample, Stream, Trajectory, sample_rows
 from taut.control.side_by_side import SideBySide
 from taut.control.task_force import TaskForce
@@ -28,7 +30,7 @@ from taut.control.task_trajectory import Circle, Line, Screw
 from taut.controller import compile
 from taut.loop import check_fit, state_at_start
 from taut.plant.rigid import RigidPlant
-from taut.record.metrics import MEASURES, OF_FORCE, OF_JOINT_MOTION, OF_STEPS, OF_TASK_MOTION
+from taut.record.metrics import MEASURES, OF_FORCE, OF_JOINT_MOTION, OF_PRESSING, OF_STEPS, OF_TASK_MOTION
 from taut.runtime.events import Event, sorted_events
 
 if TYPE_CHECKING:
@@ -43,9 +45,15 @@ GLANCES: Final = 200  # at a trajectory
 ERRORS_OF: Final[Mapping[type[Sample], tuple[str, ...]]] = {
     JointMotion: OF_JOINT_MOTION,
     TaskMotion: OF_TASK_MOTION,
+    hybrid_kind(TaskMotion): (*OF_TASK_MOTION, *OF_PRESSING),
     TaskForce: OF_FORCE,
 }
-WHOSE: Final[Mapping[type[Sample], str]] = {JointMotion: "joints", TaskMotion: "the tool", TaskForce: "forces"}
+WHOSE: Final[Mapping[type[Sample], str]] = {
+    JointMotion: "joints",
+    TaskMotion: "the tool",
+    hybrid_kind(TaskMotion): "a contact",
+    TaskForce: "forces",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +130,11 @@ def _check_kind(reference: Reference, label: str, law: Law, section: Section) ->
     given, wanted = _kind_of(reference), law.reference
     if isinstance(reference, Hold) or given is wanted:
         return
-    kinds = {TaskMotion: list(TASK_KINDS), TaskForce: list(FORCE_KINDS)}.get(wanted, list(JOINT_KINDS))
+    kinds = {
+        TaskMotion: list(TASK_KINDS),
+        hybrid_kind(TaskMotion): list(TASK_KINDS),
+        TaskForce: list(FORCE_KINDS),
+    }.get(wanted, list(JOINT_KINDS))
     raise section.error(
         f"kind gives a {given.__name__}, and the law '{label}' follows a {wanted.__name__}; take one of "
         f"{quoted_list(['hold', *kinds], most=len(kinds) + 1)}"
@@ -135,6 +147,8 @@ def _kind_of(reference: Reference) -> type[Sample]:
         return type(reference.samples[0])
     if isinstance(reference, TaskForce):
         return TaskForce
+    if isinstance(reference, (HybridMotion, Pressing)):
+        return hybrid_kind(TaskMotion)
     of_task = isinstance(reference, (TaskMotion, Line, Screw, Circle, TaskSamples, Stream))  # of a policy of the tool
     return TaskMotion if of_task else JointMotion
 
@@ -190,6 +204,11 @@ def _part(part: str, label: str, law: Law | None, section: Section) -> Law | Non
     """One of laws side by side."""
     if law is None:
         return None
+    if isinstance(law, Phases):
+        if part not in law.phases:
+            with section.blamed("part"):
+                raise unknown_name("the task", "phase", part, law.phases)
+        return law.laws[part]
     if not isinstance(law, SideBySide):
         raise section.error(f"part is for laws side by side, and '{label}' is one law; leave part out")
     if part not in law.parts:

@@ -17,6 +17,7 @@ from taut.arm.angles import require_radians
 from taut.arm.description import Arm
 from taut.base.checks import finite_array
 from taut.base.types import Float64Array
+from taut.control.hybrid_motion import pressing
 from taut.control.law import Law
 from taut.control.reference import Hold, JointMotion, Reference
 from taut.control.trajectory import Cubic, JerkLimited, Quintic, Samples, Sine, Spline, Trapezoidal
@@ -60,7 +61,10 @@ def read_reference(
     relative = section.flag("relative_to_home", False)
     if kind in TASK_KINDS:
         T = snapshot(arm, home).T(_controlled_frame(section, laws))
-        return read_task_reference(section, kind, HomeFrame(T, relative=relative), folder)
+        press = section.number("press", None)
+        motion = read_task_reference(section, kind, HomeFrame(T, relative=relative), folder)
+        with section.blamed("press"):
+            return motion if press is None else pressing(motion, press)  # type: ignore[arg-type]  # it refuses streams
     origin = np.zeros(arm.n) if relative else home
     file = section.text("file", None) if kind == "samples" else None
     if file is None:

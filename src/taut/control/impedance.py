@@ -59,7 +59,8 @@ class Impedance(Law):
                   with X_des at rest the deviation x = -X_e obeys D x_ddot + B x_dot + K x = F_ext
                   a tracking error is what F_ext makes, K^-1 F_ext at rest, and what the model does not know
                   feedback="acceleration" is an algebraic loop, closed a tick late: stable where the eigenvalues of
-                    Lambda^-1 (D + B dt / 2) are above 0 and below 2, and refused where a run starts elsewhere
+                    Lambda^-1 (D + B dt / 2) are above 0 and below 2, and refused elsewhere: where a run starts, and
+                    where the arm is when gains change
                   a sampled loop is passive at constant gains and X_des with B and friction of K dt / 2 and more
                   coriolis="keep" leaves C v where it is: then without D the energy of arm and spring falls at the
                     rate V . B V, which that of the cancelled form does about rest only
@@ -178,11 +179,16 @@ class Impedance(Law):
         ref = TaskMotion.at_rest(x, self.tool)
         felt = Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
         check_directions(x, self.tool, felt.error.J)
-        if not self.has("D"):
-            return
-        if self.feedback == "wrench":
+        if self.has("D") and self.feedback == "wrench":
             check_sensor(x, self.tool)
+        self.check_change(x, rate)
+
+    def check_change(self, x: Snapshot, rate: float) -> None:
+        """0 < eig(Lambda^-1 (D + B dt / 2)) < 2, where feedback="acceleration" needs it."""
+        if not self.has("D") or self.feedback == "wrench":
             return
+        ref = TaskMotion.at_rest(x, self.tool)
+        felt = Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
         inverse = felt.error.J @ x.M_factors.solve(felt.error.J.T)
         size = self.dimensions
         K, D = self.gain_at("K", x).matrix(size), self.gain_at("D", x).matrix(size)
@@ -199,8 +205,8 @@ class Impedance(Law):
             raise RangeError(
                 "feedback='acceleration' uses the acceleration of the tick before, which is stable where the "
                 "eigenvalues of Lambda^-1 (D + B dt / 2) are above 0 and below 2; at this pose they are "
-                f"{low:.3g} to {high:.3g}; "
-                "change D, or take feedback='wrench' with a wrist sensor",
+                f"{low:.3g} to {high:.3g}; {_way_out(low, high, self.has('B'))}, or take feedback='wrench' with "
+                "a wrist sensor",
                 name="D",
                 value=high,
                 rule="0 < eig(Lambda^-1 (D + B dt / 2)) < 2",
@@ -312,6 +318,14 @@ def _at_frame(law: Impedance, x: Snapshot, inertia: TaskInertia) -> Wrench:
         out: Array = inertia.Lambda @ inertia.acceleration(x.J(law.tool).T @ F)
         return out
     return F
+
+
+def _way_out(low: float, high: float, given: bool) -> str:
+    """What would do; a designed B falls with the root of D only."""
+    if low <= 0.0:
+        return "make D and B positive in every direction"
+    share = 1.9 / high if given else (1.9 / high) ** 2
+    return f"{'D and B' if given else 'D'} times {np.floor(100.0 * share) / 100.0:g} would do there"
 
 
 def _check_damping(B: bool, zeta: bool) -> None:

@@ -20,6 +20,7 @@ from taut.control.limiting import LIMIT_TERMS
 from taut.control.task_reference import TaskMotion
 from taut.record.felt import felt_measures
 from taut.record.force import force_error
+from taut.record.pressed import pressed_measures
 from taut.record.step import step_response
 from taut.record.sticking import reversal_error, stuck
 from taut.record.task import TOOL
@@ -98,6 +99,12 @@ MEASURES: Final = {
         "moment RMS", "N m", "RMS of the norm of the error of the moment that the arm applies"
     ),
     "moment_error_peak": of_tool("moment peak", "N m", "peak of the norm of that error"),
+    "press_rms": of_tool("press RMS", "N", "RMS of the error of the force along the true normal"),
+    "press_peak": of_tool("press peak", "N", "peak of the error of the force along the true normal"),
+    "largest_press": of_tool("largest press", "N", "peak of the force along the true normal"),
+    "surface_rms": of_tool("surface RMS", "m", "RMS of the tool's position error along the true surface"),
+    "surface_peak": of_tool("surface peak", "m", "peak of the tool's position error along the true surface"),
+    "normal_error": of_tool("normal error", "deg", "angle between the normal of the law and the true one at the end"),
     "contact_lost_time": of_tool("contact lost", "s", "time in which the tool met less than was asked for"),
     "impedance_error": of_tool("against eq. 10.48", "%", "RMS difference to eq. 10.48 integrated, of its RMS"),
     "felt_mass": of_tool("felt mass", "kg", "m of F_ext - K x = m a + b v, by least squares"),
@@ -107,6 +114,7 @@ MEASURES: Final = {
 OF_STEPS: Final = ("overshoot", "settling_time", "steady_state_error")  # which only a set-point has
 OF_JOINT_MOTION: Final = (*OF_STEPS, "rms_error", "peak_error", "final_error", "stuck_time", "reversal_error")
 OF_FORCE: Final = ("force_error_rms", "force_error_peak", "moment_error_rms", "moment_error_peak")
+OF_PRESSING: Final = ("press_rms", "press_peak", "surface_rms", "surface_peak", "normal_error")
 OF_TASK_MOTION: Final = (
     "task_rms",
     "task_peak",
@@ -175,6 +183,13 @@ class Metrics:
         force_error_peak: [N] the largest of that error.
         moment_error_rms: [N m] the same of the moment at the tool's origin.
         moment_error_peak: [N m]
+        press_rms: [N] root of the mean square of the error of the force into a surface: `press` less what the
+            contacts give along their true normals, which a MujocoPlant with a scene tells.
+        press_peak: [N] its largest.
+        largest_press: [N] the largest force along the true normals, such as of an impact.
+        surface_rms: [m] root of the mean square of the tool's position error across the true normal, in contact.
+        surface_peak: [m] its largest.
+        normal_error: [deg] angle between the estimated normal and the true one, when the tool last touched.
         contact_lost_time: [s] in which a law of force measured less than counts as contact while more was asked for.
         impedance_error: [%] RMS distance of the tool from where eq. 10.48, integrated with the run's own F_ext and
             the law's K, B and D, puts it; of that equation's RMS deviation. Without D the inertia, and with zeta the
@@ -228,6 +243,12 @@ class Metrics:
     force_error_peak: float
     moment_error_rms: float
     moment_error_peak: float
+    press_rms: float
+    press_peak: float
+    largest_press: float
+    surface_rms: float
+    surface_peak: float
+    normal_error: float
     contact_lost_time: float
     impedance_error: float
     felt_mass: float
@@ -382,7 +403,7 @@ def _of_tool(run: Run) -> dict[str, Any]:
     lost = [column for name, column in run.extra.items() if name.startswith("law.") and name.endswith(".lost")]
     if lost:
         out["contact_lost_time"] = float(np.sum((np.max(lost, axis=0)[:-1] != 0.0) * np.diff(run.t)))
-    return out | felt_measures(run)
+    return out | pressed_measures(run) | felt_measures(run)
 
 
 def _rms(x: Float64Array) -> Float64Array:

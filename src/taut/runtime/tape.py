@@ -12,10 +12,12 @@ from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
 from taut.control.lawside import LawSide
+from taut.control.phases import Phases
 from taut.control.targets import far_away, may_bound
 from taut.loop import AnyPlant
 from taut.maths.snapshot import Snapshot
 from taut.record.outcome import Outcome
+from taut.record.phases import told, windows
 from taut.record.run import Run
 
 __all__ = ["RowLog", "Tape"]
@@ -113,7 +115,16 @@ class Tape:
                 "where a real one meets its stop"
             )
         message += self._remarks(ticks) + self.out_of_reach(ticks)
-        return Outcome(kind="completed", message=message, tick=ticks - 1)
+        return self.with_phases(Outcome(kind="completed", message=message, tick=ticks - 1))
+
+    def with_phases(self, outcome: Outcome) -> Outcome:
+        """The outcome with how the phases of a task ended, where the law is one."""
+        law = self._side.law
+        if not isinstance(law, Phases) or outcome.tick < 0:
+            return outcome
+        rows = slice(outcome.tick + 1)
+        phase, ended = (self.outputs[name][rows] for name in ("phase", "phase_ended"))
+        return told(windows(law.names, phase, ended, self.inputs["t"][rows]), outcome)
 
     def _remarks(self, ticks: int) -> str:
         """Which sensors were at their range in the first ticks of the run, and what the law has to say of them."""
@@ -126,10 +137,17 @@ class Tape:
                     f"ticks, first at t = {self.inputs['t'][at[0]]:.6g} s"
                 )
         for path, text in self._side.notices.items():
-            at = np.flatnonzero(self.outputs[path][:ticks])
+            at = np.flatnonzero(self.outputs[path][:ticks] * self._acting(path, ticks))
             if len(at):
                 said += f"; {text} in {len(at)} of {ticks} ticks, first at t = {self.inputs['t'][at[0]]:.6g} s"
         return said
+
+    def _acting(self, path: str, ticks: int) -> Float64Array:
+        """(ticks,) 1.0 where the law with this memory acts: in a task, in its phase; else in all ticks."""
+        law = self._side.law
+        if not isinstance(law, Phases):
+            return np.ones(ticks)
+        return np.asarray(self.outputs["phase"][:ticks] == law.names.index(path.split(".")[1]), dtype=np.float64)
 
     def out_of_reach(self, ticks: int) -> str:
         """Whether targets of the first ticks were certainly out of the tool's reach, and by how much."""
@@ -143,6 +161,12 @@ class Tape:
             f"; the target was out of the tool's reach in {len(at)} of {ticks} ticks, by {away[worst]:.3g} m at "
             f"least at t = {self.inputs['t'][worst]:.6g} s; bring it nearer"
         )
+
+    def refused(self, tick: int, new: Mapping[str, object], error: RangeError) -> Outcome:
+        """The outcome of a run that ends before an event, whose new values have no meaning there."""
+        t = self.inputs["t"][tick]
+        message = f"stopped at t = {t:.6g} s, before the event that sets {', '.join(new)}: {error}"
+        return Outcome(kind="stopped", message=message, tick=tick - 1)
 
     def is_sane(self, tick: int) -> bool:
         """Whether the arm's motion in a row is one that an arm can have: then what is wrong is the law."""

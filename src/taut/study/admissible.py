@@ -90,13 +90,14 @@ def asked(
 
 def _of_pressing(A: Float64Array, pressed: HybridMotion) -> Float64Array:
     gradient = float(np.linalg.norm(A[0, :3]))
-    if np.any(pressed.press) and gradient < 1e-9:
+    press = np.asarray(pressed.press, dtype=np.float64).item()
+    if press and gradient < 1e-9:
         raise UsageError(
             "press is a force, and the first row of the constraint holds rotations only; give lam=", name="press"
         )
     lam = np.array(pressed.lam[: len(A)], dtype=np.float64)
-    if np.any(pressed.press):
-        lam[0] -= float(pressed.press) / gradient
+    if press:
+        lam[0] -= press / gradient
     return np.asarray(np.asarray(pressed.F_app, dtype=np.float64) + A.T @ lam)
 
 

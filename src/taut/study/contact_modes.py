@@ -137,6 +137,12 @@ def held_rows(
     whole, lifted = A, np.column_stack([A[gone], phi_t[gone]])
     A, phi_t, own = A[kept], phi_t[kept], tuple(sides[i] for i in kept)
     contacts = _contacts(A, own, origin, point) if friction and origin is not None else ()
+    if friction and mode != "apart" and not contacts:
+        raise UsageError(
+            "friction is for a contact that bears a force, and no row of this constraint is one: say one_sided=True, "
+            "or leave it out",
+            name="friction",
+        )
     if mode == "stick":
         A = np.vstack([A, *(contact.along for contact in contacts)])
         more = len(A) - len(phi_t)
