@@ -55,10 +55,18 @@ if TYPE_CHECKING:
     from taut.control.filters import Notch as Notch
     from taut.control.gains import Gain as Gain
     from taut.control.gains import Memory as Memory
+    from taut.control.guards import Lasting as Lasting
+    from taut.control.guards import contact as contact
+    from taut.control.guards import lasting as lasting
+    from taut.control.guards import moved as moved
+    from taut.control.guards import no_contact as no_contact
+    from taut.control.guards import reached as reached
+    from taut.control.guards import settled as settled
     from taut.control.hybrid_motion import HybridMotion as HybridMotion
     from taut.control.hybrid_motion import pressing as pressing
     from taut.control.law import Law as Law
     from taut.control.limits import Limits as Limits
+    from taut.control.phase import Phase as Phase
     from taut.control.reference import JointMotion as JointMotion
     from taut.control.reference import chunk as chunk
     from taut.control.reference import hold as hold
@@ -66,6 +74,7 @@ if TYPE_CHECKING:
     from taut.control.sensing import Sensing as Sensing
     from taut.control.side_by_side import SideBySide as SideBySide
     from taut.control.side_by_side import together as together
+    from taut.control.steady import Steady as Steady
     from taut.control.task_error import Coordinates as Coordinates
     from taut.control.task_force import TaskForce as TaskForce
     from taut.control.task_reference import TaskMotion as TaskMotion
@@ -127,12 +136,20 @@ if TYPE_CHECKING:
     from taut.runtime.drivers.mujoco import MujocoPlant as MujocoPlant
     from taut.runtime.events import Event as Event
     from taut.runtime.simulate import run as run
+    from taut.study.admissible import Admissible as Admissible
+    from taut.study.contact_modes import FrictionMargin as FrictionMargin
+    from taut.study.freedom_words import FreedomRow as FreedomRow
+    from taut.study.freedoms import Freedoms as Freedoms
+    from taut.study.freedoms import freedoms as freedoms
     from taut.study.impedance import check_impedance as check_impedance
     from taut.study.limits import StiffnessCheck as StiffnessCheck
     from taut.study.limits import StiffnessLimits as StiffnessLimits
     from taut.study.limits import check_stiffness as check_stiffness
     from taut.study.limits import stiffness_limits as stiffness_limits
     from taut.study.sampled import SampledLoop as SampledLoop
+    from taut.study.specification import Specification as Specification
+    from taut.study.specification import check_specification as check_specification
+    from taut.study.specification import possible_specifications as possible_specifications
     from taut.study.tip import check_stiffness_at as check_stiffness_at
     from taut.study.tip import safe_stiffness as safe_stiffness
     from taut.study.wrist import WristCalibration as WristCalibration
@@ -167,12 +184,15 @@ _HOME: Final = {
     "control.command": ("Position", "Terms", "Torque", "Velocity"),
     "control.filters": ("LowPass", "Notch"),
     "control.gains": ("Gain", "Memory"),
+    "control.guards": ("Lasting", "contact", "lasting", "moved", "no_contact", "reached", "settled"),
     "control.hybrid_motion": ("HybridMotion", "pressing"),
     "control.law": ("Law",),
     "control.limits": ("Limits",),
+    "control.phase": ("Phase",),
     "control.reference": ("JointMotion", "chunk", "hold", "stream"),
     "control.sensing": ("Sensing",),
     "control.side_by_side": ("SideBySide", "together"),
+    "control.steady": ("Steady",),
     "control.task_error": ("Coordinates",),
     "control.task_force": ("TaskForce",),
     "control.task_reference": ("TaskMotion",),
@@ -211,9 +231,14 @@ _HOME: Final = {
     "runtime.drivers.mujoco": ("MujocoPlant",),
     "runtime.events": ("Event",),
     "runtime.simulate": ("run",),
+    "study.admissible": ("Admissible",),
+    "study.contact_modes": ("FrictionMargin",),
+    "study.freedom_words": ("FreedomRow",),
+    "study.freedoms": ("Freedoms", "freedoms"),
     "study.impedance": ("check_impedance",),
     "study.limits": ("StiffnessCheck", "StiffnessLimits", "check_stiffness", "stiffness_limits"),
     "study.sampled": ("SampledLoop",),
+    "study.specification": ("Specification", "check_specification", "possible_specifications"),
     "study.tip": ("check_stiffness_at", "safe_stiffness"),
     "study.wrist": ("WristCalibration", "calibrate_wrist"),
     "study.wrist_poses": ("calibration_poses",),

@@ -234,6 +234,13 @@ CASES: dict[str, tuple[dict[str, Any], str | None, str]] = {
     "half a substep": ({"plant.substeps": 0.5}, "plant", "substeps must be a whole number; got 0.5"),
     "another command": ({"plant.takes": "power"}, "plant", "takes must be one of"),
     "a command that the law does not give": ({"plant": VELOCITY}, "plant", "takes: PID gives a torque and plant"),
+    "drives of MuJoCo without a bandwidth": ({"plant": {"kind": "mujoco", "takes": "velocity"}}, "plant", "a plant that takes velocity needs the bandwidth of its drives: actuation = { bandwidth = 50.0 } [rad/s]\n"),
+    "drives of MuJoCo that are too fast": (
+        {"plant": {"kind": "mujoco", "takes": "velocity", "actuation": {"bandwidth": 200.0}}},
+        "plant",
+        "actuation: the inner loop of a drive of 200 rad/s is 10 times as fast, too fast for steps of 0.001 s (joint 'joint1'); give the plant "
+        "timestep = 0.0005, or slower drives",
+    ),
     "drives without a bandwidth": ({"plant.takes": "velocity"}, "plant", "a plant that takes velocity needs the bandwidth of its drives: actuation = { bandwidth = 50.0 } [rad/s]\n"),
     "a delay between ticks": (
         {"plant.actuation": {"delay": 0.0015}},

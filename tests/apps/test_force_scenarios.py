@@ -87,7 +87,7 @@ BROKEN = [
     (("window = [0.5, 1.0]\nmax", "window = [0.5, 2.0]\nmax"), "[pass 1] window must end with the run, at 1 [s]; got [0.5, 2.0]"),
     (("window = [0.5, 1.0]\nmax", "window = [0.5]\nmax"), "[pass 1] window must be [start, end] with 0 <= start < end [s]; got [0.5]"),
     (("window = [0.5, 1.0]\ncolumns", "window = [1.0, 0.5]\ncolumns"), "[outputs] window must be [start, end] with 0 <= start < end [s]; got [1.0, 0.5]"),
-    (("kfp = 0.2", 'feedback = "none"\nkfp = 0.2'), "[laws.press] ForceControl: kfp is for feedback='wrist' or 'joint_torque', and this one has 'none'; leave it out"),
+    (("kfp = 0.2", 'feedback = "none"\nkfp = 0.2'), "[laws.press] ForceControl: kfp is for feedback='wrench' or 'joint_torque', and this one has 'none'; leave it out"),
     (("[plant.environment]\nspring = { kind = \"spring\", stiffness = 5000.0 }\ndamper = { kind = \"damper\", damping = 200.0 }\n", ""), "measures tau_meas, v; kind = \"mujoco\" or [plant.environment] measures it"),
 ]  # fmt: skip
 

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 import taut
 from taut import math as tm
+from taut.arm.description import BASE, Arm, Body, Frame, Joint
 from taut.base.types import Float64Array
 from taut.record.run import Run
 
@@ -279,3 +280,45 @@ def test_joints_can_be_held_by_a_function_of_them() -> None:
     np.testing.assert_allclose(found.q[:, 0], 2.0 * found.q[:, 1], atol=1e-12)
     np.testing.assert_allclose(found.v[-1, 1], 0.5 * 2.0 * 3.0 / (4.0 * 21.0 + 9.0), rtol=1e-9)
     assert "F_ext" not in found.extra
+
+
+def five_bar() -> taut.Arm:
+    """Two arms of two links each on one base, cut open where their ends are pinned together."""
+    y, feet = np.array([0.0, 1.0, 0.0]), ([-0.1, 0.0, 0.0], [0.1, 0.0, 0.0])
+    joints = tuple(
+        Joint(
+            name=name,
+            kind="revolute",
+            parent=BASE if i % 2 == 0 else i - 1,
+            placement=taut.Pose(feet[i // 2] if i % 2 == 0 else [0.3, 0.0, 0.0]),
+            axis=y,
+        )
+        for i, name in enumerate(("left1", "left2", "right1", "right2"))
+    )
+    bodies = (Body(mass=1.0, com=np.array([0.15, 0.0, 0.0]), inertia=np.diag([1e-3, 8e-3, 8e-3])),) * 4
+    ends = tuple(
+        Frame(name=name, body=i, placement=taut.Pose([0.3, 0.0, 0.0])) for name, i in (("left", 1), ("right", 3))
+    )
+    return Arm(
+        name="five_bar", joints=joints, bodies=bodies, frames=ends, tool="left", home=np.array([-2.0, 1.0, -1.1, -1.0]),
+        gravity=np.array([0.0, 0.0, -9.81]), T_WB=taut.Pose(),
+    )  # fmt: skip
+
+
+def test_a_five_bar_stays_closed_and_keeps_its_energy() -> None:
+    arm = five_bar()
+    pin = taut.Constraint.pin("left", "right", directions=[[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    q0 = taut.onto(pin, arm, arm.home)
+    found = run(pin, arm=arm, q0=q0, duration=0.5, tau=np.zeros(4))
+    assert found.extra["contact.drift"].max() < 1e-9
+    assert np.ptp(found.q, axis=0).min() > 0.3
+    E = energy(found, range(0, 501, 10))
+    swing = np.ptp([taut.snapshot(arm, q).potential_energy for q in found.q[::10]])
+    assert np.ptp(E) < 0.02 * swing
+    for k in (0, 200, 400):  # the multipliers, from the equations of motion alone
+        x = taut.snapshot(arm, found.q[k], found.v[k])
+        rows = pin.at(x)
+        A = np.asarray(rows.A_q)
+        whole = np.block([[x.M, A.T], [A, np.zeros((2, 2))]])
+        lam = np.linalg.solve(whole, np.concatenate([-np.asarray(x.h), -np.asarray(rows.bias)]))[4:]
+        np.testing.assert_allclose(found.extra["contact.lam"][k], lam, rtol=1e-8, atol=1e-8)

@@ -37,7 +37,7 @@ GANTRY = """
 class Pushed(taut.Law):
     """A constant torque."""
 
-    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:  # noqa: ARG002
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
         return taut.Torque(push=ref.a)
 
 

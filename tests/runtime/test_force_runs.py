@@ -29,19 +29,19 @@ def arm_of(name: str) -> taut.Arm:
 
 
 @cache
-def controller(name: str, feedback: Any = "wrist") -> taut.Controller:
+def controller(name: str, feedback: Any = "wrench") -> taut.Controller:
     gains = {} if feedback == "none" else {"kfp": KFP, "kfi": KFI, **MOST}
     return taut.compile(L.ForceControl(kdamp=KDAMP, feedback=feedback, **gains), arm_of(name))
 
 
 @cache
-def loop(name: str, feedback: Any = "wrist", duration: float = 3.0) -> taut.Loop:
+def loop(name: str, feedback: Any = "wrench", duration: float = 3.0) -> taut.Loop:
     held = taut.Environments(spring=taut.Spring(stiffness=STIFF), damper=taut.Damper(damping=DAMPED))
     plant = taut.RigidPlant(arm_of(name), friction=None, environment=held, substeps=4)
     return taut.Loop(controller(name, feedback), plant, taut.TaskForce(F_app=F_DES), duration=duration)
 
 
-def run(name: str, events: Any = (), feedback: Any = "wrist", **more: Any) -> taut.Run:
+def run(name: str, events: Any = (), feedback: Any = "wrench", **more: Any) -> taut.Run:
     return taut.run(loop(name, feedback), events=events, **more)
 
 
@@ -67,7 +67,7 @@ def test_the_error_falls_with_the_pole_kfi_over_one_plus_kfp_and_not_with_the_ch
 
 def test_what_g_does_not_know_stays_without_feedback_and_with_that_of_joint_torques() -> None:
     missing = 0.5 * 9.81 * np.array([0.0, 0.0, 1.0])
-    for feedback, share in (("none", 1.0), ("joint_torque", 1.0), ("wrist", 0.0)):
+    for feedback, share in (("none", 1.0), ("joint_torque", 1.0), ("wrench", 0.0)):
         out = run("panda", [loaded(0.5)], feedback)
         left = (F_DES + out.extra["F_ext"])[-1, :3]
         np.testing.assert_allclose(left, share * missing, atol=0.03), feedback
@@ -155,6 +155,19 @@ def test_on_a_rigid_contact_kfp_and_half_of_kfi_dt_are_below_one(gains: Any, sta
         sizes.append(np.linalg.norm(F_DES + F_ext))
     assert (sizes[-1] < 0.1 * sizes[0]) == stable
     assert (sizes[-1] > 10.0 * sizes[0]) != stable
+
+
+@pytest.mark.parametrize(("kfp", "kfi", "stable"), [(0.9, 0.0, True), (1.05, 0.0, False), (0.5, 900.0, True), (0.5, 1100.0, False)])  # fmt: skip
+def test_so_it_is_in_a_plant_with_a_rigid_floor(kfp: float, kfi: float, stable: bool) -> None:
+    arm = arm_of("gantry3")
+    floor = taut.Constraint.plane(point=taut.snapshot(arm, arm.home).T().p, normal=[0.0, 0.0, 1.0])
+    law = L.ForceControl(kfp=kfp, kfi=kfi, kdamp=(20.0, 1.0), null=None, e_int_max=(1e6, 1e6))
+    plant = taut.RigidPlant(arm, friction=None, contact=taut.RigidContact(constraint=floor))
+    press = taut.TaskForce(F_app=[0, 0, -10.0, 0, 0, 0])
+    out = taut.run(taut.compile(law, arm), plant, press, duration=0.2)
+    left = np.abs(out.extra["F_ext"][100:, 2] - 10.0).max()
+    assert (left < 0.1) == stable
+    assert (left > 5.0) != stable
 
 
 @pytest.mark.parametrize(("substeps", "lag"), [(1, 1.0), (10, 0.55)])

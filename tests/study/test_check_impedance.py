@@ -76,6 +76,17 @@ def test_a_spring_with_joint_damping_is_a_case_of_its_own() -> None:
     assert taut.check_impedance(damped).passive_in_band
 
 
+def test_a_loop_that_is_unstable_by_itself_gives_energy_in_every_band() -> None:
+    """Far too much damping: in its phase below 20 Hz it takes energy, and at half the rate it grows."""
+    arm = taut.load_arm("panda").with_friction(taut.Friction())
+    check = taut.check_impedance(controller(arm, K=(100.0, 5.0), B=(400.0, 20.0)))
+    assert check.spare_in_band > 0.0
+    assert not check.stable
+    assert not check.passive_in_band
+    assert check.passive_in_band_up_to == 0.0
+    assert check.sentences[2] == "gives energy to some motion below 20 Hz, with any part of K"
+
+
 def test_a_spring_of_a_sum_is_found() -> None:
     arm = taut.load_arm("panda")
     law = taut.laws.Impedance(K=(800.0, 30.0), zeta=0.7) + taut.laws.FrictionCompensation(at="meas")

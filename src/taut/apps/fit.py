@@ -20,6 +20,7 @@ from taut.base.types import Float64Array
 from taut.control.hybrid_motion import HybridMotion, Pressing, hybrid_kind
 from taut.control.law import Law
 from taut.control.lawside import LawSide
+from taut.control.phases import Phases
 from taut.control.reference import Chunk, Hold, JointMotion, Reference, Sample, Stream, Trajectory, sample_rows
 from taut.control.side_by_side import SideBySide
 from taut.control.task_force import TaskForce
@@ -47,7 +48,12 @@ ERRORS_OF: Final[Mapping[type[Sample], tuple[str, ...]]] = {
     hybrid_kind(TaskMotion): (*OF_TASK_MOTION, *OF_PRESSING),
     TaskForce: OF_FORCE,
 }
-WHOSE: Final[Mapping[type[Sample], str]] = {JointMotion: "joints", TaskMotion: "the tool", hybrid_kind(TaskMotion): "a contact", TaskForce: "forces"}
+WHOSE: Final[Mapping[type[Sample], str]] = {
+    JointMotion: "joints",
+    TaskMotion: "the tool",
+    hybrid_kind(TaskMotion): "a contact",
+    TaskForce: "forces",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +130,11 @@ def _check_kind(reference: Reference, label: str, law: Law, section: Section) ->
     given, wanted = _kind_of(reference), law.reference
     if isinstance(reference, Hold) or given is wanted:
         return
-    kinds = {TaskMotion: list(TASK_KINDS), hybrid_kind(TaskMotion): list(TASK_KINDS), TaskForce: list(FORCE_KINDS)}.get(wanted, list(JOINT_KINDS))
+    kinds = {
+        TaskMotion: list(TASK_KINDS),
+        hybrid_kind(TaskMotion): list(TASK_KINDS),
+        TaskForce: list(FORCE_KINDS),
+    }.get(wanted, list(JOINT_KINDS))
     raise section.error(
         f"kind gives a {given.__name__}, and the law '{label}' follows a {wanted.__name__}; take one of "
         f"{quoted_list(['hold', *kinds], most=len(kinds) + 1)}"
@@ -194,6 +204,11 @@ def _part(part: str, label: str, law: Law | None, section: Section) -> Law | Non
     """One of laws side by side."""
     if law is None:
         return None
+    if isinstance(law, Phases):
+        if part not in law.phases:
+            with section.blamed("part"):
+                raise unknown_name("the task", "phase", part, law.phases)
+        return law.laws[part]
     if not isinstance(law, SideBySide):
         raise section.error(f"part is for laws side by side, and '{label}' is one law; leave part out")
     if part not in law.parts:

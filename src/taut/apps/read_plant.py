@@ -25,7 +25,7 @@ __all__ = ["Plant", "read_plant"]
 
 MOST_STEPS: Final = 1000  # of MuJoCo in a control period, as of the other plant
 
-OF_RIGID: Final = ("integrator", "takes", "substeps", "sweeps", "energy")
+OF_RIGID: Final = ("integrator", "substeps", "sweeps", "energy")
 OF_MUJOCO: Final = ("timestep", "scene", "scene_at", "tool_radius", "tool_length", "tip")
 
 Plant: TypeAlias = RigidPlant | HostPlant
@@ -53,6 +53,8 @@ def read_plant(section: Section, believed: Arm, rate: float, folder: Path) -> Pl
         options["adds"] = Adds.of(adds)
     if "sensors" in section:
         options["sensors"] = _sensors(section.section("sensors"))
+    if (takes := section.text("takes", None)) is not None:
+        options["takes"] = takes
     if "actuation" in section:
         options["actuation"] = read_actuation(section.section("actuation"))
     if "environment" in section:
@@ -61,7 +63,8 @@ def read_plant(section: Section, believed: Arm, rate: float, folder: Path) -> Pl
         section.take(key, None)  # known, so that a misspelt one is compared with it
     if kind == "mujoco":
         return _in_mujoco(section, arm, options, rate, folder)
-    options |= {word: section.text(word) for word in ("integrator", "takes") if word in section}
+    if "integrator" in section:
+        options["integrator"] = section.text("integrator")
     options |= {word: section.whole(word) for word in ("substeps", "sweeps") if word in section}
     if "energy" in section:
         options["energy"] = section.flag("energy")

@@ -15,6 +15,7 @@ from taut.apps.cases import OF_A_CASE, Trial, cases_of
 from taut.apps.fit import Places, refuse_misfits, refuse_unfit_results
 from taut.apps.read_arm import read_arm
 from taut.apps.read_laws import read_law, read_limits
+from taut.apps.read_phases import TASK, read_phases
 from taut.apps.read_plant import Plant, read_plant
 from taut.apps.read_reference import read_reference
 from taut.apps.read_sensing import SENSED, read_sensing
@@ -155,9 +156,13 @@ def load_scenario(name: str, own_laws: Mapping[str, Law] | None = None) -> Scena
 def _experiment(root: Section, folder: Path, own_laws: Mapping[str, Law] | None) -> tuple[dict[str, Any], Places]:
     """The fields of a scenario that say what is run, and the sections that they came from."""
     arm = read_arm(root.section("arm", required=True), folder)
-    laws_section = root.section("laws", required=own_laws is None)
-    labels = laws_section.left
-    if own_laws is None:
+    task = root.sections("phases")
+    _refuse_beside_task(root, task, own_laws)
+    laws_section = root.section("laws", required=own_laws is None and not task)
+    labels = [TASK] if task else laws_section.left
+    if task:
+        law_places = {TASK: task[0]}
+    elif own_laws is None:
         law_places = _law_sections(laws_section)
         laws = {label: read_law(section) for label, section in law_places.items()}
     else:
@@ -168,6 +173,8 @@ def _experiment(root: Section, folder: Path, own_laws: Mapping[str, Law] | None)
     events = root.sections("event")
     rate, sensing, limits = _control(control, arm)
     plant = read_plant(plant_section, arm, rate, folder)
+    if task:
+        laws = {TASK: read_phases(root, task, arm, plant.arm.home, folder)}
     fields = {
         "source": root.where,
         "arm": arm,
@@ -190,6 +197,17 @@ def _experiment(root: Section, folder: Path, own_laws: Mapping[str, Law] | None)
         events=events,
     )
     return fields, places
+
+
+def _refuse_beside_task(root: Section, task: list[Section], own_laws: Mapping[str, Law] | None) -> None:
+    """Each phase has its law and its reference."""
+    if not task:
+        return
+    if own_laws is not None:
+        raise root.error("has [[phases]], each with a law of its own, which --law cannot take the place of")
+    for name in ("laws", "reference"):
+        if name in root:
+            raise root.error(f"has [[phases]], each with its law and its reference; leave [{name}] out")
 
 
 def _found(name: str) -> Path:

@@ -33,8 +33,8 @@ class NormalEstimate(Law):
                     w = 1 where the tool slides and presses, 0 below `speed` or `force` and beyond the angle `most`
     Closed loop:  tilt - tilt_true falls as exp(-rate integral(w dt)), whatever the arm does, for nothing of the
                     estimate is in `seen`. 15 degrees become 1 in 2.8 / rate of sliding, 0.34 s with rate = 8
-                  The contact gives N n - mu N s with an unknown mu. A sliding tool moves in the surface, n . s = 0, so
-                    g = N n: friction is in F_ext and not in g, and one direction of sliding shows both tilts, that
+                  The contact gives N n - mu N s with an unknown mu. A sliding tool moves in the surface, n . s = 0,
+                    so g = N n: friction is in F_ext and not in g, and one direction of sliding shows both tilts, that
                     across it by the force, that along it by the motion alone
                   White noise of d_F and d_v in each tick leaves sqrt(rate dt / 2) (d_F / N, d_v / |v|) rad across and
                     along the motion; a constant force that is no contact's, such as a bias, leaves its share of N

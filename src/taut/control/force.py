@@ -18,15 +18,17 @@ from taut.control.law import Law, MemoryView
 from taut.control.nullspace import Posture
 from taut.control.task import check_null, null_torque
 from taut.control.task_force import FRAMES, ForceFrame, TaskForce
+from taut.maths import dynamics as dyn
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotated
 from taut.maths.task_inertia import TaskInertia
 
 __all__ = ["ForceControl", "wrench_of_torques"]
 
-Feedback = Literal["wrist", "joint_torque", "none"]
-FEEDBACKS: Final[tuple[Feedback, ...]] = ("wrist", "joint_torque", "none")
-MEASURED: Final = ("feedback", ("wrist", "joint_torque"))
+Feedback = Literal["wrench", "joint_torque", "none"]
+FEEDBACKS: Final[tuple[Feedback, ...]] = ("wrench", "joint_torque", "none")
+MEASURED: Final = ("feedback", ("wrench", "joint_torque"))
+STILL: Final = 1e-12  # [m, 1] of a Jacobian's entry: below it that is rounding
 HEAVY: Final = 10.0  # times the arm's mass, which no direction of its tool is made heavier than
 
 
@@ -73,7 +75,7 @@ class ForceControl(Law):
         kdamp: Damping of the tool: (linear, angular), (6,) or (6, 6); none if left out, and then nothing bounds the
             speed when contact is lost.
         e_int_max: (linear, angular) the largest length of each part of the integral.
-        feedback: "wrist", "joint_torque" or "none".
+        feedback: "wrench", "joint_torque" or "none".
         frame: "world" or "tool".
         contact: (force, moment) that count as contact.
         patience: Time without it after which contact is lost.
@@ -101,6 +103,7 @@ class ForceControl(Law):
     """
 
     reference = TaskForce
+    needs_contact: ClassVar[bool] = True
     recorded: ClassVar[tuple[str, ...]] = ("e_int", "lost", "bounded")
     notices: ClassVar[tuple[tuple[str, str], ...]] = (
         ("lost", "the tool met less than was asked for, contact was lost"),
@@ -110,7 +113,7 @@ class ForceControl(Law):
     kfi: Gain = Gain(0.0, size=6, pairs=True, where=MEASURED)  # [1/s]
     kdamp: Gain = Gain(size=6, pairs=True, scalar=False, optional=True)  # [N s/m, N m s/rad]
     e_int_max: Gain = Gain((20.0, 2.0), size=2, scalar=False, minimum=1e-9, where=MEASURED)  # [N s, N m s]
-    feedback: Feedback = "wrist"
+    feedback: Feedback = "wrench"
     frame: ForceFrame = "world"
     contact: Gain = Gain((1.0, 0.1), size=2, scalar=False, minimum=1e-9, where=MEASURED)  # [N, N m]
     patience: Gain = Gain(0.05, size=0, where=MEASURED)  # [s]
@@ -154,7 +157,7 @@ class ForceControl(Law):
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
         """The wrist sensor must be on the link that is controlled."""
-        if self.feedback == "wrist":
+        if self.feedback == "wrench":
             check_sensor(x, self.tool)
 
     def speed_bound(self, *, F_app: ArrayLike) -> tuple[float, float]:
@@ -178,7 +181,7 @@ class ForceControl(Law):
             added = root @ _numbers(self.kfi)
             size += sum(m * float(np.linalg.norm(added[:, k : k + 3], 2)) for m, k in zip(most, (0, 3), strict=True))
         linear, angular = (float(np.linalg.norm(inverse[k : k + 3, k : k + 3], 2)) ** 0.5 for k in (0, 3))
-        return linear * size, angular * size
+        return float(linear * size), float(angular * size)
 
     def command(
         self, x: Snapshot, ref: TaskForce, memory: MemoryView, dt: float
@@ -190,8 +193,8 @@ class ForceControl(Law):
         w = Terms(feedforward=_inwards(R, F_des))
         after: dict[str, object] = {name: getattr(memory, name) for name in ("e_int", "alone", "lost", "bounded")}
         if self.measures:
-            F_app = _felt(J, -wrench_at(x, self.tool) if self.feedback == "wrist" else wrench_of_torques(x, inertia))
-            F_e = _inwards(R, _felt(J, F_des) - F_app)
+            F_app = -wrench_at(x, self.tool) if self.feedback == "wrench" else wrench_of_torques(x, inertia)
+            F_e = _inwards(R, _felt(x, self.tool, F_des - F_app))
             e_int, after["bounded"] = self._integral(x, memory.e_int, F_e, R, inertia, dt)
             after |= {"e_int": e_int} | self._contact(F_des, F_app, memory.alone, dt)
             w = w + Terms(P=self.kfp @ F_e, I=self.kfi @ e_int)
@@ -254,10 +257,10 @@ def wrench_of_torques(x: Snapshot, inertia: TaskInertia) -> Wrench:
     return out
 
 
-def _felt(J: Matrix, F: Wrench) -> Wrench:
+def _felt(x: Snapshot, tool: str | None, F: Wrench) -> Wrench:
     """A wrench without the directions in which the arm never moves, as a planar one: its bearings carry them."""
-    still = [all(isinstance(x, float) and x == 0.0 for x in row.tolist()) for row in J]
-    return tm.array([0.0 if none else F[i] for i, none in enumerate(still)])
+    anywhere = dyn.jacobian(x.model, np.cos(1.7 * np.arange(x.n) + 0.3), tool)  # what is zero here is so in any pose
+    return tm.array([F[i] if np.any(np.abs(row) > STILL) else 0.0 for i, row in enumerate(anywhere)])
 
 
 def _inwards(R: Rotation | None, six: Vector) -> Vector:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
 from taut.base import math as tm
 from taut.base.checks import one_of
@@ -68,8 +68,8 @@ class HybridMotionForce(Law):
         feedback: With kfp or kfi, what measures the force: "wrench" or "joint_torque".
         curvature: Whether the term of that name is in the law.
         tolerance: How far phi may be from zero where a run starts [m, rad].
-        estimate: `taut.laws.NormalEstimate()` where it is not well known where the surface faces: the law is then that
-            of the constraint turned as force and motion show it, and the reference is followed along it.
+        estimate: `taut.laws.NormalEstimate()` where it is not well known where the surface faces: the law is then
+            that of the constraint turned as force and motion show it, and the reference is followed along it.
 
     Raises:
         UsageError: No constraint, or no law of motion that gives torques; an estimate of what is no surface.
@@ -89,6 +89,7 @@ class HybridMotionForce(Law):
     """
 
     reference = HybridMotion
+    needs_contact: ClassVar[bool] = True
     constraint: Constraint | Callable[..., Any]
     motion: Law
     kfp: Gain = Gain(optional=True, size="rows")  # [-]

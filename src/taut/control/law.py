@@ -71,11 +71,13 @@ class Law:
       with memory, a dict of the new memory by name;
     * optionally `start(self, x, ref) -> dict`: memory that starts from the measured state;
     * optionally `check_rate(self, rate)`, which refuses gains that have no meaning at that rate [Hz];
-    * optionally `check_state(self, x, rate)`, which refuses gains that have no meaning where a run starts;
+    * optionally `check_state(self, x, rate)`, which refuses gains that have no meaning where a run starts, and
+      `check_change(self, x, rate)`, which refuses new ones where the arm is then;
     * optionally `check_reference(self, x, ref, rate)`, which refuses what a run is to follow from there;
     * `reference`, the kind of sample it follows (JointMotion unless said);
     * `recorded`, the entries of its memory that a run keeps as further columns (none unless said);
-    * `notices`, pairs of a recorded entry and what the outcome of a run says where that is not zero.
+    * `notices`, pairs of a recorded entry and what the outcome of a run says where that is not zero;
+    * `needs_contact`, whether a `taut.Phase` with it never starts without contact (not unless said).
 
     Laws add: `FeedForward() + PID(kp=..., kd=...)`. A law must not inherit from another one: it holds it in a field.
     A law that it holds in `inner: taut.Law` starts with it, and is called as
@@ -85,6 +87,7 @@ class Law:
     reference: ClassVar[type[Sample]] = JointMotion
     ignores_reference: ClassVar[bool] = False  # such a law adds to, and is held by, laws of every kind of sample
     recorded: ClassVar[tuple[str, ...]] = ()
+    needs_contact: ClassVar[bool] = False  # a phase of such a law never starts without contact
     notices: ClassVar[tuple[tuple[str, str], ...]] = ()  # recorded entry, and what an outcome says where it is not 0
     uses_memory: ClassVar[bool] = False
 
@@ -247,15 +250,21 @@ class Law:
         if check is not None:
             check(rate)
 
-    def check_states(self, x: Snapshot, rate: float) -> None:
+    def check_states(self, x: Snapshot, rate: float, *, changed: bool = False) -> None:
         """Every law that has a `check_state` must fit the state of a snapshot, with the gains that it has now.
+
+        Args:
+            x: The state.
+            rate: [Hz].
+            changed: Whether gains have changed on the way: then it is `check_change` that is asked.
 
         Raises:
             RangeError: A gain that has no meaning there.
         """
         for law in self.children().values():
-            law.check_states(x, rate)
-        check: Callable[[Snapshot, float], None] | None = getattr(self, "check_state", None)
+            law.check_states(x, rate, changed=changed)
+        hook = "check_change" if changed else "check_state"
+        check: Callable[[Snapshot, float], None] | None = getattr(self, hook, None)
         if check is not None:
             check(x, rate)
 
@@ -421,6 +430,7 @@ RESERVED: Final = frozenset(name for name in vars(Law) if not name.startswith("_
     "command",
     "start",
     "check_rate",
+    "check_change",
     "check_state",
     "check_reference",
 }

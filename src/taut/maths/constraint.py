@@ -171,6 +171,18 @@ class Constraint:
         rows = [p.phi([T], t) if isinstance(p, _OfPoses) else np.zeros(p.count) for p in self.pieces]
         return np.asarray(np.concatenate(rows), dtype=np.float64)
 
+    def of_twist(self, T: Pose, t: float = 0.0) -> tuple[Float64Array, Float64Array]:
+        """A (k, 6) per world-aligned twist of the one frame that it is a function of, at a pose; and dphi/dt (k,).
+
+        Raises:
+            UsageError: It is one of joints or of several frames.
+        """
+        if self.frame is None:
+            raise UsageError("a constraint of joints or of several frames has no A of one twist", name="constraint")
+        rows = [p.of_twist(T, t) for p in self.pieces if isinstance(p, (_OfPoses, _OfVelocity))]
+        A = np.concatenate([np.asarray(A, dtype=np.float64) for A, _ in rows])
+        return A, np.concatenate([np.asarray(phi_t, dtype=np.float64) for _, phi_t in rows])
+
     def __add__(self, other: Constraint) -> Constraint:
         if not isinstance(other, Constraint):
             return NotImplemented
@@ -387,7 +399,7 @@ class _OfPoses:
     def at(self, x: Snapshot) -> ConstraintRows:
         """Its rows at a state."""
         poses, t, m = [x.T(frame) for frame in self.frames], x.t, len(self.frames)
-        A = tm.jacobian(lambda step: self.phi(_each_moved(poses, step), t), np.zeros(6 * m))
+        A = self._A(poses, t)
         twists = tm.array([entry for frame in self.frames for entry in x.twist(frame)])
 
         def along(times: Array) -> Vector:
@@ -401,19 +413,31 @@ class _OfPoses:
             return out
 
         curvature = tm.jacobian(along, np.zeros(1))[:, 0]
-        phi_t: Vector = np.zeros(self.count)
-        if self.timed:
-            phi_t = tm.jacobian(lambda s: self.phi(poses, s[0]), tm.array([t]))[:, 0]
         A_q, falling = _through(A, [x.J(frame) for frame in self.frames], [x.Jdot_v(frame) for frame in self.frames])
         return ConstraintRows(
             phi=self.phi(poses, t),
             A=A if m == 1 else None,
             A_q=A_q,
-            phi_t=phi_t,
+            phi_t=self._phi_t(poses, t),
             bias=curvature + falling,
             curvature=curvature,
             one_sided=self.one_sided,
         )
+
+    def _A(self, poses: Sequence[Pose], t: Any) -> Matrix:
+        zero = np.zeros(6 * len(self.frames))
+        out: Matrix = tm.jacobian(lambda step: self.phi(_each_moved(poses, step), t), zero)
+        return out
+
+    def _phi_t(self, poses: Sequence[Pose], t: Any) -> Vector:
+        out: Vector = np.zeros(self.count)
+        if self.timed:
+            out = tm.jacobian(lambda s: self.phi(poses, s[0]), tm.array([t]))[:, 0]
+        return out
+
+    def of_twist(self, T: Pose, t: Any) -> tuple[Matrix, Vector]:
+        """A and dphi/dt at a pose of its one frame."""
+        return self._A([T], t), self._phi_t([T], t)
 
 
 def _each_moved(poses: Sequence[Pose], steps: Array) -> list[Pose]:
@@ -603,6 +627,9 @@ class _OfVelocity:
         value = self.function(T)
         rows = [list(value)] if np.ndim(value) == 1 else [list(row) for row in value]
         return tm.array(rows)
+
+    def of_twist(self, T: Pose, t: Any) -> tuple[Matrix, Vector]:  # noqa: ARG002
+        return self._A(T), np.zeros(self.count)
 
     def at(self, x: Snapshot) -> ConstraintRows:
         (frame,) = self.frames

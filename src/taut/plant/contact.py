@@ -51,7 +51,7 @@ class RigidContact:
     Columns of a run:
         contact.lam (k,), the multipliers at the tick, at the same state and torque, without any correction of drift;
         of a gap that closes in the step, impulse / dt. contact.on (k,), 1.0 for rows that act after the step.
-        contact.drift, the largest |phi| of what touches at the tick. contact.correction, by how much the step's
+        contact.drift, the largest size of phi of what touches at the tick. contact.correction, by how much the step's
         impulses / dt differ from lam: what the way through the step takes. contact.slip (c, 3) [m/s], at which points
         with friction slide at the tick.
 

@@ -20,11 +20,12 @@ from taut.maths.friction import dry_friction
 from taut.maths.friction_law import friction_torque
 from taut.maths.model import Model, PayloadValues, model_of
 from taut.plant import drive
-from taut.plant.actuation import Actuation, lagged
+from taut.plant.actuation import Actuation
 from taut.plant.contact import Contacts
 from taut.plant.contact_step import ContactStep, contact_step
 from taut.plant.drivetrain import Drivetrain, FrictionLimits
 from taut.plant.environment import Environment, touch
+from taut.plant.stiff_drive import aim
 from taut.plant.work import work_of_step
 
 __all__ = ["WORK_OF_IT", "Motion", "payload_of"]
@@ -103,20 +104,8 @@ class Motion:
 
     def driven_step(self, takes: CommandKind, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
         """Stiff drives: their loop decides the motion, and the torque is what that takes."""
-        q, v, wanted = memory["q"], memory["v"], memory["held"]
-        omega = parameters["actuation.bandwidth"]
-        if takes == "velocity":
-            v_new = lagged(wanted, v, omega, dt)
-            # The exact integral of the exponential approach.
-            q_new = q + wanted * dt + (v - wanted) * ((1.0 - tm.exp(-omega * dt)) / omega)
-        else:
-            # Critically damped: e(t) = (e0 + (v + omega e0) t) exp(-omega t), exact over the step.
-            e = -self.arm.difference(wanted, q)  # a continuous joint goes the short way round
-            wanted = q - e
-            rate = v + omega * e
-            decay = tm.exp(-omega * dt)
-            q_new = wanted + (e + rate * dt) * decay
-            v_new = (rate - omega * (e + rate * dt)) * decay
+        q, v = memory["q"], memory["v"]
+        q_new, v_new = aim(takes, self.arm, memory["held"], q, v, parameters["actuation.bandwidth"], dt)
         a = (v_new - v) / dt
         force: Any = np.zeros(self.arm.n)
         out = dict(memory)

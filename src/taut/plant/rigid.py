@@ -35,6 +35,7 @@ from taut.plant.motion import WORK_OF_IT, Motion, payload_of
 from taut.plant.numbers import PlantNumbers, require_torque_sensor
 from taut.plant.sensors import Sensors
 from taut.plant.step_length import require_short_contact, require_short_steps
+from taut.plant.stiff_drive import require_drives
 from taut.plant.transmission import require_rotors
 from taut.plant.work import work_parts
 
@@ -140,24 +141,9 @@ class RigidPlant:
         require_torque_sensor(self.actuation, self.sensors)
         if self.integrator == "rk4":
             self._check_smooth()
-        if self.takes != "torque":
-            if self.actuation.bandwidth is None:
-                raise UsageError(
-                    f"a plant that takes {self.takes} needs the bandwidth of its drives: "
-                    "actuation=taut.Actuation(bandwidth=50.0)  # rad/s",
-                    name="actuation",
-                )
-            only = self.actuation.for_torque_only
-            if only:
-                raise UsageError(
-                    f"actuation.{only[0]} is for torque commands; this plant takes {self.takes}, which its drives "
-                    "follow by themselves",
-                    name=only[0],
-                )
-            if self.energy:
-                raise UsageError(f"energy is for torque commands; this plant takes {self.takes}", name="energy")
-            if adds.names:
-                raise UsageError(f"adds is for torque commands; this plant takes {self.takes}", name="adds")
+        require_drives(self.takes, self.actuation, adds)
+        if self.takes != "torque" and self.energy:
+            raise UsageError(f"energy is for torque commands; this plant takes {self.takes}", name="energy")
 
     def _check_contacts(self) -> None:
         if self.takes != "torque":

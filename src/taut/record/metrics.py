@@ -183,13 +183,13 @@ class Metrics:
         force_error_peak: [N] the largest of that error.
         moment_error_rms: [N m] the same of the moment at the tool's origin.
         moment_error_peak: [N m]
-        press_rms: [N] root of the mean square of the error of the force into a surface: `press` less what the contacts
-            give along their true normals, which a MujocoPlant with a scene tells.
+        press_rms: [N] root of the mean square of the error of the force into a surface: `press` less what the
+            contacts give along their true normals, which a MujocoPlant with a scene tells.
         press_peak: [N] its largest.
         largest_press: [N] the largest force along the true normals, such as of an impact.
-        surface_rms: [m] root of the mean square of the tool's position error across the true normal, while it touches.
+        surface_rms: [m] root of the mean square of the tool's position error across the true normal, in contact.
         surface_peak: [m] its largest.
-        normal_error: [deg] angle between the normal that a law estimates and the true one, when the tool last touched.
+        normal_error: [deg] angle between the estimated normal and the true one, when the tool last touched.
         contact_lost_time: [s] in which a law of force measured less than counts as contact while more was asked for.
         impedance_error: [%] RMS distance of the tool from where eq. 10.48, integrated with the run's own F_ext and
             the law's K, B and D, puts it; of that equation's RMS deviation. Without D the inertia, and with zeta the

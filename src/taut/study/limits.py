@@ -183,8 +183,8 @@ class StiffnessCheck:
 
     @property
     def passive_in_band(self) -> bool:
-        """Whether no motion below `band` gets energy out of it."""
-        return self.spare_in_band >= -self._rounding
+        """Whether it is stable, and no motion below `band` gets energy out of it."""
+        return self.stable and self.spare_in_band >= -self._rounding
 
     @property
     def _rounding(self) -> float:
@@ -202,8 +202,8 @@ class StiffnessCheck:
 
     @cached_property
     def passive_in_band_up_to(self) -> float:
-        """The factor on K up to which no motion below `band` gets energy out of it."""
-        return largest_passive(self.loop, self.band, everything=False)
+        """The factor on K up to which it is stable and no motion below `band` gets energy out of it."""
+        return min(self.stable_up_to, largest_passive(self.loop, self.band, everything=False))
 
     @property
     def sentences(self) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from taut.arm.description import Arm, Payload
+from taut.arm.description import COMMANDS, Arm, CommandKind, Payload
 from taut.base.checks import one_of, positive_scalar
 from taut.base.errors import MatchError, UsageError, unknown_name
 from taut.base.paths import subtree
@@ -26,6 +26,7 @@ from taut.plant.environment import Environment, require_environment
 from taut.plant.motion import WORK_OF_IT
 from taut.plant.numbers import PlantNumbers, require_torque_sensor
 from taut.plant.sensors import Sensors
+from taut.plant.stiff_drive import require_drives
 from taut.plant.transmission import require_rotors
 from taut.runtime.drivers.mujoco_attach import Inertias, attached
 from taut.runtime.drivers.mujoco_drives import Compensation, Drives, Motors, cut_off
@@ -62,11 +63,12 @@ class MujocoPlant:
     A tick, as in RigidPlant: q, v, the joint torques and the wrench of the last step are measured at t_k; the command
     that follows from them is held for a whole number of MuJoCo's time steps, which end at t_k+1.
 
-    Joints are torque motors without limits of their own (limits belong to the controller); the Arm's position limits
-    are MuJoCo's joint limits, which push back. `model` and `data` are MuJoCo's own, to look at and to add to; a run
-    begins with the scene as it was built. Bodies have the names of their links, joints and motors those of the
-    joints; the site has the tool's name and stands on the body "payload", with the sensors <tool>_force and
-    <tool>_torque: what the arm exerts on tool and payload, in the tool's axes, as a sensor at the flange reads it.
+    Joints are torque motors without limits of their own (limits belong to the controller), or drives that take
+    velocities or positions: see `takes`. The Arm's position limits are MuJoCo's joint limits, which push back.
+    `model` and `data` are MuJoCo's own, to look at and to add to; a run begins with the scene as it was built. Bodies
+    have the names of their links, joints and motors those of the joints; the site has the tool's name and stands on
+    the body "payload", with the sensors <tool>_force and <tool>_torque: what the arm exerts on tool and payload, in
+    the tool's axes, as a sensor at the flange reads it.
 
     Frames:
         F_ext is the wrench of everything outside the arm on the body that carries the tool, force first, in world
@@ -84,6 +86,12 @@ class MujocoPlant:
         limits: "arm" for the arm's own position limits, None for none.
         timestep: [s] of MuJoCo, a whole part of the control period; by default the largest one up to 1 ms.
         integrator: MuJoCo's "discrete", "euler", "implicitfast", "implicit" or "rk4". The last is for smooth forces.
+        takes: The command: "torque", "velocity" or "position". The last two are drives with
+            `actuation=Actuation(bandwidth=...)` that aim at the motion of RigidPlant's stiff ones. They get there by
+            the torques of an inner loop in each time step, ten times as fast as the drive, which knows arm and
+            payload and nothing of what they touch: so that contacts and environments move the arm a little, and a
+            drive gives no more than the joint's effort. What that cuts off is the run's column tau_cut, and a
+            warning when it first happens.
         adds: What the plant adds to a torque command itself: "gravity", "coriolis", and "friction", which cancels the
             arm's own, so that none is left.
         touch: What of the arm can touch the scene: "tool" for a sphere at the tool's origin, "links" for capsules
@@ -129,6 +137,7 @@ class MujocoPlant:
         limits: Literal["arm"] | None = "arm",
         timestep: float | None = None,
         integrator: Integrator = "discrete",
+        takes: CommandKind = "torque",
         adds: Adds | Iterable[str] | Mapping[str, Payload | None] = (),
         touch: Touch | None = "tool",
         tool_radius: float = 0.01,
@@ -146,6 +155,7 @@ class MujocoPlant:
             if value not in ("arm", None):
                 raise UsageError(f"{name} must be 'arm' or None; got {value!r}", name=name)
         what = Adds.of(adds)
+        self._takes = one_of("takes", takes, COMMANDS)
         drives, seen = actuation or Actuation(), sensors or Sensors()
         for name, given, part in (("actuation", drives, Actuation), ("sensors", seen, Sensors)):
             if not isinstance(given, part):
@@ -155,6 +165,7 @@ class MujocoPlant:
             raise UsageError(f"tip must be taut.SpringTip(...); got {type(tip).__name__}", name="tip")
         if environment is not None:
             require_environment("environment", environment)
+        require_drives(self._takes, drives, what)
         drives.check_size(arm)
         seen.check(arm, touched=True)
         left = arm.friction if friction == "arm" and not what.friction else None
@@ -194,7 +205,7 @@ class MujocoPlant:
         self._actuation, self._sensors = drives, seen
         self._stage = None
         if drives.acts or train.compliant or train.lossy or (left is not None and (left.falls or left.loaded)):
-            self._stage = JointStage(rig, drives, train, what)
+            self._stage = JointStage(rig, drives, train, what, self._takes)
         self._touching = None if environment is None else EnvironmentStage(rig, environment, train)
         adds_torque = (what.gravity or what.coriolis) and self._stage is None
         self._compensation = Compensation(arm, what) if adds_torque else None
@@ -244,6 +255,7 @@ class MujocoPlant:
         rig, drives = attached(model, data, arm, prefix, bridge=bridge, inertias=inertias)
         plant._name = f"MujocoPlant.attach({prefix}{arm.name})"
         plant._timestep = None
+        plant._takes = "torque"
         plant._settings = None
         plant._compensation = None
         plant._stage = plant._touching = plant._normals = None
@@ -301,9 +313,9 @@ class MujocoPlant:
         return self._sensors
 
     @property
-    def takes(self) -> str:
-        """Torque commands."""
-        return "torque"
+    def takes(self) -> CommandKind:
+        """Torque commands, or what its drives take; an attached arm takes torques."""
+        return self._takes
 
     @property
     def measures(self) -> frozenset[str]:
@@ -397,7 +409,8 @@ class MujocoPlant:
         self._tau_link = weight
         self._tau = weight - compensation(model, self.adds, q, np.zeros(len(q)), payload)
         if taps:
-            self._line = np.stack([self._tau] * taps)
+            first = {"torque": self._tau, "velocity": np.zeros(len(q)), "position": q}[self._takes]
+            self._line = np.stack([first] * taps)
         self._h, self._dt = dt / self._substeps, dt
         if self._stage is not None:
             self._stage.start(q, v, values, dt, self._substeps)
@@ -448,7 +461,7 @@ class MujocoPlant:
         return true | {name: memory[name] for name in ("q_motor", "v_motor") if name in memory}
 
     def advance(self, command: Float64Array) -> Float64Array:
-        """One control period under a torque command (n,); (n,) the torque that acted on the joints."""
+        """One control period under a command (n,); (n,) the torque that acted on the joints."""
         if self._settings is None:
             return self._advance_attached(command)
         held, self._line = delayed(command, self._line)
@@ -499,6 +512,12 @@ class MujocoPlant:
             stage.after(self._qpos[rig.q], self._qvel[rig.v])
         self._a = (self._qvel[rig.v] - v) / self._h
         self._tau, self._tau_link = stage.tau, stage.memory["tau_link"].copy()
+        if self._takes != "torque":
+            self._cut = stage.cut
+            if not self._told and self._cut.any():
+                self._tell(
+                    self._tau + self._cut, "the effort of its joints", "slower motions, or an arm that has more"
+                )
 
     def _advance_attached(self, command: Float64Array) -> Float64Array:
         """The same for an arm in a model of the user's."""
@@ -519,7 +538,7 @@ class MujocoPlant:
         self._F_ext = self._wrench.of_environment()
         self._cut = cut_off(command, self._tau)
         if not self._told and self._cut.any():
-            self._tell(command)
+            self._tell(command, "its actuator's limits", "the controller limits=taut.Limits(tau=...)")
         return self._tau
 
     def _apply(self) -> Any:
@@ -540,14 +559,14 @@ class MujocoPlant:
         if self._touching is not None:
             self._touching.after(self._qvel[self._rig.v])
 
-    def _tell(self, command: Float64Array) -> None:
+    def _tell(self, wanted: Float64Array, limits: str, instead: str) -> None:
         self._told = True
         i = int(np.argmax(np.abs(self._cut)))
         arm = self._rig.arm
         warnings.warn(
-            f"{self.name}: joint '{arm.joint_names[i]}' got {self._tau[i]:.4g} of the {command[i]:.4g} "
-            f"{arm.joints[i].effort_unit} asked for, because of its actuator's limits; the run's column tau_cut has "
-            "what was cut off; give the controller limits=taut.Limits(tau=...)",
+            f"{self.name}: joint '{arm.joint_names[i]}' got {self._tau[i]:.4g} of the {wanted[i]:.4g} "
+            f"{arm.joints[i].effort_unit} asked for, because of {limits}; the run's column tau_cut has what was cut "
+            f"off; give {instead}",
             RuntimeWarning,
             stacklevel=2,
         )
@@ -561,7 +580,7 @@ class MujocoPlant:
         return self._health.trouble()
 
     def extra(self) -> dict[str, Any]:
-        """(6,) F_ext of the last step; what an environment did until the tick; (n,) tau_cut of an attached arm.
+        """(6,) F_ext of the last step; work of an environment until the tick; (n,) tau_cut of actuators or drives.
 
         With a scene (3,) `contact.normal_force`, what of F_ext is along the normals of the contacts.
         """
@@ -569,7 +588,8 @@ class MujocoPlant:
             return {"F_ext": self._F_ext, "tau_cut": self._cut}
         work = {} if self._touching is None else {WORK_OF_IT: np.asarray(self._work)}
         normal = {} if self._normals is None else {PRESSED: self._normals.of_contacts()}
-        return {"F_ext": self._F_ext, **work, **normal, **self._saturated}
+        cut = {} if self._takes == "torque" else {"tau_cut": self._cut}
+        return {"F_ext": self._F_ext, **cut, **work, **normal, **self._saturated}
 
     def __repr__(self) -> str:
         return self.name

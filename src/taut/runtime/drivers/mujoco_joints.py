@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from taut.arm.description import CommandKind
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen import native as native_code
@@ -21,6 +22,7 @@ from taut.plant import drive
 from taut.plant.actuation import Actuation
 from taut.plant.drivetrain import Drivetrain
 from taut.plant.step_length import require_short_steps
+from taut.plant.stiff_drive import Follower
 from taut.runtime.drivers.mujoco_rig import Rig
 
 __all__ = ["JointStage", "LinkTorque"]
@@ -70,11 +72,18 @@ class JointStage:
         actuation: The drives.
         train: Rotors, friction and transmissions.
         adds: What the plant adds to a torque command itself.
+        takes: The command. Drives that take velocities or positions have an inner loop, which gives the torque.
     """
 
-    def __init__(self, rig: Rig, actuation: Actuation, train: Drivetrain, adds: Adds) -> None:
+    def __init__(
+        self, rig: Rig, actuation: Actuation, train: Drivetrain, adds: Adds, takes: CommandKind = "torque"
+    ) -> None:
         self._rig, self._actuation, self._train, self._adds = rig, actuation, train, adds
         self._model = model_of(rig.arm)
+        self._follower: Follower | None = None
+        if takes != "torque":
+            links = model_of(rig.arm.with_joints(rotor_inertia=0.0))
+            self._follower = Follower(arm=rig.arm, takes=takes, model=links)
         self._rigid = np.array(train.rigid, dtype=np.intp)
         self._dofs = np.array(rig.dofs, dtype=np.intp)
         self._arrived = LinkTorque(rig)
@@ -88,9 +97,14 @@ class JointStage:
         q_m, v_m = memory.get("q_motor", q), memory.get("v_motor", v)
         payload = PayloadValues.of(subtree(parameters, "plant.payload"))
         added = compensation(self._model, self._adds, q, v, payload)
-        given = drive.driven(self._actuation, self._rig.arm, memory, q_m, v_m, parameters, dt, added)
-        out = {**memory, **given.memory}
-        tau = given.tau + added
+        cut: Any = np.zeros(self._rig.arm.n)
+        if self._follower is None:
+            given = drive.driven(self._actuation, self._rig.arm, memory, q_m, v_m, parameters, dt, added)
+            asked, after = given.tau, given.memory
+        else:
+            asked, cut, after = self._follower.torque(memory, q, v, parameters, dt)
+        out = {**memory, **after}
+        tau = asked + added
         load: Any = np.zeros(self._rig.arm.n)
         if train.friction is not None and np.any(train.friction.load_external_static):
             load = dyn.jacobian(self._model, q).T @ inputs["F_ext"] - dyn.bias(self._model, q, v, payload)
@@ -110,7 +124,7 @@ class JointStage:
                 out["at_rest"] = train.merged(memory["at_rest"], moved.at_rest)
             onto = train.merged(onto, spring)
             half = train.merged(half, np.zeros(self._rig.arm.n))
-        return {"tau": given.tau, "onto": onto, "half": half}, out
+        return {"tau": asked, "onto": onto, "half": half, "cut": cut}, out
 
     # ---------------------------------------------------------------- a run
 
@@ -121,13 +135,18 @@ class JointStage:
         payload = PayloadValues.of(subtree(parameters, "plant.payload"))
         full = dyn.gravity_torque(self._model, q, payload)
         weight = full - compensation(self._model, self._adds, q, np.zeros(arm.n), payload)
+
+        def enough(more: float) -> str:
+            return f"timestep={dt / math.ceil(more * steps * (1.0 - 1e-9)):.9g}"
+
         memory = {"held": weight, "tau_link": full}
-        memory |= drive.start(self._actuation, arm, weight, parameters)
+        if self._follower is None:
+            memory |= drive.start(self._actuation, arm, weight, parameters)
+        else:
+            memory |= self._follower.start(q, v, parameters, h, enough)
         started = self._train.start(q, v, full, parameters)
         memory |= {name: value for name, value in started.items() if name != "friction"}
-        require_short_steps(
-            self._train, self._actuation, parameters, h, lambda more: f"timestep={dt / math.ceil(more * steps):.9g}"
-        )
+        require_short_steps(self._train, self._actuation, parameters, h, enough)
         n = arm.n
         if self._loop is None:
             self._inputs = Block.of({"q": (n,), "v": (n,), "F_ext": (6,)})
@@ -179,3 +198,9 @@ class JointStage:
         """(n,) torques of the motors in the last step."""
         tau: Float64Array = self._given["tau"].copy()
         return tau
+
+    @property
+    def cut(self) -> Float64Array:
+        """(n,) what the effort of drives that follow by themselves cut off in the last step."""
+        cut: Float64Array = self._given["cut"].copy()
+        return cut

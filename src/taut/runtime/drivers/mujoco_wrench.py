@@ -49,7 +49,7 @@ class Wrench:
 
 
 class Normals:
-    """The force of the contacts on the body that carries the tool, of each along its own normal and without friction."""
+    """The force of the contacts on the tool's body, of each along its own normal and without friction."""
 
     def __init__(self, rig: Rig) -> None:
         import mujoco
