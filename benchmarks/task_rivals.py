@@ -11,6 +11,9 @@ KP = np.array([100.0, 100.0, 100.0, 64.0, 64.0, 64.0])
 KD = np.array([20.0, 20.0, 20.0, 16.0, 16.0, 16.0])
 K = np.diag([800.0, 800.0, 800.0, 30.0, 30.0, 30.0])
 B = np.diag([50.0, 50.0, 50.0, 3.0, 3.0, 3.0])
+KFP, KFI, DT = 0.4, 5.0, 1e-3
+A = np.array([[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
+F_DES, F_EXT = np.array([0.0, 0.0, -10.0, 0.0, 0.0, 0.0]), np.array([0.0, 0.0, 8.0, 0.0, 0.0, 0.0])
 REST_KP, REST_KD = 10.0, 6.0
 
 
@@ -53,6 +56,24 @@ class PinocchioTask:
         Minv = np.linalg.inv(M)
         Lambda = np.linalg.inv(J @ Minv @ J.T)
         F = Lambda @ (a_des - Jdot_v) + B @ V_e + K @ X_e
+        return J.T @ F + h + self._posture(q, v, M, J, Lambda, Minv)
+
+    def hybrid(self, q: Vector, v: Vector, T_des: pin.SE3, V_des: Vector, a_des: Vector) -> Vector:
+        """Eq. 10.45 on a floor, with A = (n, 0): world axes, a force fed back as PI, the integral's first tick."""
+        model, data, frame = self.model, self.data, self.tool
+        M, h = self._dynamics(q, v)
+        J = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        Jdot_v = pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED).vector
+        T = data.oMf[frame]
+        X_e = np.concatenate([T_des.translation - T.translation, pin.log3(T_des.rotation @ T.rotation.T)])
+        V_e = V_des - J @ v
+        Minv = np.linalg.inv(M)
+        Lambda_inv = J @ Minv @ J.T
+        Lambda = np.linalg.inv(Lambda_inv)
+        P = np.eye(6) - A.T @ np.linalg.inv(A @ Lambda_inv @ A.T) @ A @ Lambda_inv
+        F_e = F_DES + F_EXT
+        F_force = F_DES + KFP * F_e + KFI * (F_e * DT)
+        F = P @ (Lambda @ (a_des + KP * X_e + KD * V_e)) + (np.eye(6) - P) @ F_force - Lambda @ Jdot_v
         return J.T @ F + h + self._posture(q, v, M, J, Lambda, Minv)
 
     def _dynamics(self, q: Vector, v: Vector) -> tuple[Vector, Vector]:

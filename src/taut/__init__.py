@@ -55,8 +55,18 @@ if TYPE_CHECKING:
     from taut.control.filters import Notch as Notch
     from taut.control.gains import Gain as Gain
     from taut.control.gains import Memory as Memory
+    from taut.control.guards import Lasting as Lasting
+    from taut.control.guards import contact as contact
+    from taut.control.guards import lasting as lasting
+    from taut.control.guards import moved as moved
+    from taut.control.guards import no_contact as no_contact
+    from taut.control.guards import reached as reached
+    from taut.control.guards import settled as settled
+    from taut.control.hybrid_motion import HybridMotion as HybridMotion
+    from taut.control.hybrid_motion import pressing as pressing
     from taut.control.law import Law as Law
     from taut.control.limits import Limits as Limits
+    from taut.control.phase import Phase as Phase
     from taut.control.reference import JointMotion as JointMotion
     from taut.control.reference import chunk as chunk
     from taut.control.reference import hold as hold
@@ -64,7 +74,9 @@ if TYPE_CHECKING:
     from taut.control.sensing import Sensing as Sensing
     from taut.control.side_by_side import SideBySide as SideBySide
     from taut.control.side_by_side import together as together
+    from taut.control.steady import Steady as Steady
     from taut.control.task_error import Coordinates as Coordinates
+    from taut.control.task_force import TaskForce as TaskForce
     from taut.control.task_reference import TaskMotion as TaskMotion
     from taut.control.task_samples import TaskSamples as TaskSamples
     from taut.control.task_trajectory import Circle as Circle
@@ -85,12 +97,16 @@ if TYPE_CHECKING:
     from taut.controller import compile as compile
     from taut.loop import Loop as Loop
     from taut.maths import dynamics as dynamics
+    from taut.maths.constraint import Constraint as Constraint
+    from taut.maths.constraint import ConstraintRows as ConstraintRows
     from taut.maths.gearing import rotor_share as rotor_share
     from taut.maths.ik import IkOutcome as IkOutcome
+    from taut.maths.onto import onto as onto
     from taut.maths.snapshot import Snapshot as Snapshot
     from taut.maths.snapshot import snapshot as snapshot
     from taut.plant.actuation import Actuation as Actuation
     from taut.plant.actuation import Ripple as Ripple
+    from taut.plant.contact import RigidContact as RigidContact
     from taut.plant.environment import Environment as Environment
     from taut.plant.environment import Environments as Environments
     from taut.plant.environment_held import Hand as Hand
@@ -120,12 +136,20 @@ if TYPE_CHECKING:
     from taut.runtime.drivers.mujoco import MujocoPlant as MujocoPlant
     from taut.runtime.events import Event as Event
     from taut.runtime.simulate import run as run
+    from taut.study.admissible import Admissible as Admissible
+    from taut.study.contact_modes import FrictionMargin as FrictionMargin
+    from taut.study.freedom_words import FreedomRow as FreedomRow
+    from taut.study.freedoms import Freedoms as Freedoms
+    from taut.study.freedoms import freedoms as freedoms
     from taut.study.impedance import check_impedance as check_impedance
     from taut.study.limits import StiffnessCheck as StiffnessCheck
     from taut.study.limits import StiffnessLimits as StiffnessLimits
     from taut.study.limits import check_stiffness as check_stiffness
     from taut.study.limits import stiffness_limits as stiffness_limits
     from taut.study.sampled import SampledLoop as SampledLoop
+    from taut.study.specification import Specification as Specification
+    from taut.study.specification import check_specification as check_specification
+    from taut.study.specification import possible_specifications as possible_specifications
     from taut.study.tip import check_stiffness_at as check_stiffness_at
     from taut.study.tip import safe_stiffness as safe_stiffness
     from taut.study.wrist import WristCalibration as WristCalibration
@@ -160,12 +184,17 @@ _HOME: Final = {
     "control.command": ("Position", "Terms", "Torque", "Velocity"),
     "control.filters": ("LowPass", "Notch"),
     "control.gains": ("Gain", "Memory"),
+    "control.guards": ("Lasting", "contact", "lasting", "moved", "no_contact", "reached", "settled"),
+    "control.hybrid_motion": ("HybridMotion", "pressing"),
     "control.law": ("Law",),
     "control.limits": ("Limits",),
+    "control.phase": ("Phase",),
     "control.reference": ("JointMotion", "chunk", "hold", "stream"),
     "control.sensing": ("Sensing",),
     "control.side_by_side": ("SideBySide", "together"),
+    "control.steady": ("Steady",),
     "control.task_error": ("Coordinates",),
+    "control.task_force": ("TaskForce",),
     "control.task_reference": ("TaskMotion",),
     "control.task_samples": ("TaskSamples",),
     "control.task_trajectory": ("Circle", "Line", "Screw"),
@@ -175,10 +204,13 @@ _HOME: Final = {
     "control.wrist": ("Wrist",),
     "controller": ("Controller", "compile"),
     "loop": ("Loop",),
+    "maths.constraint": ("Constraint", "ConstraintRows"),
     "maths.gearing": ("rotor_share",),
     "maths.ik": ("IkOutcome",),
+    "maths.onto": ("onto",),
     "maths.snapshot": ("Snapshot", "snapshot"),
     "plant.actuation": ("Actuation", "Ripple"),
+    "plant.contact": ("RigidContact",),
     "plant.environment": ("Environment", "Environments"),
     "plant.environment_held": ("Hand", "Handle"),
     "plant.environment_push": ("Push",),
@@ -199,9 +231,14 @@ _HOME: Final = {
     "runtime.drivers.mujoco": ("MujocoPlant",),
     "runtime.events": ("Event",),
     "runtime.simulate": ("run",),
+    "study.admissible": ("Admissible",),
+    "study.contact_modes": ("FrictionMargin",),
+    "study.freedom_words": ("FreedomRow",),
+    "study.freedoms": ("Freedoms", "freedoms"),
     "study.impedance": ("check_impedance",),
     "study.limits": ("StiffnessCheck", "StiffnessLimits", "check_stiffness", "stiffness_limits"),
     "study.sampled": ("SampledLoop",),
+    "study.specification": ("Specification", "check_specification", "possible_specifications"),
     "study.tip": ("check_stiffness_at", "safe_stiffness"),
     "study.wrist": ("WristCalibration", "calibrate_wrist"),
     "study.wrist_poses": ("calibration_poses",),

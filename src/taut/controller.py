@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping, Sequence
 from typing import Any, Final, Literal, NoReturn
 
 import numpy as np
@@ -25,8 +25,11 @@ from taut.control.law import Law
 from taut.control.lawside import HELD, TOLD, LawSide, Probe
 from taut.control.limiting import take_up
 from taut.control.limits import Limits
+from taut.control.phase import Phase
+from taut.control.phases import Phases
 from taut.control.reference import Sample, Trajectory
 from taut.control.sensing import Sensing
+from taut.control.task_steps import TaskSteps
 from taut.maths.adds import Adds
 from taut.maths.snapshot import AT_TOOL, MEASUREMENTS, measurement_shapes
 
@@ -38,7 +41,7 @@ DT: Final = "dt"  # the period stands beside the parameters, so that code serves
 
 
 def compile(
-    law: Law,
+    law: Law | Sequence[Phase],
     arm: Arm,
     *,
     rate: float = 1000.0,
@@ -50,7 +53,7 @@ def compile(
     """A controller: the law for this arm, as native code.
 
     Args:
-        law: A law of `taut.laws`, a sum of them, or one of your own.
+        law: A law of `taut.laws`, a sum of them, or one of your own; or a task, a list of `taut.Phase`.
         arm: The controller's model of the arm, payload included.
         rate: Ticks per second [Hz].
         sensing: Where the velocity comes from, measured by default; filters of what is measured.
@@ -72,6 +75,10 @@ def compile(
         >>> ctrl.step(np.zeros(2), np.zeros(2), taut.JointMotion(q=[0.1, 0.0])).tolist()
         [1.0, 0.0]
     """
+    if isinstance(law, (list, tuple)):
+        law = Phases.of(law)
+    if isinstance(law, Phase):
+        raise UsageError("a task is a list of phases: taut.compile([taut.Phase(...)], arm)", name="law")
     if not isinstance(law, Law):  # callers without a type checker
         raise UsageError(
             f"compile takes a law such as taut.laws.PID(kp=...), with its gains; got {law!r}", name="law"
@@ -120,8 +127,11 @@ class Controller:
         self.parameters = Parameters(side, self._kernel)
         self._inputs = self._kernel.blocks.views("inputs")
         self._command = self._kernel.blocks.views("outputs")["command"]
+        self._memory = self._kernel.blocks.views("memory")
         self._torque_at_start: Float64Array | None = None
-        vars(self)["step"] = self._kernel.step  # the builtin stands before the method that documents it
+        self._task = TaskSteps(side, side.law) if isinstance(side.law, Phases) else None
+        # The builtin stands before the method that documents it; the references of a task are made in Python.
+        vars(self)["step"] = self._kernel.step if self._task is None else self._task_step
 
     def recording_kernel(self, sensed: tuple[str, ...] = ()) -> Kernel:
         """A kernel of the same law with blocks of its own, that gives every term in every tick: for simulations.
@@ -262,6 +272,23 @@ class Controller:
         self._kernel.tick()
         return self._command.copy()
 
+    def _task_step(self, *args: Any, **kwargs: Any) -> Any:
+        """A tick of a task: the sample is made here, and what was passed is checked where it goes on to."""
+        assert self._task is not None
+        given, ref = self._arguments(args, kwargs)
+        kernel = self._kernel
+        going = kernel.ready or self.parameters.changed
+        tick, memory = (kernel.count, self._memory) if going else (0, None)
+        if self._task.looks(tick, memory):
+            self._check_given(given)
+        sample = self._task.sample(tick, memory, given, ref, self.parameters.views)
+        measured = [given.pop(name) for name in ("q", "v") if name in given]
+        return (
+            kernel.step(*measured, sample, **given)
+            if len(measured) == 2
+            else self._slow(*measured, ref=sample, **given)
+        )
+
     def _arguments(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[dict[str, Any], Any]:
         known = ("q", "v", "ref", "F_app", *MEASUREMENTS)
         positional: tuple[str, ...] = known[:3]
@@ -286,20 +313,11 @@ class Controller:
 
     def _take(self, given: dict[str, Any], ref: Any) -> None:
         """Check everything, then write everything."""
-        for name in ("q", *self.needs):
-            if name not in given:
-                raise UsageError(f"step needs {name}{_WHY.get(name, '')}; got none", name=name)
-        for name in given:
-            if name not in ("q", *self.side.takes):
-                raise UsageError(
-                    f"step got {name}, which this controller does not use"
-                    f"{'; its sensing makes v from positions' if name == 'v' else ''}; leave it out",
-                    name=name,
-                )
+        self._check_given(given)
         if not isinstance(ref, self.law.reference):
             hint = "; for a trajectory pass ref.at(t)" if isinstance(ref, Trajectory) else ""
             got = "none" if ref is None else type(ref).__name__
-            raise UsageError(f"step needs ref, a taut.{self.law.reference.__name__}; got {got}{hint}", name="ref")
+            raise UsageError(f"step needs ref, a taut.{self.law.reference.described()}; got {got}{hint}", name="ref")
         joints = self.arm.joint_names
         taken = given | {path: getattr(ref, path[4:]) for path in self._inputs if path.startswith("ref.")}
         checked = {
@@ -311,6 +329,19 @@ class Controller:
         self.side.check_finite(checked, self._kernel.count if self._kernel.ready else 0)
         for path, value in checked.items():
             self._inputs[path][...] = value
+
+    def _check_given(self, given: dict[str, Any]) -> None:
+        """What is measured must be what is asked for."""
+        for name in ("q", *self.needs):
+            if name not in given:
+                raise UsageError(f"step needs {name}{_WHY.get(name, '')}; got none", name=name)
+        for name in given:
+            if name not in ("q", *self.side.takes):
+                raise UsageError(
+                    f"step got {name}, which this controller does not use"
+                    f"{'; its sensing makes v from positions' if name == 'v' else ''}; leave it out",
+                    name=name,
+                )
 
     def _first(self) -> None:
         """The first tick of all, or the first one after a change of parameters that a blend takes up."""
@@ -337,7 +368,8 @@ class Controller:
         for path in ("q", "ref.q"):  # in the first tick alone: nothing must stop an arm that moves already
             if path in self._inputs:
                 require_radians(path, self._inputs[path], self.arm)
-        self.side.check_start(self._inputs["q"].copy(), self.parameters)
+        ref = self.law.reference.of(subtree({path: np.array(value) for path, value in self._inputs.items()}, "ref"))
+        self.side.check_start(self._inputs["q"].copy(), self.parameters, ref)
         if TOLD in self._inputs:
             told = self._torque_at_start
             self._inputs[TOLD][...] = told is not None
@@ -390,7 +422,25 @@ class Controller:
             >>> k.command.round(6).tolist()
             [2.0, 1.0]
         """
+        if self._task is not None:
+            raise UsageError(
+                "bind is for a law, whose reference is written from outside; the references of a task are made as "
+                "its phases begin: take ctrl.step",
+                name="bind",
+            )
         return BoundKernel(self._kernel, self.law.reference)
+
+    @property
+    def phase(self) -> str:
+        """The phase of a task that the coming tick belongs to; "stop" where the task has stopped.
+
+        Raises:
+            UsageError: The controller is of a law, not of a task.
+        """
+        if self._task is None:
+            raise UsageError("a controller of one law has no phases; compile a list of taut.Phase", name="phase")
+        going = self._kernel.ready or self.parameters.changed
+        return self._task.name(self._memory if going else None)
 
     # ---------------------------------------------------------------- looking inside
 
@@ -463,6 +513,8 @@ class Controller:
         for path, value in self.parameters.items():
             unit = f"  [{units[path]}]" if path in units else ""
             lines.append(f"  {path:{width}} {short(value)}{unit}")
+        if isinstance(side.law, Phases):
+            lines += ["", *(f"phase          {line}" for line in side.law.plan())]
         lines += ["", f"terms          {', '.join(side.probe.terms)}"]
         lines += [f"sensing        {side.sensing.summary}"] if side.sensing.alters else []
         lines.append(f"needs          {', '.join(('q', *side.needs))}")
@@ -495,7 +547,7 @@ class _Functions:
         terms = {f"terms.{name}": value for name, value in tick.terms.items()} if self._record else {}
         sensed = {f"sensed.{name}": tick.seen[name] for name in self._sensed}
         told = {name: tick.seen[name] for name in self._side.sensing.tells} if self._record else {}
-        kept = {path: tick.memory[path] for path in self._side.recorded} if self._record else {}
+        kept = {column: tick.memory[path] for column, path in self._side.recorded.items()} if self._record else {}
         return {"command": tick.command, **terms, **sensed, **told, **kept}, tick.memory
 
     def start(self, inputs: Values, parameters: Values, memory: Values) -> tuple[Values, Values]:  # noqa: ARG002
@@ -526,7 +578,7 @@ def _kernel_of(
     held = {TOLD: (), HELD: (n,)} if "limits.tau_applied" in probe.shapes else {}
     terms = {f"terms.{name}": (n,) for name in probe.terms} if record else {}
     sensed_sizes = {f"sensed.{name}": sizes[name] for name in sensed}
-    kept = {path: probe.shapes[path] for path in side.recorded} if record else {}
+    kept = {column: probe.shapes[path] for column, path in side.recorded.items()} if record else {}
     told = dict.fromkeys(side.sensing.tells, ()) if record else {}
     inputs = Block.of({"t": (), "q": (n,), **{name: sizes[name] for name in side.takes}, **ref_fields, **held})
     parameters = Block.of({path: value.shape for path, value in side.parameters.items()} | {DT: ()})
@@ -571,7 +623,7 @@ def _probed(side: LawSide) -> Probe:
     except TautError:
         raise
     except Exception as cause:
-        name = type(side.law).__name__
+        name = title(side.law)
         raise UsageError(f"{name} fails on plain numbers, at rest at home: {failure(cause)}", name=name) from cause
 
 
@@ -579,12 +631,16 @@ def _random_samples(side: LawSide, blocks: Blocks) -> list[tuple[Float64Array, F
     """Three states near home, at which compiled code is compared with the float run."""
     rng = np.random.default_rng(0)
     samples = []
-    for _ in range(3):
+    task = side.law if isinstance(side.law, Phases) else None
+    for k in range(3 if task is None else max(3, 2 * len(task.names))):
         inputs, memory = (0.3 * rng.standard_normal(block.size) for block in (blocks.inputs, blocks.memory))
         views = blocks.layout["inputs"].views(inputs)
         for name in ("q", "q_motor", "ref.q"):
             if name in views:
                 views[name] += side.arm.home
+        if task is not None:  # each phase in its first tick and in another one
+            held = blocks.layout["memory"].views(memory)
+            held["law.next"][...], held["law.ticks"][...] = k // 2 % len(task.names), k % 2
         samples.append((inputs, blocks.parameters.copy(), memory))
     return samples
 
@@ -597,7 +653,7 @@ def _not_finite(side: LawSide, kernel: Kernel) -> TautError:
         side.check_reading(blocks.views("inputs"), blocks.views("memory"), kernel.count)
     except RangeError as error:
         return error
-    law = type(side.law).__name__
+    law = title(side.law)
     bad = np.flatnonzero(~np.isfinite(blocks.views("outputs")["command"]))
     joint = joints[int(bad[0])] if bad.size else None
     who = f"the {side.probe.kind} of joint '{joint}'" if joint is not None else "its new memory"
@@ -613,12 +669,16 @@ def _not_finite(side: LawSide, kernel: Kernel) -> TautError:
 
 
 class Parameters(MutableMapping[str, Float64Array]):
-    """Run-time parameters by path. A new value is checked like the first one and acts from the next tick."""
+    """Run-time parameters by path. A new value is checked like the first one and acts from the next tick.
+
+    What has a meaning in some poses only is checked at that of the last tick.
+    """
 
     def __init__(self, side: LawSide, kernel: Kernel) -> None:
         self._side = side
         self._kernel = kernel
-        self._views = kernel.blocks.views("parameters")
+        self.views = kernel.blocks.views("parameters")
+        """The numbers that the compiled code reads."""
         self._kept: tuple[int, Float64Array] | None = None  # a tick, and the values that it was computed with
         self.changed = False
         """Whether a blend has to take up the jump of a new value in the next tick."""
@@ -636,15 +696,19 @@ class Parameters(MutableMapping[str, Float64Array]):
     def __getitem__(self, path: str) -> Float64Array:
         if path not in self._side.parameters:
             raise unknown_name("the controller", "parameter", path, self._side.parameters)
-        value = self._views[path].copy()
+        value = self.views[path].copy()
         value.flags.writeable = False
         return value
 
     def __setitem__(self, path: str, value: ArrayLike) -> None:
         checked = self._side.checked_parameter(path, value)
+        if self._kernel.ready or self.changed:  # then it is known where the arm was in the last tick
+            blocks = self._kernel.blocks
+            q = blocks.layout["inputs"].views(blocks.seen)["q"].copy()
+            self._side.check_change(q, self.views, {path: checked})
         if self._kept is None or self._kept[0] != self._kernel.count:
             self._kept = (self._kernel.count, self._kernel.blocks.parameters.copy())
-        self._views[path][...] = checked
+        self.views[path][...] = checked
         if self._kernel.ready and self._side.blends((path,)):
             self.changed = True
             self._kernel.clear()

@@ -5,6 +5,7 @@ This is what is fused into native code, swept, linearised and tuned. Every param
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping, MutableMapping
 from typing import Any, Final, Protocol, runtime_checkable
 
@@ -18,18 +19,19 @@ from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.control.describe import title
 from taut.control.lawside import LawSide
+from taut.control.phases import Phases
 from taut.control.reference import Hold, Reference, as_reference
 from taut.maths.adds import Adds
 from taut.maths.snapshot import MEASUREMENTS
 from taut.plant.sensors import Sensors
 
-__all__ = ["AnyPlant", "Loop", "ModelPlant", "check_fit", "sensed_of"]
+__all__ = ["AnyPlant", "Loop", "ModelPlant", "check_fit", "require_no_reference", "sensed_of"]
 
 Values = Mapping[str, Any]
 DT: Final = "dt"
 PROVIDED_BY: Final[Mapping[str, str]] = {
     "v": "; sensing=taut.Sensing(velocity='difference') needs positions only",
-    "F_ext": "; give the plant environment=, or take a taut.MujocoPlant",
+    "F_ext": "; give the plant environment= or contact=, or take a taut.MujocoPlant",
     "tau_meas": "; give the plant sensors=taut.Sensors(torque=taut.TorqueSensor())",
     "q_motor": "; give the plant sensors=taut.Sensors(motor=taut.Encoder())",
     "v_motor": "; give the plant sensors=taut.Sensors(motor_velocity=taut.Tachometer())",
@@ -132,13 +134,34 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
     for name in side.needs:
         if name not in plant.measures:
             raise MatchError(
-                f"{law} needs {name}, which plant '{plant.name}' does not measure; it measures "
+                f"{_asking(side, name)} needs {name}, which plant '{plant.name}' does not measure; it measures "
                 f"{', '.join(sorted(plant.measures)) or 'positions only'}" + PROVIDED_BY.get(name, ""),
                 name=name,
             )
     _check_weight(side, plant)
     _check_adds(law, side.adds, probe.used, plant)
     _check_start(side, plant)
+
+
+def _asking(side: LawSide, name: str) -> str:
+    """What asks for a measurement: of a task, the phase."""
+    if isinstance(side.law, Phases):
+        for phase in side.law.phases:
+            if name in dataclasses.replace(side, law=side.law.alone(phase)).probe.used:
+                return f"phase '{phase}'"
+    return title(side.law)
+
+
+def require_no_reference(side: LawSide, ref: object) -> None:
+    """The phases of a task have references of their own.
+
+    Raises:
+        UsageError: There is another one beside them.
+    """
+    if isinstance(side.law, Phases) and ref is not None:
+        raise UsageError(
+            "each phase of a task has its own reference, as in taut.Phase(law, reference); leave ref out", name="ref"
+        )
 
 
 def sensed_of(side: LawSide, plant: AnyPlant) -> tuple[str, ...]:
@@ -255,6 +278,7 @@ class Loop:
         self.engine = ctrl.engine
         self.plant = plant
         check_fit(self.side, plant)
+        require_no_reference(self.side, ref)
         self.ref: Reference = Hold() if ref is None else as_reference(ref)
         self.duration = positive_scalar("duration", duration, unit="s")
         self.parameters = LoopParameters(self.side, plant, {**ctrl.parameters, **plant.parameters})
@@ -313,7 +337,7 @@ class Loop:
         record |= {name: tick.seen[name] for name in self.side.sensing.tells if name not in record}
         record |= {f"sensed.{name}": tick.seen[name] for name in sensed_of(self.side, self.plant)}
         record |= {f"terms.{name}": value for name, value in tick.terms.items()}
-        record |= {path: tick.memory[path] for path in self.side.recorded}
+        record |= {column: tick.memory[path] for column, path in self.side.recorded.items()}
         return record, {f"plant.{path}": value for path, value in plant.items()} | tick.memory
 
     def substep(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:  # noqa: ARG002

@@ -29,6 +29,7 @@ STORIES = (
     "two_arms",
     "wrist_alignment",
     "policy_10hz",
+    "panda_presses",
 )
 
 

@@ -24,7 +24,7 @@ def lines() -> list[tuple[str, str]]:
 
 def test_the_page_has_a_line_for_every_kind_of_robot() -> None:
     headings = [heading for heading, _ in lines()]
-    assert len(headings) == 26
+    assert len(headings) == 28
     assert set(headings) >= {"Torques: free motion", "Torques: contact", *DRIVES}
 
 
@@ -35,6 +35,7 @@ def test_a_line_of_the_page_makes_a_law_that_runs(heading: str, code: str) -> No
     ctrl = taut.compile(law, arm, engine="float")
     at_home = {
         taut.TaskMotion: taut.TaskMotion(pose=taut.snapshot(arm, arm.home).T()),
+        taut.TaskForce: taut.TaskForce(F_app=[0.0, 0.0, -5.0, 0.0, 0.0, 0.0]),
         taut.JointMotion: taut.JointMotion(q=arm.home),
     }
     wrist = np.zeros(6) if "F_ext" in ctrl.needs else None

@@ -23,7 +23,9 @@ ARMS = {
     "xarm7": taut.load_arm("xarm7"),
     "so101": taut.load_arm("so101"),
 }
-BOUNDED = taut.compile(taut.laws.TaskComputedTorque(kp=100.0, kd=20.0, error_max=(0.05, 0.2)), PANDA, engine="float")
+BOUNDED = taut.compile(  # plain: what it asks out of reach, too
+    taut.laws.TaskComputedTorque(kp=100.0, kd=20.0, error_max=(0.05, 0.2), singularity="plain"), PANDA, engine="float"
+)
 STEP = 2e-4  # [s] of differences
 DIFFERENCE = 1e-8  # what they are worth, relative to the rates: a fifth derivative times STEP^4 / 30, and rounding
 LOGARITHM = 1e-13  # of Pinocchio's and SciPy's logarithms, away from pi

@@ -71,7 +71,7 @@ CASES: list[tuple[Callable[[], tuple[taut.Controller, Any]], type[taut.TautError
         lambda: (compiled(Pushed(kp=1.0)), plant()),
         taut.MatchError,
         "Pushed needs F_ext, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; "
-        "give the plant environment=, or take a taut.MujocoPlant",
+        "give the plant environment= or contact=, or take a taut.MujocoPlant",
     ),
     (
         lambda: (compiled(), HandPlant(measures="")),
@@ -216,7 +216,7 @@ class TestRunTakes:
         [
             (
                 lambda: taut.run(PID, plant(), duration=1.0),  # type: ignore[arg-type]
-                "run takes a controller from taut.compile, or a taut.Loop; got PID",
+                "run takes a controller from taut.compile, a taut.Loop, or a list of taut.Phase; got PID",
             ),
             (
                 lambda: taut.run(compiled(), duration=1.0),

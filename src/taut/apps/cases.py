@@ -9,7 +9,7 @@ from taut.base.errors import quoted_list
 
 __all__ = ["OF_A_CASE", "Trial", "cases_of"]
 
-OF_A_CASE: Final = ("arm", "laws", "control", "plant", "reference", "run", "event")
+OF_A_CASE: Final = ("arm", "laws", "phases", "control", "plant", "reference", "run", "event")
 OF_ALL_CASES: Final = ("title", "outputs", "pass")
 
 

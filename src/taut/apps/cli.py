@@ -162,6 +162,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from taut.apps.run_scenario import run_scenario
     from taut.apps.scenario import load_scenario
     from taut.apps.user_law import load_law
+    from taut.record.phases import PHASES
 
     if arguments.gain and arguments.law is None:
         raise UsageError("--gain is for a law of your own: --law FILE.py:CLASS --gain kp=100")
@@ -184,7 +185,7 @@ def _run(arguments: argparse.Namespace) -> int:
         for kind, reason in result.skipped.items():
             print(_one_line(f"no {kind}: {reason}"))
         for trial, one in result.runs.items():
-            if not one.outcome.ok:
+            if not one.outcome.ok or PHASES in one.info:
                 print(_one_line(f"{trial.label}: {one.outcome}"))
         for text in result.missed:
             print(_one_line(f"missed: {text}"))

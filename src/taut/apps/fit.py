@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from taut.apps.read_force_reference import FORCE_KINDS
 from taut.apps.read_reference import JOINT_KINDS
 from taut.apps.read_task_reference import TASK_KINDS
 from taut.apps.toml import Section
@@ -16,17 +17,20 @@ from taut.arm.angles import require_radians
 from taut.arm.description import Arm
 from taut.base.errors import TautError, quoted_list, unknown_name
 from taut.base.types import Float64Array
+from taut.control.hybrid_motion import HybridMotion, Pressing, hybrid_kind
 from taut.control.law import Law
 from taut.control.lawside import LawSide
-from taut.control.reference import Hold, JointMotion, Reference, Sample, Stream, Trajectory, sample_rows
+from taut.control.phases import Phases
+from taut.control.reference import Chunk, Hold, JointMotion, Reference, Sample, Stream, Trajectory, sample_rows
 from taut.control.side_by_side import SideBySide
+from taut.control.task_force import TaskForce
 from taut.control.task_reference import TaskMotion
 from taut.control.task_samples import TaskSamples
 from taut.control.task_trajectory import Circle, Line, Screw
 from taut.controller import compile
 from taut.loop import check_fit, state_at_start
 from taut.plant.rigid import RigidPlant
-from taut.record.metrics import MEASURES, OF_JOINT_MOTION, OF_STEPS, OF_TASK_MOTION
+from taut.record.metrics import MEASURES, OF_FORCE, OF_JOINT_MOTION, OF_PRESSING, OF_STEPS, OF_TASK_MOTION
 from taut.runtime.events import Event, sorted_events
 
 if TYPE_CHECKING:
@@ -38,6 +42,18 @@ __all__ = ["Places", "refuse_misfits"]
 MOST_TICKS: Final = 10_000_000  # of a run, which keeps every one: gigabytes
 MOST_RUNS: Final = 8  # in one figure
 GLANCES: Final = 200  # at a trajectory
+ERRORS_OF: Final[Mapping[type[Sample], tuple[str, ...]]] = {
+    JointMotion: OF_JOINT_MOTION,
+    TaskMotion: OF_TASK_MOTION,
+    hybrid_kind(TaskMotion): (*OF_TASK_MOTION, *OF_PRESSING),
+    TaskForce: OF_FORCE,
+}
+WHOSE: Final[Mapping[type[Sample], str]] = {
+    JointMotion: "joints",
+    TaskMotion: "the tool",
+    hybrid_kind(TaskMotion): "a contact",
+    TaskForce: "forces",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,6 +103,8 @@ def refuse_unfit_results(scenario: Scenario, outputs: Section, figures: Sequence
     """
     _check_files(scenario, outputs)
     places = scenario.cases or {"": scenario}
+    for one in places.values():
+        _check_window(scenario.outputs.window, outputs, one)
     if scenario.outputs.joint is not None:
         for one in places.values():
             _check_joint(scenario.outputs.joint, outputs, one.arm)
@@ -112,7 +130,11 @@ def _check_kind(reference: Reference, label: str, law: Law, section: Section) ->
     given, wanted = _kind_of(reference), law.reference
     if isinstance(reference, Hold) or given is wanted:
         return
-    kinds = TASK_KINDS if wanted is TaskMotion else JOINT_KINDS
+    kinds = {
+        TaskMotion: list(TASK_KINDS),
+        hybrid_kind(TaskMotion): list(TASK_KINDS),
+        TaskForce: list(FORCE_KINDS),
+    }.get(wanted, list(JOINT_KINDS))
     raise section.error(
         f"kind gives a {given.__name__}, and the law '{label}' follows a {wanted.__name__}; take one of "
         f"{quoted_list(['hold', *kinds], most=len(kinds) + 1)}"
@@ -121,6 +143,12 @@ def _check_kind(reference: Reference, label: str, law: Law, section: Section) ->
 
 def _kind_of(reference: Reference) -> type[Sample]:
     """The kind of sample that a reference of a scenario gives."""
+    if isinstance(reference, Chunk):
+        return type(reference.samples[0])
+    if isinstance(reference, TaskForce):
+        return TaskForce
+    if isinstance(reference, (HybridMotion, Pressing)):
+        return hybrid_kind(TaskMotion)
     of_task = isinstance(reference, (TaskMotion, Line, Screw, Circle, TaskSamples, Stream))  # of a policy of the tool
     return TaskMotion if of_task else JointMotion
 
@@ -159,6 +187,7 @@ def _check_figure(figure: PassFigure, section: Section, scenario: Scenario) -> N
             f"metric '{figure.metric}' has no one number for joints in rad and joints in m together; add joint, one "
             f"of {quoted_list(names, most=len(names))}"
         )
+    _check_window(figure.window, section, scenario)
     if figure.metric in OF_STEPS and _moves(scenario):
         raise section.error(
             f"metric '{figure.metric}' is for a set-point, and the [reference] moves; take one of "
@@ -166,10 +195,20 @@ def _check_figure(figure: PassFigure, section: Section, scenario: Scenario) -> N
         )
 
 
+def _check_window(window: tuple[float, float] | None, section: Section, scenario: Scenario) -> None:
+    if window is not None and window[1] > scenario.duration:
+        raise section.error(f"window must end with the run, at {scenario.duration:g} [s]; got {list(window)}")
+
+
 def _part(part: str, label: str, law: Law | None, section: Section) -> Law | None:
     """One of laws side by side."""
     if law is None:
         return None
+    if isinstance(law, Phases):
+        if part not in law.phases:
+            with section.blamed("part"):
+                raise unknown_name("the task", "phase", part, law.phases)
+        return law.laws[part]
     if not isinstance(law, SideBySide):
         raise section.error(f"part is for laws side by side, and '{label}' is one law; leave part out")
     if part not in law.parts:
@@ -179,13 +218,13 @@ def _part(part: str, label: str, law: Law | None, section: Section) -> Law | Non
 
 
 def _check_kind_of_figure(figure: PassFigure, law: Law, section: Section) -> None:
-    """Errors of joints are for laws that follow joints, errors of the task for those that follow the tool."""
-    of_task = law.reference is TaskMotion
-    if figure.metric in (OF_JOINT_MOTION if of_task else OF_TASK_MOTION):
-        whose, fitting = ("joints", OF_TASK_MOTION) if of_task else ("the tool", OF_JOINT_MOTION)
+    """Errors of joints are for laws that follow joints, of the task for those of the tool, of forces for theirs."""
+    fitting = ERRORS_OF.get(law.reference)
+    whose = next((kind for kind, names in ERRORS_OF.items() if figure.metric in names), law.reference)
+    if fitting is not None and whose is not law.reference:
         raise section.error(
-            f"metric '{figure.metric}' is of {whose}, and the law '{figure.law}' follows a {law.reference.__name__}; "
-            f"take one of {quoted_list(fitting, most=len(fitting))}"
+            f"metric '{figure.metric}' is of {WHOSE[whose]}, and the law '{figure.law}' follows a "
+            f"{law.reference.__name__}; take one of {quoted_list(fitting, most=len(fitting))}"
         )
 
 

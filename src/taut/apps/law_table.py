@@ -15,11 +15,13 @@ from taut.arm.description import Arm
 from taut.control import laws
 from taut.control.describe import held_laws, section, summary
 from taut.control.gains import Gain
+from taut.control.hybrid_motion import HybridMotion
 from taut.control.law import Law, field_units
 from taut.control.lawside import LawSide
 from taut.control.sensing import Sensing
 from taut.control.task_reference import TaskMotion
 from taut.maths.adds import Adds
+from taut.maths.constraint import Constraint
 
 __all__ = ["LawRow", "law_rows"]
 
@@ -76,7 +78,8 @@ OF_OTHERS: Final = ("Sum", "SideBySide")  # which are made of other laws
 def _row(cls: type[Law]) -> LawRow:
     fields_of = {field.name: cls.__dict__.get(field.name) for field in fields(cls)}  # type: ignore[arg-type]
     gains = [name for name, field in fields_of.items() if isinstance(field, Gain) and field.where is None]
-    law = cls(**_numbers(cls, gains), **{name: _held(cls) for name in held_laws(cls)})
+    given = {"constraint": Constraint(lambda T: T.p[2])} if "constraint" in fields_of else {}
+    law = cls(**_numbers(cls, gains), **given, **{name: _held(cls) for name in held_laws(cls)})
     side = LawSide(law=law, arm=_six_axes(), rate=1000.0, sensing=Sensing(), limits=None, adds=Adds())
     units = field_units(cls)
     return LawRow(
@@ -105,7 +108,7 @@ def _numbers(cls: type[Law], gains: Sequence[str]) -> dict[str, Any]:
 
 def _held(cls: type[Law]) -> Law:
     """A law for one that holds another."""
-    of_task = cls.reference is TaskMotion and cls is not laws.ViaJointSpace
+    of_task = cls.reference in (TaskMotion, HybridMotion) and cls is not laws.ViaJointSpace
     return laws.TaskComputedTorque(kp=1.0, kd=1.0) if of_task else laws.PID(kp=1.0)
 
 

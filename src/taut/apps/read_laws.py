@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Final
 
+from taut.apps.read_constraint import read_constraint
 from taut.apps.toml import Section
 from taut.arm.description import Arm
 from taut.base.errors import unknown_name
@@ -62,11 +63,13 @@ def _one_law(section: Section, gains: Section, name: str) -> Law:
             raise unknown_name("taut.laws", "law", name, known)
     cls = getattr(all_laws, name)
     fields = [f.name for f in dataclasses.fields(cls) if not isinstance(cls.__dict__.get(f.name), Memory)]
+    made = {"constraint": read_constraint(gains)} if "constraint" in fields else {}
     held = {field: gains.section(field, required=True) for field in held_laws(cls)}
     given = [field for field in optional_laws(cls) if field in gains]
     none = [field for field in given if gains.peek(field) == "none" and gains.take(field)]
     held |= {field: gains.section(field) for field in given if field not in none}
-    values = gains.fields(fields) | {field: read_law(table) for field, table in held.items()} | dict.fromkeys(none)
+    values = gains.fields([field for field in fields if field not in made])
+    values |= made | {field: read_law(table) for field, table in held.items()} | dict.fromkeys(none)
     with gains.blamed():
         law: Law = cls(**values)
         return law

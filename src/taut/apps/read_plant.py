@@ -26,7 +26,7 @@ __all__ = ["Plant", "read_plant"]
 MOST_STEPS: Final = 1000  # of MuJoCo in a control period, as of the other plant
 
 OF_RIGID: Final = ("integrator", "substeps", "sweeps", "energy")
-OF_MUJOCO: Final = ("timestep", "scene", "scene_at", "tool_radius", "tool_length")
+OF_MUJOCO: Final = ("timestep", "scene", "scene_at", "tool_radius", "tool_length", "tip")
 
 Plant: TypeAlias = RigidPlant | HostPlant
 
@@ -80,11 +80,15 @@ def read_plant(section: Section, believed: Arm, rate: float, folder: Path) -> Pl
 
 def _in_mujoco(section: Section, arm: Arm, options: dict[str, Any], rate: float, folder: Path) -> Plant:
     from taut.runtime.drivers.mujoco import MujocoPlant
+    from taut.runtime.drivers.mujoco_tip import SpringTip
 
     timestep, scene = section.number("timestep", None), section.text("scene", None)
     if "scene_at" in section:
         options["scene_at"] = pose_table(section.section("scene_at"))
     section.take("scene_at", None)  # known, so that a misspelt one is compared with it
+    if "tip" in section:
+        options["tip"] = made_from(section.section("tip"), SpringTip)
+    section.take("tip", None)
     options |= {word: section.number(word) for word in ("tool_radius", "tool_length") if word in section}
     section.only(*OF_MUJOCO, elsewhere=dict.fromkeys(OF_RIGID, ', which is for kind = "rigid"'))
     if timestep is not None and 0.0 < timestep * rate * MOST_STEPS < 1.0:

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from taut.apps.read_force_reference import FORCE_KINDS, read_force_reference
 from taut.apps.read_pose import HomeFrame
 from taut.apps.read_task_reference import TASK_KINDS, read_task_reference
 from taut.apps.toml import Section, file_beside
@@ -16,6 +17,7 @@ from taut.arm.angles import require_radians
 from taut.arm.description import Arm
 from taut.base.checks import finite_array
 from taut.base.types import Float64Array
+from taut.control.hybrid_motion import pressing
 from taut.control.law import Law
 from taut.control.reference import Hold, JointMotion, Reference
 from taut.control.trajectory import Cubic, JerkLimited, Quintic, Samples, Sine, Spline, Trapezoidal
@@ -39,7 +41,7 @@ POSITIONS: Final = ("q", "q0", "q1", "center", "points")  # which "home" and rel
 def read_reference(
     section: Section, arm: Arm, home: Float64Array, folder: Path, laws: Mapping[str, Law]
 ) -> Reference:
-    """A hold, a set-point or a trajectory, of joints or of the task.
+    """A hold, a set-point or a trajectory, of joints, of the task or of a force.
 
     Args:
         section: [reference]; a hold of the first state if it is empty.
@@ -50,14 +52,19 @@ def read_reference(
     """
     if not section.left:
         return Hold()
-    kind = section.word("kind", ("hold", *JOINT_KINDS, *TASK_KINDS))
+    kind = section.word("kind", ("hold", *JOINT_KINDS, *TASK_KINDS, *FORCE_KINDS))
     if kind == "hold":
         section.done()
         return Hold()
+    if kind in FORCE_KINDS:
+        return read_force_reference(section, kind)
     relative = section.flag("relative_to_home", False)
     if kind in TASK_KINDS:
         T = snapshot(arm, home).T(_controlled_frame(section, laws))
-        return read_task_reference(section, kind, HomeFrame(T, relative=relative), folder)
+        press = section.number("press", None)
+        motion = read_task_reference(section, kind, HomeFrame(T, relative=relative), folder)
+        with section.blamed("press"):
+            return motion if press is None else pressing(motion, press)  # type: ignore[arg-type]  # it refuses streams
     origin = np.zeros(arm.n) if relative else home
     file = section.text("file", None) if kind == "samples" else None
     if file is None:

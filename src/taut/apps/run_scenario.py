@@ -19,16 +19,21 @@ from rich.table import Table
 from taut.apps.cases import Trial
 from taut.apps.scenario import SUFFIXES, PassFigure, Scenario
 from taut.base.errors import FileError, ScenarioError, TautError, UsageError
+from taut.control.hybrid import HybridMotionForce
 from taut.control.impedance import Impedance
+from taut.control.phases import Phases
 from taut.controller import Controller, compile
+from taut.maths.snapshot import snapshot
 from taut.record.compare import compare
 from taut.record.files import cannot_write, checked_target, written_aside
 from taut.record.metrics import MEASURES, Metrics
 from taut.record.part import PARTS
+from taut.record.phases import PHASES
 from taut.record.run import Run
 from taut.record.spread_plot import spread_figure
 from taut.record.table import number_text
 from taut.runtime.simulate import run
+from taut.study.freedoms import freedoms
 from taut.study.impedance import check_impedance, impedance_of
 
 __all__ = ["ScenarioResult", "run_scenario"]
@@ -89,7 +94,8 @@ class ScenarioResult:
         if self.scenario.spread is not None:
             return self._of_spread(names, joint)
         runs = _apart(self.runs)
-        rows_of = [[one.metrics.by_unit(name, joint) for name in names] for one in runs.values()]
+        window = self.scenario.outputs.window
+        rows_of = [[_within(one, window).by_unit(name, joint) for name in names] for one in runs.values()]
         heads = dict.fromkeys((i, unit) for row in rows_of for i, by_unit in enumerate(row) for unit in by_unit)
         cells = [["case", *(trial.case for trial in runs)]] if self.scenario.cases else []
         cells.append(["law", *(trial.law for trial in runs)])
@@ -103,6 +109,7 @@ class ScenarioResult:
             list(zip(*cells, strict=True)) if needed <= width else [[c.replace("\n", " ") for c in r] for r in cells]
         )
         of_joint = "" if joint is None else f"\nnumbers of joint '{joint}'"
+        of_joint += "" if window is None else f"\nfrom {window[0]:g} to {window[1]:g} s"
         table = Table(title=escape(self.scenario.title + of_joint))
         for head in rows[0]:
             table.add_column(escape(head), overflow="fold")
@@ -128,6 +135,13 @@ class ScenarioResult:
         return table
 
 
+def _within(one: Run, window: tuple[float, float] | None) -> Metrics:
+    """The metrics of a run in a window of it; of all of it where it ended before."""
+    if window is None or not len(one) or one.t[-1] < window[0]:
+        return one.metrics
+    return one.between(*window).metrics
+
+
 def _spread_row(values: Mapping[str, float]) -> list[str] | None:
     """Count, least, median and largest of what is a number, and the run of the largest; None if nothing is."""
     known = {case: value for case, value in values.items() if not math.isnan(value)}
@@ -138,11 +152,29 @@ def _spread_row(values: Mapping[str, float]) -> list[str] | None:
 
 
 def _apart(runs: Mapping[Trial, Run]) -> dict[Trial, Run]:
+    """Runs of laws side by side by their parts, those of a task by its phases, and all others as they are."""
+    out: dict[Trial, Run] = {}
+    for trial, one in _by_part(runs).items():
+        out |= _by_phase(trial, one) or {trial: one}
+    return out
+
+
+def _by_part(runs: Mapping[Trial, Run]) -> dict[Trial, Run]:
     """Runs of laws side by side by their parts, which have the metrics, and all others as they are."""
     out: dict[Trial, Run] = {}
     for trial, one in runs.items():
         parts = {Trial(trial.case, f"{trial.law}: {name}"): one.part(name) for name in one.info.get(PARTS, ())}
         out |= parts or {trial: one}
+    return out
+
+
+def _by_phase(trial: Trial, one: Run) -> dict[Trial, Run]:
+    """The runs of the phases of a task; a phase that acted again has a number."""
+    out: dict[Trial, Run] = {}
+    for window in one.phases if PHASES in one.info else ():
+        visit = sum(label.law.partition(" ")[0] == window.name for label in out)
+        label = window.name if visit == 0 else f"{window.name} {visit + 1}"
+        out[Trial(trial.case, label)] = one.phase(window.name, visit)
     return out
 
 
@@ -209,7 +241,7 @@ def _one_run(scenario: Scenario, ctrl: Controller, trial: Trial, say: Callable[[
         return run(
             ctrl,
             scenario.plant,
-            scenario.reference,
+            None if isinstance(ctrl.law, Phases) else scenario.reference,
             duration=scenario.duration,
             q0=scenario.q0,
             v0=scenario.v0,
@@ -230,7 +262,10 @@ def _blamed(scenario: Scenario, trial: Trial) -> Iterator[None]:
 
 
 def _remark(ctrl: Controller, scenario: Scenario) -> str:
-    """What is to be said of a spring at the tool before it runs."""
+    """What is to be said of a spring at the tool, or of a constraint, before it runs."""
+    if isinstance(ctrl.law, HybridMotionForce):
+        q = scenario.arm.home if scenario.q0 is None else scenario.q0
+        return str(freedoms(ctrl.law.natural, at=snapshot(scenario.arm, q)))
     found = impedance_of(ctrl.law)
     if found is None or (isinstance(found[0], Impedance) and found[0].has("D")):
         return ""
@@ -308,7 +343,7 @@ def _make_folder(folder: Path) -> None:
 
 def _save_plot(scenario: Scenario, runs: Mapping[Trial, Run], path: Path) -> None:
     # A law is called after its section, whatever is in its name; matplotlib takes a pair of $ for mathematics.
-    runs = _apart(runs)
+    runs = _by_part(runs)
     labels = {trial: _plot_label(trial, list(scenario.laws)) for trial in runs}
     drawn = {labels[trial].replace("$", r"\$"): one for trial, one in runs.items() if len(one)}
     if not drawn:
@@ -317,7 +352,9 @@ def _save_plot(scenario: Scenario, runs: Mapping[Trial, Run], path: Path) -> Non
     if scenario.spread is not None:
         figure = spread_figure(drawn)
     elif len(runs) > 1:
-        figure = compare(drawn, measures=wanted.columns, joint=wanted.joint)
+        whole = wanted.window is None or all(one.t[-1] >= wanted.window[1] for one in drawn.values())
+        window = wanted.window if whole else None
+        figure = compare(drawn, measures=wanted.columns, joint=wanted.joint, window=window)
     else:
         figure = next(iter(drawn.values())).plot(joints=joints)
     with written_aside("plot", path) as aside:
@@ -351,10 +388,21 @@ def _missed(figure: PassFigure, runs: Mapping[Trial, Run]) -> Iterator[str]:
     """In words, the runs in which a pass figure is not reached."""
     for trial, one in runs.items():
         if trial.law == figure.law and figure.case in (None, trial.case):
-            measured = one if figure.part is None else one.part(figure.part)
-            text = _shortfall(figure, measured.metrics)
+            text = _shortfall_of_part(figure, one)
             if text is not None:
                 yield f"{trial.label}{'' if figure.part is None else f', {figure.part}'}: {text}"
+
+
+def _shortfall_of_part(figure: PassFigure, one: Run) -> str | None:
+    """In words, if what a pass figure is about does not reach it: the run, a law beside others, or a phase."""
+    measured = one
+    if figure.part is not None and PHASES not in one.info:
+        measured = one.part(figure.part)
+    elif figure.part is not None:
+        if figure.part not in (window.name for window in one.phases):
+            return "the phase did not act"
+        measured = one.phase(figure.part)
+    return _shortfall(figure, _within(measured, figure.window))
 
 
 def _shortfall(figure: PassFigure, metrics: Metrics) -> str | None:

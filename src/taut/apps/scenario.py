@@ -15,6 +15,7 @@ from taut.apps.cases import OF_A_CASE, Trial, cases_of
 from taut.apps.fit import Places, refuse_misfits, refuse_unfit_results
 from taut.apps.read_arm import read_arm
 from taut.apps.read_laws import read_law, read_limits
+from taut.apps.read_phases import TASK, read_phases
 from taut.apps.read_plant import Plant, read_plant
 from taut.apps.read_reference import read_reference
 from taut.apps.read_sensing import SENSED, read_sensing
@@ -55,6 +56,7 @@ class Outputs:
     shown: Trial  # whose video, log and table are made
     columns: tuple[str, ...] | None  # metrics in the table and the plot; None for the usual ones
     joint: str | None  # whose numbers and motion these are; None for all joints together
+    window: tuple[float, float] | None  # [s] of the run that the table is about; None for all of it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +70,7 @@ class PassFigure:
     part: str | None  # of laws side by side, the one that it is about; None for the whole
     least: float
     most: float
+    window: tuple[float, float] | None  # [s] of the run that it is about; None for all of it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,9 +156,13 @@ def load_scenario(name: str, own_laws: Mapping[str, Law] | None = None) -> Scena
 def _experiment(root: Section, folder: Path, own_laws: Mapping[str, Law] | None) -> tuple[dict[str, Any], Places]:
     """The fields of a scenario that say what is run, and the sections that they came from."""
     arm = read_arm(root.section("arm", required=True), folder)
-    laws_section = root.section("laws", required=own_laws is None)
-    labels = laws_section.left
-    if own_laws is None:
+    task = root.sections("phases")
+    _refuse_beside_task(root, task, own_laws)
+    laws_section = root.section("laws", required=own_laws is None and not task)
+    labels = [TASK] if task else laws_section.left
+    if task:
+        law_places = {TASK: task[0]}
+    elif own_laws is None:
         law_places = _law_sections(laws_section)
         laws = {label: read_law(section) for label, section in law_places.items()}
     else:
@@ -166,6 +173,8 @@ def _experiment(root: Section, folder: Path, own_laws: Mapping[str, Law] | None)
     events = root.sections("event")
     rate, sensing, limits = _control(control, arm)
     plant = read_plant(plant_section, arm, rate, folder)
+    if task:
+        laws = {TASK: read_phases(root, task, arm, plant.arm.home, folder)}
     fields = {
         "source": root.where,
         "arm": arm,
@@ -188,6 +197,17 @@ def _experiment(root: Section, folder: Path, own_laws: Mapping[str, Law] | None)
         events=events,
     )
     return fields, places
+
+
+def _refuse_beside_task(root: Section, task: list[Section], own_laws: Mapping[str, Law] | None) -> None:
+    """Each phase has its law and its reference."""
+    if not task:
+        return
+    if own_laws is not None:
+        raise root.error("has [[phases]], each with a law of its own, which --law cannot take the place of")
+    for name in ("laws", "reference"):
+        if name in root:
+            raise root.error(f"has [[phases]], each with its law and its reference; leave [{name}] out")
 
 
 def _found(name: str) -> Path:
@@ -320,9 +340,10 @@ def _outputs(section: Section, laws: list[str], labels: list[str], cases: list[s
             raise section.error(f"{word} must be a file name ending in {' or '.join(suffixes)}; got {name!r}")
         if len(name.encode()) > MOST_BYTES:
             raise section.error(f"{word} must be a file name of at most {MOST_BYTES} bytes; got {len(name.encode())}")
-    joint = section.text("joint", None)
+    joint, window = section.text("joint", None), _window(section)
     section.done()
     return Outputs(
+        window=window,
         shown=Trial(case or (cases[-1] if cases else ""), shown if shown in laws else laws[-1]),
         columns=None if columns is None else tuple(columns),
         joint=joint,
@@ -344,7 +365,7 @@ def _figure(section: Section, labels: list[str], cases: list[str]) -> PassFigure
     case = _case(section, "case", cases)
     label, metric, joint = section.text("law"), section.text("metric"), section.text("joint", None)
     part = section.text("part", None)
-    least, most = section.number("min", -np.inf), section.number("max", np.inf)
+    least, most, window = section.number("min", -np.inf), section.number("max", np.inf), _window(section)
     section.done()
     if label not in labels:
         raise section.error(f"law must be one of {quoted_list(labels)}; got {label!r}")
@@ -356,5 +377,22 @@ def _figure(section: Section, labels: list[str], cases: list[str]) -> PassFigure
     if least > most:
         raise section.error(f"min must be <= max, which is {most:g}; got {least:g}")
     return PassFigure(
-        case=case, law=label, metric=metric, joint=joint, part=part, least=float(least), most=float(most)
+        case=case,
+        law=label,
+        metric=metric,
+        joint=joint,
+        part=part,
+        least=float(least),
+        most=float(most),
+        window=window,
     )
+
+
+def _window(section: Section) -> tuple[float, float] | None:
+    """window = [start, end] of the run [s]."""
+    given = section.numbers("window", None)
+    if given is None:
+        return None
+    if not isinstance(given, list) or len(given) != 2 or not 0.0 <= given[0] < given[1]:
+        raise section.error(f"window must be [start, end] with 0 <= start < end [s]; got {given}")
+    return float(given[0]), float(given[1])

@@ -33,7 +33,9 @@ WORDS: Final = {
     "for no limits leave limits=None": 'for no limits write limits = "none"',
     "sensing=taut.Sensing(velocity='difference')": 'velocity = "difference" in [control]',
     "velocity='difference'": 'velocity = "difference"',
-    "give the plant environment=, or take a taut.MujocoPlant": 'kind = "mujoco" or [plant.environment] measures it',
+    "give the plant environment= or contact=, or take a taut.MujocoPlant": (
+        'kind = "mujoco" or [plant.environment] measures it'
+    ),
     "sensors=taut.Sensors(torque=taut.TorqueSensor())": "[plant.sensors.torque]",
     "sensors=taut.Sensors(motor=taut.Encoder())": "[plant.sensors.motor]",
     "sensors=taut.Sensors(motor_velocity=taut.Tachometer())": "[plant.sensors.motor_velocity]",

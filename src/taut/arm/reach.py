@@ -1,4 +1,4 @@
-"""How far an arm's tool can get from its first joint: the largest distance that its limits allow."""
+"""How far a point of an arm can get from its first joint: the largest distance that its limits allow."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from taut.arm.description import Arm, Joint
-from taut.base.types import Float64Array
+from taut.base.types import ArrayLike, Float64Array
 
 __all__ = ["reach"]
 
@@ -18,22 +18,28 @@ SETTLED: Final = 1e-10  # [m] a sweep that gains less than this ends the climb
 SEED: Final = 0
 
 
-def reach(arm: Arm) -> float:
-    """Largest distance [m] of the tool's origin from the origin of the first joint on its chain.
+def reach(arm: Arm, frame: str | None = None, point: ArrayLike = (0.0, 0.0, 0.0)) -> float:
+    """Largest distance [m] of a point of a frame from the origin of the first joint on its chain.
 
     The distance, as a function of one joint alone, has its largest value in closed form: a sine of the angle, or
     a parabola of the slide. Each joint in turn goes there, from the tool to the base, until nothing is gained.
     Infinite if a slide has no limit.
+
+    Args:
+        arm: The arm.
+        frame: The arm's tool if left out.
+        point: (3,) in that frame [m]; its origin if left out.
     """
-    tool = arm.frame()
+    tool = arm.frame(frame)
     chain = [arm.joints[i] for i in arm.ancestors(tool.body)]
     if any(joint.kind == "prismatic" and math.isinf(joint.upper - joint.lower) for joint in chain):
         return math.inf
     rng = np.random.default_rng(SEED)
     q = np.stack([rng.uniform(*_range(joint), size=STARTS) for joint in chain]) if chain else np.zeros((0, STARTS))
+    p_tool = tool.placement.p + tool.placement.R @ np.asarray(point, dtype=np.float64)
     best = -1.0
     for _ in range(SWEEPS):
-        distance = _sweep(chain, q, np.asarray(tool.placement.p, dtype=np.float64))
+        distance = _sweep(chain, q, p_tool)
         if distance - best < SETTLED:
             break
         best = distance

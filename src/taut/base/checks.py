@@ -50,11 +50,11 @@ def entry_names(name: str, index: Sequence[int], joints: Sequence[str] | None = 
     return f"{name}[{', '.join(str(int(i)) for i in index)}]{joint}"
 
 
-def read_only(array: Float64Array) -> Float64Array:
+def read_only(array: ArrayLike) -> Float64Array:
     """A copy that nobody can write to."""
-    array = np.array(array, dtype=np.float64, order="C")
-    array.flags.writeable = False
-    return array
+    copy = np.array(array, dtype=np.float64, order="C")
+    copy.flags.writeable = False
+    return copy
 
 
 def _as_floats(name: str, value: ArrayLike, unit: str) -> Float64Array:

@@ -15,9 +15,13 @@ from taut.base import math as tm
 from taut.base.errors import MatchError, UsageError
 from taut.base.linalg import LTDL, times_square_root
 from taut.base.types import Array, Matrix, Rotation, Vector, Wrench
+from taut.control.command import Terms
 from taut.control.gains import GainValue
+from taut.control.spring import Bound
+from taut.control.targets import eased
 from taut.control.task_error import Coordinates, ErrorKind, TaskError, task_error
 from taut.control.task_reference import TaskMotion
+from taut.maths.out_of_reach import Beyond
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import curve, pose_log_rate, rotated, turned_back
 
@@ -25,12 +29,12 @@ __all__ = [
     "FRAMES",
     "Compliance",
     "GainFrame",
-    "bounded_force",
     "check_frame",
     "check_sensor",
+    "eased_spring",
     "modal_damping",
-    "of_energy",
     "six_gains",
+    "spring",
     "wrench_at",
 ]
 
@@ -99,39 +103,24 @@ class Compliance:
         return tm.array([*force[:3], *moment])
 
 
+def spring(felt: Compliance, K: GainValue, bound: Bound | None) -> Terms:
+    """The force of the spring in the axes of the gains, and what its bound takes of it."""
+    whole = Terms(P=K @ felt.X)
+    return whole if bound is None else whole + Terms(bound=bound.force(K, felt.X) - K @ felt.X)
+
+
+def eased_spring(felt: Compliance, K: GainValue, bound: Bound | None, away: Beyond) -> Wrench:
+    """(k,) the wrench of the spring, in the coordinates of the error, as it is to a target out of reach."""
+    force = (eased(away, away.clear) if bound is None else bound).force(K, felt.X)
+    return felt.outwards(felt.wrench(force))
+
+
 def _turned(R: Rotation, C: Matrix) -> Matrix:
     """(6, 6) of one set of axes in another, block by block."""
     out = tm.zeros((6, 6))
     for i in (0, 3):
         for j in (0, 3):
             out[i : i + 3, j : j + 3] = R @ C[i : i + 3, j : j + 3] @ R.T
-    return out
-
-
-def of_energy(X: Vector, most: GainValue) -> Vector:
-    """(6,) Y with the energy Y . K Y / 2 of a spring whose error is bounded: part by part X sqrt(2 / (1 + root))."""
-    return tm.array([entry for part, share, _ in _bounds(X, most) for entry in share * part])
-
-
-def bounded_force(K: GainValue, X: Vector, most: GainValue) -> Vector:
-    """(6,) the force of a spring whose error is bounded: the gradient of the energy Y . K Y / 2 of `of_energy`.
-
-    With one stiffness for all directions of a part it is K X / sqrt(1 + X . X / most^2).
-    """
-    force, parts = K @ of_energy(X, most), []
-    for k, (part, share, bend) in enumerate(_bounds(X, most)):
-        own = force[3 * k : 3 * k + 3]
-        parts.extend(share * (own - bend * (part @ own) * part))
-    return tm.array(parts)
-
-
-def _bounds(X: Vector, most: GainValue) -> list[tuple[Vector, Any, Any]]:
-    """Of each part: itself, its share in the energy, and how that share falls."""
-    out = []
-    for k, part in enumerate((X[:3], X[3:])):
-        square = most[k] * most[k]
-        root = tm.sqrt(1.0 + (part @ part) / square)
-        out.append((part, tm.sqrt(2.0 / (1.0 + root)), 0.5 / ((1.0 + root) * root * square)))
     return out
 
 

@@ -75,7 +75,11 @@ def gain_units(law: Law) -> dict[str, str]:
 
 
 def title(law: Law) -> str:
-    """A law's name; of a sum, the names of its parts."""
+    """A law's name; of a sum, the names of its parts, and of a task those of its phases."""
+    from taut.control.phases import Phases
+
+    if isinstance(law, Phases):
+        return f"the task of {', '.join(law.phases)}"
     return " + ".join(law.children()) if isinstance(law, Sum) else type(law).__name__
 
 

@@ -165,8 +165,8 @@ class Gain:
         scalar: Whether one number serves; of a gain with two units it does not.
         function: Whether a function may stand in its place, which the law evaluates; then it is no parameter.
         where: Another field of the law and the value it must have for this gain to have a meaning, such as
-            ("anti_windup", "back-calculation"), or ... for any value but None; elsewhere it is no parameter, and must
-            not be given.
+            ("anti_windup", "back-calculation"), a tuple of such values, or ... for any value but None; elsewhere it
+            is no parameter, and must not be given.
 
     Shape: scalar, (size,), or (size, size). Applied with `@`.
     """
@@ -242,6 +242,8 @@ class Gain:
             return True
         field, value = self.where
         given = getattr(law, field)
+        if isinstance(value, tuple):
+            return given in value
         return given is not None if value is ... else bool(given == value)
 
     def checked(

@@ -17,17 +17,19 @@ from taut.control.compliance import (
     FRAMES,
     Compliance,
     GainFrame,
-    bounded_force,
     check_frame,
     check_sensor,
+    eased_spring,
     modal_damping,
-    of_energy,
     six_gains,
+    spring,
     wrench_at,
 )
 from taut.control.gains import Gain, GainValue
 from taut.control.law import Law, MemoryView
 from taut.control.nullspace import Posture
+from taut.control.spring import Bound
+from taut.control.targets import asked_of, calm_torque, out_of_reach
 from taut.control.task import check_error_max, check_null, null_torque
 from taut.control.task_error import ERRORS, Coordinates, ErrorKind, check_coordinates, dimensions
 from taut.control.task_reference import TaskMotion
@@ -57,7 +59,8 @@ class Impedance(Law):
                   with X_des at rest the deviation x = -X_e obeys D x_ddot + B x_dot + K x = F_ext
                   a tracking error is what F_ext makes, K^-1 F_ext at rest, and what the model does not know
                   feedback="acceleration" is an algebraic loop, closed a tick late: stable where the eigenvalues of
-                    Lambda^-1 (D + B dt / 2) are above 0 and below 2, and refused where a run starts elsewhere
+                    Lambda^-1 (D + B dt / 2) are above 0 and below 2, and refused elsewhere: where a run starts, and
+                    where the arm is when gains change
                   a sampled loop is passive at constant gains and X_des with B and friction of K dt / 2 and more
                   coriolis="keep" leaves C v where it is: then without D the energy of arm and spring falls at the
                     rate V . B V, which that of the cancelled form does about rest only
@@ -65,6 +68,9 @@ class Impedance(Law):
     The wrench of the spring is the gradient of X_e . K X_e / 2, so that a stiffness that differs by direction gains
     nothing along a closed path; it is K X_e itself where X_e is along an axis of K. With zeta= the damping is
     designed at each pose from K and the inertia that is felt, D or Lambda(q): zeta is the damping ratio of each mode.
+
+    To a target that is certainly out of reach the torque is that of the spring alone, without error_max eased to 0.05
+    of the reach, 0.3 rad, on joints that settle at 5/s within their speed limits: the term `reach`, else zero.
 
     Frames:
         frame= names the axes of K, B and D: "world", "task" (of the reference pose) or "tool".
@@ -173,11 +179,16 @@ class Impedance(Law):
         ref = TaskMotion.at_rest(x, self.tool)
         felt = Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
         check_directions(x, self.tool, felt.error.J)
-        if not self.has("D"):
-            return
-        if self.feedback == "wrench":
+        if self.has("D") and self.feedback == "wrench":
             check_sensor(x, self.tool)
+        self.check_change(x, rate)
+
+    def check_change(self, x: Snapshot, rate: float) -> None:
+        """0 < eig(Lambda^-1 (D + B dt / 2)) < 2, where feedback="acceleration" needs it."""
+        if not self.has("D") or self.feedback == "wrench":
             return
+        ref = TaskMotion.at_rest(x, self.tool)
+        felt = Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
         inverse = felt.error.J @ x.M_factors.solve(felt.error.J.T)
         size = self.dimensions
         K, D = self.gain_at("K", x).matrix(size), self.gain_at("D", x).matrix(size)
@@ -194,8 +205,8 @@ class Impedance(Law):
             raise RangeError(
                 "feedback='acceleration' uses the acceleration of the tick before, which is stable where the "
                 "eigenvalues of Lambda^-1 (D + B dt / 2) are above 0 and below 2; at this pose they are "
-                f"{low:.3g} to {high:.3g}; "
-                "change D, or take feedback='wrench' with a wrist sensor",
+                f"{low:.3g} to {high:.3g}; {_way_out(low, high, self.has('B'))}, or take feedback='wrench' with "
+                "a wrist sensor",
                 name="D",
                 value=high,
                 rule="0 < eig(Lambda^-1 (D + B dt / 2)) < 2",
@@ -220,16 +231,14 @@ class Impedance(Law):
         error, after = felt.error, dict[str, object]()
         inertia = self.inertia_of(x, error.J)
         K, D = self.gain_at("K", x), self.gain_at("D", x) if self.has("D") else None
+        bound = Bound.of(self.error_max) if self.gives("error_max") else None
         if self.gives("tank"):
-            K, D, share = self._paid(felt, K, D, memory, dt)
+            K, D, share = self._paid(felt, bound, K, D, memory, dt)
             after |= {"K_now": K.as_array()} | ({} if D is None else {"D_now": D.as_array()})
-        spring = Terms(P=K @ felt.X)
-        if self.gives("error_max"):
-            spring = spring + Terms(bound=bounded_force(K, felt.X, self.error_max) - K @ felt.X)
         damping = self._damping(x, felt, K, D, inertia)
         if self.gives("tank"):
             after["energy"] = self._filled(memory.energy, share, self._braked(x, felt, damping), dt)
-        wrench = spring.mapped(felt.wrench) + Terms(D=damping)
+        wrench = spring(felt, K, bound).mapped(felt.wrench) + Terms(D=damping)
         cancels = self.coriolis == "cancel"
         motion = Terms(feedforward=error.acceleration)
         if cancels:
@@ -254,6 +263,10 @@ class Impedance(Law):
         if self.null is not None and x.n > self.dimensions:  # else there is no free motion
             free, after["null"] = null_torque(self.null, x, ref, memory["null"], dt, inertia)
             tau = tau + free
+        away = out_of_reach(x, ref, self.tool, asked_of(self.error, self.coordinates))
+        if away is not None:
+            calm = calm_torque(x, error.J, eased_spring(felt, K, bound, away))
+            tau = tau.up_to(tau.total + away.clear * (calm - tau.total), "reach")
         return Torque(tau), after
 
     def _damping(
@@ -267,12 +280,12 @@ class Impedance(Law):
         return modal_damping(factor_spd(matrix), K.matrix(self.dimensions), self.zeta.as_array(), felt.V)
 
     def _paid(
-        self, felt: Compliance, K: GainValue, D: GainValue | None, memory: MemoryView, dt: Any
+        self, felt: Compliance, bound: Bound | None, K: GainValue, D: GainValue | None, memory: MemoryView, dt: Any
     ) -> tuple[GainValue, GainValue | None, Any]:
         """The gains after this tick on their way to new ones, as far as the tank pays; and what it paid [J]."""
         settled = dt / tm.maximum(self.settle.as_array(), dt)
         dK = GainValue((K.as_array() - memory.K_now) * settled, "K")
-        X = of_energy(felt.X, self.error_max) if self.gives("error_max") else felt.X
+        X = felt.X if bound is None else bound.stretch(felt.X)
         cost = 0.5 * (X @ (dK @ X))
         dD = None
         if D is not None:
@@ -305,6 +318,14 @@ def _at_frame(law: Impedance, x: Snapshot, inertia: TaskInertia) -> Wrench:
         out: Array = inertia.Lambda @ inertia.acceleration(x.J(law.tool).T @ F)
         return out
     return F
+
+
+def _way_out(low: float, high: float, given: bool) -> str:
+    """What would do; a designed B falls with the root of D only."""
+    if low <= 0.0:
+        return "make D and B positive in every direction"
+    share = 1.9 / high if given else (1.9 / high) ** 2
+    return f"{'D and B' if given else 'D'} times {np.floor(100.0 * share) / 100.0:g} would do there"
 
 
 def _check_damping(B: bool, zeta: bool) -> None:
@@ -381,6 +402,9 @@ class Stiffness(Law):
     Closed loop:  M a + C v + kd v = J^T (K X_e + F_ext): F_ext = -K X_e at rest
                   the energy of arm and spring falls at the rate v . kd v, and stays with kd = 0
 
+    To a target that is certainly out of reach the spring is eased, without error_max, to 0.05 of the reach, 0.3 rad:
+    the term `reach`, else zero.
+
     Frames:
         frame= names the axes of K: "world", "task" (of the reference pose) or "tool".
 
@@ -419,8 +443,9 @@ class Stiffness(Law):
 
     def command(self, x: Snapshot, ref: TaskMotion) -> Command:
         felt = Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
-        spring = Terms(P=self.K @ felt.X)
-        if self.gives("error_max"):
-            spring = spring + Terms(bound=bounded_force(self.K, felt.X, self.error_max) - self.K @ felt.X)
-        wrench = spring.mapped(felt.wrench).mapped(felt.outwards)
+        bound = Bound.of(self.error_max) if self.gives("error_max") else None
+        wrench = spring(felt, self.K, bound).mapped(felt.wrench).mapped(felt.outwards)
+        away = out_of_reach(x, ref, self.tool, asked_of(self.error, self.coordinates))
+        if away is not None and bound is None:
+            wrench = wrench.up_to(eased_spring(felt, self.K, None, away), "reach")
         return Torque(felt.error.J.T @ wrench + Terms(gravity=x.g, D=-(self.kd @ x.v)))

@@ -22,7 +22,7 @@ from taut.base.errors import ShapeError, TraceError, UsageError, unknown_name, u
 from taut.base.types import Float64Array
 from taut.control.command import Command
 from taut.control.gains import Gain, GainValue, Memory
-from taut.control.reference import JointMotion, Sample
+from taut.control.reference import JointMotion, Reference, Sample
 from taut.maths.snapshot import Snapshot
 
 __all__ = ["Law", "LawMemory", "call", "field_units", "initial_memory"]
@@ -71,9 +71,13 @@ class Law:
       with memory, a dict of the new memory by name;
     * optionally `start(self, x, ref) -> dict`: memory that starts from the measured state;
     * optionally `check_rate(self, rate)`, which refuses gains that have no meaning at that rate [Hz];
-    * optionally `check_state(self, x, rate)`, which refuses gains that have no meaning where a run starts;
+    * optionally `check_state(self, x, rate)`, which refuses gains that have no meaning where a run starts, and
+      `check_change(self, x, rate)`, which refuses new ones where the arm is then;
+    * optionally `check_reference(self, x, ref, rate)`, which refuses what a run is to follow from there;
     * `reference`, the kind of sample it follows (JointMotion unless said);
-    * `recorded`, the entries of its memory that a run keeps as further columns (none unless said).
+    * `recorded`, the entries of its memory that a run keeps as further columns (none unless said);
+    * `notices`, pairs of a recorded entry and what the outcome of a run says where that is not zero;
+    * `needs_contact`, whether a `taut.Phase` with it never starts without contact (not unless said).
 
     Laws add: `FeedForward() + PID(kp=..., kd=...)`. A law must not inherit from another one: it holds it in a field.
     A law that it holds in `inner: taut.Law` starts with it, and is called as
@@ -83,6 +87,8 @@ class Law:
     reference: ClassVar[type[Sample]] = JointMotion
     ignores_reference: ClassVar[bool] = False  # such a law adds to, and is held by, laws of every kind of sample
     recorded: ClassVar[tuple[str, ...]] = ()
+    needs_contact: ClassVar[bool] = False  # a phase of such a law never starts without contact
+    notices: ClassVar[tuple[tuple[str, str], ...]] = ()  # recorded entry, and what an outcome says where it is not 0
     uses_memory: ClassVar[bool] = False
 
     def __init_subclass__(cls) -> None:
@@ -244,17 +250,33 @@ class Law:
         if check is not None:
             check(rate)
 
-    def check_states(self, x: Snapshot, rate: float) -> None:
+    def check_states(self, x: Snapshot, rate: float, *, changed: bool = False) -> None:
         """Every law that has a `check_state` must fit the state of a snapshot, with the gains that it has now.
+
+        Args:
+            x: The state.
+            rate: [Hz].
+            changed: Whether gains have changed on the way: then it is `check_change` that is asked.
 
         Raises:
             RangeError: A gain that has no meaning there.
         """
         for law in self.children().values():
-            law.check_states(x, rate)
-        check: Callable[[Snapshot, float], None] | None = getattr(self, "check_state", None)
+            law.check_states(x, rate, changed=changed)
+        hook = "check_change" if changed else "check_state"
+        check: Callable[[Snapshot, float], None] | None = getattr(self, hook, None)
         if check is not None:
             check(x, rate)
+
+    def check_references(self, x: Snapshot, ref: Reference, rate: float) -> None:
+        """What a run is to follow must have a meaning for this law, where it starts.
+
+        Raises:
+            RangeError, UsageError: It has none.
+        """
+        check: Callable[[Snapshot, Reference, float], None] | None = getattr(self, "check_reference", None)
+        if check is not None:
+            check(x, ref, rate)
 
     def __add__(self, other: Law) -> Law:
         from taut.control.combine import added
@@ -334,7 +356,8 @@ def _check_arguments(cls: type[Law]) -> None:
             if isinstance(gain, Gain) and not gain.has_meaning(self):
                 assert gain.where is not None
                 other, value = gain.where
-                case = f"{other}=" if value is ... else f"{other}='{value}'"
+                words = value if isinstance(value, tuple) else (value,)
+                case = f"{other}=" if value is ... else f"{other}=" + " or ".join(f"'{word}'" for word in words)
                 raise UsageError(
                     f"{cls.__name__}: {name} is for {case}, and this one has {getattr(self, other)!r}; leave it out",
                     name=name,
@@ -407,7 +430,9 @@ RESERVED: Final = frozenset(name for name in vars(Law) if not name.startswith("_
     "command",
     "start",
     "check_rate",
+    "check_change",
     "check_state",
+    "check_reference",
 }
 
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 from taut.base.errors import unknown_name
 from taut.control.admittance import Admittance
 from taut.control.combine import Sum
+from taut.control.constraint_estimate import NormalEstimate
+from taut.control.force import ForceControl
 from taut.control.friction import FrictionCompensation
+from taut.control.hybrid import HybridMotionForce
 from taut.control.impedance import Impedance, Stiffness
 from taut.control.joint import (
     PID,
@@ -40,6 +43,9 @@ __all__ = [
     "Impedance",
     "Stiffness",
     "Admittance",
+    "HybridMotionForce",
+    "NormalEstimate",
+    "ForceControl",
     "VirtualWall",
     "VirtualGroove",
     "VirtualBall",

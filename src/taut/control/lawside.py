@@ -21,9 +21,10 @@ from taut.base.types import Array, ArrayLike, Float64Array, Vector
 from taut.control.command import Command, Terms, Torque, Velocity
 from taut.control.describe import all_laws
 from taut.control.law import Law, as_array, call, initial_memory
-from taut.control.limiting import fresh_blend, limited, term_names
+from taut.control.limiting import anew, fresh_blend, limited, term_names
 from taut.control.limits import Limits
-from taut.control.reference import Sample
+from taut.control.phases import Phases
+from taut.control.reference import Reference, Sample
 from taut.control.sensing import Sensing
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
@@ -152,7 +153,9 @@ class LawSide:
         try:
             x, command, after = self._first_run(self.arm.home)
         except NumericalError:  # a law that inverts what is singular at home
-            x, command, after = self._first_run(self.arm.home + 0.1 * np.cos(np.arange(self.arm.n)))
+            elsewhere = self.arm.home + 0.1 * np.cos(np.arange(self.arm.n))
+            self.check_start(elsewhere, self._own_parameters)  # a law that knows why says it better
+            x, command, after = self._first_run(elsewhere)
         self.check_start(x.q, self._own_parameters)
         added = self._limit_terms(command)
         shapes = {f"law.{path}": np.shape(as_array(v, path)) for path, v in flatten(after).items()}
@@ -213,20 +216,53 @@ class LawSide:
         """The sample that asks to stay at joint positions q."""
         return self.law.at_rest(Snapshot(self.model, q=q, v=np.zeros(self.arm.n)))
 
-    def check_start(self, q: Float64Array, parameters: Mapping[str, Any]) -> None:
-        """The law must have a meaning where a run starts.
+    def check_start(
+        self,
+        q: Float64Array,
+        parameters: Mapping[str, Any],
+        ref: Reference | None = None,
+        *,
+        changed: bool = False,
+    ) -> None:
+        """The law, and what it is to follow, must have a meaning where a run starts, or its parameters `changed`.
+
+        Raises:
+            RangeError: A gain that has none there; a reference that the law cannot follow from there.
+            UsageError: A reference that has no meaning for the law.
+        """
+        payload = _payload_of(parameters)
+        x = Snapshot(self.model, q=q, v=np.zeros(self.arm.n), payload=payload)
+        law = self.law.bound(subtree(parameters, "law"))
+        law.check_states(x, self.rate, changed=changed)
+        if ref is not None:
+            law.check_references(x, ref, self.rate)
+
+    def check_change(self, q: Float64Array, before: Mapping[str, Any], new: Mapping[str, ArrayLike]) -> None:
+        """New parameters must have a meaning where the arm is.
+
+        Args:
+            q: (n,) where it is.
+            before: All parameters of the law side, by path.
+            new: Those that change, and others, which are passed over.
 
         Raises:
             RangeError: A gain that has none there.
         """
-        payload = _payload_of(parameters)
-        x = Snapshot(self.model, q=q, v=np.zeros(self.arm.n), payload=payload)
-        self.law.bound(subtree(parameters, "law")).check_states(x, self.rate)
+        ours = {path: self.checked_parameter(path, value) for path, value in new.items() if path in self.parameters}
+        if any(path.startswith(("law.", "model.")) for path in ours):
+            self.check_start(q, {**before, **ours}, changed=True)
 
     @cached_property
-    def recorded(self) -> tuple[str, ...]:
-        """Paths of the memory that a run keeps, as it is after each tick: law.ik_error."""
-        return tuple(f"{path}.{name}" for path, law in all_laws(self.law, "law") for name in law.recorded)
+    def recorded(self) -> dict[str, str]:
+        """Paths of the memory that a run keeps, as it is after each tick, by its column: law.ik_error."""
+        of_task = {"phase": "law.phase", "phase_ended": "law.ended"} if isinstance(self.law, Phases) else {}
+        paths = [f"{path}.{name}" for path, law in all_laws(self.law, "law") for name in law.recorded]
+        return of_task | {path: path for path in paths}
+
+    @cached_property
+    def notices(self) -> dict[str, str]:
+        """What a run's outcome says where a recorded entry of the memory is not zero, by path."""
+        return {f"{path}.{name}": text for path, law in all_laws(self.law, "law") for name, text in law.notices}
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -339,15 +375,20 @@ class LawSide:
     ) -> Tick:
         """One tick: sense, evaluate the law, limit."""
         nested = unflatten(memory)
+        begins = Phases.begins(nested["law"]) if isinstance(self.law, Phases) else None
+        before = nested.get("limits", {})
+        if begins is not None and "tau_cut" in before:  # what another law was cut is nothing for this one's integral
+            before = {**before, "tau_cut": tm.where(begins, tm.zeros(self.arm.n), before["tau_cut"])}
         seen, sensing = self.sense(measured, subtree(memory, "sensing"), parameters, dt)
-        x = self._snapshot(seen, seen["v"], parameters, nested.get("limits", {}))
+        x = self._snapshot(seen, seen["v"], parameters, before)
         law = self.law.bound(subtree(parameters, "law"))
         command, after = call(law, x, ref, _nested_memory(law, nested.get("law", {})), dt)
         total = as_array(command.total, "command")
         applied, terms, held = total, {}, {}
         if self.limits is not None:
             given, moving = subtree(parameters, "limits"), x if command.kind == Torque.kind else None
-            made = limited(total, nested.get("limits", {}), given, dt, moving)
+            kept = before if begins is None or "blend" not in given else anew(before, total, begins)
+            made = limited(total, kept, given, dt, moving)
             applied, terms, held = made.command, made.terms, {**made.memory, "tau_cut": made.cut}
         held["tau_applied"] = applied
         new = flatten({"law": after, "sensing": sensing, "limits": held})

@@ -11,7 +11,7 @@ from taut.base import math as tm
 from taut.base.types import Array, Float64Array, Vector
 from taut.maths.snapshot import Snapshot
 
-__all__ = ["LIMIT_TERMS", "Limited", "fresh_blend", "limited", "room", "take_up", "term_names"]
+__all__ = ["LIMIT_TERMS", "Limited", "anew", "fresh_blend", "limited", "room", "take_up", "term_names"]
 
 LIMIT_TERMS: Final = ("rate_limit", "speed_limit", "torque_limit")
 """Terms that limits add to a command, in the order in which they act."""
@@ -128,6 +128,18 @@ def left(phase: Any) -> Any:
 def fresh_blend(n: int) -> dict[str, Any]:
     """Memory of a blend that has nothing to do."""
     return {"asked": tm.zeros(n), "bump": tm.zeros(n), "phase": 1.0}
+
+
+def anew(memory: Mapping[str, Any], asked: Vector, begins: Any) -> dict[str, Any]:
+    """Memory of a blend in a tick in which another law may begin: the command starts from that of the last tick.
+
+    Args:
+        memory: `tau_applied`, the command of the last tick, and what a blend remembers.
+        asked: (n,) what is asked for now.
+        begins: Whether a law begins.
+    """
+    bump = tm.where(begins, memory["tau_applied"] - asked, memory["bump"])
+    return {**memory, "bump": bump, "phase": tm.where(begins, 0.0, memory["phase"])}
 
 
 def take_up(memory: Mapping[str, Float64Array], before: Float64Array, after: Float64Array) -> None:

@@ -53,6 +53,11 @@ class Sample(ABC):
     def of(cls, values: Mapping[str, Any]) -> Self:
         """A sample from values that are known to fit; symbols too."""
 
+    @property
+    def motion(self) -> Sample:
+        """The motion that it asks for; of a sample that asks for forces too, without them."""
+        return self
+
     @classmethod
     def described(cls) -> str:
         """What it is, for messages."""
@@ -364,7 +369,7 @@ def sample_rows(trajectory: Trajectory, times: Float64Array, kind: type[Sample],
                 _check_shape(name, np.shape(getattr(sample, name)), shape)
         table = {name: np.stack([getattr(s, name) for s in samples]) for name in kind.fields(n)}
     for name, shape in kind.fields(n).items():
-        if len(times) == 1 and table[name].ndim == 1:
+        if len(times) == 1 and table[name].ndim == len(shape):
             table[name] = table[name][np.newaxis]
         _check_shape(name, table[name].shape[1:], shape)
         if len(table[name]) != len(times):

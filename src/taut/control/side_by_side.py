@@ -94,10 +94,10 @@ class SideBySide(Law):
         seen = self.seen(x)
         return _joined({name: law.at_rest(seen[name]) for name, law in self.parts.items()})
 
-    def check_states(self, x: Snapshot, rate: float) -> None:
+    def check_states(self, x: Snapshot, rate: float, *, changed: bool = False) -> None:
         seen = self.seen(x)
         for name, law in self.parts.items():
-            law.check_states(seen[name], rate)
+            law.check_states(seen[name], rate, changed=changed)
 
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
         places, seen = self._places(x.arm), self.seen(x)

@@ -21,7 +21,7 @@ from taut.base.types import Float64Array, Matrix, Vector
 from taut.maths.snapshot import Snapshot
 from taut.maths.task_inertia import least_direction
 
-__all__ = ["ResolvedMotion", "Sizes", "resolve", "sizes_of"]
+__all__ = ["TOP_SPEED", "ResolvedMotion", "Sizes", "resolve", "sizes_of"]
 
 BORDER: Final = 0.1  # smallest singular value of J under which an arm of 0.9 m and more is near a singularity
 DAMPING: Final = 0.1  # lambda at the singularity, in parts of the border
@@ -70,6 +70,7 @@ def resolve(
     *,
     rate: Any,
     held: Any,
+    beyond: Any = 0.0,
     damping: Any = DAMPING,
     share: Any = SHARE,
 ) -> ResolvedMotion:
@@ -84,7 +85,8 @@ def resolve(
                     of what h leaves of the effort
                   lambda = 0 and rho = c = s = 1 where J moves everything by more than the border: q_ddot = J^# a.
                     rho, c and s act on until nothing is left to cut: what a singularity leaves behind is worked off
-                    within the limits
+                    within the limits. They act too while the target is `beyond` reach, on the way to the singularity
+                    at which that ends
     Closed loop:  near a singularity v follows v_c at the rate k, so that no joint gets faster than its limit, and
                   motion in the lost direction dies out at the rate k; what is given up is along that direction only
                   N^T tau_0 fades out towards a singularity, where the rate k takes its place
@@ -95,6 +97,7 @@ def resolve(
         a: (k,) acceleration of the task less J-dot v.
         rate: k, at which joints settle where the task does not move them [1/s]: the damping of the task.
         held: Memory, zero at the start.
+        beyond: 0 to 1: how clearly the target is out of reach.
         damping: lambda at the singularity, in parts of the border.
         share: Of the torque that h leaves, what motion may use near a singularity.
 
@@ -125,7 +128,7 @@ def resolve(
     scale = 1.0 / (inside * (square + TINY)) if wide else 1.0  # from the kinetic to the kinematic measure
     extra = scale * _ramp(square, size.border, STEEP) * (damping * size.border) ** 2
     kept = 1.0 / (1.0 + extra * inside)
-    near = tm.maximum(held, _ramp(square, size.border, FULL))
+    near = tm.maximum(tm.maximum(held, beyond), _ramp(square, size.border, FULL))
     lost_way = (back @ z if wide else z) * kept
 
     def along(b: Vector) -> Any:

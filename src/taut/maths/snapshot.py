@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final, TypeVar
 
 import numpy as np
@@ -13,12 +14,12 @@ from taut.base.checks import one_of, vector
 from taut.base.errors import MatchError, UsageError, unknown_name
 from taut.base.linalg import LTDL
 from taut.base.pose import Pose
-from taut.base.types import Array, ArrayLike, Matrix, Twist, Vector, Wrench
+from taut.base.types import Array, ArrayLike, Matrix, Rotation, Twist, Vector, Wrench
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
 from taut.maths.model import Model, PayloadValues, model_of
 
-__all__ = ["MEASUREMENTS", "Snapshot", "measurement_shapes", "snapshot"]
+__all__ = ["MEASUREMENTS", "PhaseView", "Snapshot", "measurement_shapes", "snapshot"]
 
 T = TypeVar("T")
 
@@ -40,6 +41,16 @@ def measurement_shapes(n: int) -> dict[str, tuple[int, ...]]:
     return {"q": (n,), "v": (n,)} | {name: others.get(name, (n,)) for name in MEASUREMENTS}
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PhaseView:
+    """What the guards of a phase see beside the arm."""
+
+    elapsed: Any  # [s] since the phase began
+    ref: Any  # the sample that its law follows
+    begin: Snapshot  # where it began
+    tool: str | None  # the frame that its law controls
+
+
 class Snapshot:
     """The arm at one instant, as law code sees it: x.q, x.v, x.M, x.h, x.J("tool"), ...
 
@@ -51,7 +62,20 @@ class Snapshot:
     of `x.g`, `x.h` and `x.Cv`, so that a law adds exactly what is missing.
     """
 
-    __slots__ = ("_adds", "_cache", "_measured", "_payload", "_q", "_t", "_v", "arm", "elsewhere", "model", "used")
+    __slots__ = (
+        "_adds",
+        "_cache",
+        "_measured",
+        "_payload",
+        "_phase",
+        "_q",
+        "_t",
+        "_v",
+        "arm",
+        "elsewhere",
+        "model",
+        "used",
+    )
 
     def __init__(
         self,
@@ -75,6 +99,7 @@ class Snapshot:
         self._adds = adds or Adds()
         self._measured = dict(measured or {})
         self._cache: dict[Any, Any] = {}
+        self._phase: PhaseView | None = None
         self.used = set() if used is None else used
         """Names of the measurements and compensations that were asked for."""
         self.elsewhere = elsewhere  # at a state that is not the measured one
@@ -288,6 +313,40 @@ class Snapshot:
         """(n,) q_des - q the short way round; continuous joints wrap."""
         return self.arm.difference(q_des, self.q)
 
+    # ---------------------------------------------------------------- what guards of phases see
+
+    @property
+    def in_phase(self) -> bool:
+        """Whether this is what a guard of a phase sees, so that it has `elapsed`, `ref`, `begin` and `tool`."""
+        return self._phase is not None
+
+    def _of_phase(self, name: str) -> Any:
+        if self._phase is None:
+            raise UsageError(f"x.{name} is for the guards of a taut.Phase; a law has no phase", name=name)
+        return getattr(self._phase, name)
+
+    @property
+    def elapsed(self) -> Any:
+        """Time since the phase began [s]; for guards."""
+        return self._of_phase("elapsed")
+
+    @property
+    def ref(self) -> Any:
+        """The sample that the law of the phase follows; for guards."""
+        return self._of_phase("ref")
+
+    @property
+    def begin(self) -> Snapshot:
+        """The arm where it was when the phase began, at rest; for guards."""
+        begin: Snapshot = self._of_phase("begin")
+        return begin
+
+    @property
+    def tool(self) -> str | None:
+        """The frame that the law of the phase controls, None for the arm's tool; for guards."""
+        tool: str | None = self._of_phase("tool")
+        return tool
+
     # ---------------------------------------------------------------- other snapshots
 
     def at(self, q: Vector, v: Vector) -> Snapshot:
@@ -327,6 +386,29 @@ class Snapshot:
             used=self.used,
             elsewhere=self.elsewhere,
         )
+
+    def of_phase(self, phase: PhaseView) -> Snapshot:
+        """The same snapshot, shared, as the guards of a phase see it."""
+        twin = Snapshot.__new__(Snapshot)
+        for name in Snapshot.__slots__:
+            setattr(twin, name, getattr(self, name))
+        twin._phase = phase
+        return twin
+
+    def turned(self, R: Rotation, frame: str | None = None) -> Snapshot:
+        """The same state, with the motion of a frame told in axes that are turned by R about its origin.
+
+        Its pose is the same, its twist and Jacobian are those of here times R^T: what a constraint sees that is
+        turned by R.
+        """
+        twin = self.with_own_record()
+        twin.used = self.used
+        twin._cache = {
+            ("T", frame): self.T(frame),
+            ("J", frame, "W"): tm.array([*(R.T @ self.J(frame)[:3]), *(R.T @ self.J(frame)[3:])]),
+            ("Jdot_v", frame, "W"): tm.array([*(R.T @ self.Jdot_v(frame)[:3]), *(R.T @ self.Jdot_v(frame)[3:])]),
+        }
+        return twin
 
     def with_own_record(self) -> Snapshot:
         """The same snapshot, shared, with a record of its own of what is asked for."""

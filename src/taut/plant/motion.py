@@ -21,6 +21,8 @@ from taut.maths.friction_law import friction_torque
 from taut.maths.model import Model, PayloadValues, model_of
 from taut.plant import drive
 from taut.plant.actuation import Actuation
+from taut.plant.contact import Contacts
+from taut.plant.contact_step import ContactStep, contact_step
 from taut.plant.drivetrain import Drivetrain, FrictionLimits
 from taut.plant.environment import Environment, touch
 from taut.plant.stiff_drive import aim
@@ -46,7 +48,8 @@ class _Moved:
     f: Vector  # dry friction, and losses of the gears
     spring: Vector  # what compliant joints put on their links
     limits: FrictionLimits | None = None
-    memory: dict[str, Any] = field(default_factory=dict)  # of friction and rotors
+    contact: ContactStep | None = None
+    memory: dict[str, Any] = field(default_factory=dict)  # of friction, rotors and contacts
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,6 +61,7 @@ class Motion:
         train: Its rotors, friction and transmissions.
         actuation: Its drives.
         environment: What touches it, if anything.
+        contacts: What holds it rigidly, if anything.
         adds: What the plant adds to a torque command itself.
         sweeps: Of projected Gauss-Seidel in a step.
     """
@@ -66,6 +70,7 @@ class Motion:
     train: Drivetrain
     actuation: Actuation
     environment: Environment | None
+    contacts: Contacts | None
     adds: Adds
     sweeps: int
 
@@ -140,8 +145,14 @@ class Motion:
             moved = _Moved(q=q_new, v=v_new, f=np.zeros(self.arm.n), spring=tau)
         else:
             moved = self._euler(tau, force, memory, parameters, dt)
-            done = None if force is None else 0.5 * dt * (force @ (v + moved.v))
-        if self.environment is not None:
+            done = 0.0 if force is None else 0.5 * dt * (force @ (v + moved.v))
+            if moved.contact is not None:
+                done = done + 0.5 * (moved.contact.impulse @ (v + moved.v))
+                out["t"] = t + dt
+                if "F_ext" in memory:
+                    felt = moved.contact.wrench
+                    out["F_ext"] = felt if self.environment is None else out["F_ext"] + felt
+        if WORK_OF_IT in memory:
             out[WORK_OF_IT] = memory[WORK_OF_IT] + done
         out |= {**moved.memory, "q": moved.q, "v": moved.v}
         b, rotor = self.train.values(parameters).viscous, parameters.get("plant.rotor_inertia")
@@ -181,15 +192,27 @@ class Motion:
             v_m = memory.get("v_motor", v)
             limits = train.limits(values, memory, parameters, v_m, tau, train.merged(load, -spring))
         if limits is not None and train.rigid:
-            stop = None if train.compliant else -(rhs + M @ v / dt)
+            # What rigid contacts bear, friction takes as of the last step; these then act with what it is.
+            borne, slowed = memory.get("contact.load"), v_new
+            if borne is not None:
+                slowed = v_new + dt * factors.solve(borne)
+            pushed = rhs if borne is None else rhs + borne
+            stop = None if train.compliant else -(pushed + M @ v / dt)
             stuck = dry_friction(
-                factors, v_new, limits.low, limits.high, memory["friction"], dt,
+                factors, slowed, limits.low, limits.high, memory["friction"], dt,
                 joints=train.rigid, stop=stop, sweeps=self.sweeps,
             )  # fmt: skip
-            v_new, f, at_rest = stuck.v, stuck.f, stuck.at_rest
+            f, at_rest = stuck.f, stuck.at_rest
+            v_new = stuck.v if borne is None else v_new + dt * factors.solve(f)
             if "friction_residual" in memory:
                 after["friction_residual"] = stuck.residual
-        q_new = q + dt * v_new
+        q_new, contact = q + dt * v_new, None
+        if self.contacts is not None:
+            contact = contact_step(
+                self.contacts, self.model, factors, q, v, v_new, memory["t"], memory, parameters, dt, self.sweeps
+            )
+            q_new, v_new = contact.q, contact.v
+            after |= contact.memory
         if train.compliant:
             rotors = train.rotors(memory, tau, spring, b, limits, rotor, dt)
             f, at_rest = train.merged(f, rotors.f), train.merged(at_rest, rotors.at_rest)
@@ -199,7 +222,7 @@ class Motion:
             after["friction"] = f
             if train.remembers_rest:
                 after["at_rest"] = at_rest
-        return _Moved(q=q_new, v=v_new, f=f, spring=spring, limits=limits, memory=after)
+        return _Moved(q=q_new, v=v_new, f=f, spring=spring, limits=limits, contact=contact, memory=after)
 
     def _rk4(
         self, q: Vector, v: Vector, tau: Vector, memory: Values, parameters: Values, t: Any, dt: Any

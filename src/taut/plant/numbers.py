@@ -16,6 +16,7 @@ from taut.base.paths import flatten
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.lawside import checked_payload_entry
 from taut.plant.actuation import Actuation
+from taut.plant.contact import Contacts
 from taut.plant.drivetrain import Drivetrain
 from taut.plant.environment import Environment, checked_change
 from taut.plant.sensors import Sensors
@@ -37,6 +38,7 @@ class PlantNumbers:
     actuation: Actuation
     sensors: Sensors
     environment: Environment | None = None
+    contacts: Contacts | None = None
 
     def values(self) -> dict[str, Float64Array]:
         """The numbers that the plant was made with: those that are there."""
@@ -49,7 +51,9 @@ class PlantNumbers:
             plant["rotor_inertia"] = self.arm.rotor_inertia
         stages = {"actuation": self.actuation.parameters(), "sensors": self.sensors.parameters()}
         touching = {} if self.environment is None else self.environment.parameters()
-        return flatten({"plant": plant, **stages}) | {f"environment.{name}": x for name, x in touching.items()}
+        held = {} if self.contacts is None else self.contacts.parameters()
+        out = flatten({"plant": plant, **stages}) | {f"environment.{name}": x for name, x in touching.items()}
+        return out | {f"contact.{name}": x for name, x in held.items()}
 
     def checked(self, path: str, value: ArrayLike) -> Float64Array:
         """A new value, checked like the first one and in its shape.
@@ -65,6 +69,9 @@ class PlantNumbers:
         if path.startswith("environment."):
             assert self.environment is not None
             return checked_change(self.environment, path.partition(".")[2], value)
+        if path.startswith("contact."):
+            assert self.contacts is not None
+            return self.contacts.checked(path.partition(".")[2], value)
         shape = self.values()[path].shape
         new = finite_array(path, value, allow_infinite=path == STIFFNESS)
         if new.shape not in ((), shape):

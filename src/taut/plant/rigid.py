@@ -6,7 +6,7 @@ Written like a law, so that it runs on floats, is fused with a controller into o
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Final, Literal
@@ -21,10 +21,14 @@ from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
+from taut.maths.constraint import Constraint
 from taut.maths.friction import SWEEPS
 from taut.maths.model import Model, model_of
+from taut.maths.snapshot import Snapshot
 from taut.plant import drive
 from taut.plant.actuation import Actuation, delayed
+from taut.plant.contact import Contacts, RigidContact, each_contact
+from taut.plant.contact_step import TOLD, contact_start
 from taut.plant.drivetrain import Drivetrain
 from taut.plant.environment import Environment, require_environment
 from taut.plant.motion import WORK_OF_IT, Motion, payload_of
@@ -46,7 +50,7 @@ STAGES: Final = {"actuation": Actuation, "sensors": Sensors}
 
 @dataclass(frozen=True, eq=False)
 class RigidPlant:
-    """A rigid arm in free space, or touching an environment at its tool.
+    """A rigid arm in free space, touching an environment at its tool, or held by rigid contacts.
 
     Model:
         (M + rotors) a + C v + g + b v + friction = tau + J^T F_ext
@@ -72,6 +76,8 @@ class RigidPlant:
         environment: What touches the tool, if anything: a taut.Spring, a taut.StiffWall, ..., or a class of your own,
             see `taut.Environment`. Then the wrench is measured too, and the run's column work.environment [J] is what
             it did on the arm until the tick. Stiff drives do not give way to it, and give the torque that it takes.
+        contact: What holds the arm rigidly, or stops it: a taut.RigidContact, a bare taut.Constraint, or several in a
+            tuple. See `taut.RigidContact` for the physics and the columns.
         adds: What the plant adds to a torque command itself: "gravity", "coriolis", and "friction", which cancels the
             arm's own, so that none is left.
         sweeps: Of projected Gauss-Seidel in each step, for joints that dry friction holds together; half of them
@@ -93,6 +99,9 @@ class RigidPlant:
     actuation: Actuation = field(default_factory=Actuation, kw_only=True)
     sensors: Sensors = field(default_factory=Sensors, kw_only=True)
     environment: Environment | None = field(default=None, kw_only=True)
+    contact: RigidContact | Constraint | Sequence[RigidContact | Constraint] | None = field(
+        default=None, kw_only=True
+    )
     adds: Adds | Iterable[str] | Mapping[str, Payload | None] = field(default=(), kw_only=True)
     sweeps: int = field(default=SWEEPS, kw_only=True)
     energy: bool = field(default=False, kw_only=True)
@@ -120,9 +129,11 @@ class RigidPlant:
             if not isinstance(getattr(self, name), kind):
                 got = type(getattr(self, name)).__name__
                 raise UsageError(f"{name} must be taut.{kind.__name__}(...); got {got}", name=name)
-        self.sensors.check(self.arm, touched=self.environment is not None)
+        self.sensors.check(self.arm, touched=self.touched)
         if self.environment is not None:
             require_environment("environment", self.environment)
+        if self.contacts is not None:
+            self._check_contacts()
         adds = Adds.of(self.adds)
         object.__setattr__(self, "adds", adds)
         self.actuation.check_size(self.arm)
@@ -133,6 +144,21 @@ class RigidPlant:
         require_drives(self.takes, self.actuation, adds)
         if self.takes != "torque" and self.energy:
             raise UsageError(f"energy is for torque commands; this plant takes {self.takes}", name="energy")
+
+    def _check_contacts(self) -> None:
+        if self.takes != "torque":
+            raise UsageError(
+                f"contact is for torque commands, for stiff drives do not give way to it; this plant takes "
+                f"{self.takes}; give environment=taut.StiffWall(...), or takes='torque'",
+                name="contact",
+            )
+        if self.integrator == "rk4":
+            raise UsageError(
+                "rk4 needs smooth forces, and a contact stops the arm at once; use semi-implicit-euler",
+                name="contact",
+            )
+        assert self.contacts is not None
+        self.contacts.check()
 
     def _check_smooth(self) -> None:
         if self.drivetrain.dry:
@@ -162,6 +188,16 @@ class RigidPlant:
         return Drivetrain(arm=self.arm, friction=friction, transmission=self.actuation.transmission)
 
     @cached_property
+    def contacts(self) -> Contacts | None:
+        """What holds the arm rigidly, in one order of rows."""
+        return None if self.contact is None else Contacts(arm=self.arm, parts=each_contact(self.contact))
+
+    @property
+    def touched(self) -> bool:
+        """Whether a sensor at the wrist has anything to feel."""
+        return self.environment is not None or (self.contacts is not None and self.contacts.felt)
+
+    @cached_property
     def _work_parts(self) -> tuple[str, ...]:
         return work_parts(self.drivetrain, self.actuation.motor) if self.energy else ()
 
@@ -175,17 +211,17 @@ class RigidPlant:
     @property
     def measures(self) -> frozenset[str]:
         """What it measures besides positions."""
-        return self.sensors.measures(touched=self.environment is not None)
+        return self.sensors.measures(touched=self.touched)
 
     @property
     def distorts(self) -> frozenset[str]:
         """The measurements that differ from the truth."""
-        return self.sensors.distorts(touched=self.environment is not None)
+        return self.sensors.distorts(touched=self.touched)
 
     @property
     def noise(self) -> dict[str, tuple[int, ...]]:
         """Standard normal numbers that it needs in every tick, by name."""
-        return self.sensors.noise(self.arm, touched=self.environment is not None)
+        return self.sensors.noise(self.arm, touched=self.touched)
 
     @property
     def model(self) -> Model:
@@ -199,6 +235,7 @@ class RigidPlant:
             train=self.drivetrain,
             actuation=self.actuation,
             environment=self.environment,
+            contacts=self.contacts,
             adds=Adds.of(self.adds),
             sweeps=self.sweeps,
         )
@@ -216,6 +253,7 @@ class RigidPlant:
             actuation=self.actuation,
             sensors=self.sensors,
             environment=self.environment,
+            contacts=self.contacts,
         )
 
     def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:
@@ -282,9 +320,23 @@ class RigidPlant:
                 driven=self.takes != "torque",
             )
             memory["F_ext"], _ = self._motion.touch(q, v, memory, parameters, 0.0, dt / self.substeps)
+        if self.contacts is not None:
+            memory |= self._touching(q, v, memory)
         if self.sensors.needs_acceleration:
             memory["a"] = rest
         return memory
+
+    def _touching(self, q: Vector, v: Vector, memory: Values) -> dict[str, Any]:
+        """Memory of rigid contacts at the start of a run."""
+        assert self.contacts is not None
+        self.contacts.check_start(q, v)
+        x = Snapshot(self.model, q=q, v=v)
+        out = contact_start(self.contacts, x, load="friction" in memory)
+        if "t" not in memory:
+            out |= {"t": 0.0, WORK_OF_IT: 0.0}
+        if self.touched and "F_ext" not in memory:
+            out["F_ext"] = tm.zeros(6)
+        return out
 
     def _more_steps(self, more: float) -> str:
         """The way out of steps that are so many times too long."""
@@ -298,16 +350,17 @@ class RigidPlant:
     def extra(self, before: Values, after: Values) -> dict[str, Any]:
         """What a run records of a tick, besides motion and torques: from memory at the tick and after the first step.
 
-        F_ext and friction_residual are those of that step, work.* what was done until the tick.
+        F_ext, friction_residual and contact.* are those of that step, work.* what was done until the tick.
         """
-        out = {name: after[name] for name in ("F_ext", "friction_residual") if name in after}
+        told = ("F_ext", "friction_residual", *(f"contact.{name}" for name in TOLD))
+        out = {name: after[name] for name in told if name in after}
         return out | {name: value for name, value in before.items() if name.startswith("work.")}
 
     def command(self, command: Vector, memory: Values, t: Any) -> dict[str, Any]:
         """Memory after a command came in at time t: the delay line, and what stands at the drives until the next."""
         held, line = delayed(command, memory.get("delay"))
         out = dict(memory)
-        if self.environment is not None:
+        if "t" in memory:
             out["t"] = t
         if line is not None:
             out["delay"] = line

@@ -105,8 +105,9 @@ def work_of_step(
     out["link"] = train.merged(through, spring) * link_way
     out["integration"] = tm.zeros(train.arm.n)
     if rotor is not None:
-        out["rotor"] = 0.5 * rotor * (v_end * v_end - v_m * v_m)
-        out["integration"] = 0.5 * rotor * gain * gain
+        stored = 0.5 * rotor * (v_end * v_end - v_m * v_m)
+        out["rotor"] = stored
+        out["integration"] = rotor * gain * motor_way / dt - stored
     if train.compliant:
         assert train.transmission is not None
         p = subtree(parameters, "actuation.transmission")

@@ -11,6 +11,7 @@ import numpy as np
 from taut.base.errors import UsageError
 from taut.base.types import Float64Array
 from taut.record.felt import deviation_promised
+from taut.record.force import force_error
 from taut.record.metrics import MEASURES
 from taut.record.run import Run
 from taut.record.style import DASHED, INK, SMALL, WIDTH, colour, legend_above, line, prepared, short_name
@@ -24,27 +25,35 @@ __all__ = ["compare"]
 
 BARS: Final = ("rms_error", "peak_error", "effort", "chatter")
 TASK_BARS: Final = ("task_rms", "task_rms_rotation", "effort", "chatter")
+FORCE_BARS: Final = ("force_error_rms", "moment_error_rms", "effort", "chatter")
 MOST: Final = 8  # runs in one figure
 ROUNDING: Final = 1e-12  # below which an error is none
 FAR_APART: Final = 30.0  # ratio of errors above which their axis is logarithmic
 
 
 def compare(
-    runs: Mapping[str, Run], *, title: str = "", measures: Sequence[str] | None = None, joint: str | None = None
+    runs: Mapping[str, Run],
+    *,
+    title: str = "",
+    measures: Sequence[str] | None = None,
+    joint: str | None = None,
+    window: tuple[float, float] | None = None,
 ) -> Figure:
     """Error norm over time of several runs, and bars of their metrics, as a matplotlib Figure.
 
     Joints in rad and joints in m have no norm together: each unit has its own axes, and bars of its own. Of runs
-    whose reference is one of the task, the errors are those of the tool's position and rotation.
+    whose reference is one of the task, the errors are those of the tool's position and rotation, and of force those
+    of the force and moment that the arm applies.
 
     Args:
         runs: The runs by the name that each gets in the figure.
         title: A title for the figure.
         measures: Names of the metrics to draw as bars; by default two of the error, effort and chatter.
+        window: (start, end) of what the bars are about [s]; of all if left out.
         joint: The joint whose motion, error and metrics are drawn, instead of those of all together.
 
     Raises:
-        UsageError: No runs, more than eight, one without an error, some with errors of joints and some of the task.
+        UsageError: No runs, more than eight, one without an error, or errors of different kinds.
         UnknownNameError: There is no such metric, or a run has no such joint.
     """
     from matplotlib.figure import Figure
@@ -53,7 +62,8 @@ def compare(
     measures = _check(runs, measures, joint)
     errors = {name: _errors(run) for name, run in runs.items()}
     heads = list(dict.fromkeys(head for parts in errors.values() for head in parts)) if joint is None else [("", "")]
-    bars = {measure: _by_unit(runs, measure, joint) for measure in measures}
+    within = {name: run if window is None else run.between(*window) for name, run in runs.items()}
+    bars = {measure: _by_unit(within, measure, joint) for measure in measures}
     rows = max(len(values) for values in bars.values())
     over_time = [2.1] if len(heads) == 1 else [1.6] * len(heads)
     over_time = over_time if joint is None else [1.9, 1.7]
@@ -79,6 +89,8 @@ def compare(
     if promised:
         names.append(Line2D([], [], color=INK, linewidth=0.9, linestyle=DASHED, label="eq. 10.48"))
     legend_above(top, names)
+    if window is not None:
+        bottom.suptitle(f"from {window[0]:g} to {window[1]:g} s", fontsize=SMALL, color=INK, x=0.01, ha="left")
     grid = bottom.subplots(rows, len(bars), squeeze=False)
     for column, (measure, values) in zip(grid.T, bars.items(), strict=True):
         for i, ax in enumerate(column):
@@ -105,9 +117,14 @@ def _check(runs: Mapping[str, Run], measures: Sequence[str] | None, joint: str |
     if measures is not None and not measures:
         raise UsageError("compare needs one metric at least; got measures=()", name="measures")
     of_task = [name for name, run in runs.items() if is_task_run(run)]
+    of_force = [name for name, run in runs.items() if len(run) and force_error(run) is not None]
     for name, run in runs.items():
-        if not len(run) or (run.error is None and name not in of_task):
+        if not len(run) or (run.error is None and name not in (*of_task, *of_force)):
             raise UsageError(f"run '{name}' has no tracking error to compare", name="runs")
+        if of_force and name not in of_force:
+            raise UsageError(
+                f"run '{of_force[0]}' has errors of force and run '{name}' of motion; compare them apart", name="runs"
+            )
         if of_task and name not in of_task:
             raise UsageError(
                 f"run '{of_task[0]}' has errors of the task and run '{name}' of joints; compare them apart",
@@ -115,7 +132,7 @@ def _check(runs: Mapping[str, Run], measures: Sequence[str] | None, joint: str |
             )
         if joint is not None and joint not in run.joint_names:
             raise unknown_name(f"run '{name}'", "joint", joint, run.joint_names)
-    return measures or (TASK_BARS if of_task else BARS)
+    return measures or (FORCE_BARS if of_force else TASK_BARS if of_task else BARS)
 
 
 Head = tuple[str, str]  # title and unit of an error
@@ -123,6 +140,12 @@ Head = tuple[str, str]  # title and unit of an error
 
 def _errors(run: Run) -> dict[Head, Float64Array]:
     """(k,) norms of a run's errors."""
+    wrench = force_error(run)
+    if wrench is not None:
+        parts = {("norm of the force's error", "N"): np.linalg.norm(wrench[:, :3], axis=1)}
+        if np.any(wrench[:, 3:]):
+            parts["norm of the moment's error", "N m"] = np.linalg.norm(wrench[:, 3:], axis=1)
+        return parts
     if run.error is None:
         position, rotation = run.task.position_error, run.task.rotation_error
         assert position is not None

@@ -60,7 +60,12 @@ class _Motion:
     @classmethod
     def of(cls, run: Run) -> _Motion | None:
         values: Mapping[str, Any] | None = run.info.get(FELT)
-        if values is None or "F_ext" not in run.extra or len(run) < 3 or not isinstance(run.reference, TaskMotion):
+        if (
+            values is None
+            or "F_ext" not in run.extra
+            or len(run) < 3
+            or not isinstance(run.reference.motion, TaskMotion)
+        ):
             return None
         if not np.any(run.extra["F_ext"]):
             return None
@@ -74,7 +79,7 @@ class _Motion:
             t=run.t,
             F_ext=np.asarray(run.extra["F_ext"]),
             x=-np.hstack([task.position_error, task.rotation_error]),
-            v=task.twist - np.asarray(run.reference.twist, dtype=np.float64),
+            v=task.twist - np.asarray(run.reference.motion.twist, dtype=np.float64),
             felt=FeltImpedance.of_json(values),
         )
 

@@ -19,6 +19,8 @@ from taut.base.types import Float64Array
 from taut.control.limiting import LIMIT_TERMS
 from taut.control.task_reference import TaskMotion
 from taut.record.felt import felt_measures
+from taut.record.force import force_error
+from taut.record.pressed import pressed_measures
 from taut.record.step import step_response
 from taut.record.sticking import reversal_error, stuck
 from taut.record.task import TOOL
@@ -26,7 +28,16 @@ from taut.record.task import TOOL
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = ["MEASURES", "OF_JOINT_MOTION", "OF_STEPS", "OF_TASK_MOTION", "Measure", "Metrics", "metrics_of"]
+__all__ = [
+    "MEASURES",
+    "OF_FORCE",
+    "OF_JOINT_MOTION",
+    "OF_STEPS",
+    "OF_TASK_MOTION",
+    "Measure",
+    "Metrics",
+    "metrics_of",
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,6 +93,19 @@ MEASURES: Final = {
     "least_singular_value": of_tool("least singular", "1", "the smallest singular value of J in the run"),
     "peak_force": of_tool("peak force", "N", "peak of the norm of the environment's force"),
     "peak_moment": of_tool("peak moment", "N m", "peak of the norm of the environment's moment"),
+    "force_error_rms": of_tool("force RMS", "N", "RMS of the norm of the error of the force that the arm applies"),
+    "force_error_peak": of_tool("force peak", "N", "peak of the norm of that error"),
+    "moment_error_rms": of_tool(
+        "moment RMS", "N m", "RMS of the norm of the error of the moment that the arm applies"
+    ),
+    "moment_error_peak": of_tool("moment peak", "N m", "peak of the norm of that error"),
+    "press_rms": of_tool("press RMS", "N", "RMS of the error of the force along the true normal"),
+    "press_peak": of_tool("press peak", "N", "peak of the error of the force along the true normal"),
+    "largest_press": of_tool("largest press", "N", "peak of the force along the true normal"),
+    "surface_rms": of_tool("surface RMS", "m", "RMS of the tool's position error along the true surface"),
+    "surface_peak": of_tool("surface peak", "m", "peak of the tool's position error along the true surface"),
+    "normal_error": of_tool("normal error", "deg", "angle between the normal of the law and the true one at the end"),
+    "contact_lost_time": of_tool("contact lost", "s", "time in which the tool met less than was asked for"),
     "impedance_error": of_tool("against eq. 10.48", "%", "RMS difference to eq. 10.48 integrated, of its RMS"),
     "felt_mass": of_tool("felt mass", "kg", "m of F_ext - K x = m a + b v, by least squares"),
 }
@@ -89,6 +113,8 @@ MEASURES: Final = {
 
 OF_STEPS: Final = ("overshoot", "settling_time", "steady_state_error")  # which only a set-point has
 OF_JOINT_MOTION: Final = (*OF_STEPS, "rms_error", "peak_error", "final_error", "stuck_time", "reversal_error")
+OF_FORCE: Final = ("force_error_rms", "force_error_peak", "moment_error_rms", "moment_error_peak")
+OF_PRESSING: Final = ("press_rms", "press_peak", "surface_rms", "surface_peak", "normal_error")
 OF_TASK_MOTION: Final = (
     "task_rms",
     "task_peak",
@@ -108,7 +134,8 @@ class Metrics:
     NaN (null in JSON) where a number has no meaning: overshoot, settling time and steady-state error where the
     reference is not constant, or where a joint had no initial error; saturation where nothing limits the command;
     stuck time and reversal error where the reference does not move, or never turns round; errors of joints where
-    the reference is one of the task, and the task's where it is one of joints; forces where none are recorded;
+    the reference is one of the task, and the task's where it is one of joints; forces where none are recorded, and
+    their errors where none are asked for;
     shares of limits that the arm does not state; what was felt where the law promises no impedance, its gains
     change, or nothing moves the tool; an overall number of joints with different units, each of which has its
     number in `groups`.
@@ -151,6 +178,19 @@ class Metrics:
             as alike; 0 at a singularity.
         peak_force: [N] largest force of the environment on the arm.
         peak_moment: [N m] its largest moment at the tool.
+        force_error_rms: [N] root of the mean square of the force's error: wanted less applied, both of the arm on the
+            environment at the tool. Over the whole run; `run.between(start, end).metrics` has those of a window.
+        force_error_peak: [N] the largest of that error.
+        moment_error_rms: [N m] the same of the moment at the tool's origin.
+        moment_error_peak: [N m]
+        press_rms: [N] root of the mean square of the error of the force into a surface: `press` less what the
+            contacts give along their true normals, which a MujocoPlant with a scene tells.
+        press_peak: [N] its largest.
+        largest_press: [N] the largest force along the true normals, such as of an impact.
+        surface_rms: [m] root of the mean square of the tool's position error across the true normal, in contact.
+        surface_peak: [m] its largest.
+        normal_error: [deg] angle between the estimated normal and the true one, when the tool last touched.
+        contact_lost_time: [s] in which a law of force measured less than counts as contact while more was asked for.
         impedance_error: [%] RMS distance of the tool from where eq. 10.48, integrated with the run's own F_ext and
             the law's K, B and D, puts it; of that equation's RMS deviation. Without D the inertia, and with zeta the
             damping, is that at the start.
@@ -199,6 +239,17 @@ class Metrics:
     least_singular_value: float
     peak_force: float
     peak_moment: float
+    force_error_rms: float
+    force_error_peak: float
+    moment_error_rms: float
+    moment_error_peak: float
+    press_rms: float
+    press_peak: float
+    largest_press: float
+    surface_rms: float
+    surface_peak: float
+    normal_error: float
+    contact_lost_time: float
     impedance_error: float
     felt_mass: float
     overall: dict[str, float]
@@ -330,7 +381,7 @@ def _of_tool(run: Run) -> dict[str, Any]:
         return out
     if TOOL in run.info:
         out |= {f"final_{axis}": float(value) for axis, value in zip("xyz", run.task.p[-1], strict=True)}
-    if isinstance(run.reference, TaskMotion) and TOOL in run.info:
+    if isinstance(run.reference.motion, TaskMotion) and TOOL in run.info:
         task = run.task
         errors = {"": task.position_error, "_rotation": task.rotation_error}
         for what, error in errors.items():
@@ -344,7 +395,15 @@ def _of_tool(run: Run) -> dict[str, Any]:
         wrench = run.extra["F_ext"]
         for name, part in (("peak_force", wrench[:, :3]), ("peak_moment", wrench[:, 3:])):
             out[name] = float(np.linalg.norm(part, axis=1).max())
-    return out | felt_measures(run)
+    error = force_error(run)
+    if error is not None:
+        for name, part in (("force", error[:, :3]), ("moment", error[:, 3:])):
+            size = np.linalg.norm(part, axis=1)
+            out |= {f"{name}_error_rms": float(_rms(size)), f"{name}_error_peak": float(_peak(size))}
+    lost = [column for name, column in run.extra.items() if name.startswith("law.") and name.endswith(".lost")]
+    if lost:
+        out["contact_lost_time"] = float(np.sum((np.max(lost, axis=0)[:-1] != 0.0) * np.diff(run.t)))
+    return out | pressed_measures(run) | felt_measures(run)
 
 
 def _rms(x: Float64Array) -> Float64Array:

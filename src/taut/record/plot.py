@@ -15,6 +15,8 @@ import numpy as np
 from taut.base.errors import RangeError, UsageError, unknown_name
 from taut.base.types import Float64Array
 from taut.record.compare import compare
+from taut.record.phase_marks import mark_phases
+from taut.record.phases import PHASES
 from taut.record.style import (
     DASHED,
     DOTTED,
@@ -94,6 +96,8 @@ def plot(run: Run, *, joints: Iterable[str | int] | None = None) -> Figure:
         _overview(run, shown, units, parts[0])
     if term_rows:
         _small_pictures(run, shown, parts[1], term_rows)
+    if PHASES in run.info:
+        mark_phases(run, figure)
     return figure
 
 

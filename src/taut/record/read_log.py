@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -13,6 +14,7 @@ from taut.base.checks import readable_file
 from taut.base.errors import FileError, UsageError
 from taut.base.paths import subtree
 from taut.base.types import Array, Float64Array
+from taut.control.phase_sample import PhaseSample, phase_sample
 from taut.control.reference import Sample
 from taut.record.description import description_from, outcome_from, unsealed
 from taut.record.mcap_reader import Contents, contents_of, messages, read_chunk
@@ -127,6 +129,12 @@ def _sample_class(description: Description, path: Path) -> type[Sample]:
     from taut.control import laws  # noqa: F401  # so that all of ours are known
 
     n = len(description.joint_names)
+    of_phases = description.reference.startswith(f"{PhaseSample.__name__}[")
+    if of_phases:  # the class of a task's samples is made by what its phases follow
+        words = description.reference.partition("[")[2].removesuffix("]").split(",")
+        known = [[kind for kind in _subclasses(Sample) if kind.__name__ == word] for word in words]
+        for kinds in itertools.product(*known):
+            phase_sample(kinds)
     named = [kind for kind in _subclasses(Sample) if kind.__name__ == description.reference]
     for kind in reversed(named):  # a dataclass with slots leaves its first draft behind, which came before it
         if kind.fields(n) == description.fields:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from taut.record.metrics import Metrics
+    from taut.record.phases import PhaseWindow
     from taut.record.task import TaskSide
 
 __all__ = ["Run"]
@@ -132,6 +133,33 @@ class Run:
         from taut.record.part import part_of
 
         return part_of(self, name)
+
+    @property
+    def phases(self) -> tuple[PhaseWindow, ...]:
+        """The phases of a task, in the order in which they acted: name, start and end [s], what ended each.
+
+        Raises:
+            UsageError: The run is not one of a task.
+        """
+        from taut.record.phases import phases_of
+
+        return phases_of(self)
+
+    def phase(self, name: str, visit: int = 0) -> Run:
+        """The run of one phase of a task: its ticks, what it followed, its metrics.
+
+        Args:
+            name: Of the phase; "stop" for what follows where the task has stopped.
+            visit: Which time that it acted, from 0 on.
+
+        Raises:
+            UsageError: The run is not one of a task.
+            UnknownNameError: It has no phase of that name.
+            RangeError: The phase did not act that often.
+        """
+        from taut.record.phases import phase_of
+
+        return phase_of(self, name, visit)
 
     def between(self, start: float, end: float) -> Run:
         """The ticks from time `start` to time `end` [s], both included: to plot, film or measure a stretch of a run.

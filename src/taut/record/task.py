@@ -71,6 +71,6 @@ def task_of(run: Run) -> TaskSide:
     chain = Chain.of_json(run.info[TOOL])
     R, p = chain.poses(run.q)
     J = chain.jacobians(run.q)
-    wanted = run.reference if isinstance(run.reference, TaskMotion) else None
+    wanted = motion if isinstance(motion := run.reference.motion, TaskMotion) else None
     twist = np.einsum("kij,kj->ki", J, run.v)
     return TaskSide(frame=chain.frame, p=p, R=R, J=J, twist=twist, wanted=wanted)

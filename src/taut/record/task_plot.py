@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from taut.control.task_reference import TaskMotion
+from taut.record.force import wanted_wrench
 from taut.record.style import DASHED, INK, colour, legend_above, line, prepared, short_name
 from taut.record.task import TOOL
 
@@ -23,7 +24,7 @@ AXES: Final = ("x", "y", "z")
 
 def is_task_run(run: Run) -> bool:
     """Whether a run has errors of the task."""
-    return isinstance(run.reference, TaskMotion) and TOOL in run.info
+    return isinstance(run.reference.motion, TaskMotion) and TOOL in run.info
 
 
 def is_touched(run: Run) -> bool:
@@ -32,10 +33,10 @@ def is_touched(run: Run) -> bool:
 
 
 def plot_wrench(run: Run, figure: SubFigure) -> None:
-    """Force and moment of the environment on the arm at the tool, in world axes."""
+    """Force and moment of the environment on the arm at the tool, in world axes, with what was wanted dashed."""
     from matplotlib.lines import Line2D
 
-    F = run.extra["F_ext"]
+    F, wanted = run.extra["F_ext"], wanted_wrench(run)
     for ax, first, what in zip(
         figure.subplots(1, 2, sharex=True), (0, 3), ("force [N]", "moment [N m]"), strict=True
     ):
@@ -43,8 +44,12 @@ def plot_wrench(run: Run, figure: SubFigure) -> None:
         ax.axhline(0.0, color=INK, linewidth=0.6)
         for i in range(3):
             line(ax, run.t, F[:, first + i], colour(i))
+            if wanted is not None:
+                line(ax, run.t, -wanted[:, first + i], INK, reference=True)
     heading = Line2D([], [], linewidth=0.0, label="F_ext at the tool, world axes:")
     keys = [Line2D([], [], color=colour(i), linewidth=1.5, label=name) for i, name in enumerate(AXES)]
+    if wanted is not None:
+        keys.append(Line2D([], [], color=INK, linewidth=0.9, linestyle=DASHED, label="wanted, -F_app"))
     legend_above(figure, [heading, *keys])
 
 

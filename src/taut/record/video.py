@@ -144,8 +144,8 @@ def _ticks(run: Run, period: float) -> Ticks:
 
 def _wanted(run: Run, arm: Arm, ticks: Ticks) -> Float64Array:
     """(k, 3) where the tool should be, if the reference moves; else (0, 3)."""
-    if isinstance(run.reference, TaskMotion):
-        p = run.reference.p
+    if isinstance(motion := run.reference.motion, TaskMotion):
+        p = motion.p
         return p[ticks] @ upright(arm).T if np.any(p != p[0]) else np.zeros((0, 3))
     q = getattr(run.reference, "q", None)
     if q is None or not np.any(q != q[0]):

@@ -14,17 +14,20 @@ from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
 from taut.codegen.loop import FloatLoop, NativeLoop
+from taut.control.feed import ReferenceFeed, plain_snapshot
 from taut.control.limiting import take_up
+from taut.control.phase_feed import PhaseFeed
+from taut.control.phases import Phases
 from taut.loop import DT, Loop
 from taut.maths.snapshot import Snapshot
 from taut.record.outcome import Outcome
 from taut.runtime.events import Event
-from taut.runtime.feed import ReferenceFeed, plain_snapshot
 from taut.runtime.tape import RowLog, Tape
 
 __all__ = ["FusedRun"]
 
 BLOCK: Final = 4096  # ticks between two visits of Python
+TASK_BLOCK: Final = 256  # the same for a task, in which a block may have to be taken back
 
 # A loop keeps its code, so that it is traced once however often it runs.
 _COMPILED: Final[WeakKeyDictionary[Loop, NativeLoop | FloatLoop]] = WeakKeyDictionary()
@@ -67,9 +70,15 @@ class FusedRun:
         # One generator per measurement, by its name: neither how the run is cut into blocks nor what else is noisy
         # changes the numbers.
         self._noise = {name: np.random.default_rng([seed, *name.encode()]) for name in loop.plant.noise}
-        side.check_start(q, loop.parameters)
+        side.check_start(q, self._parameters.views(self._values), loop.ref)
         at_rest = side.at_rest(q)
-        self._feed = ReferenceFeed(loop.ref, side.law.reference, side.arm, loop.dt, at_rest)
+        task = side.law if isinstance(side.law, Phases) else None
+        self._feed: ReferenceFeed | PhaseFeed = (
+            ReferenceFeed(loop.ref, side.law.reference, side.arm, loop.dt, at_rest)
+            if task is None
+            else PhaseFeed(task, side)
+        )
+        self._of_task, self._drawn = task is not None, 1  # the noise of row 0 is drawn at the start
         first = np.zeros((1, self._inputs.size))
         memory = self._started(q, v, first)
         self._memory = Block.of({path: np.shape(value) for path, value in memory.items()})
@@ -134,9 +143,11 @@ class FusedRun:
         tape, ticks, k = self.tape, self._loop.ticks, 0
         running = Outcome(kind="stopped", message="the run is still going on", tick=0)
         while k < ticks:
-            end = self._end_of_block(k, ticks)
-            self._prepare(k, end)
-            done = self._run.run(tape.input_rows[k:end], self._values, self._state, tape.output_rows[k:end])
+            refused = self._refused(k)
+            if refused is not None:
+                return k, refused
+            end = self._prepare(k, ticks)
+            end, done = self._block(k, end)
             if done < end - k:
                 kept, outcome = self._diverged(k + done)
                 if log is not None:
@@ -147,6 +158,23 @@ class FusedRun:
             advance(end - k)
             k = end
         return ticks, self.tape.completed()
+
+    def _block(self, k: int, end: int) -> tuple[int, int]:
+        """The ticks from k on: where the block ends, and how many of them ended in finite memory.
+
+        Where a phase of a task begins in between, the block is taken back and ends there, since what is followed
+        from there on is known only then.
+        """
+        inputs, outputs, before = self.tape.input_rows, self.tape.output_rows, self._state.copy()
+        done = self._run.run(inputs[k:end], self._values, self._state, outputs[k:end])
+        if not self._of_task:
+            return end, done
+        ended = np.flatnonzero(self.tape.outputs["phase_ended"][k : k + done])
+        if not len(ended) or k + int(ended[0]) + 1 == end:
+            return end, done
+        end = k + int(ended[0]) + 1
+        self._state[:] = before
+        return end, self._run.run(inputs[k:end], self._values, self._state, outputs[k:end])
 
     def _diverged(self, k: int) -> tuple[int, Outcome]:
         """How a run ended whose step after row k was not finite: by a sensor, by the law, or by itself."""
@@ -163,23 +191,50 @@ class FusedRun:
                 return k, Outcome(kind="diverged", message=message, tick=k - 1, joint=error.joint)
         return self.tape.diverged(k)
 
+    def _refused(self, k: int) -> Outcome | None:
+        """How the run ends where an event asks for what has no meaning where the arm is."""
+        new = self._events.get(k)
+        if not new or k == 0:  # what begins with the run is refused before
+            return None
+        q = np.array(self._memory.views(self._state)["plant.q"])
+        try:
+            self._loop.side.check_change(q, self._parameters.views(self._values), new)
+        except RangeError as error:
+            return self.tape.refused(k, new, error)
+        return None
+
     def _end_of_block(self, k: int, ticks: int) -> int:
         later = bisect_right(self._stops, k)
-        stops = [k + BLOCK, ticks, *self._stops[later : later + 1]]
+        stops = [k + (TASK_BLOCK if self._of_task else BLOCK), ticks, *self._stops[later : later + 1]]
         question = self._feed.next_question(k)
         return min(stops if question is None else [*stops, question])
 
-    def _prepare(self, k: int, end: int) -> None:
-        """Events that act at tick k, then noise and reference of the block."""
+    def _prepare(self, k: int, ticks: int) -> int:
+        """Events that act at tick k, then noise and reference of the block, whose end is returned."""
         before = self._apply(k)
-        first = max(k, 1)  # the noise of row 0 was drawn at the start
-        self._draw({path: column[first:end] for path, column in self.tape.inputs.items()})
+        self._draw_up_to(k + 1)
         row = self._inputs.views(self.tape.input_rows[k])
         memory = self._memory.views(self._state)
         plant, sensing = subtree(memory, "plant"), subtree(memory, "sensing")
-        self._feed.fill(self.tape.reference(k, end), k, lambda: self._seen(plant, sensing, row))
+
+        def state() -> Snapshot:
+            return self._seen(plant, sensing, row)
+
+        if isinstance(self._feed, PhaseFeed) and k > 0 and Phases.begins(subtree(memory, "law")):
+            self._feed.begin(int(memory["law.next"]), k)
+            self._feed.prepare(state)
+        end = self._end_of_block(k, ticks)
+        self._draw_up_to(end)
+        self._feed.fill(self.tape.reference(k, end), k, state)
         if before is not None and k > 0:  # in the first tick there is nothing yet to go on from
             self._take_up(k, before)
+        return end
+
+    def _draw_up_to(self, end: int) -> None:
+        """The noise of the ticks before `end`, as far as it was not drawn for a block that was taken back."""
+        if self._drawn < end:
+            self._draw({path: column[self._drawn : end] for path, column in self.tape.inputs.items()})
+            self._drawn = end
 
     def _seen(
         self, plant: Mapping[str, Any], sensing: Mapping[str, Any] | None, inputs: Mapping[str, Any]

@@ -11,13 +11,15 @@ from taut.base.errors import NumericalError, RangeError, unknown_name
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.layout import Block
+from taut.control.feed import ReferenceFeed, plain_snapshot
+from taut.control.phase_feed import PhaseFeed
+from taut.control.phases import Phases
 from taut.control.reference import Reference
 from taut.controller import Controller, take_up_change
 from taut.loop import sensed_of
 from taut.maths.snapshot import Snapshot
 from taut.record.outcome import Outcome
 from taut.runtime.events import Event
-from taut.runtime.feed import ReferenceFeed, plain_snapshot
 from taut.runtime.host import HostPlant
 from taut.runtime.tape import RowLog, Tape
 
@@ -76,8 +78,15 @@ class HostedRun:
         wanted = self._kernel.blocks.layout["inputs"].shapes
         kept = {path: shape for path, shape in wanted.items() if path.startswith("ref.")}
         self.tape = Tape(side, plant, ticks, Block.of({"t": (), **kept}), Block.of(shapes), info)
-        side.check_start(q, ctrl.parameters)
-        self._feed = ReferenceFeed(ref, side.law.reference, side.arm, side.dt, side.at_rest(q))
+        at_once = {path: value for path, value in self._events.get(0, {}).items() if path in side.parameters}
+        first = {**ctrl.parameters, **{p: side.checked_parameter(p, v) for p, v in at_once.items()}}
+        side.check_start(q, first, ref)
+        self._feed: ReferenceFeed | PhaseFeed = (
+            PhaseFeed(side.law, side)
+            if isinstance(side.law, Phases)
+            else ReferenceFeed(ref, side.law.reference, side.arm, side.dt, side.at_rest(q))
+        )
+        self._memory = self._kernel.blocks.views("memory")
         self._filled = 0
         # Where each number goes from and to in every tick, found once.
         inputs = self._kernel.blocks.views("inputs")
@@ -112,6 +121,9 @@ class HostedRun:
 
     def _tick(self, k: int) -> Outcome | None:
         tape, plant, kernel = self.tape, self._plant, self._kernel
+        refused = self._refused(k)
+        if refused is not None:
+            return refused
         before = self._apply(self._events.get(k, {}))
         out = tape.outputs
         out["q"][k], out["v"][k] = plant.state()
@@ -145,7 +157,19 @@ class HostedRun:
         words, joint = trouble
         who = None if joint is None else self._side.arm.joint_names[joint]
         where = f" at t = {tape.inputs['t'][k]:.6g} s (tick {k})" + (f", joint '{who}'" if who else "")
-        return Outcome(kind="diverged", message=f"the simulation diverged{where}: {words}", tick=k, joint=who)
+        message = f"the simulation diverged{where}: {words}{self.tape.out_of_reach(k + 1)}"
+        return Outcome(kind="diverged", message=message, tick=k, joint=who)
+
+    def _refused(self, k: int) -> Outcome | None:
+        """How the run ends where an event asks for what has no meaning where the arm is."""
+        new = self._events.get(k)
+        if not new or k == 0:  # what begins with the run is refused before
+            return None
+        try:
+            self._side.check_change(self._plant.state()[0], self._kernel.blocks.views("parameters"), new)
+        except RangeError as error:
+            return self.tape.refused(k, new, error)
+        return None
 
     def _apply(self, values: Mapping[str, ArrayLike]) -> Float64Array | None:
         """New values of parameters; those of the controller before, where a blend takes up the change."""
@@ -158,16 +182,20 @@ class HostedRun:
 
     def _reference(self, k: int, measured: dict[str, Float64Array]) -> None:
         """Fill the reference of the next ticks, at most up to where a stream is asked again."""
-        if k < self._filled:
+        if isinstance(self._feed, PhaseFeed) and k > 0 and self._memory["law.ticks"] < 0.5:
+            self._feed.begin(int(self._memory["law.next"]), k)
+        elif k < self._filled:
             return
-        question = self._feed.next_question(k)
-        stops = [k + BLOCK, self._ticks]
-        end = min(stops if question is None else [*stops, question])
 
         def state() -> Snapshot:
             parameters = self._kernel.blocks.views("parameters")
             sensing = subtree(self._kernel.blocks.views("memory"), "sensing") if self._kernel.ready else None
             return plain_snapshot(self._side, measured, sensing, parameters, k * self._side.dt)
 
+        if isinstance(self._feed, PhaseFeed):
+            self._feed.prepare(state)
+        question = self._feed.next_question(k)
+        stops = [k + BLOCK, self._ticks]
+        end = min(stops if question is None else [*stops, question])
         self._feed.fill(self.tape.reference(k, end), k, state)
         self._filled = end

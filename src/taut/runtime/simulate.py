@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -12,9 +12,10 @@ from taut.base.checks import positive_scalar
 from taut.base.errors import RangeError, UsageError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike
+from taut.control.phase import Phase
 from taut.control.reference import Hold, Reference, as_reference
-from taut.controller import Controller
-from taut.loop import Loop, ModelPlant, check_fit, state_at_start
+from taut.controller import Controller, compile
+from taut.loop import Loop, ModelPlant, check_fit, require_no_reference, state_at_start
 from taut.record.progress import Progress
 from taut.record.run import Run
 from taut.runtime.events import Event, sorted_events
@@ -29,7 +30,7 @@ Plant: TypeAlias = ModelPlant | HostPlant
 
 
 def run(
-    ctrl: Controller | Loop,
+    ctrl: Controller | Loop | Sequence[Phase],
     plant: Plant | None = None,
     ref: object = None,
     *,
@@ -47,9 +48,11 @@ def run(
     diverges ends with that outcome, and keeps what came before.
 
     Args:
-        ctrl: A controller from `taut.compile`, or a whole `taut.Loop` (then leave plant, ref and duration out).
+        ctrl: A controller from `taut.compile`, or a whole `taut.Loop` (then leave plant, ref and duration out); or a
+            task, a list of `taut.Phase`, which is compiled for the plant's arm and what it adds, at 1000 Hz.
         plant: `taut.RigidPlant`, `taut.MujocoPlant`, ...
-        ref: A sample, hold, trajectory, stream or chunk; a hold of the first state if left out.
+        ref: A sample, hold, trajectory, stream or chunk; a hold of the first state if left out. None for a task,
+            whose phases have their own.
         duration: [s].
         q0: (n,) true positions at the start; the plant arm's home by default.
         v0: (n,) true velocities at the start; zero by default.
@@ -75,6 +78,8 @@ def run(
     """
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise RangeError(f"seed must be a whole number >= 0; got {seed!r}", name="seed")
+    if not isinstance(ctrl, (Controller, Loop)):
+        ctrl = _of_task(ctrl, plant)
     target, reference, length = _what_to_run(ctrl, plant, ref, duration)
     ticks = round(length * ctrl.side.rate) + 1
     due = sorted_events(events, ctrl.side.rate, ticks)
@@ -92,7 +97,11 @@ def run(
     }
     going: FusedRun | HostedRun
     if isinstance(target, ModelPlant):
-        loop = ctrl if isinstance(ctrl, Loop) else Loop(ctrl, target, reference, duration=length)
+        loop = (
+            ctrl
+            if isinstance(ctrl, Loop)
+            else Loop(ctrl, target, None if ref is None else reference, duration=length)
+        )
         info["parameters"] = {path: value.tolist() for path, value in loop.parameters.items()}
         going = FusedRun(loop, q, v, int(seed), due, info)
     else:
@@ -101,6 +110,22 @@ def run(
         info["parameters"] = {path: value.tolist() for path, value in both.items()}
         going = HostedRun(ctrl, target, reference, ticks, q, v, due, info)
     return _recorded(going, log, progress)
+
+
+def _of_task(task: Sequence[Phase], plant: Plant | None) -> Controller:
+    """The controller of a task, for the arm of a plant.
+
+    Raises:
+        UsageError: No list of phases, or no plant.
+    """
+    if not isinstance(task, (list, tuple)):
+        raise UsageError(
+            "run takes a controller from taut.compile, a taut.Loop, or a list of taut.Phase; got "
+            f"{type(task).__name__}"
+        )
+    if plant is None or not hasattr(plant, "advance"):
+        raise UsageError("run needs a plant: taut.run([taut.Phase(...)], taut.RigidPlant(arm), duration=5.0)")
+    return compile(task, plant.arm, adds=plant.adds)
 
 
 def _recorded(going: FusedRun | HostedRun, log: str | os.PathLike[str] | None, progress: bool | None) -> Run:
@@ -125,8 +150,6 @@ def _what_to_run(
         if plant is not None or ref is not None or duration is not None:
             raise UsageError("a Loop has its plant, reference and duration already; pass run(loop) alone")
         return ctrl.plant, ctrl.ref, ctrl.duration
-    if not isinstance(ctrl, Controller):
-        raise UsageError(f"run takes a controller from taut.compile, or a taut.Loop; got {type(ctrl).__name__}")
     if plant is None:
         raise UsageError("run needs a plant: taut.run(ctrl, taut.RigidPlant(arm), ref, duration=5.0)", name="plant")
     if duration is None:
@@ -134,5 +157,6 @@ def _what_to_run(
     if not hasattr(plant, "advance"):
         raise UsageError(f"run takes a plant such as taut.RigidPlant(arm); got {type(plant).__name__}", name="plant")
     check_fit(ctrl.side, plant)
+    require_no_reference(ctrl.side, ref)
     reference: Reference = Hold() if ref is None else as_reference(ref)
     return plant, reference, positive_scalar("duration", duration, unit="s")

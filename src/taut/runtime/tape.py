@@ -12,8 +12,12 @@ from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
 from taut.control.lawside import LawSide
+from taut.control.phases import Phases
+from taut.control.targets import far_away, may_bound
 from taut.loop import AnyPlant
+from taut.maths.snapshot import Snapshot
 from taut.record.outcome import Outcome
+from taut.record.phases import told, windows
 from taut.record.run import Run
 
 __all__ = ["RowLog", "Tape"]
@@ -22,6 +26,7 @@ COLUMNS = ("q", "v", "tau", "command")
 
 
 SANE: Final = 1e6  # [rad/s | m/s]
+SEEN: Final = 1e-3  # [m] out of reach: less than that is nobody's concern
 BEYOND: Final = 0.01  # [rad | m] beyond a limit: more than an engine's soft stop gives way
 
 
@@ -109,11 +114,20 @@ class Tape:
                 f"; joint '{arm.joint_names[joint]}' went {beyond[joint]:.3g} {arm.units[joint]} beyond its limits, "
                 "where a real one meets its stop"
             )
-        message += self._saturated(ticks)
-        return Outcome(kind="completed", message=message, tick=ticks - 1)
+        message += self._remarks(ticks) + self.out_of_reach(ticks)
+        return self.with_phases(Outcome(kind="completed", message=message, tick=ticks - 1))
 
-    def _saturated(self, ticks: int) -> str:
-        """Which sensors were at their range, in the first ticks of the run."""
+    def with_phases(self, outcome: Outcome) -> Outcome:
+        """The outcome with how the phases of a task ended, where the law is one."""
+        law = self._side.law
+        if not isinstance(law, Phases) or outcome.tick < 0:
+            return outcome
+        rows = slice(outcome.tick + 1)
+        phase, ended = (self.outputs[name][rows] for name in ("phase", "phase_ended"))
+        return told(windows(law.names, phase, ended, self.inputs["t"][rows]), outcome)
+
+    def _remarks(self, ticks: int) -> str:
+        """Which sensors were at their range in the first ticks of the run, and what the law has to say of them."""
         said = ""
         for name, column in self.outputs.items():
             at = np.flatnonzero(column[:ticks])
@@ -122,7 +136,37 @@ class Tape:
                     f"; the sensor of {name.removeprefix('saturated.')} was at its range in {len(at)} of {ticks} "
                     f"ticks, first at t = {self.inputs['t'][at[0]]:.6g} s"
                 )
+        for path, text in self._side.notices.items():
+            at = np.flatnonzero(self.outputs[path][:ticks] * self._acting(path, ticks))
+            if len(at):
+                said += f"; {text} in {len(at)} of {ticks} ticks, first at t = {self.inputs['t'][at[0]]:.6g} s"
         return said
+
+    def _acting(self, path: str, ticks: int) -> Float64Array:
+        """(ticks,) 1.0 where the law with this memory acts: in a task, in its phase; else in all ticks."""
+        law = self._side.law
+        if not isinstance(law, Phases):
+            return np.ones(ticks)
+        return np.asarray(self.outputs["phase"][:ticks] == law.names.index(path.split(".")[1]), dtype=np.float64)
+
+    def out_of_reach(self, ticks: int) -> str:
+        """Whether targets of the first ticks were certainly out of the tool's reach, and by how much."""
+        x = Snapshot(self._side.model, q=self._side.arm.home, v=np.zeros(self._side.arm.n))
+        away = far_away(self._side.law, x, self.reference(0, ticks))
+        at = np.flatnonzero(np.zeros(ticks) if away is None else away > SEEN)
+        if away is None or not len(at):
+            return ""
+        worst = int(np.argmax(away))
+        return (
+            f"; the target was out of the tool's reach in {len(at)} of {ticks} ticks, by {away[worst]:.3g} m at "
+            f"least at t = {self.inputs['t'][worst]:.6g} s; bring it nearer"
+        )
+
+    def refused(self, tick: int, new: Mapping[str, object], error: RangeError) -> Outcome:
+        """The outcome of a run that ends before an event, whose new values have no meaning there."""
+        t = self.inputs["t"][tick]
+        message = f"stopped at t = {t:.6g} s, before the event that sets {', '.join(new)}: {error}"
+        return Outcome(kind="stopped", message=message, tick=tick - 1)
 
     def is_sane(self, tick: int) -> bool:
         """Whether the arm's motion in a row is one that an arm can have: then what is wrong is the law."""
@@ -147,6 +191,7 @@ class Tape:
         message = (
             f"the simulation diverged at t = {t:.6g} s (tick {tick}): joint '{names[joint]}' was at "
             f"{speeds[joint]:.3g} {units[joint]}/s; try smaller gains, a higher rate or more substeps"
-            f"{self._saturated(kept)}"
+            f"{', or error_max= where the target is far away' if may_bound(self._side.law) else ''}"
+            f"{self._remarks(kept)}{self.out_of_reach(kept)}"
         )
         return kept, Outcome(kind="diverged", message=message, tick=kept - 1, joint=names[joint])

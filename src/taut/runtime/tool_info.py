@@ -13,6 +13,7 @@ from taut.base.types import Float64Array
 from taut.control.felt import felt_impedance
 from taut.control.law import Law
 from taut.control.lawside import LawSide
+from taut.control.phases import Phases
 from taut.control.side_by_side import SideBySide
 from taut.maths.chain import Chain
 from taut.maths.model import Model, PayloadValues
@@ -20,6 +21,7 @@ from taut.maths.snapshot import Snapshot
 from taut.record.felt import FELT
 from taut.record.metrics import LIMITS
 from taut.record.part import PARTS
+from taut.record.phases import PHASES
 from taut.record.task import TOOL
 
 __all__ = ["tool_info"]
@@ -42,6 +44,10 @@ def tool_info(law: Law, side: LawSide, q: Float64Array, parameters: Mapping[str,
         out[PARTS] = {
             name: {"joints": list(seen[name].arm.joint_names), **_of_law(part, seen[name].model, seen[name])}
             for name, part in law.parts.items()
+        }
+    if isinstance(law, Phases):
+        out[PHASES] = {
+            name: {"follows": law.follows(name), **_of_law(law.laws[name], side.model, x)} for name in law.phases
         }
     return out
 

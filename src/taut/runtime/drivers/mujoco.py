@@ -39,7 +39,8 @@ from taut.runtime.drivers.mujoco_scene import read_scene
 from taut.runtime.drivers.mujoco_sensors import SensorStage
 from taut.runtime.drivers.mujoco_settings import Settings
 from taut.runtime.drivers.mujoco_shapes import LOOKS, TOUCHES, Looks, Touch
-from taut.runtime.drivers.mujoco_wrench import Wrench
+from taut.runtime.drivers.mujoco_tip import SpringTip
+from taut.runtime.drivers.mujoco_wrench import PRESSED, Normals, Wrench
 
 if TYPE_CHECKING:
     import mujoco
@@ -98,6 +99,7 @@ class MujocoPlant:
         tool_radius: [m] of the sphere.
         tool_length: [m] of a cylinder of that radius in the sphere's place, such as a peg: its axis is the tool's z
             axis, and its end, which is flat, is at the tool's origin. It has no mass; that is the payload's.
+        tip: A taut.SpringTip that gives way and carries the sphere or cylinder; rigid if left out.
         link_radius: [m] of the capsules.
         looks: What a viewer shows: "plain" shapes, or the arm's "meshes", which take longer to load.
         actuation: The drives, as of RigidPlant: delay, amplifier, motor, gear; ideal if left out.
@@ -105,6 +107,9 @@ class MujocoPlant:
         environment: What acts at the tool besides the scene: a taut.Push, a taut.Hand, ..., as of RigidPlant. It acts
             through data.qfrc_applied, which is then the plant's; F_ext is that of both together, and the run's column
             work.environment [J] is what the environment did until the tick.
+
+    Columns of a run:
+        F_ext (6,); with a scene contact.normal_force (3,), what of it is along the true normals of the contacts.
 
     Raises:
         UsageError: Options that do not go together.
@@ -137,6 +142,7 @@ class MujocoPlant:
         touch: Touch | None = "tool",
         tool_radius: float = 0.01,
         tool_length: float | None = None,
+        tip: SpringTip | None = None,
         link_radius: float = 0.05,
         looks: Looks = "plain",
         actuation: Actuation | None = None,
@@ -155,6 +161,8 @@ class MujocoPlant:
             if not isinstance(given, part):
                 got = type(given).__name__
                 raise UsageError(f"{name} must be taut.{part.__name__}(...); got {got}", name=name)
+        if tip is not None and not isinstance(tip, SpringTip):
+            raise UsageError(f"tip must be taut.SpringTip(...); got {type(tip).__name__}", name="tip")
         if environment is not None:
             require_environment("environment", environment)
         require_drives(self._takes, drives, what)
@@ -174,6 +182,7 @@ class MujocoPlant:
             scene_at=_place(scene_at, scene is not None),
             link_radius=positive_scalar("link_radius", link_radius, unit="m"),
             looks=one_of("looks", looks, LOOKS),
+            tip=tip,
         )
         if integrator == "rk4" and train.dry:
             what_sticks = "dry friction" if left is not None and left.dry else "gears that lose power"
@@ -202,6 +211,7 @@ class MujocoPlant:
         self._compensation = Compensation(arm, what) if adds_torque else None
         self._link, self._readings = LinkTorque(rig), SensorStage(arm, seen)
         self._take(rig, Motors(rig))
+        self._normals = None if scene is None or touch is None else Normals(rig)
 
     @classmethod
     def attach(
@@ -248,7 +258,7 @@ class MujocoPlant:
         plant._takes = "torque"
         plant._settings = None
         plant._compensation = None
-        plant._stage = plant._touching = None
+        plant._stage = plant._touching = plant._normals = None
         plant._actuation, plant._sensors = Actuation(), Sensors()
         plant._take(rig, drives)
         return plant
@@ -570,12 +580,16 @@ class MujocoPlant:
         return self._health.trouble()
 
     def extra(self) -> dict[str, Any]:
-        """(6,) F_ext of the last step; work of an environment until the tick; (n,) tau_cut of actuators or drives."""
+        """(6,) F_ext of the last step; work of an environment until the tick; (n,) tau_cut of actuators or drives.
+
+        With a scene (3,) `contact.normal_force`, what of F_ext is along the normals of the contacts.
+        """
         if self._settings is None:
             return {"F_ext": self._F_ext, "tau_cut": self._cut}
         work = {} if self._touching is None else {WORK_OF_IT: np.asarray(self._work)}
+        normal = {} if self._normals is None else {PRESSED: self._normals.of_contacts()}
         cut = {} if self._takes == "torque" else {"tau_cut": self._cut}
-        return {"F_ext": self._F_ext, **cut, **work, **self._saturated}
+        return {"F_ext": self._F_ext, **cut, **work, **normal, **self._saturated}
 
     def __repr__(self) -> str:
         return self.name

@@ -19,6 +19,7 @@ from taut.runtime.drivers.mujoco_health import Guard
 from taut.runtime.drivers.mujoco_rig import Rig, index
 from taut.runtime.drivers.mujoco_scene import Scene, attach_scene, refused
 from taut.runtime.drivers.mujoco_shapes import TOUCHING, Looks, Shapes, Touch
+from taut.runtime.drivers.mujoco_tip import SpringTip, add_tip
 
 if TYPE_CHECKING:
     import mujoco
@@ -48,6 +49,7 @@ class ModelOptions:
     scene_at: Pose
     link_radius: float  # [m]
     looks: Looks
+    tip: SpringTip | None
 
 
 def built(arm: Arm, scene: Scene | None, options: ModelOptions, adds: Adds) -> Rig:
@@ -59,7 +61,7 @@ def built(arm: Arm, scene: Scene | None, options: ModelOptions, adds: Adds) -> R
     import mujoco
 
     builder = _Builder(arm, options)
-    shapes = Shapes(arm, builder.spec, builder.bodies, builder.payload)
+    shapes = Shapes(arm, builder.spec, builder.bodies, builder.tip or builder.payload)
     shapes.show(options.looks)
     if scene is not None:
         if options.touch is not None:
@@ -76,6 +78,7 @@ def built(arm: Arm, scene: Scene | None, options: ModelOptions, adds: Adds) -> R
     dofs = tuple(int(model.jnt_dofadr[j]) for j in joints)
     payload = int(model.body(builder.payload).id)
     rows = [payload] if int(model.body_weldid[payload]) == 0 else [int(model.body_parentid[payload]), payload]
+    rows += [] if builder.tip is None else [int(model.body(builder.tip).id)]
     put_payload(model, mujoco.MjData(model), payload, arm.payload)
     return Rig(
         arm=arm,
@@ -157,6 +160,9 @@ class _Builder:
         for i, (body, joint) in enumerate(links):
             self._fill(i, body, joint)
         self.payload = self._tool()
+        self.tip = None if options.tip is None else self._unique("tip")
+        if options.tip is not None and self.tip is not None:
+            add_tip(spec.body(self.payload), options.tip, self.tip, options.tool_radius)
         for joint in arm.joints:
             spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT).set_to_motor()
 

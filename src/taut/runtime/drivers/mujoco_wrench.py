@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from taut.base.types import Float64Array
 from taut.runtime.drivers.mujoco_rig import Rig
 
-__all__ = ["Wrench"]
+__all__ = ["PRESSED", "Normals", "Wrench"]
+
+PRESSED: Final = "contact.normal_force"  # column of a run
 
 NOTHING = np.zeros(6)
 NOTHING.flags.writeable = False
@@ -42,3 +46,26 @@ class Wrench:
         arm = self._centre - self._p - self._R @ self._rig.p_tool  # from the tool's origin to that centre
         F_ext: Float64Array = np.concatenate([force, torque + np.cross(arm, force)])
         return F_ext
+
+
+class Normals:
+    """The force of the contacts on the tool's body, of each along its own normal and without friction."""
+
+    def __init__(self, rig: Rig) -> None:
+        import mujoco
+
+        self._model, self._data, self._force_of = rig.model, rig.data, mujoco.mj_contactForce
+        bodies = set(np.arange(rig.model.nbody)[rig.tool_bodies].tolist())
+        self._ours: set[int] = {g for g in range(rig.model.ngeom) if int(rig.model.geom_bodyid[g]) in bodies}
+        self._six = np.zeros(6)
+
+    def of_contacts(self) -> Float64Array:
+        """(3,) that force of the last step, world axes."""
+        out, contacts = np.zeros(3), self._data.contact
+        for i in range(self._data.ncon):
+            first, second = contacts.geom[i]
+            sign = (int(second) in self._ours) - (int(first) in self._ours)  # normals point from first to second
+            if sign:
+                self._force_of(self._model, self._data, i, self._six)
+                out += sign * self._six[0] * contacts.frame[i, :3]
+        return out

@@ -1,0 +1,219 @@
+"""What a constraint, forces against it and a motion along it must be where a run starts."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from taut.base.errors import RangeError, UsageError
+from taut.base.types import Float64Array
+from taut.control.hybrid_motion import HybridMotion, Pressing
+from taut.control.reference import Chunk, Hold, Reference, Sample
+from taut.control.task_reference import TaskMotion
+from taut.maths.constraint import Constraint, ConstraintRows
+from taut.maths.snapshot import Snapshot
+
+__all__ = ["check_constraint", "check_forces", "check_motion", "check_place", "check_surface"]
+
+DEPENDENT: Final = 1e-9  # of the largest singular value, rows scaled to length 1
+OUT_OF_RANGE: Final = 1e-6  # of the wrench
+LOOKS: Final = 64  # at a motion before it is followed
+
+
+def check_constraint(constraint: Constraint, x: Snapshot) -> None:
+    """Its rows must be independent, and of joints that can move against them.
+
+    Raises:
+        RangeError: A gradient of zero or of NaN, rows that depend on each other.
+    """
+    rows = constraint.at(x)
+    A = np.asarray(rows.A if rows.A is not None else rows.A_q, dtype=np.float64)
+    where = f"at the pose of '{x.arm.name}' there"
+    sizes = np.linalg.norm(A, axis=1)
+    for row, size in enumerate(sizes):
+        if not np.isfinite(size) or size < 1e-12:
+            got = "zero" if np.isfinite(size) else "not a number"
+            raise RangeError(
+                f"row {row} of the constraint must have a gradient, and it is {got} {where}: write a function that "
+                "changes at the rate of a distance or an angle where it is zero, such as norm(d) - r, not its square "
+                "at d = 0",
+                name="constraint",
+                value=float(size),
+            )
+    if len(A) > 1:
+        values = np.linalg.svd(A / sizes[:, None], compute_uv=False)
+        if len(A) > A.shape[1] or values[-1] < DEPENDENT * values[0]:
+            raise RangeError(
+                f"the {len(A)} rows of the constraint must be independent, and {where} they are not (singular values "
+                f"{', '.join(f'{value:.3g}' for value in values)}); leave out what says the same twice",
+                name="constraint",
+            )
+    A_q = np.asarray(rows.A_q, dtype=np.float64) / sizes[:, None]
+    values = np.linalg.svd(A_q, compute_uv=False)
+    if len(A_q) > x.n or values[-1] < DEPENDENT * max(1.0, values[0]):
+        raise RangeError(
+            f"the joints of '{x.arm.name}' cannot press against each row of the constraint {where}: A J has the "
+            f"singular values {', '.join(f'{value:.3g}' for value in values)}; start from another pose",
+            name="constraint",
+        )
+
+
+def check_surface(constraint: Constraint, x: Snapshot, tool: str | None) -> None:
+    """What is to be estimated is the normal of a surface, at the frame that the motion is of.
+
+    Raises:
+        UsageError: The first row holds rotations only, or is of another frame.
+    """
+    (frame,) = constraint.frame or (None,)
+    own, moved = (x.arm.tool if name is None else name for name in (frame, tool))
+    if own != moved:
+        raise UsageError(
+            f"estimate needs motion and constraint to be of one frame, and these are of '{moved}' and '{own}'",
+            name="estimate",
+        )
+    A = constraint.at(x).A
+    if A is None or np.linalg.norm(np.asarray(A, dtype=np.float64)[0, :3]) < 1e-9:
+        raise UsageError(
+            "estimate is of a surface's normal, and the first row of the constraint holds rotations only; put the "
+            "surface first, or leave it out",
+            name="estimate",
+        )
+
+
+def check_place(constraint: Constraint, x: Snapshot, tolerance: float) -> None:
+    """A run starts on its constraint.
+
+    Raises:
+        RangeError: It is farther away than the tolerance.
+    """
+    phi = np.asarray(constraint.at(x).phi, dtype=np.float64)
+    row = int(np.argmax(np.abs(phi)))
+    if abs(phi[row]) > tolerance:
+        which = "the constraint" if len(phi) == 1 else f"row {row} of the constraint"
+        raise RangeError(
+            f"a hybrid run must start on its constraint, and {which} has phi = {phi[row]:.4g} there, more than the "
+            f"tolerance of {tolerance:g}; start from taut.onto(constraint, arm, q), or approach first",
+            name="q0",
+            value=float(phi[row]),
+            rule=f"<= {tolerance:g}",
+        )
+
+
+def check_forces(constraint: Constraint, x: Snapshot, ref: Reference) -> None:
+    """The forces of a reference are such as the constraint can bear.
+
+    Raises:
+        UsageError: press where there is no surface; multipliers of rows that there are not.
+        RangeError: A wrench outside the range of A^T, a pull at a contact.
+    """
+    sample = _first(ref)
+    if not isinstance(sample, HybridMotion):
+        return
+    rows = constraint.at(x)
+    lam = np.asarray(sample.lam, dtype=np.float64)
+    if np.any(lam[rows.count :]):
+        raise UsageError(
+            f"lam has {int(np.max(np.flatnonzero(lam))) + 1} entries, and the constraint has {rows.count} "
+            f"{'row' if rows.count == 1 else 'rows'}",
+            name="lam",
+        )
+    for row, side in enumerate(rows.one_sided):
+        if side and lam[row] > 0.0:
+            raise RangeError(
+                f"lam[{row}] must be <= 0 [N], for the contact can be pressed and not pulled; got {lam[row]:g}; "
+                "pressing is lam < 0, or press=",
+                name="lam",
+                value=float(lam[row]),
+                rule="<= 0",
+            )
+    presses, F = bool(np.any(sample.press)), np.asarray(sample.F_app, dtype=np.float64)
+    if rows.A is None:
+        if presses or np.any(F):
+            raise UsageError(
+                f"{'press' if presses else 'F_app'} is for a constraint of the tool; of joints or of several frames "
+                "give lam=, one for each row",
+                name="press" if presses else "F_app",
+            )
+        return
+    A = np.asarray(rows.A, dtype=np.float64)
+    if presses and np.linalg.norm(A[0, :3]) < 1e-9:
+        raise UsageError(
+            "press is a force, and the first row of the constraint holds rotations only; give lam=", name="press"
+        )
+    _check_range(A, F, rows)
+
+
+def _check_range(A: Float64Array, F: Float64Array, rows: ConstraintRows) -> None:
+    size = float(np.linalg.norm(F))
+    if not size:
+        return
+    lam = np.linalg.lstsq(A.T, F, rcond=None)[0]
+    rest = F - A.T @ lam
+    if np.linalg.norm(rest) > OUT_OF_RANGE * size:
+        raise RangeError(
+            f"F_app must lie in the range of A^T, for the constraint bears nothing else; of {_shown(F)} it can bear "
+            f"{_shown(F - rest)}, and not {_shown(rest)}",
+            name="F_app",
+        )
+    for row, side in enumerate(rows.one_sided):
+        if side and lam[row] > 0.0:
+            raise RangeError(
+                f"F_app must press on a contact, and {_shown(F)} pulls at row {row}, lam = {lam[row]:.4g}; turn its "
+                "sign",
+                name="F_app",
+                value=float(lam[row]),
+                rule="lam <= 0",
+            )
+
+
+def _shown(F: Float64Array) -> str:
+    return f"[{', '.join(f'{x + 0.0:.4g}' for x in np.round(F, 9))}]"
+
+
+def check_motion(constraint: Constraint, x: Snapshot, ref: Reference, tool: str | None, tolerance: float) -> None:
+    """A motion of the tool that is known before it is followed keeps to the constraint.
+
+    Raises:
+        RangeError: It leaves it, or goes into it.
+    """
+    if constraint.frame is None or constraint.frame[0] not in (tool, x.arm.tool if tool is None else tool):
+        return
+    if isinstance(ref, (Hold, Chunk, Sample)):
+        times = np.zeros(1)
+    else:
+        length = getattr(ref, "duration", None)
+        if not isinstance(length, (int, float)) or not np.isfinite(length):
+            return
+        times = np.linspace(0.0, float(length), LOOKS)
+    for t in times:
+        sample = _at(ref, float(t))
+        if not isinstance(sample, HybridMotion) or not isinstance(sample.motion, TaskMotion):
+            return
+        phi = constraint.of_pose(sample.motion.pose, float(t))
+        row = int(np.argmax(np.abs(phi)))
+        if abs(phi[row]) > tolerance:
+            which = "" if len(phi) == 1 else f" in row {row}"
+            way = "into" if phi[row] < 0.0 and constraint.one_sided[row] else "off"
+            raise RangeError(
+                f"the motion must keep to the constraint, and at t = {t:g} s it is {abs(phi[row]):.4g} {way} it"
+                f"{which}, more than the tolerance of {tolerance:g}; give poses with phi = 0",
+                name="ref",
+                value=float(phi[row]),
+                rule=f"<= {tolerance:g}",
+            )
+
+
+def _first(ref: Reference) -> Sample | None:
+    if isinstance(ref, Hold):
+        return ref.sample
+    if isinstance(ref, Sample):
+        return ref
+    return ref.at(0.0) if isinstance(ref, (Chunk, Pressing)) or hasattr(ref, "at") else None
+
+
+def _at(ref: Reference, t: float) -> Sample | None:
+    if isinstance(ref, (Hold, Sample)):
+        return _first(ref)
+    at = getattr(ref, "at", None)
+    return None if at is None else at(t)

@@ -1,0 +1,292 @@
+"""Force control: section 10.3 of the chapter, equations 10.34, 10.35 and 10.38."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Final, Literal
+
+import numpy as np
+
+from taut.base import math as tm
+from taut.base.checks import one_of, require_positive, vector
+from taut.base.errors import RangeError, ShapeError
+from taut.base.types import ArrayLike, Matrix, Rotation, Vector, Wrench
+from taut.control.command import Command, Terms, Torque
+from taut.control.compliance import check_sensor, wrench_at
+from taut.control.gains import Gain, GainValue, Memory
+from taut.control.integral import ANTI_WINDUP, AntiWindup, check_tracking, integrated
+from taut.control.law import Law, MemoryView
+from taut.control.nullspace import Posture
+from taut.control.task import check_null, null_torque
+from taut.control.task_force import FRAMES, ForceFrame, TaskForce
+from taut.maths import dynamics as dyn
+from taut.maths.snapshot import Snapshot
+from taut.maths.spatial import rotated
+from taut.maths.task_inertia import TaskInertia
+
+__all__ = ["ForceControl", "wrench_of_torques"]
+
+Feedback = Literal["wrench", "joint_torque", "none"]
+FEEDBACKS: Final[tuple[Feedback, ...]] = ("wrench", "joint_torque", "none")
+MEASURED: Final = ("feedback", ("wrench", "joint_torque"))
+STILL: Final = 1e-12  # [m, 1] of a Jacobian's entry: below it that is rounding
+HEAVY: Final = 10.0  # times the arm's mass, which no direction of its tool is made heavier than
+
+
+class ForceControl(Law):
+    """Force control: feedforward of the desired wrench, PI of its error, velocity damping; forces and moments.
+
+    Law:          tau = g(q) + J^T (F_des + kfp F_e + kfi int(F_e) - kdamp V)           eq. 10.34, 10.35, 10.38
+                  F_e = F_des - F_app, with F_app = -F_ext of a wrist sensor, or from joint torque sensors
+                  feedback="none" is eq. 10.34; kfp and kfi make eq. 10.35, kdamp eq. 10.38
+                  kdamp V is that of the arm alone when the tick ends, (I + kdamp Lambda^-1 dt)^-1 kdamp V, which is
+                    stable for any kdamp at any pose
+    Closed loop:  (I + kfp) F_e + kfi int(F_e) = kdamp V + what g does not know: at rest F_e decays with the pole
+                    -kfi / (1 + kfp), to nothing whatever is wrong with g              eq. 10.36, 10.37 corrected
+                  on a contact of stiffness k and damping b the arm swings as m s^2 + c s + (1 + kfp) k with
+                    c = kdamp + (1 + kfp) b - kfp k lag, which needs c > 0 and kfi < (1 + kfp) c / m; the lag is
+                    dt / 2 of the hold and the age of the measured force
+                  on a rigid contact, with a force that is a tick old, stable where kfp + kfi dt / 2 < 1
+                  with nothing to press on V tends to kdamp^-1 ((I + kfp) F_des + kfi int(F_e)); see `speed_bound`
+
+    What F_app is, feedback="joint_torque": J_bar^T (tau_meas - C v - g) with J_bar = M^-1 J^T Lambda, the least
+    squares of the joints' residuals weighted with M^-1. For six joints it is J^-T of them; of more joints this is
+    the one pseudoinverse in which the free motion's own accelerations do not show as a force: J_bar^T M a is
+    Lambda J a. It is right at rest, a tick old, and as good as g: a payload that the model does not know is taken
+    for contact, and only a wrist sensor lets the integral take it out. Friction of gears does not show in it.
+
+    Contact is lost when less than `contact` is measured along F_des while more is asked for, longer than
+    `patience`: memory `lost` is 1, a column of a run; the metric contact_lost_time and the outcome tell.
+
+    Loss of contact, why the speed is bounded: with w = (I + kfp) F_des + kfi int(F_e) and E = v . M v / 2, exact g,
+    and a null law that feeds no energy in, E-dot = V . (w - kdamp V). In the norm |y|^2 = V . kdamp V, in which
+    |y_w|^2 = w . kdamp^-1 w, that is at most |y| (|y_w| - |y|). So E falls whenever |y| > |y_w|, and over any time T
+    the mean of |y|^2 is at most max |y_w|^2 + 2 E(0) / T, for any arm and any motion. Where Lambda hardly changes,
+    as about a pose, y-dot = -S (y - y_w), S = kdamp^1/2 Lambda^-1 kdamp^1/2 symmetric positive, and a start from
+    rest keeps |y| <= max |y_w| at every instant, for w along one line; sampled, Lambda^-1 w dt may come on top. The
+    integral is cut at e_int_max, so that w is bounded.
+
+    Frames:
+        frame= names the axes of the gains and the integral, "world" or "tool"; F_des has a frame of its own. All at
+        the origin of the tool that is controlled.
+
+    Args:
+        kfp: Proportional gain: one number, (linear, angular), (6,) or (6, 6).
+        kfi: Integral gain, likewise.
+        kdamp: Damping of the tool: (linear, angular), (6,) or (6, 6); none if left out, and then nothing bounds the
+            speed when contact is lost.
+        e_int_max: (linear, angular) the largest length of each part of the integral.
+        feedback: "wrench", "joint_torque" or "none".
+        frame: "world" or "tool".
+        contact: (force, moment) that count as contact.
+        patience: Time without it after which contact is lost.
+        null: A law for the motion that the task leaves free, `Posture()` if not said, None for none.
+        anti_windup: What the integral does where limits cut torques: "clamping", "back-calculation" or "none".
+        tracking: With "back-calculation", how fast it is driven back.
+        tool: The frame that is controlled; the arm's tool if left out.
+
+    Raises:
+        ShapeError: One number for N and N m.
+        RangeError: An integral that is unstable at this rate.
+
+    Example:
+        >>> import taut
+        >>> law = ForceControl(kfp=0.5, kfi=5.0, kdamp=(100.0, 5.0))
+        >>> ctrl = taut.compile(law, taut.load_arm("panda"))
+        >>> ctrl.needs
+        ('v', 'F_ext')
+        >>> v, omega = law.speed_bound(F_app=[0, 0, -10.0, 0, 0, 0])
+        >>> round(v, 3)  # [m/s]: (1.5 * 10 N + 5 / s * 20 N s) / (100 N s/m), and what the moment's integral adds
+        1.235
+
+    References:
+        Section 10.3 force control. Khatib (1987), IEEE Journal of Robotics and Automation 3 (1), on J_bar.
+    """
+
+    reference = TaskForce
+    needs_contact: ClassVar[bool] = True
+    recorded: ClassVar[tuple[str, ...]] = ("e_int", "lost", "bounded")
+    notices: ClassVar[tuple[tuple[str, str], ...]] = (
+        ("lost", "the tool met less than was asked for, contact was lost"),
+        ("bounded", "the integral of the force error was at its bound e_int_max"),
+    )
+    kfp: Gain = Gain(0.0, size=6, pairs=True, where=MEASURED)  # [1]
+    kfi: Gain = Gain(0.0, size=6, pairs=True, where=MEASURED)  # [1/s]
+    kdamp: Gain = Gain(size=6, pairs=True, scalar=False, optional=True)  # [N s/m, N m s/rad]
+    e_int_max: Gain = Gain((20.0, 2.0), size=2, scalar=False, minimum=1e-9, where=MEASURED)  # [N s, N m s]
+    feedback: Feedback = "wrench"
+    frame: ForceFrame = "world"
+    contact: Gain = Gain((1.0, 0.1), size=2, scalar=False, minimum=1e-9, where=MEASURED)  # [N, N m]
+    patience: Gain = Gain(0.05, size=0, where=MEASURED)  # [s]
+    null: Law | None = Posture()
+    anti_windup: AntiWindup = "clamping"
+    tracking: Gain = Gain(10.0, size=0, where=("anti_windup", "back-calculation"))  # [1/s]
+    tool: str | None = None
+    e_int: Memory = Memory(0.0)  # [N s, N m s]
+    alone: Memory = Memory(0.0)  # [s] since there was contact
+    lost: Memory = Memory(0.0)  # 1 where contact is lost
+    bounded: Memory = Memory(0.0)  # 1 where the integral is at its bound
+
+    def __post_init__(self) -> None:
+        one_of("feedback", self.feedback, FEEDBACKS)
+        one_of("frame", self.frame, FRAMES)
+        one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
+        check_null(self.null)
+        for name, unit in (("e_int_max", "N s, N m s"), ("contact", "N, N m")):
+            _check_pair(getattr(self, name), unit)
+
+    @property
+    def measures(self) -> bool:
+        """Whether there is feedback."""
+        return self.feedback != "none"
+
+    def check_rate(self, rate: float) -> None:
+        """The slow mode of the closed loop, -kfi / (1 + kfp), must be slower than the rate on any contact."""
+        check_tracking(self.anti_windup, self.tracking, rate)
+        if not self.measures:
+            return
+        fastest = np.linalg.solve(np.eye(6) + _numbers(self.kfp), _numbers(self.kfi))
+        pole = float(np.max(np.abs(np.linalg.eigvals(fastest))))
+        if pole >= 2.0 * rate:
+            raise RangeError(
+                f"kfi / (1 + kfp) must be below twice the rate, {2.0 * rate:g} [1/s], or the force swings on any "
+                f"contact; got {pole:g}; a pole of 1 to 20 1/s is usual",
+                name="kfi",
+                value=pole,
+                rule="kfi / (1 + kfp) < 2 rate",
+            )
+
+    def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
+        """The wrist sensor must be on the link that is controlled."""
+        if self.feedback == "wrench":
+            check_sensor(x, self.tool)
+
+    def speed_bound(self, *, F_app: ArrayLike) -> tuple[float, float]:
+        """What bounds the tool's speed and angular speed when contact is lost [m/s, rad/s]; see the law.
+
+        With w = (I + kfp) F_des + kfi e_int_max, each part of the integral along what it adds to most:
+        V . kdamp V <= w . kdamp^-1 w, of which each part has its share. Infinite without kdamp.
+
+        Args:
+            F_app: (6,) the desired wrench in the axes of the gains [N, N m].
+        """
+        if not self.gives("kdamp"):
+            return np.inf, np.inf
+        F = vector("F_app", F_app, 6, unit="N, N m")
+        inverse = np.linalg.inv(_numbers(self.kdamp))
+        root = np.linalg.cholesky(inverse).T  # |root w|^2 = w . kdamp^-1 w
+        size = float(np.linalg.norm(root @ F))
+        if self.measures:
+            size = float(np.linalg.norm(root @ (F + _numbers(self.kfp) @ F)))
+            most = np.asarray(self.e_int_max.as_array(), dtype=np.float64)
+            added = root @ _numbers(self.kfi)
+            size += sum(m * float(np.linalg.norm(added[:, k : k + 3], 2)) for m, k in zip(most, (0, 3), strict=True))
+        linear, angular = (float(np.linalg.norm(inverse[k : k + 3, k : k + 3], 2)) ** 0.5 for k in (0, 3))
+        return float(linear * size), float(angular * size)
+
+    def command(
+        self, x: Snapshot, ref: TaskForce, memory: MemoryView, dt: float
+    ) -> tuple[Command, dict[str, object]]:
+        T, J = x.T(self.tool), x.J(self.tool)
+        R = T.R if self.frame == "tool" else None
+        inertia = TaskInertia.bounded(J, x.M_factors, HEAVY * sum(body.mass for body in x.arm.bodies))
+        F_des = ref.in_world(T.R)
+        w = Terms(feedforward=_inwards(R, F_des))
+        after: dict[str, object] = {name: getattr(memory, name) for name in ("e_int", "alone", "lost", "bounded")}
+        if self.measures:
+            F_app = -wrench_at(x, self.tool) if self.feedback == "wrench" else wrench_of_torques(x, inertia)
+            F_e = _inwards(R, _felt(x, self.tool, F_des - F_app))
+            e_int, after["bounded"] = self._integral(x, memory.e_int, F_e, R, inertia, dt)
+            after |= {"e_int": e_int} | self._contact(F_des, F_app, memory.alone, dt)
+            w = w + Terms(P=self.kfp @ F_e, I=self.kfi @ e_int)
+        if self.gives("kdamp"):
+            w = w + Terms(D=-self._damping(_inwards(R, J @ x.v), J @ inertia.Minv_JT, R, dt))
+        tau = J.T @ w.mapped(lambda F: F if R is None else rotated(R, F)) + Terms(gravity=x.g)
+        if self.null is not None:
+            after["null"] = memory["null"]
+        if self.null is not None and x.n > 6:  # else there is no free motion
+            free, after["null"] = null_torque(self.null, x, ref, memory["null"], dt, inertia)
+            tau = tau + free
+        return Torque(tau), after
+
+    def _damping(self, V: Vector, mobility: Matrix, R: Rotation | None, dt: Any) -> Wrench:
+        """(6,) kdamp V as it will be when the tick ends, of the arm alone: (I + kdamp Lambda^-1 dt)^-1 kdamp V.
+
+        Held over a tick kdamp V itself would throw about what is light, such as a last link about its own axis.
+        """
+        K = self.kdamp.matrix(6)
+        inverse = mobility if R is None else _turned(R.T, mobility)
+        out: Wrench = tm.solve(tm.eye(6) + dt * (K @ inverse), K @ V)
+        return out
+
+    def _integral(
+        self, x: Snapshot, e_int: Vector, F_e: Wrench, R: Rotation | None, inertia: TaskInertia, dt: Any
+    ) -> tuple[Vector, Any]:
+        """The integral after this tick, and 1 where its bound cut it."""
+        cut = None
+        if self.anti_windup != "none":
+            cut = _inwards(R, inertia.Lambda @ inertia.acceleration(x.tau_cut))
+        grown = integrated(e_int, F_e, x, dt, self.anti_windup, self.kfi, self.tracking, cut=cut)
+        parts, least = [], 1.0
+        for k in (0, 1):
+            part = grown[3 * k : 3 * k + 3]
+            share = tm.minimum(self.e_int_max[k] / tm.maximum(tm.norm(part), 1e-12), 1.0)
+            least = tm.minimum(least, share)
+            parts.extend(share * part)
+        return tm.array(parts), tm.where(least < 1.0, 1.0, 0.0)
+
+    def _contact(self, F_des: Wrench, F_app: Wrench, alone: Any, dt: Any) -> dict[str, object]:
+        """How long there has been less than `contact` along what is asked for, and whether that is too long."""
+        missing: Any = 0.0
+        for k in (0, 1):
+            wanted, there, least = F_des[3 * k : 3 * k + 3], F_app[3 * k : 3 * k + 3], self.contact[k]
+            size = tm.norm(wanted)
+            missing = tm.maximum(
+                missing, tm.where(size > least, tm.where(wanted @ there < least * size, 1.0, 0.0), 0.0)
+            )
+        alone = tm.where(missing > 0.5, alone + dt, 0.0)
+        return {"alone": alone, "lost": tm.where(alone > self.patience.as_array() + 0.5 * dt, 1.0, 0.0)}
+
+
+def wrench_of_torques(x: Snapshot, inertia: TaskInertia) -> Wrench:
+    """(6,) F_app at the tool from measured joint torques: J_bar^T (tau_meas - C v - g), world axes [N, N m].
+
+    The sensors have all that acts on the links, so that what a plant adds itself is in it, and friction is not.
+    """
+    residual = x.tau_meas - x.inverse_dynamics(np.zeros(x.n))
+    out: Wrench = inertia.J_bar.T @ residual
+    return out
+
+
+def _felt(x: Snapshot, tool: str | None, F: Wrench) -> Wrench:
+    """A wrench without the directions in which the arm never moves, as a planar one: its bearings carry them."""
+    anywhere = dyn.jacobian(x.model, np.cos(1.7 * np.arange(x.n) + 0.3), tool)  # what is zero here is so in any pose
+    return tm.array([F[i] if np.any(np.abs(row) > STILL) else 0.0 for i, row in enumerate(anywhere)])
+
+
+def _inwards(R: Rotation | None, six: Vector) -> Vector:
+    """What stands in world axes, in those of the gains."""
+    return six if R is None else rotated(R.T, six)
+
+
+def _numbers(gain: GainValue) -> Matrix:
+    return np.asarray(gain.matrix(6), dtype=np.float64)
+
+
+def _turned(R: Rotation, C: Matrix) -> Matrix:
+    """(6, 6) of one set of axes in another, block by block."""
+    out = tm.zeros((6, 6))
+    for i in (0, 3):
+        for j in (0, 3):
+            out[i : i + 3, j : j + 3] = R @ C[i : i + 3, j : j + 3] @ R.T
+    return out
+
+
+def _check_pair(gain: GainValue, unit: str) -> None:
+    """A number for the linear part and one for the angular part.
+
+    Raises:
+        ShapeError: Something else.
+    """
+    if gain.shape != (2,):
+        raise ShapeError(f"{gain.name} must be (linear, angular) [{unit}]; got shape {gain.shape}", name=gain.name)
+    require_positive(gain.name, np.asarray(gain.as_array()), unit=unit)

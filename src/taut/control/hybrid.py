@@ -1,0 +1,275 @@
+"""Hybrid motion-force control: section 10.4 of the chapter, equations 10.39 to 10.45."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar, Final, Literal
+
+from taut.base import math as tm
+from taut.base.checks import one_of
+from taut.base.errors import UsageError
+from taut.base.linalg import factor_spd
+from taut.base.types import Vector
+from taut.control.command import Command, Terms, Torque
+from taut.control.compliance import check_sensor
+from taut.control.constraint_checks import (
+    check_constraint,
+    check_forces,
+    check_motion,
+    check_place,
+    check_surface,
+)
+from taut.control.constraint_estimate import NEVER, NormalEstimate, along_surface, turn_between, turned_rows
+from taut.control.gains import Gain, Memory
+from taut.control.hybrid_motion import HybridMotion, hybrid_kind
+from taut.control.law import Law, MemoryView, call
+from taut.control.reference import Reference, Sample
+from taut.control.task_reference import TaskMotion
+from taut.maths.constrained import Constrained
+from taut.maths.constraint import Constraint, ConstraintRows
+from taut.maths.snapshot import Snapshot
+
+__all__ = ["HybridMotionForce"]
+
+ForceFeedback = Literal["wrench", "joint_torque"]
+FEEDBACKS: Final[tuple[ForceFeedback, ...]] = ("wrench", "joint_torque")
+
+
+class HybridMotionForce(Law):
+    """Hybrid motion-force control: a motion along constraints, and forces against them.
+
+    Law:          tau = J^T (P F_motion + (I - P) F_force + gamma + eta)                                eq. 10.45
+                    F_motion: what `motion` asks for, Lambda (a_des + kp X_e + ki int(X_e) + kd V_e)    eq. 10.31
+                    F_force:  A^T (lam_des + kfp lam_e + kfi int(lam_e) - kdamp (A V + phi_t))          eq. 10.38
+                  P = I - A^T (A Lambda^-1 A^T)^-1 A Lambda^-1                                          eq. 10.44
+                  less A^T (A Lambda^-1 A^T)^-1 (A-dot V + ...), the term `curvature`, which the chapter leaves out
+    Closed loop:  along the constraints that of `motion`, exactly, for whatever holds A V + phi_t = 0: P-projected, in
+                    an orthogonal projection of the product of Lambda^-1
+                  against them, with a rigid contact and F_app = A^T lam:  lam = lam_cmd, so that
+                    (1 + kfp) lam_e + kfi int(lam_e) = const, with the pole -kfi / (1 + kfp); the chapter's 10.36 has
+                    -kfi / kfp. The measured force is a tick old: kfp < 1, or the loop swings up
+                  curvature=False leaves an error of lam of (A Lambda^-1 A^T)^-1 A-dot V on curved and moving surfaces
+
+    lam_meas is (A A^T)^-1 A F_app of the wrist sensor: friction along a surface at the tool's origin does not count
+    as pressing. With feedback="joint_torque" it is eq. 10.42 with the measured torques; without kfp and kfi no force
+    is measured, and lam_des is fed forward, eq. 10.34. A one-sided row is never asked to pull.
+
+    Frames:
+        The constraint is in world axes; what it says of the tool is said at the tool's origin.
+
+    Args:
+        constraint: `taut.Constraint`, or a function of the pose such as lambda T: T.p[2] - 0.1.
+        motion: The law of the motion, such as `TaskComputedTorque`, `Impedance`, or one of joints; the forces that
+            it would make against the constraints are taken out.
+        kfp: Proportional gain of the force: a number or one per row.
+        kfi: Integral gain.
+        e_int_max: Largest integral of the force error; no bound if left out.
+        kdamp: Damping of motion against the constraint, such as of a tool that has lost its contact.
+        feedback: With kfp or kfi, what measures the force: "wrench" or "joint_torque".
+        curvature: Whether the term of that name is in the law.
+        tolerance: How far phi may be from zero where a run starts [m, rad].
+        estimate: `taut.laws.NormalEstimate()` where it is not well known where the surface faces: the law is then
+            that of the constraint turned as force and motion show it, and the reference is followed along it.
+
+    Raises:
+        UsageError: No constraint, or no law of motion that gives torques; an estimate of what is no surface.
+        MatchError: A wrist sensor that knows nothing of the constraint's frame.
+
+    Example:
+        >>> import taut
+        >>> law = HybridMotionForce(
+        ...     constraint=lambda T: T.p[2] - 0.1, motion=taut.laws.TaskComputedTorque(kp=100.0, kd=20.0), kfi=5.0
+        ... )
+        >>> law.rows
+        1
+
+    References:
+        Section 10.4 hybrid motion-force control. Raibert and Craig (1981), ASME J. Dynamic Systems 102; Khatib
+        (1987), IEEE Journal of Robotics and Automation 3 (1).
+    """
+
+    reference = HybridMotion
+    needs_contact: ClassVar[bool] = True
+    constraint: Constraint | Callable[..., Any]
+    motion: Law
+    kfp: Gain = Gain(optional=True, size="rows")  # [-]
+    kfi: Gain = Gain(optional=True, size="rows")  # [1/s]
+    e_int_max: Gain = Gain(optional=True, size="rows")  # [N s, N m s]
+    kdamp: Gain = Gain(optional=True, size="rows")  # [N s/m, N m s/rad]
+    feedback: ForceFeedback = "wrench"
+    curvature: bool = True
+    tolerance: float = 0.01
+    estimate: Law | None = None
+    e_int: Memory = Memory(0.0)  # [N s, N m s]
+    lam: Memory = Memory(0.0)  # multipliers by eq. 10.42 of what is commanded [N, N m]
+    phi: Memory = Memory(0.0)  # [m, rad]
+
+    recorded = ("lam", "phi")
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.constraint, Constraint):
+            if not callable(self.constraint):
+                raise UsageError(
+                    "constraint must be a function of the pose, such as lambda T: T.p[2] - 0.1, or a taut.Constraint"
+                    f"; got {type(self.constraint).__name__}",
+                    name="constraint",
+                )
+            object.__setattr__(self, "constraint", Constraint(self.constraint))
+        one_of("feedback", self.feedback, FEEDBACKS)
+        if not isinstance(self.motion, Law) or issubclass(self.motion.reference, HybridMotion):
+            raise UsageError(
+                "motion holds a law such as taut.laws.TaskComputedTorque(kp=100.0, kd=20.0); got "
+                f"{type(self.motion).__name__}",
+                name="motion",
+            )
+        if self.measures and self.feedback == "wrench" and self.natural.frame is None:
+            raise UsageError(
+                "feedback='wrench' is for a constraint of one frame of the tool's link; for one of joints or of "
+                "several frames take feedback='joint_torque', or leave kfp and kfi out",
+                name="feedback",
+            )
+        if self.estimate is not None:
+            self._check_estimate()
+        object.__setattr__(self, "reference", hybrid_kind(self.motion.reference))
+
+    def _check_estimate(self) -> None:
+        if not isinstance(self.estimate, NormalEstimate):
+            raise UsageError(
+                f"estimate holds taut.laws.NormalEstimate(); got {type(self.estimate).__name__}", name="estimate"
+            )
+        if self.natural.frame is None or self.motion.reference is not TaskMotion:
+            raise UsageError(
+                "estimate is for a surface that one frame touches, and a motion of that frame, such as "
+                "TaskComputedTorque; leave it out",
+                name="estimate",
+            )
+
+    @property
+    def natural(self) -> Constraint:
+        """The natural constraints, whatever they were given as."""
+        assert isinstance(self.constraint, Constraint)
+        return self.constraint
+
+    @property
+    def rows(self) -> int:
+        """k, the number of rows of the constraint."""
+        return self.natural.count
+
+    @property
+    def measures(self) -> bool:
+        """Whether forces are fed back."""
+        return self.gives("kfp") or self.gives("kfi")
+
+    def seen_by(self, child: str, x: Snapshot, ref: Sample) -> tuple[Snapshot, Sample]:
+        return x, ref.motion if child == "motion" and isinstance(ref, HybridMotion) else ref
+
+    def at_rest(self, x: Snapshot) -> Sample:
+        return self.reference.at_rest(x, self.motion.controlled_frame)
+
+    def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
+        check_constraint(self.natural, x)
+        if (self.measures and self.feedback == "wrench") or self.estimate is not None:
+            frame = self.natural.frame
+            check_sensor(x, None if frame is None else frame[0])
+        if self.estimate is not None:
+            check_surface(self.natural, x, self.motion.controlled_frame)
+
+    def check_reference(self, x: Snapshot, ref: Reference, rate: float) -> None:  # noqa: ARG002
+        """The run starts on the constraint, forces can be applied against it, and the motion keeps to it.
+
+        Raises:
+            RangeError: A start or a motion off the constraint, a force that no contact can bear.
+        """
+        check_place(self.natural, x, self.tolerance)
+        check_forces(self.natural, x, ref)
+        check_motion(self.natural, x, ref, self.motion.controlled_frame, self.tolerance)
+
+    def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, object]]:
+        rows, follow, estimated = self.natural.at(x), ref.motion, None
+        if isinstance(self.estimate, NormalEstimate):
+            rows, estimated = self._estimated(self.estimate, x, rows, memory["estimate"], dt)
+            follow = along_surface(x, rows, follow, self.motion.controlled_frame)
+        held = Constrained.of(rows, x.M_factors)
+        command, motion = call(self.motion, x, follow, memory["motion"], dt)
+        if not isinstance(command, Torque):
+            raise UsageError(
+                f"motion holds a law that gives torques, and {type(self.motion).__name__} gives a {command.kind}",
+                name="motion",
+            )
+        lam, e_int = self._multipliers(x, rows, held, ref, memory, dt)
+        falling, curved = held.felt(rows.bias - rows.curvature), held.felt(rows.curvature)
+        force = lam + Terms(force_nonlinear=-falling)
+        if self.curvature:
+            force = force + Terms(curvature=-curved)
+        tau = command.terms.mapped(held.along) + Terms(nonlinear=held.against(x.h)) + force.mapped(held.pressing)
+        told = lam.total if self.curvature else lam.total + curved
+        after: dict[str, object] = {"motion": motion, "e_int": e_int, "lam": told, "phi": rows.phi}
+        if estimated is not None:
+            after["estimate"] = estimated
+        return Torque(tau), after
+
+    def _estimated(
+        self, estimate: NormalEstimate, x: Snapshot, stated: ConstraintRows, memory: Any, dt: Any
+    ) -> tuple[ConstraintRows, dict[str, object]]:
+        """The rows as they are turned by the estimate of the first one's normal, and its memory."""
+        assert self.natural.frame is not None
+        assert stated.A is not None
+        V = x.twist(*self.natural.frame)
+        size = tm.sqrt(stated.A[0, :3] @ stated.A[0, :3] + NEVER)
+        n_0 = stated.A[0, :3] / size
+        over = V[:3] + ((stated.A[0, 3:] @ V[3:] + stated.phi_t[0]) / size) * n_0
+        tilt = estimate.updated(memory["tilt"], n_0, over, x.F_ext[:3], dt)
+        n = n_0 + tilt
+        n = n / tm.sqrt(n @ n + NEVER)
+        return turned_rows(self.natural, x, turn_between(n_0, n)), {"tilt": tilt, "normal": n}
+
+    def _multipliers(
+        self, x: Snapshot, rows: ConstraintRows, held: Constrained, ref: Any, memory: MemoryView, dt: Any
+    ) -> tuple[Terms, Vector]:
+        """(k,) the multipliers to apply, as terms; and the integral of their error after this tick."""
+        wanted = self._wanted(rows, ref)
+        lam, e_int = Terms(force=wanted), memory.e_int + tm.zeros(rows.count)
+        if self.measures:
+            e = wanted - self._measured(x, rows, held)
+            if self.gives("kfp"):
+                lam = lam + Terms(force_P=self.kfp @ e)
+            if self.gives("kfi"):
+                e_int = e_int + e * dt
+                if self.gives("e_int_max"):
+                    most = self.e_int_max.as_array()
+                    e_int = tm.clip(e_int, -most, most)
+                lam = lam + Terms(force_I=self.kfi @ e_int)
+        if self.gives("kdamp"):
+            lam = lam + Terms(force_D=-(self.kdamp @ rows.rate(x.v)))
+        if any(rows.one_sided):
+            total = tm.array(
+                [tm.minimum(y, 0.0) if side else y for y, side in zip(lam.total, rows.one_sided, strict=True)]
+            )
+            lam = lam.up_to(total, "one_sided")
+        return lam, e_int
+
+    def _wanted(self, rows: ConstraintRows, ref: Any) -> Vector:
+        """(k,) the multipliers that are asked for."""
+        lam: Vector = ref.lam[: rows.count]
+        if rows.A is None:
+            return lam
+        gradient = rows.A[0, :3]
+        pressed = tm.array([-ref.press[0] / tm.sqrt(gradient @ gradient + 1e-24), *([0.0] * (rows.count - 1))])
+        return lam + pressed + _of_wrench(rows, ref.F_app)
+
+    def _measured(self, x: Snapshot, rows: ConstraintRows, held: Constrained) -> Vector:
+        """(k,) the multipliers that are measured."""
+        if self.feedback == "joint_torque":
+            return held.lam(x.tau_meas - x.h)
+        (frame,) = self.natural.frame or (None,)
+        F = x.F_ext
+        if frame is not None and frame != x.arm.tool:
+            F = tm.array([*F[:3], *(F[3:] + tm.cross(x.T().p - x.T(frame).p, F[:3]))])
+        return _of_wrench(rows, -F)
+
+
+def _of_wrench(rows: ConstraintRows, F_app: Vector) -> Vector:
+    """(k,) the multipliers of a wrench of the arm on the environment: (A A^T)^-1 A F_app."""
+    assert rows.A is not None
+    out: Vector = factor_spd(rows.A @ rows.A.T).solve(rows.A @ F_app)
+    return out

@@ -1,0 +1,132 @@
+"""Feeding the references of a task: each phase has its own, whose time counts from its begin."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from taut.base.errors import TautError, UsageError
+from taut.base.types import Float64Array
+from taut.control.feed import ReferenceFeed
+from taut.control.lawside import LawSide
+from taut.control.phase import STOP
+from taut.control.phase_sample import PhaseSample
+from taut.control.phases import Phases
+from taut.control.reference import Hold, Sample, Stream, Trajectory, as_reference
+from taut.maths.snapshot import Snapshot
+
+__all__ = ["PhaseFeed"]
+
+
+class PhaseFeed:
+    """Fills the reference of a block of ticks in which one phase acts.
+
+    A phase without a reference holds where it began. So does what no phase follows at the moment, and what stands
+    in the record once the task has stopped.
+
+    Args:
+        task: The law of the task.
+        side: What surrounds it.
+        stepped: Whether samples of a stream without a source come from the caller, tick by tick.
+
+    Raises:
+        UsageError: A stream without a source, in a run.
+    """
+
+    def __init__(self, task: Phases, side: LawSide, *, stepped: bool = False) -> None:
+        self._task, self._side = task, side
+        self._index, self._since = 0, 0
+        self._inner: ReferenceFeed | None = None  # made when the phase is first filled
+        self._others: dict[str, Float64Array] = {}
+        if stepped:
+            return
+        for name, phase in task.phases.items():
+            if isinstance(phase.reference, Stream) and phase.reference.source is None:
+                raise UsageError(
+                    f"phase '{name}': a stream in a simulation needs source=, a function that gives the next sample",
+                    name="reference",
+                )
+
+    @property
+    def waits(self) -> bool:
+        """Whether the phase that acts follows samples that the caller gives."""
+        name = self._name
+        reference = None if name == STOP else self._task.phases[name].reference
+        return isinstance(reference, Stream) and reference.source is None
+
+    @property
+    def _name(self) -> str:
+        return self._task.names[self._index]
+
+    def begin(self, index: int, tick: int) -> None:
+        """A phase begins with a tick: its reference is made when it is first asked for."""
+        self._index, self._since, self._inner = index, tick, None
+
+    def prepare(self, state: Callable[[], Any]) -> None:
+        """Make the reference of a phase that has begun, if that was not done yet."""
+        if self._inner is None:
+            self._begin(state())
+
+    def next_question(self, tick: int) -> int | None:
+        """The first tick after `tick` at which the source of a stream is asked; None if never."""
+        question = None if self._inner is None else self._inner.next_question(tick - self._since)
+        return None if question is None else question + self._since
+
+    def fill(
+        self, views: Mapping[str, Float64Array], first: int, state: Callable[[], Any], given: Sample | None = None
+    ) -> None:
+        """Write the reference of the ticks from `first` on into views (k, ...) by field.
+
+        Args:
+            views: Where to write: one array per field of the sample.
+            first: Number of the first tick.
+            state: Gives the snapshot at the first tick: what a function of it, a hold and a source are given.
+            given: The sample of a caller, where the phase `waits` for one.
+        """
+        law = self._law
+        self.prepare(state)
+        start = ""
+        if isinstance(kind := self._task.reference, type) and issubclass(kind, PhaseSample):
+            start = f"{kind.name_of(law.reference)}_"
+            for field, values in self._others.items():
+                views[field][...] = values
+        own = {field[len(start) :]: view for field, view in views.items() if field.startswith(start)}
+        if given is not None:
+            for field, view in own.items():
+                view[...] = getattr(given, field)
+            return
+        assert self._inner is not None
+        self._inner.fill(own, first - self._since, state)
+
+    @property
+    def _law(self) -> Any:
+        """The law that is followed; where nothing is, the first one that follows something."""
+        law = self._task.laws[self._name]
+        followers = [one for one in self._task.laws.values() if not one.ignores_reference]
+        return law if not law.ignores_reference or not followers else followers[0]
+
+    def _begin(self, x: Snapshot) -> None:
+        """The reference of the phase, from what is seen in its first tick."""
+        law, name = self._law, self._name
+        given = None if name == STOP else self._task.phases[name].reference
+        if callable(given) and not isinstance(given, Trajectory):
+            try:
+                given = given(x)
+            except TautError as cause:
+                raise UsageError(f"phase '{name}': its reference: {cause}", name="reference") from cause
+            except Exception as cause:
+                how = f"{type(cause).__name__}: {cause}"
+                raise UsageError(f"phase '{name}': its reference fails: {how}", name="reference") from cause
+        at_rest: Sample = law.at_rest(x)
+        try:
+            reference = Hold() if given is None or self.waits else as_reference(given)
+            self._inner = ReferenceFeed(reference, law.reference, self._side.arm, self._side.dt, at_rest)
+        except UsageError as cause:
+            raise UsageError(f"phase '{name}': {cause}", name="reference") from cause
+        kind = self._task.reference
+        if issubclass(kind, PhaseSample):
+            rest, start = self._task.at_rest(x), f"{kind.name_of(law.reference)}_"
+            fields = [field for field in kind.fields(self._side.arm.n) if not field.startswith(start)]
+            self._others = {field: np.asarray(getattr(rest, field), dtype=np.float64) for field in fields}

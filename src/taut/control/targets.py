@@ -1,0 +1,97 @@
+"""Targets of laws that follow a TaskMotion: whether they are out of the arm's reach."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from taut.base.types import Float64Array, Matrix, Vector, Wrench
+from taut.control.law import Law
+from taut.control.side_by_side import SideBySide
+from taut.control.spring import Bound
+from taut.control.task_error import Coordinates, ErrorKind
+from taut.control.task_reference import TaskMotion
+from taut.maths.ik import shortened
+from taut.maths.out_of_reach import Asked, Beyond, distance_beyond, spheres
+from taut.maths.singularity import TOP_SPEED
+from taut.maths.snapshot import Snapshot
+
+__all__ = ["asked_of", "calm_torque", "eased", "far_away", "may_bound", "out_of_reach"]
+
+EASED: Final = (0.05, 0.3)  # of the reach, and [rad]: what an error counts for at most, out of reach
+RATE: Final = 5.0  # [1/s] at which joints settle under a spring to a target out of reach
+
+
+def asked_of(kind: ErrorKind, coordinates: Coordinates | None) -> Asked | None:
+    """What an error says of the pose: all of it, its position, or nothing that is known."""
+    if kind != "coordinates":
+        return "pose"
+    return "position" if coordinates == Coordinates.position() else None
+
+
+def out_of_reach(x: Snapshot, ref: TaskMotion, tool: str | None, asked: Asked | None) -> Beyond | None:
+    """How clearly a target is out of reach; None where an error does not say enough to know."""
+    if asked is None:
+        return None
+    found = spheres(x.model, tool, asked)
+    return Beyond.of(found, ref.p, ref.R) if found else None
+
+
+def eased(away: Beyond, share: Any) -> Bound:
+    """The bound of an error to a target out of reach, in full where share is 1; none where it is 0."""
+    return Bound(curves=(share / (EASED[0] * away.reach) ** 2, share / EASED[1] ** 2))
+
+
+def calm_torque(x: Snapshot, J: Matrix, F: Wrench) -> Vector:
+    """(n,) the torque of a spring's wrench F that brings no joint beyond its speed limit: M k (v_c - v) + h.
+
+    v_c is M^-1 J^T F / k, made shorter until it is within them; v follows it at the rate k.
+    """
+    wanted = shortened(x.M_factors.solve(J.T @ F) / RATE, TOP_SPEED * x.arm.velocity)
+    out: Vector = x.M @ (RATE * (wanted - x.v)) + x.h
+    return out
+
+
+def far_away(law: Law, x: Snapshot, rows: dict[str, Float64Array]) -> Float64Array | None:
+    """(k,) how far at least the targets of a run are out of reach [m]; None where the law follows no pose.
+
+    Args:
+        law: The law of the run.
+        x: Any state of its arm.
+        rows: (k, ...) each field of what it followed.
+    """
+    if isinstance(law, SideBySide):
+        seen = law.seen(x)
+        parts = [
+            far_away(
+                part,
+                seen[name],
+                {field[len(name) + 1 :]: rows[field] for field in rows if field.startswith(f"{name}_")},
+            )
+            for name, part in law.parts.items()
+        ]
+        known = [part for part in parts if part is not None]
+        return np.max(known, axis=0) if known else None
+    asked = _asked(law) if law.reference is TaskMotion else None
+    if asked is None:
+        return None
+    return distance_beyond(spheres(x.model, law.controlled_frame, asked), rows["p"], rows["R"])
+
+
+def may_bound(law: Law) -> bool:
+    """Whether a law, or one that it holds, has a spring that could be bounded and is not."""
+    return ("error_max" in vars(law) and not law.gives("error_max")) or any(map(may_bound, law.children().values()))
+
+
+def _asked(law: Law) -> Asked | None:
+    """What of the pose a law asks for, or the law that it holds."""
+    own = vars(law)
+    if "directions" in own:
+        return "pose" if own["directions"] == "all" else "position"
+    if "error" in own:
+        return asked_of(own["error"], own["coordinates"])
+    inner = [
+        child for child in law.children().values() if child.reference is TaskMotion and not child.ignores_reference
+    ]
+    return _asked(inner[0]) if inner else "pose"

@@ -1,0 +1,277 @@
+"""Impulses of rigid contacts that act together: they push and do not pull, stick and slide."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from taut.base import math as tm
+from taut.base.linalg import LTDL, factor_spd
+from taut.base.types import Matrix, Vector
+
+__all__ = ["SWEEPS", "Touch", "both", "choose", "contact_impulses", "held_impulses", "opposite"]
+
+SWEEPS: Final = 8  # of block Gauss-Seidel where several contacts act together, half before the exact solve
+ROUNDS: Final = 8  # of the direction of sliding, which depends on the normal force and the other way round
+FEWER: Final = 3  # of them in each sweep
+SLACK: Final = 1e-11  # of the diagonal, so that contacts that share a load need not be independent
+JAMMED: Final = 1e-3  # least share of a normal mobility that friction leaves; below it rigid bodies jam
+NOTHING: Final = 1e-30
+
+
+@dataclass(frozen=True, kw_only=True)
+class Touch:
+    """The rows of one contact among all rows."""
+
+    normal: int
+    one_sided: bool
+    beside: tuple[int, ...] = ()  # rows that hold both ways as long as it touches, such as the tilts of a face
+    tangents: tuple[int, ...] = ()  # two rows in which it rubs, or none
+
+    @property
+    def held(self) -> tuple[int, ...]:
+        """The rows without friction."""
+        return (self.normal, *self.beside)
+
+
+def contact_impulses(
+    W: Matrix,
+    r: Vector,
+    touches: Sequence[Touch],
+    mu: Sequence[Any],
+    there: Sequence[Any],
+    guess: Sequence[Any],
+    *,
+    sweeps: int = SWEEPS,
+) -> Vector:
+    """Impulses p of contacts, from the velocities r that their rows would have without any.
+
+    With u = r + W p, for each contact
+
+        u_n = 0, or of a one-sided one   u_n >= 0,  p_n >= 0,  u_n p_n = 0
+        u_t = 0 and |p_t| <= mu |p_n|,   or   p_t = -mu |p_n| u_t / |u_t|
+
+    the last with a round cone. A contact that is alone is solved for exactly: whether it sticks, from the impulses
+    that would stop it; else the direction of its sliding by a few steps of Newton's method. Several take turns, in a
+    fixed number of sweeps so that it is straight-line code, from a guess; in the middle those that touch are solved
+    for together, exactly, and the other half puts right what that moved.
+
+    Args:
+        W: (m, m) velocities per impulse, B M^-1 B^T.
+        r: (m,) velocities without the impulses.
+        touches: The rows of each contact. Each row belongs to one.
+        mu: The friction of each contact, with respect to its impulse p_n; not used for those without tangents.
+        there: Whether each contact may act at all.
+        guess: (m,) impulses to start from, where there are several contacts.
+        sweeps: Number of sweeps.
+    """
+    blocks = [_Block.of(W, touch) for touch in touches]
+    alone = len(blocks) == 1
+    p = [0.0] * len(r) if alone else list(guess)
+    slip: list[Any] = [None] * len(blocks)
+
+    def sweep(count: int) -> None:
+        for _ in range(count):
+            for c, block in enumerate(blocks):
+                own = set(block.rows)
+                others = [j for j in range(len(r)) if j not in own]
+                free = {i: _sum(r[i], ((W[i, j], p[j]) for j in others)) for i in block.rows}
+                slip[c] = block.solve(free, p, mu[c], there[c], ROUNDS if alone else FEWER)
+
+    if alone:
+        sweep(1)
+        return tm.array(p)
+    sweep(sweeps // 2)
+    p = _together(W, r, touches, slip)
+    sweep(sweeps - sweeps // 2)
+    return tm.array(p)
+
+
+def held_impulses(W: Matrix, u: Vector, held: Sequence[Any]) -> Vector:
+    """(m,) impulses that change the velocities of rows that are held by -u, and of the others are zero."""
+    m = len(u)
+    if m == 1:
+        return tm.array([choose(held[0], -u[0] / W[0, 0], 0.0)])
+    A: list[list[Any]] = [[0.0] * m for _ in range(m)]
+    for i in range(m):
+        for j in range(i):
+            A[i][j] = A[j][i] = choose(both(held[i], held[j]), W[i, j], 0.0)
+        A[i][i] = choose(held[i], W[i, i] * (1.0 + SLACK), 1.0)
+    rhs = [choose(held[i], -u[i], 0.0) for i in range(m)]
+    solved: Vector = tm.solve_spd(tm.array(A), tm.array(rhs))
+    return solved
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Slip:
+    """How a contact moves after it was solved for."""
+
+    on: Any  # whether it touches
+    sticks: Any
+    along: tuple[Any, Any]  # direction of its sliding, times its friction and the sign of its normal impulse
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Block:
+    """One contact, the impulses of the others given."""
+
+    touch: Touch
+    held: LTDL  # of the rows without friction
+    all: LTDL | None  # of all
+    across: Matrix | None  # (held, 2) velocities of those rows per impulse of the tangents
+    plane: Matrix | None  # (2, 2) of the tangents
+
+    @classmethod
+    def of(cls, W: Matrix, touch: Touch) -> _Block:
+        held, tangents = list(touch.held), list(touch.tangents)
+        inner = _part(W, held, held)
+        if not tangents:
+            return cls(touch=touch, held=factor_spd(inner), all=None, across=None, plane=None)
+        rows = held + tangents
+        return cls(
+            touch=touch,
+            held=factor_spd(inner),
+            all=factor_spd(_firm(_part(W, rows, rows))),
+            across=_part(W, held, tangents),
+            plane=_part(W, tangents, tangents),
+        )
+
+    @property
+    def rows(self) -> tuple[int, ...]:
+        return (*self.touch.held, *self.touch.tangents)
+
+    def solve(self, r: dict[int, Any], p: list[Any], mu: Any, there: Any, rounds: int) -> _Slip:
+        """Write its impulses into p, from velocities without them."""
+        held, tangents = self.touch.held, self.touch.tangents
+        r_h = tm.array([r[i] for i in held])
+        y = self.held.solve(r_h)
+        best = [-entry for entry in y]
+        sticks, along = False, (0.0, 0.0)
+        if tangents:
+            r_t = tm.array([r[i] for i in tangents])
+            best, sticks, along = self._rubbing(r_h, r_t, y, best, mu, rounds)
+        on = there if not self.touch.one_sided else both(there, best[0] > 0.0)
+        for i, value in zip(self.rows, best, strict=True):
+            p[i] = choose(on, value, 0.0)
+        return _Slip(on=on, sticks=sticks, along=along)
+
+    def _rubbing(
+        self, r_h: Vector, r_t: Vector, y: Vector, p_h: list[Any], mu: Any, rounds: int
+    ) -> tuple[list[Any], Any, Any]:
+        """Impulses with friction, whether it sticks, and where it slides."""
+        assert self.all is not None
+        assert self.across is not None
+        assert self.plane is not None
+        stop = -self.all.solve(tm.array([*r_h, *r_t]))
+        h = len(p_h)
+        pressed = mu * stop[0]
+        sticks = stop[h] * stop[h] + stop[h + 1] * stop[h + 1] <= pressed * pressed
+        if self.touch.one_sided:
+            sticks = both(sticks, stop[0] > 0.0)
+        signed, d, speed = mu, (0.0, 0.0), None
+        for _ in range(rounds):
+            if not self.touch.one_sided:
+                signed = choose(p_h[0] < 0.0, -mu, mu)
+            z = [_sum(r_t[k], ((self.across[i, k], p_h[i]) for i in range(h))) for k in range(2)]
+            d, speed = _sliding(self.plane, z, tm.maximum(signed * p_h[0], 0.0), speed)
+            bent = self.held.solve(tm.array([self.across[i, 0] * d[0] + self.across[i, 1] * d[1] for i in range(h)]))
+            normal = -y[0] / tm.maximum(1.0 - signed * bent[0], JAMMED)
+            p_h = [normal, *(signed * normal * bent[i] - y[i] for i in range(1, h))]
+        along = (signed * d[0], signed * d[1])
+        slides = [*p_h, -along[0] * p_h[0], -along[1] * p_h[0]]
+        return [choose(sticks, a, b) for a, b in zip(stop, slides, strict=True)], sticks, along
+
+
+def _sliding(W: Matrix, z: Sequence[Any], c: Any, speed: Any) -> tuple[tuple[Any, Any], Any]:
+    """The direction d in which a point slides that friction of size c brakes, and its speed s, from a guess of that.
+
+    One step of Newton's method in s d + c W d = z with |d| = 1, s >= 0: 1 / |(s + c W)^-1 z| is nearly straight in
+    s, and exactly so where W is the same in all directions.
+    """
+    size = tm.sqrt(z[0] * z[0] + z[1] * z[1])
+    least = 1e-12 * size + NOTHING
+    s = tm.maximum(size - c * (W[0, 0] + W[1, 1]) if speed is None else speed, least)
+
+    def solved(b: Sequence[Any]) -> tuple[Any, Any]:
+        a00, a01, a11 = s + c * W[0, 0], c * W[0, 1], s + c * W[1, 1]
+        scale = 1.0 / (a00 * a11 - a01 * a01)
+        return (a11 * b[0] - a01 * b[1]) * scale, (a00 * b[1] - a01 * b[0]) * scale
+
+    d = solved(z)
+    slower = solved(d)
+    square = d[0] * d[0] + d[1] * d[1]
+    fall = d[0] * slower[0] + d[1] * slower[1]
+    s = tm.maximum(s + (tm.sqrt(square) - 1.0) * square / (fall + NOTHING), least)
+    d = solved(z)
+    size = 1.0 / tm.sqrt(d[0] * d[0] + d[1] * d[1] + NOTHING)
+    return (d[0] * size, d[1] * size), s
+
+
+def _together(W: Matrix, r: Vector, touches: Sequence[Touch], slip: Sequence[_Slip]) -> list[Any]:
+    """Impulses of all contacts as they touch, stick and slide now, exactly; those that would pull go."""
+    m = len(r)
+    A = [[0.0] * m for _ in range(m)]
+    rhs: list[Any] = [0.0] * m
+
+    def row(i: int, holds: Any, instead: Sequence[tuple[int, Any]]) -> None:
+        for j in range(m):
+            A[i][j] = choose(holds, W[i, j] * (1.0 + SLACK) if i == j else W[i, j], 1.0 if i == j else 0.0)
+        for j, value in instead:
+            A[i][j] = choose(holds, A[i][j], value)
+        rhs[i] = choose(holds, -r[i], 0.0)
+
+    for touch, now in zip(touches, slip, strict=True):
+        for i in touch.held:
+            row(i, now.on, ())
+        for i, share in zip(touch.tangents, now.along, strict=False):
+            row(i, both(now.on, now.sticks), [(touch.normal, choose(now.on, share, 0.0))])
+    found = list(tm.solve(tm.array(A), tm.array(rhs)))
+    for touch in touches:
+        if touch.one_sided:
+            keeps = found[touch.normal] >= 0.0
+            for i in (*touch.held, *touch.tangents):
+                found[i] = choose(keeps, found[i], 0.0)
+    return found
+
+
+# -------------------------------------------------------------------- small ones
+
+
+def _part(W: Matrix, rows: Sequence[int], columns: Sequence[int]) -> Matrix:
+    return tm.array([[W[i, j] for j in columns] for i in rows])
+
+
+def _firm(W: Matrix) -> Matrix:
+    """W with a little more on its diagonal, also where no joint moves a row."""
+    mean = _sum(0.0, ((W[i, i], 1.0 / len(W)) for i in range(len(W))))
+    for i in range(len(W)):
+        W[i, i] = W[i, i] + SLACK * mean
+    return W
+
+
+def _sum(start: Any, products: Any) -> Any:
+    for a, b in products:
+        start = start + a * b
+    return start
+
+
+def both(a: Any, b: Any) -> Any:
+    """Whether both hold; either may be known when traced."""
+    if isinstance(a, bool):
+        return b if a else False
+    if isinstance(b, bool):
+        return a if b else False
+    return a & b
+
+
+def opposite(a: Any) -> Any:
+    """Whether it does not hold."""
+    return not a if isinstance(a, bool) else ~a
+
+
+def choose(condition: Any, a: Any, b: Any) -> Any:
+    """a where the condition holds, else b; it may be known when traced."""
+    if isinstance(condition, bool):
+        return a if condition else b
+    return tm.where(condition, a, b)

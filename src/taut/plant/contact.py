@@ -1,0 +1,346 @@
+"""RigidContact: what holds the arm of a plant rigidly, or stops it: constraints of section 10.4 as mechanics."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, Final
+
+import numpy as np
+
+from taut.arm.description import Arm
+from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.quantity import Quantity, keep_quantities
+from taut.base.types import ArrayLike, Float64Array, Vector
+from taut.control.constraint_checks import check_constraint
+from taut.maths.constraint import Constraint, Piece
+from taut.maths.contact import Touch
+from taut.maths.model import model_of
+from taut.maths.snapshot import Snapshot
+
+__all__ = ["CLOSED", "Contacts", "RigidContact", "each_contact"]
+
+Values = Mapping[str, Any]
+CLOSED: Final = 1e-6  # [m | rad] within which a run may start in contact; the first step takes it away
+MOVING: Final = 1e-6  # [m/s | rad/s] at which a run may start against what holds both ways
+TURNS: Final = 1e-9  # of A: a contact at the tool's origin has no moments about it
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RigidContact:
+    """Something rigid that holds a plant's arm, or that it can touch: a constraint, with friction and impact.
+
+    Model:
+        M a + h + A_q^T lam = tau + friction,   A_q a + bias = 0                                   eqs. 10.40 to 10.42
+        one-sided rows: phi >= 0, lam <= 0, phi lam = 0; the contact pushes and does not pull
+        friction in the two directions across the gradient at the contact's point, a round cone: it holds the point,
+        |f| <= friction |F_n|, or it brakes its sliding with f = -friction |F_n| v / |v|
+        impact: where the gap closes at a speed u, friction times the impulse acting too, it opens at restitution u;
+        rebounds whose flight would be shorter than two steps do not take place
+
+    A step's positions are those with phi = 0 at its end, its velocities those with A_q v + dphi/dt = 0 there, each by
+    impulses of the constraint (as RATTLE does), so that nothing drifts and a frictionless contact keeps the energy.
+    Of a gap that closes in a step, the instant is interpolated.
+
+    A row that holds both ways beside one-sided ones of the same function, as the two tilts of `plane(face=...)`,
+    holds as long as one of them touches; a tilt at landing falls to zero with 20 ms, as of a face that lies down. The
+    corners of a face as four one-sided rows can tip over an edge, which a `face` cannot.
+
+    Columns of a run:
+        contact.lam (k,), the multipliers at the tick, at the same state and torque, without any correction of drift;
+        of a gap that closes in the step, impulse / dt. contact.on (k,), 1.0 for rows that act after the step.
+        contact.drift, the largest size of phi of what touches at the tick. contact.correction, by how much the step's
+        impulses / dt differ from lam: what the way through the step takes. contact.slip (c, 3) [m/s], at which points
+        with friction slide at the tick.
+
+    Args:
+        constraint: What holds: a taut.Constraint.
+        friction: Coulomb's mu, of contacts at a point: each function of it is a number that depends on where the
+            origin of a frame is, and not on how it is turned, such as a plane, a sphere, a cylinder. None for none.
+            The surface rests across its gradient, however it moves along it.
+        restitution: Speed after an impact over that before, from 0 to 1. None for 0.
+
+    Raises:
+        UsageError: No constraint; friction where there is no point of contact, restitution where nothing can open.
+        RangeError: Negative, a restitution above 1.
+
+    Example:
+        >>> import taut
+        >>> board = taut.Constraint.plane(point=[0.0, 0.0, 0.3], normal=[0.0, 0.0, 1.0])
+        >>> plant = taut.RigidPlant(taut.load_arm("panda"), contact=RigidContact(constraint=board, friction=0.3))
+        >>> plant.parameters["contact.friction"].item()
+        0.3
+
+    References:
+        Section 10.4.1; Andersen, J. Computational Physics 52 (1983), RATTLE; Stewart and Trinkle, Int. J. Numerical
+        Methods in Engineering 39 (1996).
+    """
+
+    title: ClassVar[str] = "contact"
+    quantities: ClassVar[Mapping[str, Quantity]] = {
+        "friction": Quantity(unit="1", rule=">= 0"),
+        "restitution": Quantity(unit="1", rule=">= 0"),
+    }
+
+    constraint: Constraint
+    friction: ArrayLike | None = None
+    restitution: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.constraint, Constraint):  # callers without a type checker
+            raise UsageError(
+                f"contact.constraint must be a taut.Constraint; got {type(self.constraint).__name__}",
+                name="constraint",
+            )
+        keep_quantities(self)
+        for name in self.quantities:
+            value = getattr(self, name)
+            if value is not None and np.ndim(value):
+                raise ShapeError(f"contact.{name} must be one number; got shape {np.shape(value)}", name=name)
+        if self.restitution is None:
+            return
+        if float(np.asarray(self.restitution)) > 1.0:
+            raise RangeError(
+                f"contact.restitution must be <= 1, for an impact gives no energy; got {self.restitution:g}",
+                name="restitution",
+                value=float(np.asarray(self.restitution)),
+                rule="<= 1",
+            )
+        if not any(self.constraint.one_sided):
+            raise UsageError(
+                "contact.restitution is for one-sided constraints, and this one holds both ways; leave it out, or "
+                "give the constraint one_sided=True",
+                name="restitution",
+            )
+
+    def parameters(self) -> dict[str, Float64Array]:
+        """Run-time parameters by name: those that are there."""
+        return {name: np.asarray(x) for name in self.quantities if (x := getattr(self, name)) is not None}
+
+    def changed(self, name: str, value: ArrayLike) -> RigidContact:
+        """The same with another value of a parameter, checked as when it was made."""
+        return dataclasses.replace(self, **{name: value})  # type: ignore[arg-type]
+
+    def __add__(self, other: RigidContact | Constraint) -> tuple[RigidContact, ...]:
+        return (self, *each_contact(other))
+
+
+def each_contact(given: object) -> tuple[RigidContact, ...]:
+    """Contacts from what a plant is given: one, a bare constraint, or a sequence of them.
+
+    Raises:
+        UsageError: Something else, or none.
+    """
+    if isinstance(given, Constraint):
+        return (RigidContact(constraint=given),)
+    if isinstance(given, RigidContact):
+        return (given,)
+    if isinstance(given, (tuple, list)) and given:
+        return tuple(contact for part in given for contact in each_contact(part))
+    raise UsageError(
+        "contact must be a taut.RigidContact(constraint=...), a taut.Constraint, or several of them in a tuple; got "
+        f"{'an empty one' if isinstance(given, (tuple, list)) else type(given).__name__}",
+        name="contact",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Where the rows of one function of a constraint stand among all rows."""
+
+    contact: int  # which of the contacts
+    piece: Piece
+    rows: tuple[int, ...]
+    frame: tuple[str | None, ...]  # what it is of: one frame, several, or joints
+    touch: tuple[Touch, ...]
+    fixed: tuple[int, ...]  # rows that hold always, without friction
+
+    @property
+    def beside(self) -> tuple[int, ...]:
+        """Rows that hold as long as another one touches."""
+        return tuple(i for touch in self.touch for i in touch.beside)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Contacts:
+    """The contacts of a plant, their rows one after the other; the tangents of friction come after all of them."""
+
+    arm: Arm
+    parts: tuple[RigidContact, ...]
+
+    @cached_property
+    def count(self) -> int:
+        """Rows of the constraints."""
+        return sum(part.constraint.count for part in self.parts)
+
+    @cached_property
+    def one_sided(self) -> tuple[bool, ...]:
+        """Of each row."""
+        return tuple(side for part in self.parts for side in part.constraint.one_sided)
+
+    @cached_property
+    def places(self) -> tuple[Place, ...]:
+        """Of each function."""
+        out: list[Place] = []
+        first, tangent = 0, self.count
+        for c, part in enumerate(self.parts):
+            for piece in part.constraint.pieces:
+                rows = tuple(range(first, first + piece.count))
+                first += piece.count
+                sides = [i for i, side in zip(rows, piece.one_sided, strict=True) if side]
+                both = tuple(i for i in rows if i not in sides)
+                rubs = part.friction is not None
+                tangents = (tangent, tangent + 1) if rubs else ()
+                tangent += len(tangents)
+                if rubs and not sides:  # a surface that holds both ways, with friction
+                    touch: tuple[Touch, ...] = (Touch(normal=rows[0], one_sided=False, tangents=tangents),)
+                    fixed: tuple[int, ...] = ()
+                elif sides:
+                    first_side = Touch(normal=sides[0], one_sided=True, beside=both, tangents=tangents)
+                    touch = (first_side, *(Touch(normal=i, one_sided=True) for i in sides[1:]))
+                    fixed = ()
+                else:
+                    touch, fixed = (), both
+                out.append(Place(contact=c, piece=piece, rows=rows, frame=piece.frames, touch=touch, fixed=fixed))
+        return tuple(out)
+
+    @cached_property
+    def touches(self) -> tuple[Touch, ...]:
+        """All that can open, or rubs."""
+        return tuple(touch for place in self.places for touch in place.touch)
+
+    @cached_property
+    def fixed(self) -> tuple[int, ...]:
+        """Rows that hold always, without friction."""
+        return tuple(i for place in self.places for i in place.fixed)
+
+    @cached_property
+    def rubbing(self) -> tuple[tuple[Place, Touch], ...]:
+        """The contacts with friction."""
+        return tuple((place, touch) for place in self.places for touch in place.touch if touch.tangents)
+
+    @cached_property
+    def size(self) -> int:
+        """Rows with those of friction."""
+        return self.count + 2 * len(self.rubbing)
+
+    def of_touch(self) -> Iterator[tuple[int, Touch]]:
+        """The contact that each touch is of."""
+        for place in self.places:
+            for touch in place.touch:
+                yield place.contact, touch
+
+    @property
+    def felt(self) -> bool:
+        """Whether a sensor at the wrist feels any of it."""
+        return any(self.at_tool(place) for place in self.places)
+
+    def at_tool(self, place: Place) -> bool:
+        """Whether it acts on the body that carries the tool."""
+        if len(place.frame) != 1:
+            return False
+        model = model_of(self.arm)
+        return model.placement(place.frame[0])[0] == model.placement(None)[0]
+
+    # ---------------------------------------------------------------- parameters
+
+    def _prefix(self, c: int) -> str:
+        return "" if len(self.parts) == 1 else f"{c}."
+
+    def parameters(self) -> dict[str, Float64Array]:
+        """Run-time parameters by path below "contact"."""
+        return {
+            f"{self._prefix(c)}{name}": value
+            for c, part in enumerate(self.parts)
+            for name, value in part.parameters().items()
+        }
+
+    def value(self, c: int, name: str, parameters: Values) -> Any:
+        """Of one contact; None where there is none."""
+        return parameters.get(f"contact.{self._prefix(c)}{name}")
+
+    def checked(self, path: str, value: ArrayLike) -> Float64Array:
+        """A new value, checked as when it was made."""
+        head, _, name = path.rpartition(".")
+        return np.asarray(self.parts[int(head or 0)].changed(name, value).parameters()[name])
+
+    # ---------------------------------------------------------------- checks
+
+    def check(self) -> None:
+        """Whether the arm has the frames, and friction its points.
+
+        Raises:
+            UnknownNameError: No such frame.
+            UsageError: Friction where there is no point of contact.
+        """
+        x = self._snapshot(self.arm.home, np.zeros(self.arm.n))
+        for part in self.parts:
+            part.constraint.at(x)
+        for place, touch in self.rubbing:
+            self._check_point(place, touch, x)
+
+    def _check_point(self, place: Place, touch: Touch, x: Snapshot) -> None:
+        rows, ones = place.piece.at(x), sum(place.piece.one_sided)
+        why = ""
+        if rows.A is None:
+            why = "it is of joints" if not place.frame else "it is of several frames"
+        elif ones > 1 or (not ones and len(place.rows) > 1):
+            why = f"it has {len(place.rows)} rows"
+        else:
+            A = np.asarray(rows.A, dtype=np.float64)[touch.normal - place.rows[0]]
+            if not np.isfinite(A).all() or np.linalg.norm(A[3:]) > TURNS * np.linalg.norm(A[:3]):
+                why = "it depends on how the tool is turned"
+        if why:
+            raise UsageError(
+                f"contact.friction needs a point of contact, the origin of a frame, and this constraint has none: "
+                f"{why}; give a function of T.p alone, such as Constraint.plane, with frame= at the point, or leave "
+                "friction out",
+                name="friction",
+            )
+
+    def check_start(self, q: Vector, v: Vector) -> None:
+        """Whether a run can begin at a state.
+
+        Raises:
+            RangeError: It is not on what holds both ways, moves against it, or is behind a one-sided one; rows that
+                depend on each other, or have no gradient.
+        """
+        x = self._snapshot(q, v)
+        for place in self.places:
+            rows = place.piece.at(x)
+            speed = np.asarray(rows.A_q @ v + rows.phi_t, dtype=np.float64)
+            for i, phi in enumerate(np.asarray(rows.phi, dtype=np.float64)):
+                which = "the constraint" if self.count == 1 else f"row {place.rows[i]} of the constraint"
+                if place.rows[i] in place.beside:
+                    continue
+                _check_row(which, float(phi), float(speed[i]), one_sided=rows.one_sided[i])
+            touching = [phi <= CLOSED for phi, side in zip(rows.phi, rows.one_sided, strict=True) if side]
+            if place.rows == place.fixed or (len(place.rows) == 1 and all(touching)):
+                check_constraint(Constraint.of([place.piece]), x)
+        held = [place.piece for place in self.places if place.rows == place.fixed]
+        if len(held) > 1:
+            check_constraint(Constraint.of(held), x)
+
+    def _snapshot(self, q: Vector, v: Vector) -> Snapshot:
+        return Snapshot(model_of(self.arm), q=q, v=v)
+
+
+def _check_row(which: str, phi: float, speed: float, *, one_sided: bool) -> None:
+    if phi < -CLOSED or (abs(phi) > CLOSED and not one_sided):
+        rule = "phi >= 0" if one_sided else "phi = 0"
+        raise RangeError(
+            f"a run must start where contact= lets the arm be, and {which} has phi = {phi:.4g} there, not {rule}; "
+            "start from q0=taut.onto(constraint, arm, q), the nearest state that keeps to it",
+            name="q0",
+            value=phi,
+            rule=rule,
+        )
+    if abs(speed) > MOVING and not one_sided:
+        raise RangeError(
+            f"a run must start with a motion that contact= allows, and at v0 {which} has d phi/dt = {speed:.4g}; "
+            "leave v0 out, or take from it what moves against the constraint",
+            name="v0",
+            value=speed,
+        )

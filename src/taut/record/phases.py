@@ -1,0 +1,144 @@
+"""The phases of a run of a task: when each acted, and what ended it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from taut.base.errors import RangeError, UsageError, unknown_name
+from taut.base.types import Float64Array
+from taut.control.phase import STOP
+from taut.control.phase_sample import PhaseSample
+from taut.control.phases import ENDED
+from taut.record.felt import FELT
+from taut.record.outcome import Outcome
+
+if TYPE_CHECKING:
+    from taut.record.run import Run
+
+__all__ = ["PHASES", "PhaseWindow", "phase_of", "phases_of", "told", "windows"]
+
+PHASES: Final = "phases"  # in run.info: by name, what each phase follows, and its tool
+WELL: Final = "until"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhaseWindow:
+    """A stretch of a run in which one phase acted."""
+
+    name: str  # of the phase; "stop" where the task has stopped
+    first: int  # tick
+    last: int  # tick
+    start: float  # [s] time of the first tick
+    end: float  # [s] time of the first tick of what followed; of its last one where nothing did
+    ended: str | None  # "until", "unless", "timeout", "no contact"; None where nothing followed
+
+    def __str__(self) -> str:
+        if self.name == STOP:
+            return f"stopped at {self.start:.6g} s"
+        if self.ended is None:
+            return f"{self.name} still going on"
+        how = {WELL: "", "no contact": ": it needs contact and began without"}.get(self.ended, f" ({self.ended})")
+        return f"{self.name} to {self.end:.6g} s{how}"
+
+
+def windows(
+    names: Sequence[str], phase: Float64Array, ended: Float64Array, t: Float64Array
+) -> tuple[PhaseWindow, ...]:
+    """The stretches of a run, in order.
+
+    Args:
+        names: Of the phases by their number, and of what follows where the task has stopped.
+        phase: (k,) number of the phase that acted.
+        ended: (k,) what ended it in that tick, as a code; 0 where it went on.
+        t: (k,) [s].
+    """
+    if not len(t):
+        return ()
+    lasts = [int(k) for k in np.flatnonzero(ended)]
+    if not lasts or lasts[-1] != len(t) - 1:
+        lasts.append(len(t) - 1)
+    out, first = [], 0
+    for last in lasts:
+        followed = last + 1 < len(t)
+        out.append(
+            PhaseWindow(
+                name=names[int(phase[last])],
+                first=first,
+                last=last,
+                start=float(t[first]),
+                end=float(t[last + 1] if followed else t[last]),
+                ended=ENDED.get(int(ended[last])),
+            )
+        )
+        first = last + 1
+    return tuple(out)
+
+
+def told(found: Sequence[PhaseWindow], completed: Outcome) -> Outcome:
+    """The outcome of a run that came to its end, with how each phase of its task ended.
+
+    A task that stopped for another reason than its last `until` did not go to its end.
+    """
+    last = found[-1]
+    before = found[-2] if last.name == STOP and len(found) > 1 else last
+    wrong = before.ended not in (None, WELL)
+    message = f"{completed.message}; phases: {', '.join(map(str, found))}"
+    if wrong:
+        message = message.replace("completed", "stopped", 1)
+    return dataclasses.replace(completed, kind="stopped" if wrong else completed.kind, message=message)
+
+
+def phases_of(run: Run) -> tuple[PhaseWindow, ...]:
+    """The stretches of a run of a task.
+
+    Raises:
+        UsageError: The run is not one of a task.
+    """
+    if PHASES not in run.info:
+        raise UsageError("the run has no phases: its law is not a task, a list of taut.Phase", name="phases")
+    return windows([*run.info[PHASES], STOP], run.extra["phase"], run.extra["phase_ended"], run.t)
+
+
+def phase_of(run: Run, name: str, visit: int) -> Run:
+    """The ticks of one phase as a run of its own, with what it followed as reference.
+
+    Raises:
+        UsageError: The run is not one of a task.
+        UnknownNameError: It has no phase of that name.
+        RangeError: The phase did not act that often.
+    """
+    found, about = phases_of(run), run.info[PHASES]
+    if name not in (*about, STOP):
+        raise unknown_name("the run", "phase", name, [*about, STOP])
+    visits = [window for window in found if window.name == name]
+    if not 0 <= visit < len(visits):
+        acted = ", ".join(dict.fromkeys(window.name for window in found))
+        raise RangeError(
+            f"phase '{name}' acted {len(visits)} times in this run, so that there is no visit {visit}; what acted "
+            f"is {acted}",
+            name="visit",
+            value=float(visit),
+        )
+    window = visits[visit]
+    rows = slice(window.first, window.last + 1)
+    own: Mapping[str, Any] = about.get(name, {})
+    reference = run.reference
+    if isinstance(reference, PhaseSample) and own.get("follows"):
+        reference = getattr(reference, str(own["follows"]))
+    fields = {field: getattr(reference, field)[rows] for field in type(reference).fields(run.n)}
+    outcome = Outcome(kind="completed", message=str(window), tick=len(run.t[rows]) - 1)
+    keys = {key: value for key, value in run.info.items() if key not in (PHASES, FELT)}
+    return dataclasses.replace(
+        run,
+        **{key: getattr(run, key)[rows] for key in ("t", "q", "v", "tau", "command")},
+        terms={key: values[rows] for key, values in run.terms.items()},
+        extra={key: values[rows] for key, values in run.extra.items()},
+        reference=type(reference).of(fields),
+        outcome=outcome,
+        info=keys | {key: value for key, value in own.items() if key != "follows"},
+    )

@@ -1,0 +1,62 @@
+"""How a tool pressed on a surface: against the true normals of its contacts, whatever the law took them for."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from taut.base.types import Float64Array
+from taut.control.hybrid_motion import HybridMotion
+from taut.record.task import TOOL
+
+if TYPE_CHECKING:
+    from taut.record.run import Run
+
+__all__ = ["estimated_normal", "pressed_measures", "true_normal"]
+
+PRESSED: Final = "contact.normal_force"  # column of a run
+ESTIMATED: Final = "estimate.normal"  # end of the name of a column
+TOUCHES: Final = 1e-9  # [N]
+
+
+def true_normal(run: Run) -> tuple[Float64Array, Float64Array] | None:
+    """(k,) the force along the normals of the contacts [N], and (k, 3) their direction, zero where nothing touches.
+
+    None where the run does not tell.
+    """
+    if PRESSED not in run.extra:
+        return None
+    force = np.asarray(run.extra[PRESSED], dtype=np.float64)
+    N = np.linalg.norm(force, axis=1)
+    return N, force / np.where(N > TOUCHES, N, np.inf)[:, np.newaxis]
+
+
+def estimated_normal(run: Run) -> Float64Array | None:
+    """(k, 3) what the law took for the normal, where it estimates one."""
+    return next((np.asarray(column) for name, column in run.extra.items() if name.endswith(ESTIMATED)), None)
+
+
+def pressed_measures(run: Run) -> dict[str, float]:
+    """The metrics of pressing, where they have a meaning."""
+    told = true_normal(run)
+    if told is None or not len(run):
+        return {}
+    N, n = told
+    touching = N > TOUCHES
+    out = {"largest_press": float(N.max())}
+    if not isinstance(run.reference, HybridMotion) or not touching.any():
+        return out
+    error = np.asarray(run.reference.press)[:, 0] - N
+    out |= {"press_rms": float(np.sqrt(np.mean(error**2))), "press_peak": float(np.abs(error).max())}
+    off = run.task.position_error if TOOL in run.info else None
+    if off is not None:
+        across = off - np.sum(off * n, axis=1)[:, np.newaxis] * n
+        size = np.linalg.norm(across[touching], axis=1)
+        out |= {"surface_rms": float(np.sqrt(np.mean(size**2))), "surface_peak": float(size.max())}
+    taken = estimated_normal(run)
+    if taken is not None:
+        last = int(np.flatnonzero(touching)[-1])
+        sine, cosine = np.linalg.norm(np.cross(taken[last], n[last])), taken[last] @ n[last]
+        out["normal_error"] = float(np.rad2deg(np.arctan2(sine, cosine)))
+    return out

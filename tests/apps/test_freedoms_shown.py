@@ -1,0 +1,42 @@
+"""A scenario with a hybrid law shows what may be chosen before it runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import taut
+from taut.apps.run_scenario import run_scenario
+from taut.apps.scenario import load_scenario
+
+SCENARIO = """
+title = "pressing"
+
+[arm]
+model = "planar2"
+
+[laws.pressing]
+law = "HybridMotionForce"
+constraint = {{ kind = "plane", point = {point}, normal = [0.0, 0.0, 1.0] }}
+
+[laws.pressing.motion]
+law = "TaskComputedTorque"
+kp = [100.0, 100.0]
+kd = 20.0
+
+[plant]
+kind = "rigid"
+
+[run]
+duration = 0.01
+"""
+
+
+def test_the_table_stands_before_the_run(tmp_path: Path) -> None:
+    arm = taut.load_arm("planar2")
+    x = taut.snapshot(arm, arm.home)
+    file = tmp_path / "pressing.toml"
+    file.write_text(SCENARIO.format(point=x.T().p.tolist()))
+    said: list[str] = []
+    run_scenario(load_scenario(str(file)), tmp_path / "out", say=said.append)
+    table = taut.freedoms(taut.Constraint.plane(point=x.T().p, normal=[0.0, 0.0, 1.0]), at=x)
+    assert said[:2] == [f"law 'pressing': {table}", "running pressing ..."]

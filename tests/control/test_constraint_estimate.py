@@ -1,0 +1,266 @@
+"""The estimate of a surface's normal from force and motion: what it shows, how fast, and what does not fool it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+import taut
+from taut.base.errors import RangeError, UsageError
+from taut.control.constraint_estimate import NormalEstimate, along_surface, turn_between, turned_rows
+from taut.control.task_reference import TaskMotion
+from taut.maths.spatial import rotation_exp, rotation_log
+
+DT = 1e-3
+UP = np.array([0.0, 0.0, 1.0])
+Pair = tuple[np.ndarray, np.ndarray]
+
+
+def angle(a: np.ndarray, b: np.ndarray) -> float:
+    """[deg]"""
+    return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
+
+
+def normal_of(tilt: np.ndarray, n_0: np.ndarray = UP) -> np.ndarray:
+    return np.asarray((n_0 + tilt) / np.linalg.norm(n_0 + tilt))
+
+
+def tilted(degrees: float, heading: float) -> np.ndarray:
+    axis = np.array([np.cos(heading), np.sin(heading), 0.0])
+    return np.asarray(rotation_exp(np.deg2rad(degrees) * axis) @ UP)
+
+
+def sliding(n: np.ndarray, along: np.ndarray, speed: float, mu: float, N: float = 10.0) -> Pair:
+    """Velocity of the tool, and the force of the surface on it."""
+    s = along - (n @ along) * n
+    s = s / np.linalg.norm(s)
+    return speed * s, N * n - mu * N * s
+
+
+def estimated(
+    contact: Callable[[float], Pair], duration: float = 1.0, start: np.ndarray | None = None, **gains: float
+) -> np.ndarray:
+    """The tilt after so many seconds of a contact."""
+    estimate = NormalEstimate(**gains)
+    tilt = np.zeros(3) if start is None else start
+    for k in range(round(duration / DT)):
+        v, F = contact(k * DT)
+        tilt = np.asarray(estimate.updated(tilt, UP, v, F, DT))
+    return tilt
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.2, 0.5])
+@pytest.mark.parametrize("degrees", [3.0, 10.0, 15.0])
+def test_one_second_of_sliding_one_way_shows_any_tilt_to_a_degree_whatever_the_friction(
+    degrees: float, mu: float
+) -> None:
+    for heading in np.arange(0.0, 2.0 * np.pi, np.pi / 3.0):
+        n = tilted(degrees, heading)
+        tilt = estimated(lambda t, n=n: sliding(n, np.array([1.0, 0.3, 0.0]), 0.05, mu))  # type: ignore[misc]
+        assert angle(normal_of(tilt), n) < 0.02
+
+
+def test_the_error_falls_at_the_stated_rate() -> None:
+    n = tilted(8.0, 0.4)
+    true = n / n[2] - UP
+    for seconds in (0.1, 0.3):
+        left = estimated(lambda t: sliding(n, np.array([1.0, 0.0, 0.0]), 0.05, 0.3), seconds, rate=5.0) - true
+        assert np.allclose(left, -true * np.exp(-5.0 * seconds), rtol=1e-9, atol=1e-12)
+
+
+def test_noise_of_the_sensors_is_averaged_as_stated() -> None:
+    rng, d_F, d_v, rate = np.random.default_rng(1), 0.3, 0.005, 8.0
+    errors = []
+    for _ in range(12):
+        n = tilted(10.0, rng.uniform(0.0, 6.0))
+
+        def contact(t: float, n: np.ndarray = n) -> Pair:
+            v, F = sliding(n, np.array([1.0, 0.0, 0.0]), 0.05, 0.3)
+            return v + rng.normal(0.0, d_v, 3), F + rng.normal(0.0, d_F, 3)
+
+        tilt = estimated(contact, rate=rate)
+        errors.append(np.deg2rad(angle(normal_of(tilt), n)))
+    stated = np.sqrt(rate * DT / 2.0) * np.hypot(d_F / 10.0, d_v / 0.05)
+    assert 0.5 * stated < np.sqrt(np.mean(np.square(errors))) < 2.0 * stated
+    assert np.rad2deg(np.max(errors)) < 1.0
+
+
+def test_friction_is_not_taken_for_the_normal_where_force_alone_would_be() -> None:
+    v, F = sliding(UP, np.array([1.0, 0.0, 0.0]), 0.05, 0.5)
+    assert angle(F, UP) > 26.0  # what the force alone shows
+    assert np.abs(estimated(lambda t: (v, F))).max() < 1e-12
+
+
+def test_what_rests_or_hardly_presses_or_hits_the_surface_shows_nothing() -> None:
+    n, start = tilted(10.0, 1.0), np.array([0.05, -0.02, 0.0])
+    rng = np.random.default_rng(2)
+    cases: list[Callable[[float], Pair]] = [
+        lambda t: (rng.normal(0.0, 0.002, 3), np.array([3.0, -2.0, 10.0])),  # held by friction, with noise
+        lambda t: sliding(n, np.array([1.0, 0.0, 0.0]), 0.05, 0.3, N=0.5),
+        lambda t: sliding(n, np.array([1.0, 0.0, 0.0]), 0.05, 0.3, N=-10.0),  # a pull is no contact
+        lambda t: (np.array([0.02, 0.0, -0.2]), np.array([1.0, 2.0, 50.0])),  # an impact
+        lambda t: (np.array([0.1, 0.0, 0.0]), np.zeros(3)),
+    ]
+    for contact in cases:
+        assert np.array_equal(estimated(contact, 0.3, start), start)
+
+
+def test_no_tick_turns_the_normal_faster_than_stated() -> None:
+    rng, estimate, tilt = np.random.default_rng(3), NormalEstimate(), np.zeros(3)
+    for _ in range(400):
+        v, F = rng.normal(0.0, 0.1, 3), rng.normal(0.0, 20.0, 3) + 10.0 * UP
+        new = np.asarray(estimate.updated(tilt, UP, v, F, DT))
+        turned = np.deg2rad(angle(normal_of(new), normal_of(tilt)))
+        assert turned <= 2.0 * 8.0 * np.tan(0.6) * DT
+        assert angle(normal_of(new), UP) < np.rad2deg(0.6)
+        tilt = new
+    assert tilt.any()
+
+
+def test_on_a_cylinder_that_stands_elsewhere_the_estimate_follows_as_stated() -> None:
+    radius, off, speed = 0.15, 0.02, 0.05
+    estimate, tilt, behind = NormalEstimate(), np.zeros(3), []
+    for k in range(2000):
+        a = -0.4 + speed / radius * k * DT
+        n, s = np.array([np.sin(a), 0.0, np.cos(a)]), np.array([np.cos(a), 0.0, -np.sin(a)])
+        p = radius * n
+        n_0 = (p - [off, 0.0, 0.0]) / np.linalg.norm(p - [off, 0.0, 0.0])
+        tilt = np.asarray(estimate.updated(tilt, n_0, speed * s, 10.0 * n - 3.0 * s, DT))
+        behind.append(angle(normal_of(tilt, n_0), n))
+    assert behind[0] > 6.0  # [deg]
+    assert max(behind[1000:]) < 0.2
+
+
+def test_turned_rows_are_those_of_the_turned_surface() -> None:
+    arm = taut.load_arm("panda")
+    x = taut.snapshot(arm, arm.home, 0.1 * np.cos(np.arange(7.0)))
+    R, p = rotation_exp(np.array([0.1, -0.15, 0.05])), x.T().p
+    center = p - np.array([0.0, 0.0, 0.3])
+    stated = taut.Constraint.sphere(center=center, radius=0.3)
+    true = taut.Constraint.sphere(center=p + R @ (center - p), radius=0.3).at(x)
+    rows = turned_rows(stated, x, R)
+    assert rows.A is not None
+    assert true.A is not None
+    for name in ("A", "A_q", "phi", "phi_t", "bias", "curvature"):
+        assert np.allclose(getattr(rows, name), getattr(true, name), atol=1e-12), name
+
+
+def test_the_smallest_rotation_takes_one_normal_to_the_other() -> None:
+    n = tilted(14.0, 2.0)
+    R = turn_between(UP, n)
+    assert np.allclose(R @ UP, n, atol=1e-15)
+    assert np.allclose(R @ R.T, np.eye(3), atol=1e-15)
+    assert np.isclose(np.linalg.norm(rotation_log(R)), np.deg2rad(14.0))
+
+
+def test_a_reference_off_the_surface_keeps_all_that_is_along_it() -> None:
+    arm = taut.load_arm("panda")
+    x = taut.snapshot(arm, arm.home, 0.1 * np.cos(np.arange(7.0)))
+    T, n = x.T(), tilted(10.0, 0.5)
+    rows = taut.Constraint.plane(point=T.p, normal=n).at(x)
+    pose = taut.Pose.of(T.R, T.p + np.array([0.03, -0.02, 0.01]))
+    made = along_surface(x, rows, TaskMotion(pose=pose, twist=[0.1, 0, 0, 0, 0, 0.2]), None)
+    e, wanted = made.p - T.p, pose.p - T.p
+    assert abs(n @ e) < 1e-12
+    assert np.allclose(e, wanted - (n @ wanted) * n, atol=1e-12)
+    assert np.allclose(made.R, T.R, atol=1e-12)
+    assert abs(n @ (made.twist[:3] - x.twist()[:3])) < 1e-12
+    assert np.isclose(made.twist[5], 0.2)
+    assert abs(np.asarray(rows.A) @ made.acceleration + rows.curvature) < 1e-12
+
+
+# -------------------------------------------------------------------- in the law
+
+MOTION = taut.laws.TaskComputedTorque(kp=400.0, kd=40.0)
+
+
+def board_law(**more: object) -> taut.laws.HybridMotionForce:
+    T = taut.snapshot(taut.load_arm("panda"), taut.load_arm("panda").home).T()
+    plane = taut.Constraint.plane(point=T.p, normal=UP)
+    return taut.laws.HybridMotionForce(constraint=plane, motion=MOTION, kfi=5.0, kdamp=100.0, **more)  # type: ignore[arg-type]
+
+
+def test_in_the_loop_the_normal_and_its_force_come_back() -> None:
+    arm = taut.load_arm("panda")
+    T, n = taut.snapshot(arm, arm.home).T(), tilted(10.0, np.pi / 2.0)
+    wall = taut.StiffWall(point=T.p, normal=n, stiffness=2e4, damping=300.0, friction=0.3, sliding_damping=1000.0)
+    plant = taut.RigidPlant(arm, friction=None, environment=wall, substeps=2)
+    way = taut.Line(T0=T, T1=taut.Pose.of(T.R, T.p + np.array([0.06, 0.06, 0.0])), duration=1.6)
+    errors = {}
+    for name, estimate in (("nothing", None), ("estimate", taut.laws.NormalEstimate())):
+        ctrl = taut.compile(board_law(estimate=estimate), arm)
+        out = taut.run(ctrl, plant, taut.pressing(way, 10.0), duration=1.6)
+        assert out.outcome.ok
+        late = out.t > 1.2
+        errors[name] = float(np.sqrt(np.mean((out.extra["F_ext"][late, :3] @ n - 10.0) ** 2)))
+        if estimate is not None:
+            fast = np.linalg.norm(out.task.twist[:, :3], axis=1) > 0.02
+            at = int(np.argmax(np.cumsum(fast) >= 1000))
+            assert angle(out.extra["law.estimate.normal"][at], n) < 1.0
+    assert errors["estimate"] < 0.5  # 5 %
+    assert errors["estimate"] < 0.5 * errors["nothing"]
+
+
+def test_without_an_estimate_the_law_is_as_it_was() -> None:
+    arm = taut.load_arm("panda")
+    plain, with_it = (taut.compile(board_law(estimate=e), arm) for e in (None, taut.laws.NormalEstimate()))
+    assert not any("estimate" in path for path in plain.parameters)
+    assert with_it.parameters["law.estimate.rate"].item() == 8.0
+
+
+REFUSED = [
+    (
+        lambda: taut.compile(taut.laws.NormalEstimate(), taut.load_arm("panda")),
+        UsageError,
+        "NormalEstimate gives no torque; a hybrid law holds it: taut.laws.HybridMotionForce(..., "
+        "estimate=taut.laws.NormalEstimate())",
+    ),
+    (
+        lambda: board_law(estimate=taut.laws.Posture()),
+        UsageError,
+        "estimate holds taut.laws.NormalEstimate(); got Posture",
+    ),
+    (
+        lambda: taut.laws.HybridMotionForce(
+            constraint=taut.Constraint.of_joints(lambda q: q[0]),
+            motion=MOTION,
+            estimate=taut.laws.NormalEstimate(),
+        ),
+        UsageError,
+        "estimate is for a surface that one frame touches, and a motion of that frame, such as TaskComputedTorque; "
+        "leave it out",
+    ),
+    (
+        lambda: taut.compile(
+            taut.laws.HybridMotionForce(
+                constraint=taut.Constraint(lambda T: T.p[2], frames=("panda_link8",)),
+                motion=MOTION,
+                estimate=taut.laws.NormalEstimate(),
+            ),
+            taut.load_arm("panda"),
+        ),
+        UsageError,
+        "estimate needs motion and constraint to be of one frame, and these are of 'panda_hand_tcp' and 'panda_link8'",
+    ),
+    (
+        lambda: taut.compile(
+            taut.laws.HybridMotionForce(
+                constraint=taut.Constraint(lambda T: T.R[0, 2]), motion=MOTION, estimate=taut.laws.NormalEstimate()
+            ),
+            taut.load_arm("panda"),
+        ),
+        UsageError,
+        "estimate is of a surface's normal, and the first row of the constraint holds rotations only; put the surface "
+        "first, or leave it out",
+    ),
+    (lambda: taut.laws.NormalEstimate(most=1.5), RangeError, "most must be <= 1.2 [rad]; got 1.5"),
+]
+
+
+@pytest.mark.parametrize(("make", "error", "text"), REFUSED)
+def test_what_cannot_be_estimated_is_refused(make: Callable[[], object], error: type[Exception], text: str) -> None:
+    with pytest.raises(error, match=f"^{re.escape(text)}$"):
+        make()

@@ -1,0 +1,320 @@
+"""Hybrid motion-force control: the law against eq. 10.45 term by term, its closed loop, and what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import taut
+from taut import Constraint, Pose
+from taut.base.types import Float64Array
+from taut.control.laws import ComputedTorque, HybridMotionForce, TaskComputedTorque, TaskVelocity
+
+Array = Float64Array
+BALL = Constraint.sphere(center=[0.4, 0.0, 0.1], radius=0.35)
+
+
+def motion(**more: Any) -> TaskComputedTorque:
+    """A motion law without what the chapter does not have."""
+    return TaskComputedTorque(kp=100.0, kd=20.0, singularity="plain", null=None, **more)
+
+
+def on(constraint: Constraint, arm: taut.Arm, seed: int = 0) -> tuple[Array, Array]:
+    """A state on a constraint, that moves along it."""
+    rng = np.random.default_rng(seed)
+    q = taut.onto(constraint, arm, arm.home + 0.1 * rng.normal(size=arm.n))
+    x = taut.snapshot(arm, q)
+    A = np.asarray(constraint.at(x).A_q)
+    v = 0.5 * rng.normal(size=arm.n)
+    return q, v - np.linalg.lstsq(A, A @ v, rcond=None)[0]
+
+
+@pytest.mark.parametrize("engine", ["native", "float"])
+@pytest.mark.parametrize("name", ["panda", "ur10"])
+def test_the_law_is_equation_10_45_with_the_curvature_term(name: str, engine: Any) -> None:
+    arm = taut.load_arm(name)
+    kfp, kfi, kdamp, dt = 0.4, 6.0, 5.0, 1e-3
+    law = HybridMotionForce(constraint=BALL, motion=motion(), kfp=kfp, kfi=kfi, kdamp=kdamp)
+    ctrl = taut.compile(law, arm, engine=engine)
+    q, v = on(BALL, arm)
+    x = taut.snapshot(arm, q, v)
+    T = x.T()
+    target = taut.TaskMotion(pose=Pose(T.p + np.array([0.004, 0.003, 0.0]), R=T.R), twist=[0.1, 0.2, 0, 0, 0, 0.3])
+    F_ext = np.array([1.0, 2.0, 9.0, 0.1, -0.2, 0.3])
+    tau = ctrl.step(q, v, taut.pressing(target, 10.0), F_ext=F_ext)
+
+    J, M = x.J(), x.M
+    Lambda = np.linalg.inv(J @ np.linalg.solve(M, J.T))
+    V = J @ v
+    n = (T.p - [0.4, 0.0, 0.1]) / 0.35
+    A = np.array([[*n, 0.0, 0.0, 0.0]])
+    Adot_V = np.array([(V[:3] @ V[:3] - (n @ V[:3]) ** 2) / 0.35])
+    S = np.linalg.inv(A @ np.linalg.inv(Lambda) @ A.T)
+    P = np.eye(6) - A.T @ S @ A @ np.linalg.inv(Lambda)
+    error = np.append(target.p - T.p, np.zeros(3))
+    F_motion = Lambda @ (100.0 * error + 20.0 * (target.twist - V))
+    F_d, F_app = A.T @ [-10.0], -F_ext
+    lam_e = np.array([-10.0]) - A @ F_app
+    F_force = F_d + A.T @ ((kfp + kfi * dt) * lam_e - kdamp * (A @ V))
+    gamma = -Lambda @ x.Jdot_v()
+    F = P @ F_motion + (np.eye(6) - P) @ F_force + gamma - A.T @ S @ Adot_V
+    assert np.abs(tau - (J.T @ F + x.h)).max() < 1e-9 * np.abs(tau).max()
+    assert sum(ctrl.terms.values()).tolist() == pytest.approx(tau.tolist(), abs=1e-9)
+    assert np.abs(ctrl.terms["curvature"] + J.T @ A.T @ S @ Adot_V).max() < 1e-9
+    # what 10.42 says of that torque, and the way that is left
+    lam = S @ (A @ np.linalg.solve(Lambda, F - gamma) + Adot_V)
+    assert ctrl.memory["law.lam"] == pytest.approx(lam, rel=1e-9)
+    a = np.linalg.solve(Lambda, F - gamma - A.T @ lam)
+    assert np.abs(A @ a + Adot_V).max() < 1e-9
+    wanted = 100.0 * error + 20.0 * (target.twist - V)
+    assert np.abs(P @ (Lambda @ (a - wanted))).max() < 1e-9 * np.abs(Lambda @ wanted).max()
+
+
+def test_without_the_curvature_term_3_kg_at_0_3_m_per_s_on_0_1_m_press_2_7_newton_less() -> None:
+    """MATHS section 1: what eq. 10.45 leaves out, m v^2 / r, on a gantry that carries 3 kg."""
+    arm = taut.load_arm("gantry3")
+    assert taut.snapshot(arm, np.zeros(3)).M[2, 2] == pytest.approx(3.0)
+    for inside, sign in ((False, -1.0), (True, 1.0)):
+        start = taut.snapshot(arm, np.zeros(3)).T().p
+        ball = Constraint.sphere(center=start - [0.0, 0.0, 0.1], radius=0.1, inside=inside)
+        x = taut.snapshot(arm, np.zeros(3), [0.0, 0.3, 0.0])
+        told = {}
+        for curvature in (True, False):
+            law = HybridMotionForce(
+                constraint=ball,
+                motion=motion(error="coordinates", coordinates=taut.Coordinates.position()),
+                curvature=curvature,
+            )
+            ctrl = taut.compile(law, arm)
+            ctrl.step(x.q, x.v, taut.pressing(taut.TaskMotion(pose=x.T(), twist=[0.0, 0.3, 0, 0, 0, 0]), 10.0))
+            told[curvature] = float(ctrl.memory["law.lam"][0])
+        assert told[True] == pytest.approx(-10.0)
+        assert told[False] - told[True] == pytest.approx(-sign * 2.7, rel=1e-9)
+
+
+def test_a_constraint_of_joints_goes_with_a_motion_of_joints() -> None:
+    arm = taut.load_arm("planar3")
+    slot = Constraint.of_joints(lambda q: q[0] + q[1] + q[2] - 1.2)
+    law = HybridMotionForce(constraint=slot, motion=ComputedTorque(kp=100.0, kd=20.0))
+    ctrl = taut.compile(law, arm)
+    q, v = np.array([0.2, 0.4, 0.6]), np.array([0.5, -0.2, -0.3])
+    x = taut.snapshot(arm, q, v)
+    tau = ctrl.step(q, v, taut.pressing(taut.JointMotion(q=[0.3, 0.4, 0.5]), lam=[2.0]))
+    A = np.ones((1, 3))
+    S = np.linalg.inv(A @ np.linalg.solve(x.M, A.T))
+    lam = S @ (A @ np.linalg.solve(x.M, tau - x.h))
+    assert lam == pytest.approx([2.0])
+    a = np.linalg.solve(x.M, tau - x.h - A.T @ lam)
+    e, e_dot = np.array([0.1, 0.0, -0.1]), -v
+    assert np.abs(a - (100.0 * e + 20.0 * e_dot)).max() < 1e-9  # which keep to the slot themselves
+    assert abs(A @ a).max() < 1e-9
+
+
+def test_a_closed_chain_is_moved_by_one_arm_and_squeezed_as_asked() -> None:
+    arm = taut.load_arm("baxter").subset([name for name in taut.load_arm("baxter").joint_names if "head" not in name])
+    x0 = taut.snapshot(arm, arm.home)
+    bar = Constraint.grasp("left_gripper", "right_gripper", T=x0.T("left_gripper").inverse() @ x0.T("right_gripper"))
+    law = HybridMotionForce(constraint=bar, motion=motion(tool="left_gripper"))
+    ctrl = taut.compile(law, arm)
+    squeeze = [0.0, 20.0, 0.0, 0.0, 0.0, 0.0]
+    pose = x0.T("left_gripper")
+    tau = ctrl.step(arm.home, np.zeros(arm.n), taut.pressing(taut.TaskMotion(pose=pose), lam=squeeze))
+    rows = bar.at(x0)
+    A = np.asarray(rows.A_q)
+    S = np.linalg.inv(A @ np.linalg.solve(x0.M, A.T))
+    lam = S @ (A @ np.linalg.solve(x0.M, tau - x0.h) + rows.bias)
+    assert np.abs(lam - squeeze).max() < 1e-6
+    a = np.linalg.solve(x0.M, tau - x0.h - A.T @ lam)
+    assert np.abs(A @ a).max() < 1e-6
+    assert np.abs(x0.J("left_gripper") @ a).max() < 1e-6
+
+
+def test_the_measured_force_counts_what_is_along_the_normal_only() -> None:
+    """Friction along the surface is no pressing, though P is oblique."""
+    arm = taut.load_arm("panda")
+    q, _ = on(BALL, arm)
+    x = taut.snapshot(arm, q)
+    n = (x.T().p - [0.4, 0.0, 0.1]) / 0.35
+    along = np.cross(n, [0.3, 0.5, 0.1])
+    ctrl = taut.compile(HybridMotionForce(constraint=BALL, motion=motion(), kfp=0.5), arm)
+    ref = taut.pressing(taut.TaskMotion(pose=x.T()), 10.0)
+    for friction in (0.0, 4.0):
+        ctrl.reset()
+        ctrl.step(q, np.zeros(7), ref, F_ext=np.array([*(10.0 * n + friction * along), 0.0, 0.0, 0.0]))
+        assert np.abs(ctrl.terms["force_P"]).max() < 1e-9
+
+
+def test_joint_torques_measure_the_multipliers_too() -> None:
+    arm = taut.load_arm("panda")
+    q, v = on(BALL, arm)
+    x = taut.snapshot(arm, q, v)
+    law = HybridMotionForce(constraint=BALL, motion=motion(), kfp=0.5, feedback="joint_torque")
+    ctrl = taut.compile(law, arm)
+    assert "tau_meas" in ctrl.needs
+    ref = taut.pressing(taut.TaskMotion(pose=x.T()), 10.0)
+    alone = taut.compile(HybridMotionForce(constraint=BALL, motion=motion()), arm)
+    ctrl.step(q, v, ref, tau_meas=alone.step(q, v, ref))  # the torque that makes 10 N
+    assert np.abs(ctrl.terms["force_P"]).max() < 1e-9
+
+
+def test_the_integral_is_bounded_and_a_contact_is_never_pulled() -> None:
+    arm = taut.load_arm("panda")
+    q, _ = on(BALL, arm)
+    x = taut.snapshot(arm, q)
+    n = (x.T().p - [0.4, 0.0, 0.1]) / 0.35
+    law = HybridMotionForce(constraint=BALL, motion=motion(), kfi=50.0, e_int_max=0.1)
+    ctrl = taut.compile(law, arm)
+    ref = taut.pressing(taut.TaskMotion(pose=x.T()), 10.0)
+    for _ in range(400):
+        ctrl.step(q, np.zeros(7), ref, F_ext=np.zeros(6))
+    assert ctrl.memory["law.e_int"] == pytest.approx([-0.1])
+    ctrl.reset()
+    for _ in range(400):
+        ctrl.step(q, np.zeros(7), ref, F_ext=np.array([*(200.0 * n), 0.0, 0.0, 0.0]))
+    assert ctrl.memory["law.e_int"] == pytest.approx([0.1])
+    law = HybridMotionForce(constraint=BALL, motion=motion(), kfi=500.0)
+    ctrl = taut.compile(law, arm)
+    for _ in range(400):
+        ctrl.step(q, np.zeros(7), ref, F_ext=np.array([*(200.0 * n), 0.0, 0.0, 0.0]))
+    assert ctrl.memory["law.lam"] == pytest.approx([0.0], abs=1e-9)
+    pull = ctrl.terms["one_sided"] + ctrl.terms["force"] + ctrl.terms["force_I"]
+    assert np.abs(pull).max() < 1e-9
+
+
+def test_what_is_asked_follows_in_time() -> None:
+    pose = Pose([0.4, 0.0, 0.3])
+    line = taut.Line(T0=pose, T1=Pose([0.4, 0.2, 0.3]), duration=2.0)
+    both = taut.pressing(line, lambda t: 5.0 * t)
+    assert isinstance(both.at(1.0), taut.HybridMotion)  # type: ignore[union-attr]
+    assert both.at(1.0).press == 5.0  # type: ignore[union-attr]
+    assert both.at(1.0).p.tolist() == [0.4, 0.1, 0.3]  # type: ignore[union-attr]
+    assert both.duration == 2.0  # type: ignore[union-attr]
+    assert repr(taut.pressing(taut.JointMotion(q=[0.1]), lam=[1.0, 2.0])).startswith("pressing(JointMotion(q=[0.1]")
+
+
+ARM = taut.load_arm("panda")
+FLOOR = Constraint.plane(point=[0.0, 0.0, 0.4], normal=[0.0, 0.0, 1.0])
+
+
+def stepped(constraint: Any, ref: Any, q: Array | None = None, **more: Any) -> Array:
+    ctrl = taut.compile(HybridMotionForce(constraint=constraint, motion=motion(), **more), ARM)
+    given = {"F_ext": np.zeros(6)} if "F_ext" in ctrl.needs else {}
+    return ctrl.step(taut.onto(FLOOR, ARM, ARM.home) if q is None else q, np.zeros(7), ref, **given)
+
+
+def floor_pose() -> Pose:
+    return taut.snapshot(ARM, taut.onto(FLOOR, ARM, ARM.home)).T()
+
+
+def squared(T: Pose) -> Any:
+    """phi = d^2, whose gradient is zero where it is."""
+    return (T.p[2] - 0.4) * (T.p[2] - 0.4)
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "sentence"),
+    [
+        (
+            lambda: HybridMotionForce(constraint=3, motion=motion()),
+            taut.UsageError,
+            "constraint must be a function of",
+        ),
+        (lambda: HybridMotionForce(constraint=FLOOR, motion=3), taut.UsageError, "motion holds a law such as"),
+        (lambda: HybridMotionForce(constraint=FLOOR), taut.UsageError, "HybridMotionForce needs motion"),
+        (
+            lambda: HybridMotionForce(constraint=FLOOR, motion=motion(), feedback="eye"),
+            taut.UsageError,
+            "feedback must be",
+        ),
+        (
+            lambda: HybridMotionForce(
+                constraint=Constraint.of_joints(lambda q: q[0]), motion=ComputedTorque(kp=1.0, kd=1.0), kfp=0.5
+            ),
+            taut.UsageError,
+            "feedback='wrench' is for a constraint of one frame of the tool's link",
+        ),
+        (
+            lambda: taut.compile(HybridMotionForce(constraint=FLOOR, motion=TaskVelocity(kp=1.0)), ARM),
+            taut.UsageError,
+            "motion holds a law that gives torques, and TaskVelocity gives a velocity",
+        ),
+        (
+            lambda: taut.compile(HybridMotionForce(constraint=FLOOR + FLOOR, motion=motion()), ARM),
+            taut.RangeError,
+            "the 2 rows of the constraint must be independent, and at the pose of 'panda' there they are not",
+        ),
+        (
+            lambda: stepped(squared, taut.pressing(taut.TaskMotion(pose=floor_pose()))),
+            taut.RangeError,
+            "row 0 of the constraint must have a gradient, and it is zero",
+        ),
+        (
+            lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose())), np.array(ARM.home)),
+            taut.RangeError,
+            r"must start on its constraint, and the constraint has phi = 0\.\d+ there, .*; start from taut\.onto",
+        ),
+        (
+            lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), F_app=[0, 3.0, -9.0, 0, 0, 0])),
+            taut.RangeError,
+            r"of \[0, 3, -9, 0, 0, 0\] it can bear \[0, 0, -9, 0, 0, 0\], and not \[0, 3, 0, 0, 0, 0\]",
+        ),
+        (
+            lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), F_app=[0, 0, 9.0, 0, 0, 0])),
+            taut.RangeError,
+            "F_app must press on a contact, and .* pulls at row 0",
+        ),
+        (
+            lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), lam=[4.0])),
+            taut.RangeError,
+            r"lam\[0\] must be <= 0 \[N\], for the contact can be pressed and not pulled; got 4",
+        ),
+        (
+            lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), lam=[-4.0, 1.0])),
+            taut.UsageError,
+            "lam has 2 entries, and the constraint has 1 row",
+        ),
+        (
+            lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=Pose(floor_pose().p - [0, 0, 0.05])), 5.0)),
+            taut.RangeError,
+            "the motion must keep to the constraint, and at t = 0 s it is 0.05 into it",
+        ),
+        (
+            lambda: stepped(FLOOR, taut.TaskMotion(pose=floor_pose())),
+            taut.UsageError,
+            r"taut\.pressing",
+        ),
+        (lambda: taut.pressing(3.0), taut.UsageError, "pressing takes a motion such as"),  # type: ignore[arg-type]
+        (lambda: taut.pressing(taut.hold()), taut.UsageError, "got a hold without its sample"),
+        (lambda: taut.pressing(taut.JointMotion(q=[0.0]), -3.0), taut.RangeError, "press must be >= 0"),
+        (
+            lambda: taut.pressing(taut.JointMotion(q=[0.0]), 3.0, lam=[1.0]),
+            taut.UsageError,
+            "pressing takes one of press, lam and F_app; got press and lam",
+        ),
+        (lambda: taut.pressing(taut.JointMotion(q=[0.0]), lam=np.ones((2, 2))), taut.ShapeError, "lam must be"),
+    ],
+)
+def test_what_makes_no_sense_is_one_sentence(make: Callable[[], Any], error: type[Exception], sentence: str) -> None:
+    with pytest.raises(error, match=sentence):
+        make()
+
+
+def test_a_run_into_the_surface_is_refused_before_it_starts() -> None:
+    law = HybridMotionForce(constraint=FLOOR, motion=motion())
+    ctrl, q = taut.compile(law, ARM), taut.onto(FLOOR, ARM, ARM.home)
+    T = floor_pose()
+    dive = taut.pressing(taut.Line(T0=T, T1=Pose(T.p - [0.0, 0.0, 0.1], R=T.R), duration=1.0), 5.0)
+    with pytest.raises(taut.RangeError, match=r"at t = 0\.25\d* s it is 0\.01\d* into it"):
+        taut.run(ctrl, taut.RigidPlant(ARM), dive, duration=1.0, q0=q)
+
+
+def test_a_user_writes_a_constraint_as_a_function() -> None:
+    law = HybridMotionForce(constraint=lambda T: T.p[2] - 0.4, motion=motion())
+    same = HybridMotionForce(constraint=FLOOR, motion=motion())
+    q = taut.onto(FLOOR, ARM, ARM.home)
+    ref = taut.pressing(taut.TaskMotion(pose=floor_pose()), 7.0)
+    one, other = (taut.compile(each, ARM).step(q, np.zeros(7), ref) for each in (law, same))
+    assert np.abs(one - other).max() < 1e-12

@@ -1,0 +1,478 @@
+"""Tasks: which phase acts, what starts with it, and what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+import taut
+from taut.control.phases import Phases
+
+PLANAR = taut.load_arm("planar3")
+REST = np.array([0.5, 0.8, 0.6])
+PD = taut.laws.ComputedTorque(kp=100.0, kd=20.0)
+PID = taut.laws.PID(kp=50.0, kd=10.0, ki=400.0)
+Q = taut.JointMotion(q=REST)
+
+
+class Spring(taut.Law):
+    """A law that is there to press.
+
+    Law:          tau = kp e
+    Closed loop:  M a + h = kp e
+    """
+
+    needs_contact: ClassVar[bool] = True
+    kp: taut.Gain
+
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+        return taut.Torque(P=self.kp @ (ref.q - x.q))
+
+
+class Rooted(taut.Law):
+    """A law that is NaN where the first joint is beyond its reference.
+
+    Law:          tau = sqrt(q_des - q)
+    Closed loop:  none
+    """
+
+    e_int: taut.Memory = taut.Memory(0.0)
+
+    def command(
+        self, x: taut.Snapshot, ref: taut.JointMotion, memory: Any, dt: float
+    ) -> tuple[taut.Torque, dict[str, Any]]:
+        root = taut.math.sqrt(ref.q - x.q)
+        return taut.Torque(P=root), {"e_int": memory.e_int + root}
+
+
+def steps(ctrl: taut.Controller, ticks: int, q: np.ndarray = REST, **more: Any) -> list[str]:
+    """The phase of each of some ticks at one state."""
+    out = []
+    for _ in range(ticks):
+        out.append(ctrl.phase)
+        ctrl.step(q, np.zeros(3), **more)
+    return out
+
+
+# -------------------------------------------------------------------- which phase acts
+
+
+@pytest.mark.parametrize("engine", ["native", "float"])
+def test_until_moves_on_unless_and_timeout_go_elsewhere(engine: Any) -> None:
+    task = [
+        taut.Phase(PD, name="a", until=lambda x: x.q[0] > 1.0, unless=lambda x: x.q[1] > 1.0, timeout=0.03),
+        taut.Phase(PID, name="b", timeout=0.02, otherwise="c"),
+        taut.Phase(PD, name="c", until=lambda x: x.q[2] > 1.0, unless=lambda x: x.q[2] > 1.0, otherwise=1),
+    ]
+    ctrl = taut.compile(task, PLANAR, rate=100.0, engine=engine)
+    assert steps(ctrl, 5) == ["a", "a", "a", "stop", "stop"]  # three ticks of 0.01 s
+    ctrl.reset()
+    assert steps(ctrl, 2, np.array([0.0, 1.1, 0.0])) == ["a", "stop"]
+    ctrl.reset()
+    assert steps(ctrl, 1, np.array([1.1, 0.0, 0.0])) == ["a"]
+    assert steps(ctrl, 2) == ["b", "b"]
+    assert ctrl.phase == "c"
+    assert steps(ctrl, 2, np.array([0.0, 0.0, 1.1])) == ["c", "b"]  # unless comes before until
+
+
+def test_then_makes_a_loop_and_a_phase_is_entered_afresh() -> None:
+    task = [
+        taut.Phase(PID, Q, name="a", until=lambda x: x.elapsed > 0.015),
+        taut.Phase(PD, name="b", until=lambda x: x.elapsed > 0.005, then="a"),
+    ]
+    ctrl = taut.compile(task, PLANAR, rate=100.0)
+    seen = []
+    for _ in range(8):
+        at = ctrl.phase
+        ctrl.step(REST - 0.1, np.zeros(3))
+        seen.append((at, round(float(ctrl.terms["I"][0]), 9)))
+    i = 400.0 * 0.1 * 0.01
+    # The integral counts from zero in each visit, and is nothing while another law acts.
+    visit = [("a", i), ("a", 2 * i), ("a", 3 * i), ("b", 0.0), ("b", 0.0)]
+    assert seen == [(name, pytest.approx(value)) for name, value in [*visit, *visit[:3]]]
+
+
+def test_a_guard_that_has_to_last_counts_ticks_on_end_and_from_the_begin_of_its_phase() -> None:
+    touch = taut.lasting(lambda x: taut.contact(x, 2.0, direction=[0, 0, 2]), ticks=3)
+    task = [taut.Phase(PD, name="a", until=touch), taut.Phase(PD, name="b", until=touch)]
+    ctrl = taut.compile(task, PLANAR)
+    on, off = np.array([0, 0, 2.1, 0, 0, 0]), np.array([5.0, 0, 1.9, 0, 0, 0])
+    for F, phase in [
+        (on, "a"),
+        (on, "a"),
+        (off, "a"),
+        (on, "a"),
+        (on, "a"),
+        (on, "b"),
+        (on, "b"),
+        (on, "b"),
+        (on, "stop"),
+    ]:
+        ctrl.step(REST, np.zeros(3), F_ext=F)
+        assert ctrl.phase == phase
+
+
+def test_guards_tell_where_the_arm_is() -> None:
+    tool = taut.snapshot(PLANAR, REST).T()
+    near = REST + np.array([1e-4, 0.0, 0.0])
+    turned = taut.Pose(tool.p, R=tool.R @ taut.Pose([0, 0, 0], rpy=[0, 0, 0.02]).R)
+
+    def holds(guard: Callable[[Any], Any], q: np.ndarray = REST, v: float = 0.0, ref: Any = None) -> bool:
+        ctrl = taut.compile([taut.Phase(PD, ref, until=guard)], PLANAR, engine="float")
+        ctrl.step(REST, np.zeros(3))
+        if ctrl.phase == "stop":
+            return True
+        ctrl.step(q, np.full(3, v))
+        return ctrl.phase == "stop"
+
+    target = taut.JointMotion(q=near)
+    assert holds(lambda x: taut.settled(x, q=1.1e-4), ref=target)
+    assert not holds(lambda x: taut.settled(x, q=0.9e-4), ref=target)
+    assert not holds(lambda x: taut.settled(x, q=1.1e-4, v=0.01) & (x.elapsed > 0.0), v=0.02, ref=target)
+    assert holds(lambda x: taut.reached(x, turned, position=1e-9, rotation=0.021))
+    assert not holds(lambda x: taut.reached(x, turned, rotation=0.019))
+    assert holds(lambda x: taut.reached(x, taut.TaskMotion(pose=tool), position=1e-9))
+    far = REST + np.array([0.0, 0.0, 0.1])  # the tool swings on the last link
+    way = float(np.linalg.norm(taut.snapshot(PLANAR, far).T().p - tool.p))
+    assert holds(lambda x: taut.moved(x, way * 0.999), far)
+    assert not holds(lambda x: taut.moved(x, way * 1.001), far)
+
+
+def test_the_direction_of_a_contact_may_be_one_of_the_tool() -> None:
+    def phase_after(F: list[float], **axes: Any) -> str:
+        task = [taut.Phase(PD, until=lambda x: taut.contact(x, 1.0, **axes), name="a")]
+        ctrl = taut.compile(task, PLANAR, engine="float")
+        ctrl.step(REST, np.zeros(3), F_ext=[*F, 0, 0, 0])
+        return ctrl.phase
+
+    R = taut.snapshot(PLANAR, REST).T().R
+    along = (1.2 * R[:, 0]).tolist()
+    assert phase_after(along, direction=[1, 0, 0], frame="tool") == "stop"
+    assert phase_after((-R[:, 0]).tolist(), direction=[1, 0, 0], frame="tool") == "a"
+    assert phase_after([0.0, -1.1, 0.0]) == "stop"  # without a direction any force counts
+    task = [taut.Phase(PD, until=lambda x: taut.no_contact(x, 1.0), name="a")]
+    ctrl = taut.compile(task, PLANAR)
+    assert steps(ctrl, 2, F_ext=[0, 2.0, 0, 0, 0, 0]) == ["a", "a"]
+    assert [*steps(ctrl, 1, F_ext=[0, 0.5, 0, 0, 0, 0]), ctrl.phase] == ["a", "stop"]
+
+
+# -------------------------------------------------------------------- what a phase follows
+
+
+def test_without_a_reference_a_phase_holds_where_it_began() -> None:
+    task = [taut.Phase(PD, name="a", until=lambda x: x.q[0] > 1.0), taut.Phase(PD, name="b")]
+    ctrl = taut.compile(task, PLANAR)
+    ctrl.step(REST, np.zeros(3))
+    ctrl.step(REST + 1.0, np.zeros(3))
+    assert np.abs(ctrl.terms["P"]).max() > 10.0  # the first phase wants back
+    ctrl.step(REST + 1.0, np.zeros(3))
+    assert not ctrl.terms["P"].any()
+    np.testing.assert_allclose(ctrl.step(REST + 1.0, np.zeros(3)), taut.snapshot(PLANAR, REST + 1.0).g)
+
+
+def test_times_of_a_trajectory_count_from_the_begin_of_its_phase_in_a_step_as_in_a_run() -> None:
+    task = [
+        taut.Phase(PD, name="wait", until=lambda x: x.elapsed > 0.1),
+        taut.Phase(PD, lambda x: taut.Quintic(q0=x.q, q1=x.q + 0.2, duration=0.2), name="go", timeout=0.3),
+    ]
+    ctrl = taut.compile(task, PLANAR, rate=500.0)
+    run = taut.run(ctrl, taut.RigidPlant(PLANAR), duration=0.6, q0=REST)
+    go = run.phase("go")
+    assert np.abs(np.asarray(go.reference.q)[0] - REST).max() < 1e-9
+    assert np.abs(np.asarray(go.reference.q)[50] - REST - 0.1).max() < 1e-9  # 0.1 s later it is half way
+    stepped = np.array([ctrl.step(q, v) for q, v in zip(run.q, run.v, strict=True)])
+    assert np.abs(stepped - run.command).max() < 1e-9
+    rest = run.phase("stop")
+    assert np.abs(rest.q - rest.q[0]).max() < 0.01  # [rad] it came with a speed, by friction
+
+
+def test_a_stream_without_a_source_is_given_sample_by_sample() -> None:
+    task = [taut.Phase(PD, taut.stream(period=0.01), name="a", until=lambda x: x.elapsed > 0.0015), taut.Phase(PD)]
+    ctrl = taut.compile(task, PLANAR)
+    with pytest.raises(taut.UsageError, match="phase 'a' follows a stream: step needs ref, a JointMotion; got none"):
+        ctrl.step(REST, np.zeros(3))
+    for _ in range(3):
+        ctrl.step(REST, np.zeros(3), taut.JointMotion(q=REST + 0.1))
+    assert np.abs(ctrl.terms["P"]).max() > 0.1
+    assert ctrl.phase == "phase2"
+    with pytest.raises(taut.UsageError, match="phase 'phase2' has its own reference; leave ref out of step"):
+        ctrl.step(REST, np.zeros(3), taut.JointMotion(q=REST))
+
+
+def test_a_stream_with_a_source_is_asked_from_the_begin_of_its_phase() -> None:
+    asked: list[float] = []
+
+    def source(x: taut.Snapshot) -> taut.JointMotion:
+        asked.append(round(float(x.t), 6))
+        return taut.JointMotion(q=REST)
+
+    task = [
+        taut.Phase(PD, name="wait", until=lambda x: x.elapsed > 0.0045),
+        taut.Phase(PD, taut.stream(period=0.004, source=source)),
+    ]
+    ctrl = taut.compile(task, PLANAR)
+    run = taut.run(ctrl, taut.RigidPlant(PLANAR), duration=0.02, q0=REST)
+    assert asked == [0.006, 0.01, 0.014, 0.018]
+    asked.clear()
+    for q, v in zip(run.q, run.v, strict=True):
+        ctrl.step(q, v)
+    assert asked == [0.006, 0.01, 0.014, 0.018]
+
+
+# -------------------------------------------------------------------- laws that do not act
+
+
+@pytest.mark.parametrize("engine", ["native", "float"])
+def test_nan_of_a_law_that_does_not_act_reaches_nothing(engine: Any) -> None:
+    above = taut.JointMotion(q=REST + 1.0)
+    task = [
+        taut.Phase(PD, Q, name="a", until=lambda x: x.q[0] < 0.0),
+        taut.Phase(Rooted(), above, name="b", until=lambda x: x.q[0] < 0.0),
+    ]
+    ctrl = taut.compile(task, PLANAR, engine=engine)
+    beyond = REST + 0.1  # of the reference of `a`, which the other law would take a root of
+    for _ in range(3):
+        assert np.isfinite(ctrl.step(beyond, np.zeros(3))).all()
+    assert all(np.isfinite(values).all() for values in ctrl.memory.values())
+    ctrl.step(beyond - 1.0, np.zeros(3))
+    ctrl.step(REST, np.zeros(3))
+    assert ctrl.memory["law.b.e_int"] == pytest.approx(1.0)  # started when its phase did
+
+
+def test_the_torque_of_a_task_is_that_of_its_law() -> None:
+    task = [taut.Phase(PD, Q, name="a", until=lambda x: x.q[0] > 1.0), taut.Phase(PID, Q, name="b")]
+    ctrl, pd, pid = (taut.compile(one, PLANAR) for one in (task, PD, PID))
+    q, v = REST + 0.6, np.array([0.1, -0.2, 0.3])
+    np.testing.assert_allclose(ctrl.step(q, v), pd.step(q, v, Q), rtol=1e-12)
+    np.testing.assert_allclose(ctrl.step(q, v), pid.step(q, v, Q), rtol=1e-12)
+    ctrl.parameters["law.b.kp"] = 60.0
+    pid.parameters["law.kp"] = 60.0
+    np.testing.assert_allclose(ctrl.step(q, v), pid.step(q, v, Q), rtol=1e-12)
+    assert sum(ctrl.terms.values()) == pytest.approx(pid.step(q, v, Q), rel=0.1)
+
+
+def test_a_stopped_task_holds_the_arm_against_gravity_and_comes_to_rest() -> None:
+    arm = taut.load_arm("one_joint")
+    law = taut.laws.GravityPID(kp=2.0, kd=1.0)
+    run = taut.run(
+        [taut.Phase(law, taut.JointMotion(q=[1.0]), timeout=0.5)], taut.RigidPlant(arm), duration=3.0, q0=[0.0]
+    )
+    assert run.outcome.kind == "stopped"
+    stop = run.phase("stop")
+    assert abs(stop.v[0, 0]) > 0.1  # it was moving
+    assert abs(stop.v[-1, 0]) < 1e-6
+    assert abs(stop.q[-1, 0] - stop.q[0, 0]) < 1e-3
+
+
+@pytest.mark.parametrize(("kind", "held"), [(taut.Velocity, 0.0), (taut.Position, REST)])
+def test_a_stopped_task_of_another_command_stands_still(kind: Any, held: Any) -> None:
+    class Own(taut.Law):
+        """Law: u = q_des."""
+
+        def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> Any:
+            return kind(P=ref.q)
+
+    ctrl = taut.compile([taut.Phase(Own(), timeout=0.001)], PLANAR)
+    ctrl.step(REST)
+    np.testing.assert_array_equal(ctrl.step(REST), np.broadcast_to(held, 3))
+
+
+# -------------------------------------------------------------------- contact
+
+
+def test_a_law_that_needs_contact_never_starts_without() -> None:
+    task = [
+        taut.Phase(PD, Q, name="approach", until=lambda x: x.elapsed > 0.0005, timeout=1.0),
+        taut.Phase(Spring(kp=5.0), taut.JointMotion(q=REST + 1.0), name="press", otherwise="retreat", contact=3.0),
+        taut.Phase(PD, Q, name="retreat"),
+    ]
+    ctrl = taut.compile(task, PLANAR)
+    touch, near = np.array([0, 3.1, 0, 0, 0, 0.0]), np.array([0, 2.9, 0, 0, 0, 0.0])
+    assert steps(ctrl, 2, F_ext=near) == ["approach", "approach"]
+    assert ctrl.phase == "press"
+    held = ctrl.step(REST, np.zeros(3), F_ext=near)
+    np.testing.assert_allclose(held, taut.snapshot(PLANAR, REST).g)  # nothing of the spring goes out
+    assert ctrl.phase == "retreat"
+    ctrl.reset()
+    steps(ctrl, 2, F_ext=touch)
+    np.testing.assert_allclose(ctrl.step(REST, np.zeros(3), F_ext=touch), 5.0)
+    assert ctrl.phase == "press"  # what is lost later is for `unless`
+    ctrl.step(REST, np.zeros(3), F_ext=near)
+    assert ctrl.phase == "press"
+
+
+def test_a_first_phase_without_contact_stops_in_words() -> None:
+    plant = taut.RigidPlant(PLANAR, environment=taut.Push(peak=[1.0, 0.0, 0.0]))
+    run = taut.run([taut.Phase(Spring(kp=5.0), name="press")], plant, duration=0.01, q0=REST)
+    assert run.outcome.kind == "stopped"
+    assert "phases: press to 0.001 s: it needs contact and began without, stopped at 0.001 s" in run.outcome.message
+    by_hand = [taut.Phase(Spring(kp=5.0), name="press", contact=lambda x: x.q[0] > 0.0)]
+    assert taut.run(by_hand, taut.RigidPlant(PLANAR), duration=0.01, q0=REST).phases[0].ended is None
+
+
+def test_force_and_hybrid_laws_need_contact_and_follow_their_own_samples_in_one_task() -> None:
+    arm = taut.load_arm("panda")
+    move = taut.laws.TaskComputedTorque(kp=100.0, kd=20.0)
+    force = taut.laws.ForceControl(kfi=5.0, kdamp=(100.0, 5.0))
+    hybrid = taut.laws.HybridMotionForce(constraint=lambda T: T.p[2] - 0.1, motion=move, kfi=5.0)
+    task = [
+        taut.Phase(move, name="approach", until=lambda x: x.elapsed > -1.0),
+        taut.Phase(force, taut.TaskForce(F_app=[0, 0, -5.0, 0, 0, 0]), name="press", until=lambda x: x.elapsed > 0.0),
+        taut.Phase(hybrid, lambda x: taut.pressing(taut.TaskMotion(pose=x.T()), 5.0), name="slide"),
+    ]
+    assert [phase.needs_contact for phase in task] == [False, True, True]
+    ctrl = taut.compile(task, arm, engine="float")
+    alone = taut.compile(force, arm, engine="float")
+    F, zero = np.array([0, 0, 3.0, 0, 0, 0]), np.zeros(7)
+    ctrl.step(arm.home, zero, F_ext=F)
+    np.testing.assert_allclose(
+        ctrl.step(arm.home, zero, F_ext=F), alone.step(arm.home, zero, task[1].reference, F_ext=F), atol=1e-9
+    )
+    ctrl.step(arm.home, zero, F_ext=F)
+    assert ctrl.phase == "slide"
+    assert np.isfinite(ctrl.step(arm.home, zero, F_ext=F)).all()
+    ctrl.reset()
+    ctrl.step(arm.home, zero, F_ext=F)
+    np.testing.assert_allclose(ctrl.step(arm.home, zero, F_ext=0.2 * F), taut.snapshot(arm, arm.home).g, atol=1e-9)
+    assert ctrl.phase == "stop"
+
+
+# -------------------------------------------------------------------- bad input
+
+
+def compiled(make: Callable[[], Any]) -> taut.Controller:
+    return taut.compile(make(), PLANAR, engine="float")
+
+
+def test_what_is_no_task_is_refused_in_a_sentence() -> None:
+    a = taut.Phase(PD, name="a")
+    wrist = taut.Phase(PD, name="touch", until=lambda x: taut.contact(x, 2.0))
+    tool = taut.TaskMotion(pose=taut.Pose([0, 0, 0]))
+    Move, plant = taut.Phase, taut.RigidPlant(PLANAR)
+
+    class Drive(taut.Law):
+        """Law: v = 0."""
+
+        def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Velocity:
+            return taut.Velocity(P=ref.q - x.q)
+
+    cases: list[tuple[Callable[[], Any], type[Exception], str]] = [
+        (list, taut.UsageError, "a task needs one phase at least; got an empty list"),
+        (lambda: a, taut.UsageError, "a task is a list of phases: taut.compile([taut.Phase(...)], arm)"),
+        (lambda: [a, PD], taut.UsageError, "a task is a list of taut.Phase; entry 1 is a ComputedTorque"),
+        (lambda: [a, a], taut.UsageError, "two phases of a task are called 'a'; give one another name="),
+        (lambda: [Move(PD, otherwise="b", name="a")], taut.UnknownNameError, "phase 'a': otherwise: the task has no phase 'b'; it has 'a', 'stop'"),
+        (lambda: [Move(PD, then="b", name="a")], taut.UnknownNameError, "phase 'a': then: the task has no phase 'b'; it has 'a', 'stop'"),
+        (lambda: [Move(PD, otherwise=1)], taut.RangeError, "phase 'phase1': otherwise must be the number of a phase, from 0 to 0; got 1"),
+        (lambda: [Move(PD, otherwise=None)], taut.UsageError, "phase 'phase1': otherwise must be 'stop', or the name or number of a phase; got None"),  # type: ignore[arg-type]
+        (lambda: [Move(PD, timeout=0.0)], taut.RangeError, "timeout must be > 0 [s]; got 0.0"),
+        (lambda: [Move(PD, contact=0.0)], taut.RangeError, "contact must be > 0 [N]; got 0"),
+        (lambda: [Move(PD, contact=taut.lasting(lambda x: x.t > 1, ticks=2))], taut.UsageError, "phase 'phase1': contact is looked at once, when the phase begins, so that taut.lasting has no meaning in it; give the guard that it holds"),
+        (lambda: [Move(7)], taut.UsageError, "a phase takes a law such as taut.laws.PID(kp=...); got 7"),  # type: ignore[arg-type]
+        (lambda: [Move(PD, name="my phase")], taut.UsageError, "the name of a phase must be a word of letters, digits and _, as it stands in the paths of gains; got 'my phase'"),
+        (lambda: [Move(PD, name="stop")], taut.UsageError, "'stop' is a word of every task; give the phase another name"),
+        (lambda: [Move(PD, until=True)], taut.UsageError, "a phase: until must be a function of the snapshot, such as lambda x: taut.contact(x, 2.0); got True"),  # type: ignore[arg-type]
+        (lambda: [Move(PD, tool, name="a")], taut.UsageError, "phase 'a': its law follows JointMotion; the reference gives TaskMotion"),
+        (lambda: [Move(PD, "home", name="a")], taut.UsageError, "phase 'a': a reference is a sample such as taut.JointMotion(q=...), taut.hold(), a trajectory with at(t), taut.stream(...) or taut.chunk(...); got str"),  # type: ignore[arg-type]
+        (lambda: [Move(PD, until=lambda x: x.q)], taut.UsageError, "until of phase 'phase1' must give a condition, such as x.F_ext[2] > 2.0; got ndarray"),
+        (lambda: [Move(PD, until=lambda x: x.q > 0.0)], taut.ShapeError, "until of phase 'phase1' must give one condition; got an array of shape (3,); combine them with & or |, or compare taut.math.norm(...)"),
+        (lambda: [Move(PD, unless=lambda x: None)], taut.UsageError, "unless of phase 'phase1' must give a condition, such as x.F_ext[2] > 2.0; got None; did it forget its return?"),
+        (lambda: [Move(PD, until=lambda x: taut.lasting(lambda x: x.t > 1, ticks=2))], taut.UsageError, "until of phase 'phase1' must give a condition, such as x.F_ext[2] > 2.0; got taut.lasting(...), which stands around the whole guard"),
+        (lambda: [Move(PD, until=lambda x: x.elapsd > 1)], taut.UsageError, "until of phase 'phase1' fails: AttributeError: the snapshot x has no quantity 'elapsd'; did you mean 'elapsed'?"),
+        (lambda: [Move(PD, until=lambda x: taut.settled(x, position=1.0))], taut.UsageError, "a JointMotion is reached within q=; got position="),
+        (lambda: [Move(PD, until=lambda x: taut.settled(x))], taut.UsageError, "a JointMotion is reached within q=; got none of them"),
+        (lambda: [Move(PD, until=lambda x: taut.reached(x, 1.0, q=1.0))], taut.UsageError, "a guard can tell whether a taut.Pose, TaskMotion or JointMotion is reached; got float"),  # type: ignore[arg-type]
+        (lambda: [Move(PD, until=lambda x: taut.contact(x, 1.0, direction=[0, 0, 0]))], taut.RangeError, "direction must have a length; got zeros"),
+        (lambda: [Move(PD, until=lambda x: taut.contact(x, -1.0))], taut.RangeError, "force must be >= 0 [N]; got -1.0"),
+        (lambda: [a, Move(taut.laws.PID(kp=np.ones(2)), name="b")], taut.ShapeError, "phase 'b': kp must be a scalar, (3,) or (3, 3) for 3 joints; got shape (2,)"),
+        (lambda: [a, Move(Drive(), name="b")], taut.MatchError, "the phases of a task give commands of one kind; these give 'a' a torque, 'b' a velocity"),
+        (lambda: taut.lasting(7, ticks=1), taut.UsageError, "lasting takes a guard, such as lambda x: taut.contact(x, 2.0); got 7"),  # type: ignore[arg-type]
+        (lambda: taut.lasting(lambda x: x.t > 1, ticks=0), taut.RangeError, "ticks must be a whole number >= 1; got 0"),
+        (lambda: taut.run([a, wrist], plant, duration=1.0), taut.MatchError, "phase 'touch' needs F_ext, which plant 'RigidPlant(planar3)' does not measure; it measures tau_meas, v; give the plant environment=, or take a taut.MujocoPlant"),
+        (lambda: taut.run([a], plant, Q, duration=1.0), taut.UsageError, "each phase of a task has its own reference, as in taut.Phase(law, reference); leave ref out"),
+        (lambda: taut.run([Move(PD, taut.stream(period=0.1))], plant, duration=1.0), taut.UsageError, "phase 'phase1': a stream in a simulation needs source=, a function that gives the next sample"),
+        (lambda: taut.run([Move(PD, lambda x: 7)], plant, duration=1.0), taut.UsageError, "phase 'phase1': a reference is a sample such as taut.JointMotion(q=...), taut.hold(), a trajectory with at(t), taut.stream(...) or taut.chunk(...); got int"),  # type: ignore[arg-type, return-value]
+        (lambda: taut.run([Move(PD, lambda x: tool)], plant, duration=1.0), taut.UsageError, "phase 'phase1': the law follows JointMotion; the reference is a TaskMotion"),
+        (lambda: taut.run([Move(PD, lambda x: 1 / 0)], plant, duration=1.0), taut.UsageError, "phase 'phase1': its reference fails: ZeroDivisionError: division by zero"),  # type: ignore[arg-type, return-value]
+        (lambda: taut.compile([a], PLANAR).bind(), taut.UsageError, "bind is for a law, whose reference is written from outside; the references of a task are made as its phases begin: take ctrl.step"),
+        (lambda: taut.compile(PD, PLANAR).phase, taut.UsageError, "a controller of one law has no phases; compile a list of taut.Phase"),
+        (lambda: taut.compile([a], PLANAR).step(REST, np.zeros(3), Q), taut.UsageError, "phase 'a' has its own reference; leave ref out of step"),
+        (lambda: taut.compile([a], PLANAR).step(REST[:2], np.zeros(3)), taut.ShapeError, "q must have shape (3,); got shape (2,)"),
+        (lambda: taut.compile([a], PLANAR).step(), taut.UsageError, "step needs q; got none"),
+        (lambda: taut.compile([wrist], PLANAR).step(REST, np.zeros(3)), taut.UsageError, "step needs F_ext, which the law asks for: pass F_ext= or F_app=; got none"),
+        (lambda: taut.snapshot(PLANAR, REST).elapsed, taut.UsageError, "x.elapsed is for the guards of a taut.Phase; a law has no phase"),
+        (lambda: taut.Steady(T0=taut.Pose([0, 0, 0])), taut.RangeError, "velocity or angular must be above zero, or nothing moves; got zeros"),
+    ]  # fmt: skip
+    for make, kind, text in cases:
+        with pytest.raises(kind) as caught:
+            compiled(make)
+        assert str(caught.value) == text
+
+
+def test_a_branch_in_a_guard_is_told_with_its_line() -> None:
+    with pytest.raises(taut.TraceError, match=r"decides a branch at .*test_phases\.py"):
+        taut.compile([taut.Phase(PD, until=lambda x: x.q[0] > 0.0 and x.q[1] > 0.0)], PLANAR, engine="native")
+
+
+def test_explain_tells_what_follows_each_phase(capsys: pytest.CaptureFixture[str]) -> None:
+    task = [
+        taut.Phase(PD, name="a", until=taut.lasting(lambda x: x.t > 1, ticks=2), timeout=2.0, otherwise="c"),
+        taut.Phase(Spring(kp=1.0), name="b", unless=lambda x: x.t > 3),
+        taut.Phase(PD, name="c"),
+    ]
+    taut.compile(task, PLANAR).explain()
+    said = capsys.readouterr().out
+    assert "the task of a, b, c for arm 'planar3'" in said
+    assert "phase          a: until its guard for 2 ticks -> b; after 2 s -> c\n" in said
+    assert "phase          b: unless its guard -> stop; without contact -> stop\n" in said
+    assert "phase          c: to the end\n" in said
+    assert "law.a.kp" in said
+
+
+def test_a_steady_motion_has_the_rates_of_its_pose() -> None:
+    steady = taut.Steady(
+        T0=taut.Pose([0.1, 0.2, 0.3], rpy=[0.3, 0, 0]), velocity=[0, 0.1, -0.02], angular=[0, 0, 0.5]
+    )
+    h = 1e-5
+    for t in (0.0, 0.03, 0.0999, 0.5):
+        before, now, after = (steady.at(t + d) for d in (-h if t else 0.0, 0.0, h))
+        span = 2 * h if t else h
+        np.testing.assert_allclose((after.p - before.p) / span, now.twist[:3], atol=1e-5)
+        np.testing.assert_allclose((after.twist - before.twist) / span, now.acceleration, atol=2e-2)
+        turn = (after.R @ before.R.T - before.R @ after.R.T)[1, 0] / 2 / span
+        assert turn == pytest.approx(now.twist[5], abs=1e-4)
+    assert steady.at(2.0).p[1] == pytest.approx(0.2 + 0.1 * (2.0 - 0.05))
+
+
+def test_the_gains_of_a_task_have_the_names_of_its_phases() -> None:
+    law = Phases.of([taut.Phase(PD, name="a"), taut.Phase(PID)])
+    assert list(law.parameters()) == [
+        "a.kp",
+        "a.kd",
+        "a.ki",
+        "phase2.kp",
+        "phase2.kd",
+        "phase2.ki",
+        "stop.kp",
+        "stop.kd",
+    ]
+
+
+def test_what_limits_cut_from_a_law_is_nothing_for_the_one_after_it() -> None:
+    class Cut(taut.Law):
+        """Law: tau = what was cut in the last tick."""
+
+        def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+            return taut.Torque(P=0.1 * x.tau_cut, ask=ref.q)
+
+    ask = taut.JointMotion(q=np.full(3, 10.0))
+    task = [taut.Phase(Cut(), ask, name="a", until=lambda x: x.elapsed > 0.0005), taut.Phase(Cut(), ask, name="b")]
+    ctrl = taut.compile(task, PLANAR, limits=taut.Limits(tau=1.0))
+    seen = []
+    for _ in range(4):
+        ctrl.step(REST, np.zeros(3))
+        seen.append(float(ctrl.terms["P"][0]))
+    assert seen == pytest.approx([0.0, 0.9, 0.0, 0.9])

@@ -1,0 +1,179 @@
+"""Tasks in runs: approach until contact, press, retreat, in both kinds of plant; switching without a jump."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import taut
+
+BOW = np.array([0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.785])
+GAP = 0.01  # [m] below the tool
+TOUCH = 2.0  # [N]
+STIFF = taut.laws.GravityPID(kp=[600, 600, 600, 600, 250, 150, 50], kd=[50, 50, 50, 50, 30, 20, 5])
+PANDA = taut.load_arm("panda", tool="panda_hand_tcp")
+LIMITS = taut.Limits.of(PANDA, rate=True, blend=0.05)
+TOOL = taut.snapshot(PANDA, BOW).T()
+
+
+def down(x: taut.Snapshot) -> taut.Steady:
+    return taut.Steady(T0=x.T(), velocity=[0.0, 0.0, -0.02])
+
+
+def deeper(x: taut.Snapshot) -> taut.TaskMotion:
+    T = x.T()
+    return taut.TaskMotion(pose=taut.Pose(T.p - [0.0, 0.0, 0.02], R=T.R))
+
+
+def back(x: taut.Snapshot) -> taut.Line:
+    T = x.T()
+    return taut.Line(T0=T, T1=taut.Pose(T.p + np.array([0.0, 0.0, 0.05]), R=T.R), duration=0.8)
+
+
+def press() -> list[taut.Phase]:
+    """Down at 20 mm/s until 2 N, softly on for half a second, up again; the arm then rests in its joints."""
+    move = taut.laws.TaskComputedTorque(kp=400.0, kd=40.0)
+    touch = taut.lasting(lambda x: taut.contact(x, TOUCH, direction=[0, 0, 1]), ticks=3)
+    return [
+        taut.Phase(move, down, name="approach", until=touch, timeout=3.0),
+        taut.Phase(
+            taut.laws.TaskComputedTorque(kp=100.0, kd=40.0),
+            deeper,
+            name="press",
+            until=lambda x: x.elapsed > 0.5,
+            unless=taut.lasting(lambda x: taut.no_contact(x, 0.5), ticks=50),
+        ),
+        taut.Phase(move, back, name="retreat", until=lambda x: taut.moved(x, 0.049) & taut.settled(x, position=1e-3)),
+        taut.Phase(STIFF, name="rest"),
+    ]
+
+
+@pytest.fixture(scope="module")
+def ctrl() -> taut.Controller:
+    return taut.compile(press(), PANDA, limits=LIMITS)
+
+
+def check_pressed(run: taut.Run) -> None:
+    assert run.outcome.ok, run.outcome
+    assert [(window.name, window.ended) for window in run.phases] == [
+        ("approach", "until"),
+        ("press", "until"),
+        ("retreat", "until"),
+        ("rest", None),
+    ]
+    normal = run.extra["F_ext"][:, 2]
+    approach, pressed, _, rest = run.phases
+    first = int(np.argmax(normal > TOUCH))
+    assert approach.last - first in (2, 3)  # three ticks on end; what is measured may be that of the tick before
+    assert normal[pressed.last] > TOUCH
+    assert not normal[rest.first :].any()
+    assert (np.abs(np.diff(run.command, axis=0)) <= np.asarray(LIMITS.tau_dot) / run.rate * (1.0 + 1e-9)).all()
+    total = sum(values for values in run.terms.values())
+    np.testing.assert_allclose(total, run.command, atol=1e-9)
+
+
+def test_approach_press_and_retreat_in_a_fused_run_and_from_its_log(ctrl: taut.Controller, tmp_path: Path) -> None:
+    wall = taut.StiffWall(point=TOOL.p - [0, 0, GAP], normal=[0, 0, 1], stiffness=1e4, damping=50.0)
+    run = taut.run(ctrl, taut.RigidPlant(PANDA, environment=wall), duration=2.6, q0=BOW, log=tmp_path / "run.mcap")
+    check_pressed(run)
+    # The blend begins with the command of the tick before: at the switch itself there is no jump at all.
+    for window in run.phases[1:]:
+        assert np.abs(run.command[window.first] - run.command[window.first - 1]).max() < 1e-9
+    again = taut.load_run(tmp_path / "run.mcap")
+    assert again.phases == run.phases
+    assert again.outcome == run.outcome
+    for name in ("approach", "rest"):  # one follows the tool, the other the joints
+        one, other = run.phase(name), again.phase(name)
+        assert type(one.reference) is type(other.reference)
+        assert one.metrics.json() == other.metrics.json()
+    assert isinstance(run.phase("approach").reference, taut.TaskMotion)
+    assert run.phase("approach").metrics.task_peak < 1e-3
+    assert isinstance(run.phase("rest").reference, taut.JointMotion)
+    felt = np.vstack([np.zeros(6), run.extra["F_ext"][:-1]])  # what is measured is that of the step before
+    stepped = np.array([ctrl.step(q, v, F_ext=F) for q, v, F in zip(run.q, run.v, felt, strict=True)])
+    np.testing.assert_allclose(stepped, run.command, atol=1e-9)
+    assert run.plot().axes
+
+
+def test_approach_press_and_retreat_against_contact_in_mujoco(ctrl: taut.Controller) -> None:
+    x, y, z = TOOL.p
+    floor = f'<geom type="box" size="0.3 0.3 0.05" pos="{x} {y} {z - 0.05 - GAP - 0.01}" friction="0"/>'
+    plant = taut.MujocoPlant(PANDA, scene=floor, tool_radius=0.01)
+    check_pressed(taut.run(ctrl, plant, duration=2.6, q0=BOW))
+
+
+def test_where_nothing_is_touched_the_task_stops_and_says_so() -> None:
+    arm = taut.load_arm("planar3")
+    task = [
+        taut.Phase(taut.laws.ComputedTorque(kp=100.0, kd=20.0), name="approach", until=lambda x: taut.contact(x, 2.0), timeout=0.2)
+    ]  # fmt: skip
+    plant = taut.RigidPlant(arm, environment=taut.Push(peak=[5.0, 0.0, 0.0]))
+    run = taut.run(task, plant, duration=0.5)
+    assert not run.outcome.ok
+    assert str(run.outcome) == "stopped: 501 ticks, 0.5 s; phases: approach to 0.2 s (timeout), stopped at 0.2 s"
+    with pytest.raises(
+        taut.RangeError,
+        match="phase 'approach' acted 1 times in this run, so that there is no visit 1; what acted is approach, stop",
+    ):
+        run.phase("approach", 1)
+    with pytest.raises(taut.UnknownNameError, match="the run has no phase 'aproach'; did you mean 'approach'"):
+        run.phase("aproach")
+    plain = taut.run(taut.compile(task[0].law, arm), taut.RigidPlant(arm), duration=0.01)
+    with pytest.raises(taut.UsageError, match="the run has no phases: its law is not a task"):
+        plain.phases  # noqa: B018
+
+
+def test_noise_does_not_depend_on_when_phases_begin() -> None:
+    arm = taut.load_arm("planar3")
+    law = taut.laws.ComputedTorque(kp=100.0, kd=20.0)
+    plant = taut.RigidPlant(arm, sensors=taut.Sensors(position=taut.Encoder(noise=1e-4)))
+    q = taut.JointMotion(q=[0.5, 0.8, 0.6])
+    split = [
+        taut.Phase(law, q, until=lambda x: x.t > 0.0535),
+        taut.Phase(law, q, until=lambda x: x.t > 0.1),
+        taut.Phase(law, q),
+    ]
+    runs = [taut.run(one, plant, duration=0.6, q0=q.q, seed=3) for one in (split, split[2:])]
+    np.testing.assert_array_equal(runs[0].q, runs[1].q)
+    assert len(runs[0].phases) == 3
+
+
+# -------------------------------------------------------------------- bars
+
+
+def test_switching_leaves_no_torque_jump_above_the_rate_limit_and_no_integrator(
+    share: Callable[[int], int], bar: Callable[[str, object], None]
+) -> None:
+    """1000 seeded starts and times of a push that makes the phases change."""
+    arm = taut.load_arm("planar3")
+    here = np.array([0.5, 0.8, 0.6])
+    pid = taut.laws.PID(kp=80.0, kd=8.0, ki=300.0)
+    task = [
+        taut.Phase(pid, taut.JointMotion(q=here), name="wait", until=lambda x: taut.contact(x, 5.0)),
+        taut.Phase(pid, taut.JointMotion(q=here + 0.3), name="yield_", until=lambda x: x.elapsed > 0.1, then="away"),
+        taut.Phase(taut.laws.ComputedTorque(kp=400.0, kd=40.0), taut.JointMotion(q=here - 0.3), name="away", until=lambda x: x.elapsed > 0.1, then="wait"),
+    ]  # fmt: skip
+    limits = taut.Limits(tau=60.0, tau_dot=400.0, blend=0.03)
+    plant = taut.RigidPlant(arm, environment=taut.Push(peak=[20.0, 0.0, 0.0], duration=0.02))
+    loop = taut.Loop(taut.compile(task, arm, limits=limits), plant, duration=0.6)
+    rng = np.random.default_rng(0)
+    jump = rest = 0.0
+    switches = 0
+    for _ in range(share(1000)):
+        q0, t = here + rng.uniform(-0.2, 0.2, 3), float(rng.uniform(0.02, 0.3))
+        run = taut.run(loop, q0=q0, v0=rng.uniform(-0.5, 0.5, 3), events=[taut.Event.push(t=t)])
+        assert [window.name for window in run.phases] == ["wait", "yield_", "away", "wait"]
+        jump = max(jump, float(np.abs(np.diff(run.command, axis=0)).max()) / 0.4)
+        for window in run.phases:
+            switches += window.first > 0
+            k = window.first
+            error = np.asarray(run.reference.q)[k] - run.q[k] if window.name != "away" else 0.0
+            rest = max(rest, float(np.abs(run.terms["I"][k] - 300.0 * error * 1e-3).max()))
+    assert jump <= 1.0 + 1e-9
+    assert rest < 1e-9
+    bar("phases: switches", switches)
+    bar("phases: largest torque jump per tick / rate limit", f"{jump:.6f}")
+    bar("phases: integral left behind [N m]", f"{rest:.1e}")
