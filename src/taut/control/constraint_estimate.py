@@ -70,7 +70,7 @@ class NormalEstimate(Law):
 
     ignores_reference = True
     rate: Gain = Gain(8.0, size=0)  # [1/s]
-    speed: Gain = Gain(0.01, size=0, minimum=1e-6)  # [m/s]
+    speed: Gain = Gain(0.02, size=0, minimum=1e-6)  # [m/s]
     force: Gain = Gain(1.0, size=0, minimum=1e-6)  # [N]
     most: Gain = Gain(0.6, size=0, minimum=1e-3, maximum=1.2)  # [rad]
     tilt: Memory = Memory((0.0, 0.0, 0.0))  # [1] (3,) tangent of the angle, across the stated normal
