@@ -19,10 +19,8 @@ from taut.control.command import Terms
 from taut.control.gains import GainValue
 from taut.control.law import Law
 from taut.control.spring import Bound, pulled
-from taut.control.targets import eased
 from taut.control.task_error import Coordinates, ErrorKind, TaskError, task_error
 from taut.control.task_reference import TaskMotion
-from taut.maths.out_of_reach import Beyond
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import pose_log_rate, rotated
 
@@ -34,7 +32,6 @@ __all__ = [
     "check_frame",
     "check_inertia",
     "check_sensor",
-    "eased_spring",
     "modal_damping",
     "six_gains",
     "spring",
@@ -102,12 +99,6 @@ def spring(felt: Compliance, K: GainValue, bound: Bound | None) -> Terms:
     """The force of the spring in the axes of the gains, and what its bound takes of it."""
     whole = Terms(P=K @ felt.X)
     return whole if bound is None else whole + Terms(bound=bound.force(K, felt.X) - K @ felt.X)
-
-
-def eased_spring(felt: Compliance, K: GainValue, bound: Bound | None, away: Beyond) -> Wrench:
-    """(k,) the wrench of the spring, in the coordinates of the error, as it is to a target out of reach."""
-    force = (eased(away, away.clear) if bound is None else bound).force(K, felt.X)
-    return felt.outwards(felt.wrench(force))
 
 
 def _turned(R: Rotation, C: Matrix) -> Matrix:

@@ -21,7 +21,6 @@ from taut.control.compliance import (
     check_frame,
     check_inertia,
     check_sensor,
-    eased_spring,
     modal_damping,
     six_gains,
     spring,
@@ -31,7 +30,7 @@ from taut.control.gains import Gain, GainValue
 from taut.control.law import Law, MemoryView
 from taut.control.nullspace import Posture
 from taut.control.spring import Bound
-from taut.control.targets import asked_of, calm_torque, out_of_reach
+from taut.control.targets import asked_of, calm_torque, eased, out_of_reach
 from taut.control.task import check_error_max, check_null, null_torque
 from taut.control.task_error import ERRORS, Coordinates, ErrorKind, check_coordinates, dimensions
 from taut.control.task_reference import TaskMotion
@@ -262,7 +261,8 @@ class Impedance(Law):
             tau = tau + free
         away = out_of_reach(x, ref, self.tool, asked_of(self.error, self.coordinates))
         if away is not None:
-            calm = calm_torque(x, error.J, eased_spring(felt, K, bound, away))
+            pull = felt.outwards(felt.wrench(spring(felt, K, bound).total))
+            calm = calm_torque(x, error.J, pull if bound is not None else eased(away, away.clear, felt.X) * pull)
             tau = tau.up_to(tau.total + away.clear * (calm - tau.total), "reach")
         return Torque(tau), after
 
@@ -412,5 +412,5 @@ class Stiffness(Law):
         wrench = spring(felt, self.K, bound).mapped(felt.wrench).mapped(felt.outwards)
         away = out_of_reach(x, ref, self.tool, asked_of(self.error, self.coordinates))
         if away is not None and bound is None:
-            wrench = wrench.up_to(eased_spring(felt, self.K, None, away), "reach")
+            wrench = wrench.up_to(eased(away, away.clear, felt.X) * wrench.total, "reach")
         return Torque(felt.error.J.T @ wrench + Terms(gravity=x.g, D=-(self.kd @ x.v)))
