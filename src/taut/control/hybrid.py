@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, ClassVar, Final, Literal
 
@@ -32,6 +33,7 @@ from taut.maths.snapshot import Snapshot
 __all__ = ["HybridMotionForce"]
 
 ForceFeedback = Literal["wrench", "joint_torque"]
+TOUCHING: Final = 1.0  # [N] on a tool that counts as in contact
 FEEDBACKS: Final[tuple[ForceFeedback, ...]] = ("wrench", "joint_torque")
 
 
@@ -183,6 +185,18 @@ class HybridMotionForce(Law):
         check_place(self.natural, x, self.tolerance)
         check_forces(self.natural, x, ref)
         check_motion(self.natural, x, ref, self.motion.controlled_frame, self.tolerance)
+
+    def touches(self, x: Snapshot) -> Any:
+        """Whether the arm keeps to the constraint: phi within the tolerance, and a force on it where one is measured.
+
+        Without a sensor, and for what holds both ways, phi alone tells.
+        """
+        rows = self.natural.at(x)
+        near = [tm.abs(value) <= self.tolerance for value in rows.phi]
+        if self.measures and self.feedback == "wrench" and any(rows.one_sided):
+            F = x.F_ext[:3]
+            near.append(F @ F > TOUCHING * TOUCHING)
+        return functools.reduce(lambda a, b: a & b, near)
 
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, object]]:
         rows, follow, estimated = self.natural.at(x), ref.motion, None
