@@ -92,7 +92,11 @@ def test_the_tips_of_a_scenario_and_its_press_are_read() -> None:
     [
         ("press = 10.0", "press = -1.0", "press must be >= 0 [N], the force into the surface; got -1"),
         ("press = 10.0", "", "kind gives a TaskMotion, and the law 'hybrid' follows a HybridMotion"),
-        ("stiffness = 1000", "stiffness = 0", "tip.stiffness must be > 0 [N/m]; got 0.0; for a rigid tool leave"),
+        (
+            "stiffness = 1000",
+            "stiffness = 0",
+            "[plant.tip] stiffness must be > 0 [N/m]; got 0.0; for a rigid tool leave the tip out",
+        ),
         ("stiffness = 1000, ", "", "needs the key 'stiffness'"),
     ],
 )
@@ -105,6 +109,18 @@ def test_what_is_wrong_in_it_is_said(tmp_path: Path, old: str, new: str, text: s
     file.write_text(changed.replace(old, new))
     with pytest.raises(ScenarioError, match=re.escape(text)):
         load_scenario(str(file))
+
+
+def test_rows_of_a_pressing_motion_are_its_samples() -> None:
+    arm = taut.load_arm("panda")
+    T = taut.snapshot(arm, arm.home).T()
+    way = taut.Line(T0=T, T1=taut.Pose.of(T.R, T.p + np.array([0.1, 0.0, 0.0])), duration=1.0)
+    for press in (10.0, lambda t: 5.0 + t):
+        made, times = taut.pressing(way, press), np.array([0.0, 0.3, 1.2])
+        rows = made.rows(times)  # type: ignore[union-attr, misc]
+        for name in type(rows).fields(7):
+            one_by_one = np.stack([getattr(made.at(float(t)), name) for t in times])  # type: ignore[union-attr]
+            assert np.array_equal(getattr(rows, name), one_by_one), name
 
 
 def test_tips_that_are_none_are_refused() -> None:
