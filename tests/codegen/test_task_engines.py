@@ -11,6 +11,7 @@ import pytest
 
 import taut
 from taut.base.types import Float64Array
+from taut.maths.out_of_reach import distance_beyond, spheres
 from taut.maths.spatial import rotation_exp
 
 L = taut.laws
@@ -89,15 +90,16 @@ def law(error: Any) -> taut.Law:
 
 
 def random_tick(rng: np.random.Generator) -> tuple[Float64Array, Float64Array, taut.TaskMotion]:
-    """A state away from singularities, and a target up to 2 rad away."""
+    """A state away from singularities, and a target up to 2 rad away and not out of reach."""
     while True:
         q, v = rng.uniform(PANDA.lower, PANDA.upper), rng.standard_normal(7)
         x = taut.snapshot(PANDA, q)
-        if np.linalg.svd(x.J(), compute_uv=False)[-1] > 0.1:
+        w = rng.standard_normal(3)
+        R = rotation_exp(rng.uniform(0.0, 2.0) * w / np.linalg.norm(w)) @ x.T().R
+        pose = taut.Pose.of(R, x.T().p + 0.3 * rng.standard_normal(3))
+        away = distance_beyond(spheres(x.model, None, "pose"), pose.p[None], R[None])[0]
+        if np.linalg.svd(x.J(), compute_uv=False)[-1] > 0.1 and away < 0.0:
             break
-    w = rng.standard_normal(3)
-    R = rotation_exp(rng.uniform(0.0, 2.0) * w / np.linalg.norm(w)) @ x.T().R
-    pose = taut.Pose.of(R, x.T().p + 0.3 * rng.standard_normal(3))
     return q, v, taut.TaskMotion(pose=pose, twist=rng.standard_normal(6), acceleration=rng.standard_normal(6))
 
 

@@ -262,11 +262,11 @@ class TestRefused:
         ("gains", "words"),
         [
             ({"D": None}, r"^Admittance needs D \[kg, kg m\^2\]$"),
-            ({"D": (0.0, 1.0)}, r"^D must be > 0 \[kg, kg m\^2\] in every direction, for the wrench is divided by it;"),
+            ({"D": (0.0, 1.0)}, r"^D must be > 0 \[kg, kg m\^2\] in every direction, for wrenches are divided by it;"),
             ({"D": 2.0}, r"^D needs one number for metres and one for radians, D=\(linear, angular\), or six, or"),
-            ({"B": (1.0, 1.0), "zeta": 0.7}, r"^Admittance takes B or zeta, not both: zeta designs B from K and D;"),
+            ({"B": (1.0, 1.0), "zeta": 0.7}, r"^Admittance takes B or zeta, not both: zeta designs B from K and the inertia;"),
             ({"B": None}, r"^Admittance needs its damping: B=\(linear, angular\) \[N s/m, N m s/rad\], or zeta=0\.7"),
-            ({"B": None, "zeta": 0.7}, r"^zeta damps the swing of D on K, and K has a direction without stiffness,"),
+            ({"B": None, "zeta": 0.7}, r"^zeta damps the swing on K, and K has a direction without stiffness,"),
             ({"inner": taut.laws.PID(kp=1.0)}, r"^inner must be a law that follows a TaskMotion, such as .*; got PID, "
              r"which follows a JointMotion$"),
             ({"inner": 3.0}, r"^inner must be a law that follows a TaskMotion, such as .*; got float$"),

@@ -209,7 +209,7 @@ def test_a_wrench_of_another_link_is_refused() -> None:
 
 def test_an_inertia_cannot_become_zero_in_a_run() -> None:
     ctrl = taut.compile(Impedance(**gains(D=(5.0, 0.5))), taut.load_arm("panda"))
-    with pytest.raises(taut.RangeError, match=r"D must be > 0 \[kg, kg m\^2\] in every direction; its least is 0;"):
+    with pytest.raises(taut.RangeError, match=r"D must be > 0 \[kg, kg m\^2\] in every .*; its least is 0;"):
         ctrl.parameters["law.D"] = (0.0, 0.5)
 
 
@@ -272,7 +272,8 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "zeta of each": (gains(zeta=[0.7, 0.7]), "zeta must be one number [-]; got shape (2,)"),
     "no inertia": (
         gains(D=(0.0, 1.0)),
-        "D must be > 0 [kg, kg m^2] in every direction; its least is 0; leave D out for the arm's own inertia",
+        "D must be > 0 [kg, kg m^2] in every direction, for wrenches are divided by it; its least is 0; leave D out for "
+        "the arm's own inertia",
     ),
     "a frame that is none": (gains(frame="hand"), "frame must be one of 'world', 'task', 'tool'; got 'hand'"),
     "axes of another error": (

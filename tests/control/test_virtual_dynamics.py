@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import taut
 from taut.control.gains import GainValue
+from taut.control.spring import Bound
 from taut.control.virtual_dynamics import Body, Model, answered, damping_matrix, integrated
 
 ORIGIN = taut.TaskMotion(pose=taut.Pose([0.0, 0.0, 0.0], rpy=[0.0, 0.0, 0.0]))
@@ -139,10 +140,10 @@ class TestTheStepItself:
     @pytest.mark.parametrize("bound", [None, 0.3])
     def test_pulls_down_the_gradient_of_the_energy(self, frame: str, bound: float | None) -> None:
         rng = np.random.default_rng(9)
-        K, most = spd(rng, "pair" if bound else "full"), None
+        K, most = spd(rng, "full"), None
         if bound is not None:
-            most = GainValue(np.array([bound, 2.0 * bound]), "error_max")
-        model = Model(D=np.eye(6), B=np.eye(6), K=K, most=most, turning=frame == "tool")
+            most = Bound.of(GainValue(np.array([bound, 2.0 * bound]), "error_max"))
+        model = Model(D=np.eye(6), B=np.eye(6), K=K, bound=most, turning=frame == "tool")
         ref = taut.TaskMotion(pose=taut.Pose.of(turned(rng), rng.standard_normal(3)))
         body = somewhere(rng)
 

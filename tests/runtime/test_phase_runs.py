@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -177,3 +179,23 @@ def test_switching_leaves_no_torque_jump_above_the_rate_limit_and_no_integrator(
     bar("phases: switches", switches)
     bar("phases: largest torque jump per tick / rate limit", f"{jump:.6f}")
     bar("phases: integral left behind [N m]", f"{rest:.1e}")
+
+
+def test_a_log_of_motion_and_force_reads_back_in_another_process(tmp_path: Path) -> None:
+    arm = taut.load_arm("planar3")
+    law = taut.laws.ComputedTorque(kp=100.0, kd=20.0)
+    hybrid = taut.laws.HybridMotionForce(constraint=taut.Constraint.of_joints(lambda q: q[0] - 0.5), motion=law)
+    task = [
+        taut.Phase(law, name="wait", until=lambda x: x.elapsed > 0.01),
+        taut.Phase(
+            hybrid, lambda x: taut.pressing(taut.JointMotion(q=x.q)), name="along", contact=lambda x: x.t > 0.0
+        ),
+    ]
+    run = taut.run(task, taut.RigidPlant(arm), duration=0.05, q0=[0.5, 0.8, 0.6])
+    path = run.save(tmp_path / "run.mcap")
+    code = (
+        f"import taut; run = taut.load_run({str(path)!r}); one = run.phase('along');"
+        "print(type(one.reference).__name__, one.reference.q.tolist() == one.reference.motion.q.tolist(), run.outcome)"
+    )
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == f"HybridMotion True {run.outcome}"

@@ -12,9 +12,10 @@ from taut.base.checks import one_of
 from taut.base.errors import RangeError, UsageError
 from taut.base.types import Float64Array, Matrix, Vector, Wrench
 from taut.control.command import Command, Terms, Torque
-from taut.control.compliance import FRAMES, GainFrame, check_sensor, wrench_at
-from taut.control.gains import Gain, GainValue
+from taut.control.compliance import FRAMES, GainFrame, check_damping, check_inertia, check_sensor, wrench_at
+from taut.control.gains import Gain
 from taut.control.law import Law, MemoryView, call
+from taut.control.spring import Bound
 from taut.control.task import check_error_max
 from taut.control.task_reference import TaskMotion
 from taut.control.virtual_dynamics import Body, Model, answered, damping_matrix, integrated
@@ -102,12 +103,12 @@ class Admittance(Law):
         one_of("model", self.model, MODELS)
         one_of("frame", self.frame, FRAMES)
         _check_inner(self.inner, self.tool)
-        _check_damping(self)
-        _check_inertia(self.D)
+        check_damping(self)
+        check_inertia(self.D)
         check_error_max(self.error_max if self.gives("error_max") else None, "decoupled")
 
     def check_rate(self, rate: float) -> None:
-        _check_inertia(self.D)
+        check_inertia(self.D)
         check_error_max(self.error_max if self.gives("error_max") else None, "decoupled")
         D, B, K = (np.asarray(x, dtype=np.float64) for x in (self.D.matrix(6), self._damping(), self.K.matrix(6)))
         if self.model == "own":
@@ -159,12 +160,11 @@ class Admittance(Law):
         return tm.array([*force, *moment])
 
     def _model(self) -> Model:
-        most = self.error_max if self.gives("error_max") else None
         return Model(
             D=self.D.matrix(6),
             B=self._damping(),
             K=self.K.matrix(6),
-            most=most,
+            bound=Bound.of(self.error_max) if self.gives("error_max") else None,
             turning=self.frame == "tool",
         )
 
@@ -203,41 +203,6 @@ def _check_inner(inner: object, tool: str | None) -> None:
 
 def _frame(name: str | None) -> str:
     return "of the arm's tool" if name is None else f"'{name}'"
-
-
-def _check_damping(law: Admittance) -> None:
-    if law.gives("B") and law.gives("zeta"):
-        raise UsageError(
-            "Admittance takes B or zeta, not both: zeta designs B from K and D; leave one of them out", name="zeta"
-        )
-    if not law.gives("B") and not law.gives("zeta"):
-        raise UsageError(
-            "Admittance needs its damping: B=(linear, angular) [N s/m, N m s/rad], or zeta=0.7 for the damping ratio "
-            "of every mode of D and K",
-            name="B",
-        )
-    if law.gives("zeta") and _least(law.K) <= 0.0:
-        raise RangeError(
-            "zeta damps the swing of D on K, and K has a direction without stiffness, which would have no damping; "
-            "give B instead",
-            name="zeta",
-        )
-
-
-def _least(gain: GainValue) -> float:
-    values = np.asarray(gain.as_array(), dtype=np.float64)
-    return float(np.linalg.eigvalsh(values)[0]) if values.ndim == 2 else float(values.min())
-
-
-def _check_inertia(D: GainValue) -> None:
-    least = _least(D)
-    if least <= 0.0:
-        raise RangeError(
-            f"D must be > 0 [kg, kg m^2] in every direction, for the wrench is divided by it; its least is {least:g}",
-            name="D",
-            value=least,
-            rule="> 0",
-        )
 
 
 def _check_own(D: Float64Array, B: Float64Array, K: Float64Array, rate: float) -> None:

@@ -12,26 +12,26 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from taut.base import math as tm
-from taut.base.errors import MatchError, UsageError
+from taut.base.errors import MatchError, RangeError, UsageError
 from taut.base.linalg import LTDL, times_square_root
 from taut.base.types import Array, Matrix, Rotation, Vector, Wrench
 from taut.control.command import Terms
 from taut.control.gains import GainValue
-from taut.control.spring import Bound
-from taut.control.targets import eased
+from taut.control.law import Law
+from taut.control.spring import Bound, pulled
 from taut.control.task_error import Coordinates, ErrorKind, TaskError, task_error
 from taut.control.task_reference import TaskMotion
-from taut.maths.out_of_reach import Beyond
 from taut.maths.snapshot import Snapshot
-from taut.maths.spatial import curve, pose_log_rate, rotated, turned_back
+from taut.maths.spatial import pose_log_rate, rotated
 
 __all__ = [
     "FRAMES",
     "Compliance",
     "GainFrame",
+    "check_damping",
     "check_frame",
+    "check_inertia",
     "check_sensor",
-    "eased_spring",
     "modal_damping",
     "six_gains",
     "spring",
@@ -86,33 +86,19 @@ class Compliance:
         return C if self.R is None else _turned(self.R.T, C)
 
     def wrench(self, force: Array) -> Wrench:
-        """(k,) what pulls the tool where the potential X . force falls: the rate of X turns a spring into its wrench.
-
-        -X-dot = A V of the tool at a resting reference, and the wrench A^T force. For forces along X it is the force
-        itself; for a stiffness that differs by direction the rest is what makes the spring conservative.
-        """
+        """(k,) what pulls the tool where the potential X . force falls, in the axes of the gains."""
         if self.kind == "coordinates":
             return force
         if self.kind in ("body", "space"):
             out: Wrench = pose_log_rate(self.X if self.kind == "body" else -self.X).T @ force
             return out
-        w = self.X[3:]
-        moment = turned_back(w, curve(w), force[3:], -1.0 if self.frame == "tool" else 1.0)
-        if self.frame == "tool":
-            moment = moment + tm.cross(self.X[:3], force[:3])
-        return tm.array([*force[:3], *moment])
+        return pulled(self.X, force, turning=self.frame == "tool")
 
 
 def spring(felt: Compliance, K: GainValue, bound: Bound | None) -> Terms:
     """The force of the spring in the axes of the gains, and what its bound takes of it."""
     whole = Terms(P=K @ felt.X)
     return whole if bound is None else whole + Terms(bound=bound.force(K, felt.X) - K @ felt.X)
-
-
-def eased_spring(felt: Compliance, K: GainValue, bound: Bound | None, away: Beyond) -> Wrench:
-    """(k,) the wrench of the spring, in the coordinates of the error, as it is to a target out of reach."""
-    force = (eased(away, away.clear) if bound is None else bound).force(K, felt.X)
-    return felt.outwards(felt.wrench(force))
 
 
 def _turned(R: Rotation, C: Matrix) -> Matrix:
@@ -189,3 +175,52 @@ def check_frame(frame: str, kind: str) -> None:
             f"frame='{frame}' is for error='decoupled'; error='{kind}' has coordinates of its own; leave frame out",
             name="frame",
         )
+
+
+def check_damping(law: Law) -> None:
+    """A law with the fields K, B and zeta has one of the latter two, and zeta has a swing to damp.
+
+    Raises:
+        UsageError: Both, or none.
+        RangeError: zeta with a K that leaves a direction without stiffness.
+    """
+    who, B, zeta = type(law).__name__, vars(law)["B"] is not None, law.gives("zeta")
+    if B and zeta:
+        raise UsageError(
+            f"{who} takes B or zeta, not both: zeta designs B from K and the inertia; leave one of them out",
+            name="zeta",
+        )
+    if not B and not zeta:
+        raise UsageError(
+            f"{who} needs its damping: B=(linear, angular) [N s/m, N m s/rad], or zeta=0.7 for the damping ratio of "
+            "every mode",
+            name="B",
+        )
+    if zeta and law.gives("K") and _least(vars(law)["K"]) <= 0.0:
+        raise RangeError(
+            "zeta damps the swing on K, and K has a direction without stiffness, which would have no damping; give B "
+            "instead",
+            name="zeta",
+        )
+
+
+def check_inertia(D: GainValue, way_out: str = "") -> None:
+    """An inertia is inverted, so that none of its directions may be zero.
+
+    Raises:
+        RangeError: One is.
+    """
+    least = _least(D)
+    if least <= 0.0:
+        raise RangeError(
+            f"D must be > 0 [kg, kg m^2] in every direction, for wrenches are divided by it; its least is {least:g}"
+            f"{way_out}",
+            name="D",
+            value=least,
+            rule="> 0",
+        )
+
+
+def _least(gain: GainValue) -> float:
+    values = np.asarray(gain.as_array(), dtype=np.float64)
+    return float(np.linalg.eigvalsh(values)[0]) if values.ndim == 2 else float(values.min())

@@ -70,7 +70,7 @@ class NormalEstimate(Law):
 
     ignores_reference = True
     rate: Gain = Gain(8.0, size=0)  # [1/s]
-    speed: Gain = Gain(0.01, size=0, minimum=1e-6)  # [m/s]
+    speed: Gain = Gain(0.02, size=0, minimum=1e-6)  # [m/s]
     force: Gain = Gain(1.0, size=0, minimum=1e-6)  # [N]
     most: Gain = Gain(0.6, size=0, minimum=1e-3, maximum=1.2)  # [rad]
     tilt: Memory = Memory((0.0, 0.0, 0.0))  # [1] (3,) tangent of the angle, across the stated normal
@@ -106,13 +106,9 @@ class NormalEstimate(Law):
         g = F - v * ((v @ F) / (v @ v + NEVER))
         N = n_0 @ g
         seen = _across(n_0, g) / tm.maximum(N, self.force[()])
-        steepest = tm.tan(self.most[()])
-        w = (
-            _above(speed, self.speed)
-            * _above(N, self.force)
-            * _within(tm.abs(n_0 @ v) / speed, steepest)
-            * _within(tm.sqrt(seen @ seen + NEVER), steepest)
-        )
+        # A tool that comes or goes is among what is too steep: g . v = 0, so |seen| >= |n_0 . v| / speed.
+        steep = _within(tm.sqrt(seen @ seen + NEVER), tm.tan(self.most[()]))
+        w = _above(speed, self.speed) * _above(N, self.force) * steep
         old = _across(n_0, tilt)
         out: Vector3 = old + (1.0 - tm.exp(-self.rate[()] * w * dt)) * (seen - old)
         return out

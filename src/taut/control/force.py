@@ -57,13 +57,13 @@ class ForceControl(Law):
     Contact is lost when less than `contact` is measured along F_des while more is asked for, longer than
     `patience`: memory `lost` is 1, a column of a run; the metric contact_lost_time and the outcome tell.
 
-    Loss of contact, why the speed is bounded: with w = (I + kfp) F_des + kfi int(F_e) and E = v . M v / 2, exact g,
-    and a null law that feeds no energy in, E-dot = V . (w - kdamp V). In the norm |y|^2 = V . kdamp V, in which
-    |y_w|^2 = w . kdamp^-1 w, that is at most |y| (|y_w| - |y|). So E falls whenever |y| > |y_w|, and over any time T
-    the mean of |y|^2 is at most max |y_w|^2 + 2 E(0) / T, for any arm and any motion. Where Lambda hardly changes,
-    as about a pose, y-dot = -S (y - y_w), S = kdamp^1/2 Lambda^-1 kdamp^1/2 symmetric positive, and a start from
-    rest keeps |y| <= max |y_w| at every instant, for w along one line; sampled, Lambda^-1 w dt may come on top. The
-    integral is cut at e_int_max, so that w is bounded.
+    Loss of contact, why the speed is bounded: with w = (I + kfp) F_des + kfi int(F_e), E = v . M v / 2, exact g,
+    and a null law that feeds no energy in, E-dot = V . w - V . kdamp V. With D = V . kdamp V and D_w = w . kdamp^-1
+    w that is at most sqrt(D D_w) - D. So E falls whenever D > D_w, and over any time T the mean of D is at most max
+    D_w + 2 E(0) / T, for any arm and any motion. Where Lambda hardly changes, as about a pose, y = kdamp^1/2 V
+    obeys y-dot = -S (y - y_w), S = kdamp^1/2 Lambda^-1 kdamp^1/2 symmetric positive, and a start from rest keeps D
+    <= max D_w at every instant, for w along one line; sampled, Lambda^-1 w dt may come on top of V. The integral is
+    cut at e_int_max, so that w is bounded.
 
     Frames:
         frame= names the axes of the gains and the integral, "world" or "tool"; F_des has a frame of its own. All at
@@ -96,7 +96,7 @@ class ForceControl(Law):
         ('v', 'F_ext')
         >>> v, omega = law.speed_bound(F_app=[0, 0, -10.0, 0, 0, 0])
         >>> round(v, 3)  # [m/s]: (1.5 * 10 N + 5 / s * 20 N s) / (100 N s/m), and what the moment's integral adds
-        1.235
+        1.597
 
     References:
         Section 10.3 force control. Khatib (1987), IEEE Journal of Robotics and Automation 3 (1), on J_bar.

@@ -103,6 +103,22 @@ class Pressing:
         return hybrid_kind(type(motion))(motion, np.array([press]), self._lam, self._F_app)
 
     @property
+    def rows(self) -> Callable[[Float64Array], Sample] | None:
+        """Samples at many times at once, where the motion gives them so: much faster than one by one."""
+        of_motion: Callable[[Float64Array], Sample] | None = getattr(self._motion, "rows", None)
+        if of_motion is None:
+            return None
+
+        def rows(times: Float64Array) -> Sample:
+            motion, k = of_motion(times), len(times)
+            given = [self._press(float(t)) if callable(self._press) else self._press for t in times]
+            press = np.array([_checked_press(value, float(t)) for value, t in zip(given, times, strict=True)])
+            lam, F_app = np.tile(self._lam, (k, 1)), np.tile(self._F_app, (k, 1))
+            return hybrid_kind(type(motion))(motion, press[:, np.newaxis], lam, F_app)
+
+        return rows
+
+    @property
     def duration(self) -> float | None:
         """[s] of the motion, where it has one."""
         return getattr(self._motion, "duration", None)

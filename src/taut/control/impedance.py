@@ -17,9 +17,10 @@ from taut.control.compliance import (
     FRAMES,
     Compliance,
     GainFrame,
+    check_damping,
     check_frame,
+    check_inertia,
     check_sensor,
-    eased_spring,
     modal_damping,
     six_gains,
     spring,
@@ -29,7 +30,7 @@ from taut.control.gains import Gain, GainValue
 from taut.control.law import Law, MemoryView
 from taut.control.nullspace import Posture
 from taut.control.spring import Bound
-from taut.control.targets import asked_of, calm_torque, out_of_reach
+from taut.control.targets import asked_of, calm_torque, eased, out_of_reach
 from taut.control.task import check_error_max, check_null, null_torque
 from taut.control.task_error import ERRORS, Coordinates, ErrorKind, check_coordinates, dimensions
 from taut.control.task_reference import TaskMotion
@@ -43,6 +44,7 @@ FEEDBACKS: Final[tuple[Feedback, ...]] = ("wrench", "acceleration")
 Coriolis = Literal["cancel", "keep"]
 CORIOLIS: Final[tuple[Coriolis, ...]] = ("cancel", "keep")
 LOST: Final = 1e-9  # of the largest: below it a direction is not there
+OWN: Final = "; leave D out for the arm's own inertia"
 HEAVY: Final = 10.0  # times the arm's mass, which no direction of its tool is made heavier than
 
 
@@ -123,15 +125,9 @@ class Impedance(Law):
         check_coordinates(self.error, self.coordinates, type(self).__name__)
         check_error_max(self.error_max if self.gives("error_max") else None, self.error)
         check_null(self.null)
-        _check_damping(self.has("B"), self.gives("zeta"))
-        if self.gives("zeta") and self.gives("K") and _least(self.K) <= 0.0:
-            raise RangeError(
-                "zeta damps the swing on K, and K has a direction without stiffness, which would have no damping; "
-                "give B instead",
-                name="zeta",
-            )
+        check_damping(self)
         if self.gives("D"):
-            _check_inertia(self.D)
+            check_inertia(self.D, OWN)
         elif not self.has("D") and self.feedback != "wrench":
             raise UsageError(
                 f"feedback='{self.feedback}' is for an inertia D to be felt, and this Impedance has none; give D, or "
@@ -153,7 +149,7 @@ class Impedance(Law):
 
     def check_rate(self, rate: float) -> None:  # noqa: ARG002
         if self.gives("D"):
-            _check_inertia(self.D)
+            check_inertia(self.D, OWN)
 
     def has(self, gain: str) -> bool:
         """Whether K, B or D is there, as numbers or as a function of the pose."""
@@ -265,7 +261,8 @@ class Impedance(Law):
             tau = tau + free
         away = out_of_reach(x, ref, self.tool, asked_of(self.error, self.coordinates))
         if away is not None:
-            calm = calm_torque(x, error.J, eased_spring(felt, K, bound, away))
+            pull = felt.outwards(felt.wrench(spring(felt, K, bound).total))
+            calm = calm_torque(x, error.J, pull if bound is not None else eased(away, away.clear, felt.X) * pull)
             tau = tau.up_to(tau.total + away.clear * (calm - tau.total), "reach")
         return Torque(tau), after
 
@@ -328,25 +325,6 @@ def _way_out(low: float, high: float, given: bool) -> str:
     return f"{'D and B' if given else 'D'} times {np.floor(100.0 * share) / 100.0:g} would do there"
 
 
-def _check_damping(B: bool, zeta: bool) -> None:
-    if B and zeta:
-        raise UsageError(
-            "Impedance takes B or zeta, not both: zeta designs B from K and the inertia; leave one of them out",
-            name="zeta",
-        )
-    if not B and not zeta:
-        raise UsageError(
-            "Impedance needs its damping: B=(linear, angular) [N s/m, N m s/rad], or zeta=0.7 for the damping "
-            "ratio of every mode",
-            name="zeta",
-        )
-
-
-def _least(gain: GainValue) -> float:
-    values = np.asarray(gain.as_array())
-    return float(np.linalg.eigvalsh(values)[0]) if values.ndim == 2 else float(values.min())
-
-
 def _check_given(name: str, values: Array) -> None:
     """What a function of the pose gives where a run starts is as good as numbers would be.
 
@@ -359,7 +337,7 @@ def _check_given(name: str, values: Array) -> None:
     else:
         require_at_least(name, values, 0.0)
     if name == "D":
-        _check_inertia(GainValue(values, name))
+        check_inertia(GainValue(values, name), OWN)
 
 
 def check_directions(x: Snapshot, tool: str | None, J: Matrix) -> None:
@@ -379,19 +357,6 @@ def check_directions(x: Snapshot, tool: str | None, J: Matrix) -> None:
             f"frame '{name}' of '{x.arm.name}' is moved by {moving} joints, and is asked for {len(rows)} directions; "
             "control another frame, or what it can do: error='coordinates', coordinates=taut.Coordinates.position()",
             name="tool",
-        )
-
-
-def _check_inertia(D: GainValue) -> None:
-    """An inertia is inverted, so that none of its directions may be zero."""
-    least = _least(D)
-    if least <= 0.0:
-        raise RangeError(
-            f"D must be > 0 [kg, kg m^2] in every direction; its least is {least:g}; leave D out for the arm's own "
-            "inertia",
-            name="D",
-            value=least,
-            rule="> 0",
         )
 
 
@@ -447,5 +412,5 @@ class Stiffness(Law):
         wrench = spring(felt, self.K, bound).mapped(felt.wrench).mapped(felt.outwards)
         away = out_of_reach(x, ref, self.tool, asked_of(self.error, self.coordinates))
         if away is not None and bound is None:
-            wrench = wrench.up_to(eased_spring(felt, self.K, None, away), "reach")
+            wrench = wrench.up_to(eased(away, away.clear, felt.X) * wrench.total, "reach")
         return Torque(felt.error.J.T @ wrench + Terms(gravity=x.g, D=-(self.kd @ x.v)))

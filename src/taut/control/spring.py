@@ -1,4 +1,4 @@
-"""The bounded spring: its error counts for less the larger it is, part by part, and it still has an energy."""
+"""The spring of impedance and admittance: its bound, with which it still has an energy, and how it pulls the tool."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from typing import Any, Self
 from taut.base import math as tm
 from taut.base.types import Matrix, Vector, Wrench
 from taut.control.gains import GainValue
+from taut.maths.spatial import curve, turned_back
 
-__all__ = ["Bound"]
+__all__ = ["Bound", "pulled"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -25,8 +26,7 @@ class Bound:
     @classmethod
     def of(cls, error_max: GainValue) -> Self:
         """That of error_max=(linear, angular) [m, rad]."""
-        most = [error_max[k] if error_max.ndim else error_max[()] for k in range(2)]
-        return cls(curves=(1.0 / (most[0] * most[0]), 1.0 / (most[1] * most[1])))
+        return cls(curves=(1.0 / (error_max[0] * error_max[0]), 1.0 / (error_max[1] * error_max[1])))
 
     def error(self, X: Vector) -> Vector:
         """(k,) part by part X / sqrt(1 + r^2), which is shorter than error_max."""
@@ -39,17 +39,35 @@ class Bound:
     def force(self, K: GainValue | Matrix, X: Vector) -> Wrench:
         """(k,) the gradient of that energy; with one stiffness for all directions of a part it is K error(X)."""
         whole, out = K @ self.stretch(X), []
-        for places, root, curve in zip(_places(X), self._roots(X), self.curves, strict=False):
+        for places, root, bound in zip(_places(X), self._roots(X), self.curves, strict=False):
             part, own = X[places], whole[places]
-            bend = 0.5 * curve / ((1.0 + root) * root)
+            bend = 0.5 * bound / ((1.0 + root) * root)
             out.extend(tm.sqrt(2.0 / (1.0 + root)) * (own - bend * (part @ own) * part))
         return tm.array(out)
 
     def _roots(self, X: Vector) -> list[Any]:
         return [
-            tm.sqrt(1.0 + (X[places] @ X[places]) * curve)
-            for places, curve in zip(_places(X), self.curves, strict=False)
+            tm.sqrt(1.0 + (X[places] @ X[places]) * bound)
+            for places, bound in zip(_places(X), self.curves, strict=False)
         ]
+
+
+def pulled(X: Vector, force: Vector, *, turning: bool) -> Wrench:
+    """(6,) what pulls the tool where the potential X . force falls, with X the decoupled error, desired minus actual.
+
+    -X-dot = A V of the tool at a resting reference, and the wrench is A^T force. For forces along X it is the force
+    itself; for a stiffness that differs by direction the rest is what makes the spring conservative.
+
+    Args:
+        X: (6,) in the axes of the gains.
+        force: (6,) likewise.
+        turning: Whether these axes are those of the tool, and turn with it.
+    """
+    w = X[3:]
+    moment = turned_back(w, curve(w), force[3:], -1.0 if turning else 1.0)
+    if turning:
+        moment = moment + tm.cross(X[:3], force[:3])
+    return tm.array([*force[:3], *moment])
 
 
 def _places(X: Vector) -> list[slice]:

@@ -6,10 +6,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from taut.base import math as tm
 from taut.base.types import Float64Array, Matrix, Vector, Wrench
 from taut.control.law import Law
 from taut.control.side_by_side import SideBySide
-from taut.control.spring import Bound
 from taut.control.task_error import Coordinates, ErrorKind
 from taut.control.task_reference import TaskMotion
 from taut.maths.ik import shortened
@@ -38,9 +38,14 @@ def out_of_reach(x: Snapshot, ref: TaskMotion, tool: str | None, asked: Asked | 
     return Beyond.of(found, ref.p, ref.R) if found else None
 
 
-def eased(away: Beyond, share: Any) -> Bound:
-    """The bound of an error to a target out of reach, in full where share is 1; none where it is 0."""
-    return Bound(curves=(share / (EASED[0] * away.reach) ** 2, share / EASED[1] ** 2))
+def eased(away: Beyond, share: Any, X: Vector) -> Any:
+    """The factor, at most 1, of a spring with the error X to a target out of reach; 1 where share is 0.
+
+    In full, X counts for less than EASED: it is X / sqrt(1 + r^2), with r its length in parts of that.
+    """
+    length = (X[:3] @ X[:3]) * (1.0 / (EASED[0] * away.reach) ** 2)
+    turn = (X[3:] @ X[3:]) * (1.0 / EASED[1] ** 2) if len(X) == 6 else 0.0
+    return 1.0 / tm.sqrt(1.0 + share * (length + turn))
 
 
 def calm_torque(x: Snapshot, J: Matrix, F: Wrench) -> Vector:

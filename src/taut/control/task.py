@@ -127,7 +127,7 @@ class TaskComputedTorque(Law):
             J, asked = error.J, a.total
             away = out_of_reach(x, ref, self.tool, asked_of(self.error, self.coordinates))
             if away is not None and x.n >= self.dimensions and not self.gives("error_max"):
-                asked = asked + self.kp @ (eased(away, away.far).error(error.X) - error.X)
+                asked = asked - (1.0 - eased(away, away.far, error.X)) * (self.kp @ error.X)
             if self.error == "space":  # what is nearly lost, and how dear it is, is told at the tool
                 p, J = x.T(self.tool).p, x.J(self.tool)
                 a, asked = a.mapped(lambda b: _at_point(p, b)), _at_point(p, asked)

@@ -15,6 +15,7 @@ from taut.base import math as tm
 from taut.base.types import Matrix, Rotation, Twist, Vector3, Wrench
 from taut.control.compliance import GainFrame, modal_damping
 from taut.control.gains import GainValue
+from taut.control.spring import Bound, pulled
 from taut.control.task_reference import TaskMotion
 from taut.maths.spatial import left_jacobian_inverse, rotated, rotation_exp, rotation_log
 
@@ -78,22 +79,8 @@ class Model:
     D: Matrix  # (6, 6) [kg, kg m^2]
     B: Matrix  # (6, 6) [N s/m, N m s/rad]
     K: Matrix  # (6, 6) [N/m, N m/rad]
-    most: GainValue | None = None  # (2,) error_max [m, rad]
+    bound: Bound | None = None  # of the spring
     turning: bool = False  # whether the axes are those of the tool, and turn with it
-
-    def _shares(self, X: Twist) -> tuple[list[Any], list[Any]]:
-        """Of the spring and of its energy, what its bound leaves: six entries each."""
-        force, energy = [], []
-        for k, part in enumerate((X[:3], X[3:])):
-            if self.most is None:
-                force += [1.0] * 3
-                energy += [1.0] * 3
-                continue
-            size = self.most[k] if self.most.ndim else self.most[()]
-            root = tm.sqrt(1.0 + (part[0] ** 2 + part[1] ** 2 + part[2] ** 2) / (size * size))
-            force += [1.0 / root] * 3
-            energy += [tm.sqrt(2.0 / (1.0 + root))] * 3
-        return force, energy
 
     def _rates(self, X: Twist) -> Matrix:
         """(6, 6) rate of X per U: the rotation vector's, and that of axes that turn under it."""
@@ -106,9 +93,8 @@ class Model:
 
     def pull(self, X: Twist) -> Wrench:
         """(6,) of the spring on the body [N, N m]."""
-        force, _ = self._shares(X)
-        pulled: Wrench = -(self._rates(X).T @ (self.K @ (X if self.most is None else tm.array(force) * X)))
-        return pulled
+        force = self.K @ X if self.bound is None else self.bound.force(self.K, X)
+        return pulled(-X, -force, turning=self.turning)
 
     def rate(self, X: Twist, U: Twist, F: Wrench) -> Twist:
         """(6,) U-dot = D^-1 (F - B U - K X), equation 10.50."""
@@ -117,8 +103,7 @@ class Model:
 
     def energy(self, X: Twist, U: Twist) -> Any:
         """[J] in the mass and the spring."""
-        _, shares = self._shares(X)
-        X = X if self.most is None else tm.array(shares) * X
+        X = X if self.bound is None else self.bound.stretch(X)
         return 0.5 * (U @ (self.D @ U) + X @ (self.K @ X))
 
     def step(self, X: Twist, U: Twist, F: Wrench, dt: Any) -> Twist:

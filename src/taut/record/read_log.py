@@ -129,14 +129,7 @@ def _sample_class(description: Description, path: Path) -> type[Sample]:
     from taut.control import laws  # noqa: F401  # so that all of ours are known
 
     n = len(description.joint_names)
-    of_phases = description.reference.startswith(f"{PhaseSample.__name__}[")
-    if of_phases:  # the class of a task's samples is made by what its phases follow
-        words = description.reference.partition("[")[2].removesuffix("]").split(",")
-        known = [[kind for kind in _subclasses(Sample) if kind.__name__ == word] for word in words]
-        for kinds in itertools.product(*known):
-            phase_sample(kinds)
-    named = [kind for kind in _subclasses(Sample) if kind.__name__ == description.reference]
-    for kind in reversed(named):  # a dataclass with slots leaves its first draft behind, which came before it
+    for kind in _candidates(description.reference):
         if kind.fields(n) == description.fields:
             return kind
     raise FileError(
@@ -144,6 +137,17 @@ def _sample_class(description: Description, path: Path) -> type[Sample]:
         f"{', '.join(description.fields)}, which is not known here; import the module that defines it first",
         name=str(path),
     )
+
+
+def _candidates(name: str) -> Iterator[type[Sample]]:
+    """The classes of that name; that of a task's samples is made by the kinds in its name."""
+    if name.startswith(f"{PhaseSample.__name__}["):
+        words = name.partition("[")[2].removesuffix("]").split(",")
+        for kinds in itertools.product(*(list(_candidates(word)) for word in words)):
+            yield phase_sample(kinds)
+        return
+    named = [kind for kind in _subclasses(Sample) if kind.__name__ == name]
+    yield from reversed(named)  # a dataclass with slots leaves its first draft behind, which came before it
 
 
 def _subclasses(kind: type[Any]) -> Iterator[type[Sample]]:
