@@ -52,7 +52,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return run
 
 
-@pytest.mark.parametrize("name", STORIES)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.xdist_group(name)) for name in STORIES])
 def test_a_story_reaches_its_pass_figures(name: str, told: Any) -> None:
     result = told(name)
     assert result.missed == ()
@@ -81,6 +81,7 @@ def test_the_page_has_the_pass_figures_of_the_file(name: str) -> None:
     assert [line.rstrip(" |").rpartition(" | ")[0] for line in lines] == wanted
 
 
+@pytest.mark.xdist_group("two_arms")
 def test_the_arm_that_is_not_pushed_rests_and_each_part_has_its_own_metrics(told: Any) -> None:
     run = told("two_arms").runs[Trial("", "both")]
     left, right = run.part("left"), run.part("right")
@@ -99,12 +100,14 @@ def test_a_run_has_parts_only_of_laws_side_by_side(told: Any) -> None:
         told("two_arms").runs[Trial("", "both")].part("lift")
 
 
+@pytest.mark.xdist_group("xarm7_directions")
 def test_deflections_are_as_one_to_the_stiffness(told: Any) -> None:
     runs = told("xarm7_directions").runs
     ways = [runs[Trial(f"along tool {axis}", "impedance")].metrics.task_final for axis in "xyz"]
     assert np.array(ways) / ways[2] == pytest.approx([4.0, 2.0, 1.0], rel=0.01)
 
 
+@pytest.mark.xdist_group("policy_10hz")
 def test_a_blended_reference_is_that_of_the_chunk_when_the_next_one_comes(told: Any) -> None:
     runs = told("policy_10hz").runs
     blended, bare = (np.asarray(runs[Trial(case, "impedance")].reference.p) for case in ("blended", "not blended"))
@@ -113,6 +116,7 @@ def test_a_blended_reference_is_that_of_the_chunk_when_the_next_one_comes(told: 
     assert apart[99::100].max() < 1e-5
 
 
+@pytest.mark.xdist_group("xarm7_directions")
 def test_each_push_moves_the_tool_along_itself(told: Any) -> None:
     for i, axis in enumerate("xyz"):
         run = told("xarm7_directions").runs[Trial(f"along tool {axis}", "impedance")]
@@ -192,6 +196,7 @@ def test_policies_are_refused_in_words(old: str, tmp_path: Path) -> None:
 # -------------------------------------------------------------------- contact
 
 
+@pytest.mark.xdist_group("panda_erases")
 def test_the_phases_of_a_story_tell_what_is_their_own(told: Any) -> None:
     """What the law of another phase remembered, such as an estimate, is not what this one took for true."""
     run = told("panda_erases").runs[Trial("", "task")]
@@ -202,6 +207,7 @@ def test_the_phases_of_a_story_tell_what_is_their_own(told: Any) -> None:
     assert np.isnan(run.phase("approach").metrics.normal_error)
 
 
+@pytest.mark.xdist_group("panda_writes")
 def test_what_sticks_is_held_by_friction_within_its_cone(told: Any) -> None:
     stuck = told("panda_writes").runs[Trial("", "task")].phase("stick")
     x, y, z = stuck.extra["F_ext"][-1, :3]
@@ -210,6 +216,7 @@ def test_what_sticks_is_held_by_friction_within_its_cone(told: Any) -> None:
     assert np.linalg.norm(stuck.task.twist[-1, :3]) < 1e-3
 
 
+@pytest.mark.xdist_group("panda_writes_round")
 def test_a_round_surface_is_written_on_at_its_speed(told: Any) -> None:
     wrote = told("panda_writes_round").runs[Trial("", "task")].phase("write")
     speed = np.linalg.norm(wrote.task.twist[:, :3], axis=1)
@@ -217,6 +224,7 @@ def test_a_round_surface_is_written_on_at_its_speed(told: Any) -> None:
     assert np.ptp(wrote.task.p[:, 2]) > 0.08
 
 
+@pytest.mark.xdist_group("panda_polishes")
 def test_a_surface_that_is_polished_goes_to_and_fro(told: Any) -> None:
     polished = told("panda_polishes").runs[Trial("", "task")].phase("polish").between(0.7, 4.1)
     assert np.abs(polished.task.twist[:, 2]).max() == pytest.approx(0.1, rel=0.05)
