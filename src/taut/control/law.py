@@ -74,7 +74,7 @@ class Law:
     * optionally `check_state(self, x, rate)`, which refuses gains that have no meaning where a run starts, and
       `check_change(self, x, rate)`, which refuses new ones where the arm is then;
     * `reference`, the kind of sample it follows (JointMotion unless said);
-    * `recorded`, the entries of its memory that a run keeps as further columns (none unless said).
+    * `recorded`, the entries of its memory that a run keeps as further columns, where it has them (none unless said).
 
     Laws add: `FeedForward() + PID(kp=..., kd=...)`. A law must not inherit from another one: it holds it in a field.
     A law that it holds in `inner: taut.Law` starts with it, and is called as

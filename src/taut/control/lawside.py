@@ -241,7 +241,8 @@ class LawSide:
     @cached_property
     def recorded(self) -> tuple[str, ...]:
         """Paths of the memory that a run keeps, as it is after each tick: law.ik_error."""
-        return tuple(f"{path}.{name}" for path, law in all_laws(self.law, "law") for name in law.recorded)
+        kept = (f"{path}.{name}" for path, law in all_laws(self.law, "law") for name in law.recorded)
+        return tuple(path for path in kept if path in self.probe.shapes)
 
     @property
     def needs(self) -> tuple[str, ...]:

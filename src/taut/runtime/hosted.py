@@ -13,7 +13,7 @@ from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.layout import Block
 from taut.control.reference import Reference
 from taut.controller import Controller, take_up_change
-from taut.loop import sensed_of
+from taut.loop import sensed_of, without_environment
 from taut.maths.snapshot import Snapshot
 from taut.record.outcome import Outcome
 from taut.runtime.events import Event
@@ -63,6 +63,10 @@ class HostedRun:
                     side.checked_parameter(path, value)
                 elif path in plant.parameters:
                     values[path] = plant.checked_parameter(path, value)
+                elif path.partition(".")[0] == "environment" and not any(
+                    name.startswith("environment.") for name in plant.parameters
+                ):
+                    raise without_environment(path)
                 else:
                     raise unknown_name("the run", "parameter", path, [*side.parameters, *plant.parameters])
             plant.check_together(values)
