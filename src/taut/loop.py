@@ -25,7 +25,15 @@ from taut.maths.adds import Adds
 from taut.maths.snapshot import MEASUREMENTS
 from taut.plant.sensors import Sensors
 
-__all__ = ["AnyPlant", "Loop", "ModelPlant", "check_fit", "require_no_reference", "sensed_of"]
+__all__ = [
+    "AnyPlant",
+    "Loop",
+    "ModelPlant",
+    "check_fit",
+    "require_no_reference",
+    "sensed_of",
+    "without_environment",
+]
 
 Values = Mapping[str, Any]
 DT: Final = "dt"
@@ -349,6 +357,15 @@ class Loop:
         return self.side.law.reference.of(subtree(inputs, "ref"))
 
 
+def without_environment(path: str) -> UsageError:
+    """A push, or what else is set of an environment, needs one in the plant."""
+    return UsageError(
+        f"'{path}' is of the plant's environment, and this plant has none; give it one, such as "
+        "taut.RigidPlant(arm, environment=taut.Push(...)) for Event.push",
+        name=path,
+    )
+
+
 class LoopParameters(MutableMapping[str, Float64Array]):
     """Parameters of a loop by path; a new value is checked like the first one."""
 
@@ -386,8 +403,13 @@ class LoopParameters(MutableMapping[str, Float64Array]):
         return self._values.get(path, default)
 
     def _require(self, path: str) -> None:
-        if path not in self._values:
-            raise unknown_name("the loop", "parameter", path, self._values)
+        if path in self._values:
+            return
+        if path.partition(".")[0] == "environment" and not any(
+            name.startswith("environment.") for name in self._values
+        ):
+            raise without_environment(path)
+        raise unknown_name("the loop", "parameter", path, self._values)
 
     def __delitem__(self, path: str) -> None:
         raise UsageError(f"parameter '{path}' cannot be removed; set it", name=path)

@@ -145,7 +145,7 @@ def test_gains_are_pairs_and_a_law_may_hold_one_or_none(tmp_path: Path) -> None:
         "TCT": {**TCT, "null": {"law": "Posture", "kp": 10.0, "kd": 6.0}},
         "Z": {"law": "Impedance", "K": [800, 30], "zeta": 0.7, "null": "none"},
     }
-    read: Any = load_scenario(str(written(tmp_path, {"kind": "hold"}, laws))).laws
+    read: Any = load_scenario(str(written(tmp_path, {"kind": "hold"}, laws, arm={"model": "panda"}))).laws
     np.testing.assert_array_equal(read["TCT"].kp.as_array(), np.full(6, 400.0))
     assert isinstance(read["TCT"].null, taut.laws.Posture)
     assert float(read["TCT"].null.kd) == 6.0

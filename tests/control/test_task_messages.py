@@ -195,6 +195,18 @@ CASES: list[tuple[Callable[[], Any], type[Exception], str]] = [
         "null holds a law that gives a torque, and Speed gives a velocity",
     ),
     (
+        lambda: taut.compile(L.TaskComputedTorque(kp=1.0, kd=1.0, null=L.Posture(kp=2.0)), taut.load_arm("ur10")),
+        taut.MatchError,
+        "null=Posture(...) is for motion that the task leaves free, and with 6 joints 'ur10' has none beside 6 "
+        "directions; leave null out",
+    ),
+    (
+        lambda: taut.compile(L.Impedance(K=(1.0, 1.0), zeta=1.0, null=L.Posture()), taut.load_arm("planar3")),
+        taut.MatchError,
+        "null=Posture(...) is for motion that the task leaves free, and with 3 joints 'planar3' has none beside 6 "
+        "directions; leave null out",
+    ),
+    (
         lambda: task(null=L.Posture(q=[0.0, 0.0])),
         taut.ShapeError,
         "q must have shape (7,) (7 joints); got shape (2,)",

@@ -300,6 +300,11 @@ REFUSED: list[tuple[Any, type[Exception], str]] = [
         taut.RangeError,
         "centre must be in the plane through T0 that the axis is normal to; it is 0.01 m off, and the nearest point is [0.4, 0.0, 0.3]",
     ),
+    (
+        lambda: ring(angle=-360),
+        taut.RangeError,
+        "angle must be in radians; got -360, which is 57.3 turns; if it is in degrees, np.radians(-360) converts it",
+    ),
     (lambda: ring(orientation="free"), taut.UsageError, "orientation must be one of 'keep', 'turn'; got 'free'"),
     (
         lambda: taut.Circle.through(T0=START, via=START.p, end=START.p + 0.1, duration=1.0),

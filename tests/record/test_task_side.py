@@ -78,6 +78,7 @@ class TestTaskSide:
     def test_it_is_what_the_snapshot_says_at_each_tick(self, run: taut.Run) -> None:
         task = run.task
         assert task.frame == "tool"
+        assert repr(task) == "TaskSide(frame 'tool', 501 ticks)"
         for k in (0, 100, 300, 500):
             x = taut.snapshot(ARM, run.q[k], run.v[k])
             np.testing.assert_allclose(task.p[k], x.T().p, atol=1e-14)

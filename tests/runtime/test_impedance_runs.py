@@ -373,3 +373,20 @@ def test_expm_is_what_a_free_mode_does() -> None:
     exact = expm(np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]]) * T)
     step = np.array([[1.0 - T * T * w * w, T * (1.0 - 2.0 * zeta * w * T)], [-T * w * w, 1.0 - 2.0 * zeta * w * T]])
     assert np.abs(exact - step).max() <= 0.01
+
+
+def test_a_run_keeps_the_energy_of_the_tank() -> None:
+    arm = taut.load_arm("planar3")
+    position = taut.Coordinates(function=lambda T: taut.math.array([T.p[0], T.p[2]]))
+    law = taut.laws.Impedance(
+        K=[100.0, 100.0], B=[10.0, 10.0], error="coordinates", coordinates=position, tank=0.5, null=None
+    )
+    events = [taut.Event(t=0.05, set={"law.K": [400.0, 400.0]})]
+    target = taut.TaskMotion(pose=taut.snapshot(arm, np.add(arm.home, 0.1)).T())
+    run = taut.run(taut.compile(law, arm), taut.RigidPlant(arm), target, duration=0.1, events=events)
+    energy = run.extra["law.energy"]
+    assert energy[:50] == pytest.approx(0.5, abs=1e-9)
+    assert 0.0 <= energy[-1] < 0.4  # what the stiffer spring has cost
+    panda = taut.load_arm("panda")
+    without = taut.run(taut.compile(impedance(), panda), taut.RigidPlant(panda), at(panda, panda.home), duration=0.01)
+    assert "law.energy" not in without.extra

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from taut.control.law import Law, MemoryView
 from taut.control.nullspace import Posture
 from taut.control.spring import Bound
 from taut.control.targets import asked_of, calm_torque, eased, out_of_reach
-from taut.control.task import check_error_max, check_null, null_torque
+from taut.control.task import check_error_max, check_free, check_null, note_null, null_torque
 from taut.control.task_error import ERRORS, Coordinates, ErrorKind, check_coordinates, dimensions
 from taut.control.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
@@ -71,8 +71,8 @@ class Impedance(Law):
     nothing along a closed path; it is K X_e itself where X_e is along an axis of K. With zeta= the damping is
     designed at each pose from K and the inertia that is felt, D or Lambda(q): zeta is the damping ratio of each mode.
 
-    To a target that is certainly out of reach the torque is that of the spring alone, without error_max eased to 0.05
-    of the reach, 0.3 rad, on joints that settle at 5/s within their speed limits: the term `reach`, else zero.
+    Without error_max, to a target that is certainly out of reach, the torque is that of the spring alone, eased to
+    0.05 of the reach, 0.3 rad, on joints that settle at 5/s within their speed limits: the term `reach`, else zero.
 
     Frames:
         frame= names the axes of K, B and D: "world", "task" (of the reference pose) or "tool".
@@ -89,7 +89,8 @@ class Impedance(Law):
             The bounded spring too is the gradient of an energy.
         tank: Energy that is kept for changes of K and D [J]: they bring in no more than is there. New values come in
             over `settle` seconds, as far as the tank pays for them; it starts full, and what damping takes from the
-            arm fills it again, up to that much. Without it a new K acts at once, jump and energy included.
+            arm fills it again, up to that much. Without it a new K acts at once, jump and energy included. In a run
+            it is the further column `law.energy` [J].
         settle: Time constant of such changes [s].
         coriolis: "cancel" or "keep".
         null: A law for the motion that the task leaves free; None to leave it free.
@@ -101,6 +102,7 @@ class Impedance(Law):
     """
 
     reference = TaskMotion
+    recorded: ClassVar[tuple[str, ...]] = ("energy",)
     K: Gain = Gain(size="dimensions", pairs=True, scalar=False, function=True)  # [N/m, N m/rad]
     B: Gain = Gain(size="dimensions", pairs=True, scalar=False, optional=True, function=True)  # [N s/m, N m s/rad]
     zeta: Gain = Gain(optional=True, size=0)  # [-]
@@ -125,6 +127,7 @@ class Impedance(Law):
         check_coordinates(self.error, self.coordinates, type(self).__name__)
         check_error_max(self.error_max if self.gives("error_max") else None, self.error)
         check_null(self.null)
+        note_null(self)
         check_damping(self)
         if self.gives("D"):
             check_inertia(self.D, OWN)
@@ -175,6 +178,7 @@ class Impedance(Law):
         ref = TaskMotion.at_rest(x, self.tool)
         felt = Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
         check_directions(x, self.tool, felt.error.J)
+        check_free(self, x, self.dimensions)
         if self.has("D") and self.feedback == "wrench":
             check_sensor(x, self.tool)
         self.check_change(x, rate)
@@ -260,9 +264,9 @@ class Impedance(Law):
             free, after["null"] = null_torque(self.null, x, ref, memory["null"], dt, inertia)
             tau = tau + free
         away = out_of_reach(x, ref, self.tool, asked_of(self.error, self.coordinates))
-        if away is not None:
-            pull = felt.outwards(felt.wrench(spring(felt, K, bound).total))
-            calm = calm_torque(x, error.J, pull if bound is not None else eased(away, away.clear, felt.X) * pull)
+        if away is not None and bound is None:
+            pull = felt.outwards(felt.wrench(spring(felt, K, None).total))
+            calm = calm_torque(x, error.J, eased(away, away.clear, felt.X) * pull)
             tau = tau.up_to(tau.total + away.clear * (calm - tau.total), "reach")
         return Torque(tau), after
 

@@ -75,7 +75,7 @@ class Law:
       `check_change(self, x, rate)`, which refuses new ones where the arm is then;
     * optionally `check_reference(self, x, ref, rate)`, which refuses what a run is to follow from there;
     * `reference`, the kind of sample it follows (JointMotion unless said);
-    * `recorded`, the entries of its memory that a run keeps as further columns (none unless said);
+    * `recorded`, the entries of its memory that a run keeps as further columns, where it has them (none unless said);
     * `notices`, pairs of a recorded entry and what the outcome of a run says where that is not zero;
     * `needs_contact`, whether a `taut.Phase` with it never starts without contact (not unless said).
 

@@ -256,8 +256,8 @@ class LawSide:
     def recorded(self) -> dict[str, str]:
         """Paths of the memory that a run keeps, as it is after each tick, by its column: law.ik_error."""
         of_task = {"phase": "law.phase", "phase_ended": "law.ended"} if isinstance(self.law, Phases) else {}
-        paths = [f"{path}.{name}" for path, law in all_laws(self.law, "law") for name in law.recorded]
-        return of_task | {path: path for path in paths}
+        kept = (f"{path}.{name}" for path, law in all_laws(self.law, "law") for name in law.recorded)
+        return of_task | {path: path for path in kept if path in self.probe.shapes}
 
     @cached_property
     def notices(self) -> dict[str, str]:

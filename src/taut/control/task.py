@@ -8,7 +8,7 @@ import numpy as np
 
 from taut.base import math as tm
 from taut.base.checks import one_of, require_positive
-from taut.base.errors import ShapeError, UsageError
+from taut.base.errors import MatchError, ShapeError, UsageError
 from taut.base.types import Vector
 from taut.control.command import Command, Terms, Torque
 from taut.control.gains import Gain, GainValue, Memory
@@ -23,7 +23,7 @@ from taut.maths.singularity import ResolvedMotion, resolve
 from taut.maths.snapshot import Snapshot
 from taut.maths.task_inertia import TaskInertia
 
-__all__ = ["TaskComputedTorque", "check_error_max", "check_null", "null_torque"]
+__all__ = ["TaskComputedTorque", "check_error_max", "check_free", "check_null", "note_null", "null_torque"]
 
 
 Singularity = Literal["robust", "plain"]
@@ -96,6 +96,7 @@ class TaskComputedTorque(Law):
         check_coordinates(self.error, self.coordinates, type(self).__name__)
         check_error_max(self.error_max if self.gives("error_max") else None, self.error)
         check_null(self.null)
+        note_null(self)
 
     @property
     def dimensions(self) -> int:
@@ -104,6 +105,9 @@ class TaskComputedTorque(Law):
 
     def check_rate(self, rate: float) -> None:
         check_tracking(self.anti_windup, self.tracking, rate)
+
+    def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
+        check_free(self, x, self.dimensions)
 
     def command(
         self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: float
@@ -195,6 +199,26 @@ def check_null(null: object) -> None:
         raise UsageError(
             f"null holds a law that follows no reference, such as taut.laws.Posture(), and {type(null).__name__} "
             f"follows a {null.reference.__name__}",
+            name="null",
+        )
+
+
+def note_null(law: Law) -> None:
+    """Keep in mind whether a law was given its `null`, which the law bound to other gains does not show."""
+    object.__setattr__(law, "_null_given", vars(law)["null"] is not vars(type(law))["null"])
+
+
+def check_free(law: Law, x: Snapshot, dimensions: int) -> None:
+    """A law that is given for the free motion needs one; that which is there unsaid does nothing without.
+
+    Raises:
+        MatchError: The task leaves nothing free.
+    """
+    null = vars(law)["null"]
+    if vars(law)["_null_given"] and null is not None and x.n <= dimensions:
+        raise MatchError(
+            f"null={type(null).__name__}(...) is for motion that the task leaves free, and with {x.n} joints "
+            f"'{x.arm.name}' has none beside {dimensions} directions; leave null out",
             name="null",
         )
 

@@ -25,6 +25,7 @@ __all__ = ["Circle", "Line", "Screw", "checked_pose", "task_rows", "turn_between
 
 HALF_TURN: Final = 1e-9  # [rad] a rotation this close to pi has two ways
 NO_PART: Final = 1e-6  # a component of a unit vector this small counts as none
+DEGREES: Final = 30.0  # [rad] from which on a round number is one of degrees
 FLAT: Final = 1e-6  # [m] how far from the circle's plane its centre may be
 STRAIGHT: Final = 1e-9  # sine of an angle below which three points are on one line
 ORIENTATIONS: Final = ("keep", "turn")
@@ -185,6 +186,14 @@ class Circle:
         T0 = checked_pose("T0", self.T0)
         centre, axis = vector("centre", self.centre, 3, unit="m"), vector("axis", self.axis, 3)
         angle = finite_scalar("angle", self.angle, unit="rad")
+        if abs(angle) >= DEGREES and abs(angle) % 5.0 == 0.0:
+            raise RangeError(
+                f"angle must be in radians; got {angle:g}, which is {abs(angle) / (2.0 * np.pi):.3g} turns; if it is "
+                f"in degrees, np.radians({angle:g}) converts it",
+                name="angle",
+                value=angle,
+                rule="radians",
+            )
         one_of("orientation", self.orientation, ORIENTATIONS)
         if not axis.any():
             raise RangeError("axis must have a direction; got zeros", name="axis", rule="not zero")

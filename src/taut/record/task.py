@@ -36,6 +36,9 @@ class TaskSide:
     twist: Float64Array  # (k, 6) linear part first, world axes [m/s, rad/s]
     wanted: TaskMotion | None  # (k, ...) the reference, where it is one of the task
 
+    def __repr__(self) -> str:
+        return f"TaskSide(frame '{self.frame}', {len(self.p)} ticks)"
+
     @cached_property
     def position_error(self) -> Float64Array | None:
         """(k, 3) wanted minus true position [m]; None where the reference is none of the task."""

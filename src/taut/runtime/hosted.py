@@ -16,7 +16,7 @@ from taut.control.phase_feed import PhaseFeed
 from taut.control.phases import Phases
 from taut.control.reference import Reference
 from taut.controller import Controller, take_up_change
-from taut.loop import sensed_of
+from taut.loop import sensed_of, without_environment
 from taut.maths.snapshot import Snapshot
 from taut.record.outcome import Outcome
 from taut.runtime.events import Event
@@ -65,6 +65,10 @@ class HostedRun:
                     side.checked_parameter(path, value)
                 elif path in plant.parameters:
                     values[path] = plant.checked_parameter(path, value)
+                elif path.partition(".")[0] == "environment" and not any(
+                    name.startswith("environment.") for name in plant.parameters
+                ):
+                    raise without_environment(path)
                 else:
                     raise unknown_name("the run", "parameter", path, [*side.parameters, *plant.parameters])
             plant.check_together(values)
