@@ -30,6 +30,7 @@ STORIES = (
     "wrist_alignment",
     "policy_10hz",
     "panda_presses",
+    "cabinet_door",
 )
 
 
@@ -99,6 +100,16 @@ def test_deflections_are_as_one_to_the_stiffness(told: Any) -> None:
     runs = told("xarm7_directions").runs
     ways = [runs[Trial(f"along tool {axis}", "impedance")].metrics.task_final for axis in "xyz"]
     assert np.array(ways) / ways[2] == pytest.approx([4.0, 2.0, 1.0], rel=0.01)
+
+
+def test_the_real_door_is_open_by_60_degrees_and_a_motion_alone_would_jam_it(told: Any) -> None:
+    plant = told("cabinet_door").scenario.plant
+    assert np.rad2deg(abs(plant.data.joint("door").qpos[0])) > 60.0
+    story = load_scenario("cabinet_door")
+    ctrl = taut.compile(taut.laws.TaskComputedTorque(kp=900.0, kd=60.0), story.arm, rate=250.0)
+    way: Any = story.reference
+    out = taut.run(ctrl, story.plant, way.motion, duration=6.0)
+    assert out.metrics.force_rms > 50.0
 
 
 def test_a_blended_reference_is_that_of_the_chunk_when_the_next_one_comes(told: Any) -> None:

@@ -145,6 +145,7 @@ class TestMetrics:
         F_ext = np.array([[0.0, 3.0, 4.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 2.0, -1.0, 2.0]])
         m = make_run([0.0, 1.0], [[0.0], [0.0]], extra={"F_ext": F_ext}).metrics
         assert (m.peak_force, m.peak_moment) == (5.0, 3.0)
+        assert (m.least_force, m.force_rms) == (1.0, pytest.approx(np.sqrt(13.0)))
         assert "peak_force   5 [N]: peak of the norm of the environment's force" in str(m)
 
     def test_the_table_has_a_line_for_each_number_of_the_tool(self, run: taut.Run) -> None:

@@ -23,7 +23,7 @@ from taut.control.reference import Hold, JointMotion, Reference
 from taut.control.trajectory import Cubic, JerkLimited, Quintic, Samples, Sine, Spline, Trapezoidal
 from taut.maths.snapshot import snapshot
 
-__all__ = ["JOINT_KINDS", "read_reference"]
+__all__ = ["JOINT_KINDS", "read_forces", "read_reference"]
 
 JOINT_KINDS: Final = {
     "set-point": JointMotion,
@@ -61,10 +61,10 @@ def read_reference(
     relative = section.flag("relative_to_home", False)
     if kind in TASK_KINDS:
         T = snapshot(arm, home).T(_controlled_frame(section, laws))
-        press = section.number("press", None)
+        forces = read_forces(section)
         motion = read_task_reference(section, kind, HomeFrame(T, relative=relative), folder)
         with section.blamed("press"):
-            return motion if press is None else pressing(motion, press)  # type: ignore[arg-type]  # it refuses streams
+            return pressing(motion, **forces) if forces else motion  # type: ignore[arg-type]  # it refuses streams
     origin = np.zeros(arm.n) if relative else home
     file = section.text("file", None) if kind == "samples" else None
     if file is None:
@@ -82,6 +82,13 @@ def read_reference(
         for name in given:
             require_radians(name, getattr(made, name), arm)
     return made  # type: ignore[no-any-return]  # a sample or a trajectory
+
+
+def read_forces(section: Section) -> dict[str, Any]:
+    """What a motion is to press with: press, lam or F_app, as of taut.pressing; empty if nothing is said."""
+    forces = {"press": section.number("press", None)}
+    forces |= {name: section.numbers(name, None) for name in ("lam", "F_app")}
+    return {name: value for name, value in forces.items() if value is not None}
 
 
 def _controlled_frame(section: Section, laws: Mapping[str, Law]) -> str | None:

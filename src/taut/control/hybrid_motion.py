@@ -103,6 +103,23 @@ class Pressing:
         return hybrid_kind(type(motion))(motion, np.array([press]), self._lam, self._F_app)
 
     @property
+    def motion(self) -> Sample | Trajectory:
+        """The motion without the forces."""
+        return self._motion
+
+    @property
+    def rows(self) -> Callable[[Float64Array], Sample] | None:
+        """Samples at many times at once, as arrays (k, ...); None where the motion has only one after the other."""
+        return None if getattr(self._motion, "rows", None) is None else self._at_all
+
+    def _at_all(self, times: Float64Array) -> Sample:
+        motion: Sample = self._motion.rows(times)  # type: ignore[union-attr]
+        press, count = self._press, len(times)
+        numbers = [_checked_press(press(float(t)), float(t)) for t in times] if callable(press) else [press] * count
+        lam, F_app = (np.broadcast_to(force, (count, len(force))) for force in (self._lam, self._F_app))
+        return hybrid_kind(type(motion))(motion, np.array(numbers)[:, np.newaxis], lam, F_app)
+
+    @property
     def duration(self) -> float | None:
         """[s] of the motion, where it has one."""
         return getattr(self._motion, "duration", None)

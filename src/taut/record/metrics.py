@@ -91,6 +91,8 @@ MEASURES: Final = {
     "task_rms_rotation": of_tool("rotation RMS", "rad", "RMS of the angle of the tool's rotation error"),
     "task_peak_rotation": of_tool("rotation peak", "rad", "peak of the angle of the tool's rotation error"),
     "least_singular_value": of_tool("least singular", "1", "the smallest singular value of J in the run"),
+    "least_force": of_tool("least force", "N", "the least norm of the environment's force"),
+    "force_rms": of_tool("RMS force", "N", "RMS of the norm of the environment's force"),
     "peak_force": of_tool("peak force", "N", "peak of the norm of the environment's force"),
     "peak_moment": of_tool("peak moment", "N m", "peak of the norm of the environment's moment"),
     "force_error_rms": of_tool("force RMS", "N", "RMS of the norm of the error of the force that the arm applies"),
@@ -176,6 +178,8 @@ class Metrics:
         final_z: [m]
         least_singular_value: The smallest singular value of the tool's Jacobian in the run, metres and radians taken
             as alike; 0 at a singularity.
+        least_force: [N] smallest force of the environment on the arm; force_rms: root of its mean square.
+        force_rms: [N]
         peak_force: [N] largest force of the environment on the arm.
         peak_moment: [N m] its largest moment at the tool.
         force_error_rms: [N] root of the mean square of the force's error: wanted less applied, both of the arm on the
@@ -237,6 +241,8 @@ class Metrics:
     final_y: float
     final_z: float
     least_singular_value: float
+    least_force: float
+    force_rms: float
     peak_force: float
     peak_moment: float
     force_error_rms: float
@@ -393,6 +399,8 @@ def _of_tool(run: Run) -> dict[str, Any]:
         out["least_singular_value"] = float(task.least_singular_value.min())
     if "F_ext" in run.extra:
         wrench = run.extra["F_ext"]
+        size = np.linalg.norm(wrench[:, :3], axis=1)
+        out |= {"least_force": float(size.min()), "force_rms": float(_rms(size))}
         for name, part in (("peak_force", wrench[:, :3]), ("peak_moment", wrench[:, 3:])):
             out[name] = float(np.linalg.norm(part, axis=1).max())
     error = force_error(run)
