@@ -31,6 +31,8 @@ STORIES = (
     "policy_10hz",
     "panda_presses",
     "cabinet_door",
+    "two_arms_bar",
+    "wheel_tool",
 )
 
 
@@ -110,6 +112,25 @@ def test_the_real_door_is_open_by_60_degrees_and_a_motion_alone_would_jam_it(tol
     way: Any = story.reference
     out = taut.run(ctrl, story.plant, way.motion, duration=6.0)
     assert out.metrics.force_rms > 50.0
+
+
+def test_the_bar_itself_is_turned_and_squeezed_along_its_axis(told: Any) -> None:
+    result = told("two_arms_bar")
+    run, data = result.runs[Trial("", "hybrid")], result.scenario.plant.data
+    turn = np.deg2rad(40.0)
+    middle = data.body("bar").xpos + data.body("bar").xmat.reshape(3, 3) @ [0.0, -0.25, 0.0]
+    assert np.abs(middle - [0.6, 0.0, 0.1]).max() < 0.002
+    assert data.body("bar").xmat.reshape(3, 3)[:, 1] == pytest.approx([-np.sin(turn), np.cos(turn), 0.0], abs=0.004)
+    along = np.sum(np.asarray(run.extra["F_ext"])[500:, :3] * run.task.R[500:, :, 1], axis=1)
+    assert np.sqrt(np.mean((along - 20.0) ** 2)) < 0.1
+
+
+def test_the_wheel_rolls_along_the_curve_by_friction_alone(told: Any) -> None:
+    data = told("wheel_tool").scenario.plant.data
+    x = np.linspace(0.0, 0.3, 10_001)
+    y = 0.03 * (1.0 - np.cos(2.0 * np.pi * x / 0.3))
+    length = np.hypot(np.diff(x), np.diff(y)).sum()
+    assert 0.02 * abs(data.joint("axle").qpos[0]) == pytest.approx(length, abs=2e-3)
 
 
 def test_a_blended_reference_is_that_of_the_chunk_when_the_next_one_comes(told: Any) -> None:

@@ -131,6 +131,13 @@ def test_a_closed_chain_is_moved_by_one_arm_and_squeezed_as_asked() -> None:
     a = np.linalg.solve(x0.M, tau - x0.h - A.T @ lam)
     assert np.abs(A @ a).max() < 1e-6
     assert np.abs(x0.J("left_gripper") @ a).max() < 1e-6
+    wanted = np.array([0.5, -0.2, 0.3, 0.4, -0.6, 0.8])  # the right arm has to come along
+    tau = ctrl.step(
+        arm.home, np.zeros(arm.n), taut.pressing(taut.TaskMotion(pose=pose, acceleration=wanted), lam=squeeze)
+    )
+    a = np.linalg.solve(x0.M, tau - x0.h - A.T @ squeeze)
+    assert np.abs(A @ a).max() < 1e-6
+    assert np.abs(x0.J("left_gripper") @ a - wanted).max() < 1e-4
 
 
 def test_the_measured_force_counts_what_is_along_the_normal_only() -> None:

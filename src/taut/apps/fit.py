@@ -220,8 +220,8 @@ def _part(part: str, label: str, law: Law | None, section: Section) -> Law | Non
 def _check_kind_of_figure(figure: PassFigure, law: Law, section: Section) -> None:
     """Errors of joints are for laws that follow joints, of the task for those of the tool, of forces for theirs."""
     fitting = ERRORS_OF.get(law.reference)
-    whose = next((kind for kind, names in ERRORS_OF.items() if figure.metric in names), law.reference)
-    if fitting is not None and whose is not law.reference:
+    whose = next((kind for kind, names in ERRORS_OF.items() if figure.metric in names), None)
+    if fitting is not None and whose is not None and figure.metric not in fitting:
         raise section.error(
             f"metric '{figure.metric}' is of {WHOSE[whose]}, and the law '{figure.law}' follows a "
             f"{law.reference.__name__}; take one of {quoted_list(fitting, most=len(fitting))}"

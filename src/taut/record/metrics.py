@@ -85,6 +85,7 @@ MEASURES: Final = {
     "final_x": of_tool("final x", "m", "where the tool is at the end, along the world's x axis"),
     "final_y": of_tool("final y", "m", "where the tool is at the end, along the world's y axis"),
     "final_z": of_tool("final z", "m", "where the tool is at the end, along the world's z axis"),
+    "sideways_rms": of_tool("sideways RMS", "m/s", "RMS speed of the tool's origin along its own y axis"),
     "task_rms": of_tool("task RMS", "m", "RMS of the norm of the tool's position error"),
     "task_peak": of_tool("task peak", "m", "peak of the norm of the tool's position error"),
     "task_final": of_tool("task final", "m", "norm of the tool's position error in the last tick"),
@@ -176,6 +177,7 @@ class Metrics:
         final_x: [m] where the tool is in the last tick, in the world; final_y and final_z likewise.
         final_y: [m]
         final_z: [m]
+        sideways_rms: [m/s] root of the mean square of the speed of the tool's origin along its own y axis.
         least_singular_value: The smallest singular value of the tool's Jacobian in the run, metres and radians taken
             as alike; 0 at a singularity.
         least_force: [N] smallest force of the environment on the arm; force_rms: root of its mean square.
@@ -240,6 +242,7 @@ class Metrics:
     final_x: float
     final_y: float
     final_z: float
+    sideways_rms: float
     least_singular_value: float
     least_force: float
     force_rms: float
@@ -387,6 +390,7 @@ def _of_tool(run: Run) -> dict[str, Any]:
         return out
     if TOOL in run.info:
         out |= {f"final_{axis}": float(value) for axis, value in zip("xyz", run.task.p[-1], strict=True)}
+        out["sideways_rms"] = float(_rms(np.sum(run.task.R[:, :, 1] * run.task.twist[:, :3], axis=1)))
     if isinstance(run.reference.motion, TaskMotion) and TOOL in run.info:
         task = run.task
         errors = {"": task.position_error, "_rotation": task.rotation_error}
