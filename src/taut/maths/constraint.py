@@ -232,7 +232,7 @@ class Constraint:
     def knife_edge(cls, *, sideways: ArrayLike, frame: str | None = None) -> Self:
         """A wheel or a knife edge at the tool's origin, which does not slip sideways: one row, of velocities.
 
-        It goes anywhere by steering, and so it has no phi. On a plane it leaves two motions: ahead, and about the normal.
+        It goes anywhere by steering, and has no phi. On a plane it leaves two motions: ahead, and about the normal.
 
         Args:
             sideways: (3,) the wheel's axle, or the normal of the blade, in the tool's axes.
