@@ -34,6 +34,9 @@ STORIES = (
     "panda_writes",
     "panda_writes_round",
     "panda_polishes",
+    "cabinet_door",
+    "two_arms_bar",
+    "wheel_tool",
 )
 
 
@@ -105,6 +108,38 @@ def test_deflections_are_as_one_to_the_stiffness(told: Any) -> None:
     runs = told("xarm7_directions").runs
     ways = [runs[Trial(f"along tool {axis}", "impedance")].metrics.task_final for axis in "xyz"]
     assert np.array(ways) / ways[2] == pytest.approx([4.0, 2.0, 1.0], rel=0.01)
+
+
+@pytest.mark.xdist_group("cabinet_door")
+def test_the_real_door_is_open_by_60_degrees_and_a_motion_alone_would_jam_it(told: Any) -> None:
+    plant = told("cabinet_door").scenario.plant
+    assert np.rad2deg(abs(plant.data.joint("door").qpos[0])) > 60.0
+    story = load_scenario("cabinet_door")
+    ctrl = taut.compile(taut.laws.TaskComputedTorque(kp=900.0, kd=60.0), story.arm, rate=250.0)
+    way: Any = story.reference
+    out = taut.run(ctrl, story.plant, way.motion, duration=6.0)
+    assert out.metrics.force_rms > 50.0
+
+
+@pytest.mark.xdist_group("two_arms_bar")
+def test_the_bar_itself_is_turned_and_squeezed_along_its_axis(told: Any) -> None:
+    result = told("two_arms_bar")
+    run, data = result.runs[Trial("", "hybrid")], result.scenario.plant.data
+    turn = np.deg2rad(40.0)
+    middle = data.body("bar").xpos + data.body("bar").xmat.reshape(3, 3) @ [0.0, -0.25, 0.0]
+    assert np.abs(middle - [0.6, 0.0, 0.1]).max() < 0.002
+    assert data.body("bar").xmat.reshape(3, 3)[:, 1] == pytest.approx([-np.sin(turn), np.cos(turn), 0.0], abs=0.004)
+    along = np.sum(np.asarray(run.extra["F_ext"])[500:, :3] * run.task.R[500:, :, 1], axis=1)
+    assert np.sqrt(np.mean((along - 20.0) ** 2)) < 0.1
+
+
+@pytest.mark.xdist_group("wheel_tool")
+def test_the_wheel_rolls_along_the_curve_by_friction_alone(told: Any) -> None:
+    data = told("wheel_tool").scenario.plant.data
+    x = np.linspace(0.0, 0.3, 10_001)
+    y = 0.03 * (1.0 - np.cos(2.0 * np.pi * x / 0.3))
+    length = np.hypot(np.diff(x), np.diff(y)).sum()
+    assert 0.02 * abs(data.joint("axle").qpos[0]) == pytest.approx(length, abs=2e-3)
 
 
 @pytest.mark.xdist_group("policy_10hz")

@@ -12,6 +12,7 @@ import taut
 from taut import Constraint, Pose
 from taut.base.types import Float64Array
 from taut.control.laws import ComputedTorque, HybridMotionForce, TaskComputedTorque, TaskVelocity
+from taut.control.reference import sample_rows
 
 Array = Float64Array
 BALL = Constraint.sphere(center=[0.4, 0.0, 0.1], radius=0.35)
@@ -130,6 +131,13 @@ def test_a_closed_chain_is_moved_by_one_arm_and_squeezed_as_asked() -> None:
     a = np.linalg.solve(x0.M, tau - x0.h - A.T @ lam)
     assert np.abs(A @ a).max() < 1e-6
     assert np.abs(x0.J("left_gripper") @ a).max() < 1e-6
+    wanted = np.array([0.5, -0.2, 0.3, 0.4, -0.6, 0.8])  # the right arm has to come along
+    tau = ctrl.step(
+        arm.home, np.zeros(arm.n), taut.pressing(taut.TaskMotion(pose=pose, acceleration=wanted), lam=squeeze)
+    )
+    a = np.linalg.solve(x0.M, tau - x0.h - A.T @ squeeze)
+    assert np.abs(A @ a).max() < 1e-6
+    assert np.abs(x0.J("left_gripper") @ a - wanted).max() < 1e-4
 
 
 def test_the_measured_force_counts_what_is_along_the_normal_only() -> None:
@@ -193,6 +201,23 @@ def test_what_is_asked_follows_in_time() -> None:
     assert both.at(1.0).p.tolist() == [0.4, 0.1, 0.3]  # type: ignore[union-attr]
     assert both.duration == 2.0  # type: ignore[union-attr]
     assert repr(taut.pressing(taut.JointMotion(q=[0.1]), lam=[1.0, 2.0])).startswith("pressing(JointMotion(q=[0.1]")
+
+
+@pytest.mark.parametrize(
+    "force", [{"press": 4.0}, {"press": lambda t: 5.0 * t}, {"lam": [-1.0, 2.0]}, {"F_app": np.arange(6.0)}]
+)
+def test_samples_at_many_times_are_those_one_after_the_other(force: dict[str, Any]) -> None:
+    pose = Pose([0.4, 0.0, 0.3])
+    line = taut.Line(T0=pose, T1=Pose([0.4, 0.2, 0.3], rpy=[0.0, 0.5, 0.0]), duration=2.0)
+    times, kind = np.array([0.0, 0.3, 1.7]), taut.pressing(taut.TaskMotion(pose=pose)).__class__
+
+    class OneByOne:
+        at = staticmethod(line.at)
+
+    fast, slow = (sample_rows(taut.pressing(way, **force), times, kind, 7) for way in (line, OneByOne()))  # type: ignore[arg-type]
+    assert list(fast) == list(kind.fields(7))
+    for name, rows in fast.items():
+        np.testing.assert_allclose(rows, slow[name], atol=1e-14, err_msg=name)
 
 
 ARM = taut.load_arm("panda")

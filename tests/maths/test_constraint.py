@@ -254,12 +254,31 @@ def test_a_closed_chain_is_a_constraint_of_two_frames() -> None:
     x = taut.snapshot(arm, q, v)
     rows = grasp.at(x)
     assert rows.count == 6
-    assert np.allclose(rows.phi[:3], x.T("right_gripper").p - x.T("left_gripper").p)
+    left, right = x.T("left_gripper"), x.T("right_gripper")
+    assert np.allclose(rows.phi[:3], left.R.T @ (right.p - left.p))
     assert np.allclose(pin.at(x).A_q, x.J("right_gripper")[:3] - x.J("left_gripper")[:3])
     h = 1e-5
     ahead, behind = grasp.at(taut.snapshot(arm, q + h * v, v)), grasp.at(taut.snapshot(arm, q - h * v, v))
     assert np.abs((ahead.phi - behind.phi) / (2 * h) - rows.A_q @ v).max() < 1e-6
     assert np.abs((ahead.A_q - behind.A_q) @ v / (2 * h) - rows.bias).max() < 1e-5
+
+
+def test_a_knife_edge_goes_ahead_and_turns_and_does_not_slip_sideways() -> None:
+    arm = taut.load_arm("panda")
+    rng = np.random.default_rng(8)
+    q, v = arm.home + 0.2 * rng.normal(size=arm.n), rng.normal(size=arm.n)
+    edge, x = Constraint.knife_edge(sideways=[0.0, 2.0, 0.0]), taut.snapshot(arm, q, v)
+    rows, T = edge.at(x), x.T()
+    assert rows.A is not None
+    np.testing.assert_allclose(rows.A, [[*T.R[:, 1], 0.0, 0.0, 0.0]], atol=1e-15)
+    for twist, slips in (([*T.R[:, 0], 0, 0, 3.0], 0.0), ([*T.R[:, 1], 0, 0, 0], 1.0)):
+        assert rows.A @ np.array(twist) == pytest.approx([slips], abs=1e-12)
+    assert rows.phi.tolist() == [0.0]
+    h = 1e-6  # turning while it goes ahead needs a force
+    ahead, behind = (edge.at(taut.snapshot(arm, q + s * v, v)).A_q @ v for s in (h, -h))
+    assert (ahead - behind) / (2.0 * h) == pytest.approx(rows.bias, abs=1e-6)
+    with pytest.raises(taut.RangeError, match="sideways must have a length"):
+        Constraint.knife_edge(sideways=[0.0, 0.0, 0.0])
 
 
 def test_onto_finds_the_nearest_state_and_says_when_there_is_none() -> None:

@@ -146,7 +146,13 @@ class TestMetrics:
         F_ext = np.array([[0.0, 3.0, 4.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 2.0, -1.0, 2.0]])
         m = make_run([0.0, 1.0], [[0.0], [0.0]], extra={"F_ext": F_ext}).metrics
         assert (m.peak_force, m.peak_moment, m.moment_rms) == (5.0, 3.0, pytest.approx(np.sqrt(4.5)))
+        assert (m.least_force, m.force_rms) == (1.0, pytest.approx(np.sqrt(13.0)))
         assert "peak_force   5 [N]: peak of the norm of the environment's force" in str(m)
+
+    def test_what_a_tool_slips_is_along_its_own_y_axis(self, run: taut.Run) -> None:
+        along = [R[:, 1] @ V[:3] for R, V in zip(run.task.R, run.task.twist, strict=True)]
+        assert run.metrics.sideways_rms == pytest.approx(np.sqrt(np.mean(np.square(along))))
+        assert run.metrics.sideways_rms > 1e-4
 
     def test_the_table_has_a_line_for_each_number_of_the_tool(self, run: taut.Run) -> None:
         lines = str(run.metrics).splitlines()

@@ -34,6 +34,7 @@ __all__ = ["HybridMotionForce"]
 
 ForceFeedback = Literal["wrench", "joint_torque"]
 TOUCHING: Final = 1.0  # [N] on a tool that counts as in contact
+CHAIN: Final = 1e-4  # [1/kg, 1/(kg m^2)] of mobility: less of it is a direction that a chain does not have
 FEEDBACKS: Final[tuple[ForceFeedback, ...]] = ("wrench", "joint_torque")
 
 
@@ -45,7 +46,8 @@ class HybridMotionForce(Law):
                   F_force  = A^T (lam_des + kfp lam_e + kfi int(lam_e) - kdamp (A V + phi_t))             eq. 10.38
                   F_curved = A^T S (A-dot V + ...), the term `curvature`, which the chapter leaves out
                   P = I - A^T S A Lambda^-1, S = (A Lambda^-1 A^T)^-1                                     eq. 10.44
-    Closed loop:  along the constraints that of `motion`, as far as they allow it: P Lambda of it
+    Closed loop:  along the constraints that of `motion`, as far as they allow it: P Lambda of it;
+                    of a tool in a closed chain, in the directions that the chain leaves to it: the term `chain`
                   against them lam = F_force's, in a rigid contact: (1 + kfp) lam_e + kfi int(lam_e) = const, with the
                     pole -kfi / (1 + kfp), not the -kfi / kfp of eq. 10.36; the measured force is a tick old, so that
                     kfp + kfi dt / 2 < 1, or the loop swings up
@@ -215,6 +217,8 @@ class HybridMotionForce(Law):
         if self.curvature:
             force = force + Terms(curvature=-curved)
         tau = command.terms.mapped(held.along) + Terms(nonlinear=held.against(x.h)) + force.mapped(held.pressing)
+        if rows.A is None and self.motion.reference is TaskMotion:
+            tau = tau + Terms(chain=held.along(self._chain(x, held, command.terms.total)))
         told = lam.total if self.curvature else lam.total + curved
         after: dict[str, object] = {"motion": motion, "e_int": e_int, "lam": told, "phi": rows.phi}
         if estimated is not None:
@@ -235,6 +239,21 @@ class HybridMotionForce(Law):
         n = n_0 + tilt
         n = n / tm.sqrt(n @ n + NEVER)
         return turned_rows(self.natural, x, turn_between(n_0, n)), {"tilt": tilt, "normal": n}
+
+    def _chain(self, x: Snapshot, held: Constrained, tau: Vector) -> Vector:
+        """(n,) torques with which a tool that is part of a closed chain moves as it would without the other part.
+
+        What moves along with the tool is accelerated by the projection of the tool's own torques only in the measure
+        of their inertias. A tool that the chain does not let move so goes as far as it can, by least squares.
+        """
+        J = x.J(self.motion.controlled_frame)
+        W = held.Minv_AT
+        lost = J @ (W @ held.lam(tau - x.h))
+        JW, Minv_JT = J @ W, x.M_factors.solve(J.T)
+        mobility = J @ Minv_JT - JW @ held.mobility.solve(JW.T)
+        damped = mobility @ mobility + CHAIN**2 * tm.eye(len(mobility))
+        out: Vector = J.T @ factor_spd(damped).solve(mobility @ lost)
+        return out
 
     def _multipliers(
         self, x: Snapshot, rows: ConstraintRows, held: Constrained, ref: Any, memory: MemoryView, dt: Any

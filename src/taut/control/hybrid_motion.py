@@ -103,6 +103,11 @@ class Pressing:
         return hybrid_kind(type(motion))(motion, np.array([press]), self._lam, self._F_app)
 
     @property
+    def motion(self) -> Sample | Trajectory:
+        """The motion without the forces."""
+        return self._motion
+
+    @property
     def rows(self) -> Callable[[Float64Array], Sample] | None:
         """Samples at many times at once, where the motion gives them so: much faster than one by one."""
         of_motion: Callable[[Float64Array], Sample] | None = getattr(self._motion, "rows", None)

@@ -229,6 +229,19 @@ class Constraint:
         return cls.of([_OfVelocity(function=function, frames=(frame,), count=count)])
 
     @classmethod
+    def knife_edge(cls, *, sideways: ArrayLike, frame: str | None = None) -> Self:
+        """A wheel or a knife edge at the tool's origin, which does not slip sideways: one row, of velocities.
+
+        It goes anywhere by steering, and has no phi. On a plane it leaves two motions: ahead, and about the normal.
+
+        Args:
+            sideways: (3,) the wheel's axle, or the normal of the blade, in the tool's axes.
+            frame: The frame; the arm's tool if left out.
+        """
+        side = _unit("sideways", sideways)
+        return cls.pfaffian(lambda T: tm.array([*(T.R @ side), 0.0, 0.0, 0.0]), frame=frame)
+
+    @classmethod
     def plane(
         cls,
         *,
@@ -363,6 +376,9 @@ class Constraint:
     def grasp(cls, first: str, second: str, *, T: Pose | None = None) -> Self:
         """Two frames hold one rigid body: a closed chain, cut open into the tree of the arm; six rows.
 
+        Rows are along the axes of the first frame, so that lam stays what the body feels as it turns: the second hand
+        applies the force and moment lam to it there, and the first one the opposite.
+
         Args:
             first: A frame.
             second: Another, on another branch.
@@ -371,8 +387,8 @@ class Constraint:
         own = Pose() if T is None else T
 
         def phi(a: Pose, b: Pose) -> Array:
-            wanted = a @ own
-            return tm.array([*(b.p - wanted.p), *rotation_log(b.R @ wanted.R.T)])
+            seen = a.R.T @ b.R
+            return tm.array([*(a.R.T @ (b.p - a.p) - own.p), *rotation_log(seen @ own.R.T)])
 
         return cls.of([_of_poses(phi, (first, second), False)])
 

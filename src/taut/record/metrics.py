@@ -85,12 +85,15 @@ MEASURES: Final = {
     "final_x": of_tool("final x", "m", "where the tool is at the end, along the world's x axis"),
     "final_y": of_tool("final y", "m", "where the tool is at the end, along the world's y axis"),
     "final_z": of_tool("final z", "m", "where the tool is at the end, along the world's z axis"),
+    "sideways_rms": of_tool("sideways RMS", "m/s", "RMS speed of the tool's origin along its own y axis"),
     "task_rms": of_tool("task RMS", "m", "RMS of the norm of the tool's position error"),
     "task_peak": of_tool("task peak", "m", "peak of the norm of the tool's position error"),
     "task_final": of_tool("task final", "m", "norm of the tool's position error in the last tick"),
     "task_rms_rotation": of_tool("rotation RMS", "rad", "RMS of the angle of the tool's rotation error"),
     "task_peak_rotation": of_tool("rotation peak", "rad", "peak of the angle of the tool's rotation error"),
     "least_singular_value": of_tool("least singular", "1", "the smallest singular value of J in the run"),
+    "least_force": of_tool("least force", "N", "the least norm of the environment's force"),
+    "force_rms": of_tool("RMS force", "N", "RMS of the norm of the environment's force"),
     "peak_force": of_tool("peak force", "N", "peak of the norm of the environment's force"),
     "peak_moment": of_tool("peak moment", "N m", "peak of the norm of the environment's moment"),
     "moment_rms": of_tool("moment RMS", "N m", "RMS of the norm of the environment's moment"),
@@ -175,8 +178,11 @@ class Metrics:
         final_x: [m] where the tool is in the last tick, in the world; final_y and final_z likewise.
         final_y: [m]
         final_z: [m]
+        sideways_rms: [m/s] root of the mean square of the speed of the tool's origin along its own y axis.
         least_singular_value: The smallest singular value of the tool's Jacobian in the run, metres and radians taken
             as alike; 0 at a singularity.
+        least_force: [N] smallest force of the environment on the arm; force_rms: root of its mean square.
+        force_rms: [N]
         peak_force: [N] largest force of the environment on the arm.
         peak_moment: [N m] its largest moment at the tool.
         moment_rms: [N m] RMS of that moment.
@@ -238,7 +244,10 @@ class Metrics:
     final_x: float
     final_y: float
     final_z: float
+    sideways_rms: float
     least_singular_value: float
+    least_force: float
+    force_rms: float
     peak_force: float
     peak_moment: float
     moment_rms: float
@@ -384,6 +393,7 @@ def _of_tool(run: Run) -> dict[str, Any]:
         return out
     if TOOL in run.info:
         out |= {f"final_{axis}": float(value) for axis, value in zip("xyz", run.task.p[-1], strict=True)}
+        out["sideways_rms"] = float(_rms(np.sum(run.task.R[:, :, 1] * run.task.twist[:, :3], axis=1)))
     if isinstance(run.reference.motion, TaskMotion) and TOOL in run.info:
         task = run.task
         errors = {"": task.position_error, "_rotation": task.rotation_error}
@@ -396,6 +406,8 @@ def _of_tool(run: Run) -> dict[str, Any]:
         out["least_singular_value"] = float(task.least_singular_value.min())
     if "F_ext" in run.extra:
         wrench = run.extra["F_ext"]
+        size = np.linalg.norm(wrench[:, :3], axis=1)
+        out |= {"least_force": float(size.min()), "force_rms": float(_rms(size))}
         for name, part in (("peak_force", wrench[:, :3]), ("peak_moment", wrench[:, 3:])):
             out[name] = float(np.linalg.norm(part, axis=1).max())
         out["moment_rms"] = float(_rms(np.linalg.norm(wrench[:, 3:], axis=1)))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from taut.base.types import Float64Array
 from taut.runtime.drivers.mujoco_rig import Rig
+
+if TYPE_CHECKING:
+    import mujoco
 
 __all__ = ["PRESSED", "Normals", "Wrench"]
 
@@ -49,13 +52,17 @@ class Wrench:
 
 
 class Normals:
-    """The force of the contacts on the tool's body, of each along its own normal and without friction."""
+    """The force of the contacts on the tool's body, of each along its own normal and without friction.
+
+    What a weld of the scene ties to the tool counts as the tool, with all that it carries: a wheel in its fork.
+    """
 
     def __init__(self, rig: Rig) -> None:
         import mujoco
 
         self._model, self._data, self._force_of = rig.model, rig.data, mujoco.mj_contactForce
         bodies = set(np.arange(rig.model.nbody)[rig.tool_bodies].tolist())
+        bodies |= _welded(rig.model, bodies)
         self._ours: set[int] = {g for g in range(rig.model.ngeom) if int(rig.model.geom_bodyid[g]) in bodies}
         self._six = np.zeros(6)
 
@@ -69,3 +76,19 @@ class Normals:
                 self._force_of(self._model, self._data, i, self._six)
                 out += sign * self._six[0] * contacts.frame[i, :3]
         return out
+
+
+def _welded(model: mujoco.MjModel, bodies: set[int]) -> set[int]:
+    """Bodies that welds of a scene tie to some, and those that they carry."""
+    import mujoco
+
+    pairs = [
+        {int(model.eq_obj1id[i]), int(model.eq_obj2id[i])}
+        for i in range(model.neq)
+        if int(model.eq_type[i]) == mujoco.mjtEq.mjEQ_WELD and int(model.eq_objtype[i]) == mujoco.mjtObj.mjOBJ_BODY
+    ]
+    out = {body for pair in pairs if pair & bodies for body in pair - bodies if body}
+    for body in range(1, model.nbody):  # parents come first
+        if int(model.body_parentid[body]) in out:
+            out.add(body)
+    return out
