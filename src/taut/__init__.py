@@ -134,6 +134,7 @@ if TYPE_CHECKING:
     from taut.record.read_log import load_run as load_run
     from taut.record.run import Run as Run
     from taut.runtime.drivers.mujoco import MujocoPlant as MujocoPlant
+    from taut.runtime.drivers.mujoco_tip import SpringTip as SpringTip
     from taut.runtime.events import Event as Event
     from taut.runtime.simulate import run as run
     from taut.study.admissible import Admissible as Admissible
@@ -229,6 +230,7 @@ _HOME: Final = {
     "record.read_log": ("load_run",),
     "record.run": ("Run",),
     "runtime.drivers.mujoco": ("MujocoPlant",),
+    "runtime.drivers.mujoco_tip": ("SpringTip",),
     "runtime.events": ("Event",),
     "runtime.simulate": ("run",),
     "study.admissible": ("Admissible",),

@@ -437,7 +437,7 @@ CASES: dict[str, tuple[dict[str, Any], str | None, str]] = {
     "a case with a title": (
         {"cases": {"a": {"title": "x"}}},
         "cases.a",
-        "has no key 'title', which all cases share; it takes 'arm', 'control', 'event', 'laws', 'plant', 'reference', 'run'\n",
+        "has no key 'title', which all cases share; it takes 'arm', 'control', 'event', 'laws', 'phases', 'plant', 'reference', 'run'\n",
     ),
     "a case with a law of its own": (
         {"cases": {"a": {"laws": {"PID": {"kp": 1}}}}},

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 import taut
 from taut.apps.run_scenario import run_scenario
-from taut.apps.scenario import load_scenario
+from taut.apps.scenario import built_in_scenarios, load_scenario
 
 TASK = """
 [arm]
@@ -45,7 +47,50 @@ max = 0.1
 """
 
 
-def loaded(text: str, folder: Path) -> object:
+HYBRID = """law = { law = "HybridMotionForce", constraint = { kind = "plane", point = [0, 0, 0.4], normal = [0, 0, 1] }, \
+motion = { law = "TaskComputedTorque", kp = 100, kd = 20 } }"""
+SOFT = 'law = { law = "TaskComputedTorque", kp = 100, kd = 40 }'
+DEEPER = 'reference = { kind = "by", p = [0.0, 0.0, -0.02] }'
+
+
+def test_a_hybrid_phase_goes_from_where_it_begins_and_presses(tmp_path: Path) -> None:
+    text = (
+        built_in_scenarios()["touch_and_press"].read_text(encoding="utf-8").replace(SOFT, HYBRID.replace("\\\n", ""))
+    )
+    law = loaded(text.replace(DEEPER, DEEPER.replace(" }", ", press = 5 }")), tmp_path).laws["task"]
+    x = taut.snapshot(arm := taut.load_arm("panda", tool="panda_hand_tcp"), arm.home)
+    sample = law.phases["press"].reference(x)
+    assert sample.press.tolist() == [5.0]
+    np.testing.assert_allclose(sample.p, x.T().p - [0.0, 0.0, 0.02])
+    bare = loaded(text, tmp_path).laws["task"].phases["press"].reference(x)
+    assert bare.press.tolist() == [0.0]
+    line = loaded(
+        text.replace(DEEPER, DEEPER.replace(" }", ", duration = 1, F_app = [0, 0, -3, 0, 0, 0] }")), tmp_path
+    )
+    ahead = line.laws["task"].phases["press"].reference(x)
+    assert ahead.duration == 1.0
+    assert ahead.at(0.3).F_app.tolist() == [0.0, 0.0, -3.0, 0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("hybrid", "more", "message"),
+    [
+        (False, "press = 5", "[phases 2.reference] press is for a hybrid law, and TaskComputedTorque applies no forces"),
+        (True, "press = -5", "[phases 2.reference] press must be >= 0 [N], the force into the surface; got -5"),
+        (True, "press = 5, lam = [3]", "[phases 2.reference] pressing takes one of press, lam and F_app; got press and lam"),
+    ],
+)  # fmt: skip
+def test_forces_of_a_phase_that_are_none_are_refused(hybrid: bool, more: str, message: str, tmp_path: Path) -> None:
+    text = built_in_scenarios()["touch_and_press"].read_text(encoding="utf-8")
+    assert text.count(DEEPER) == 1
+    assert text.count(SOFT) == 1
+    text = text.replace(DEEPER, DEEPER.replace(" }", f", {more} }}"))
+    with pytest.raises(taut.ScenarioError) as caught:
+        loaded(text.replace(SOFT, HYBRID.replace("\\\n", "")) if hybrid else text, tmp_path)
+    assert message in str(caught.value)
+
+
+def loaded(text: str, folder: Path) -> Any:
     file = folder / "mine.toml"
     file.write_text(text)
     return load_scenario(str(file))

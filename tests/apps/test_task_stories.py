@@ -30,6 +30,10 @@ STORIES = (
     "wrist_alignment",
     "policy_10hz",
     "panda_presses",
+    "panda_erases",
+    "panda_writes",
+    "panda_writes_round",
+    "panda_polishes",
     "cabinet_door",
     "two_arms_bar",
     "wheel_tool",
@@ -51,7 +55,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return run
 
 
-@pytest.mark.parametrize("name", STORIES)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.xdist_group(name)) for name in STORIES])
 def test_a_story_reaches_its_pass_figures(name: str, told: Any) -> None:
     result = told(name)
     assert result.missed == ()
@@ -80,6 +84,7 @@ def test_the_page_has_the_pass_figures_of_the_file(name: str) -> None:
     assert [line.rstrip(" |").rpartition(" | ")[0] for line in lines] == wanted
 
 
+@pytest.mark.xdist_group("two_arms")
 def test_the_arm_that_is_not_pushed_rests_and_each_part_has_its_own_metrics(told: Any) -> None:
     run = told("two_arms").runs[Trial("", "both")]
     left, right = run.part("left"), run.part("right")
@@ -98,12 +103,14 @@ def test_a_run_has_parts_only_of_laws_side_by_side(told: Any) -> None:
         told("two_arms").runs[Trial("", "both")].part("lift")
 
 
+@pytest.mark.xdist_group("xarm7_directions")
 def test_deflections_are_as_one_to_the_stiffness(told: Any) -> None:
     runs = told("xarm7_directions").runs
     ways = [runs[Trial(f"along tool {axis}", "impedance")].metrics.task_final for axis in "xyz"]
     assert np.array(ways) / ways[2] == pytest.approx([4.0, 2.0, 1.0], rel=0.01)
 
 
+@pytest.mark.xdist_group("cabinet_door")
 def test_the_real_door_is_open_by_60_degrees_and_a_motion_alone_would_jam_it(told: Any) -> None:
     plant = told("cabinet_door").scenario.plant
     assert np.rad2deg(abs(plant.data.joint("door").qpos[0])) > 60.0
@@ -114,6 +121,7 @@ def test_the_real_door_is_open_by_60_degrees_and_a_motion_alone_would_jam_it(tol
     assert out.metrics.force_rms > 50.0
 
 
+@pytest.mark.xdist_group("two_arms_bar")
 def test_the_bar_itself_is_turned_and_squeezed_along_its_axis(told: Any) -> None:
     result = told("two_arms_bar")
     run, data = result.runs[Trial("", "hybrid")], result.scenario.plant.data
@@ -125,6 +133,7 @@ def test_the_bar_itself_is_turned_and_squeezed_along_its_axis(told: Any) -> None
     assert np.sqrt(np.mean((along - 20.0) ** 2)) < 0.1
 
 
+@pytest.mark.xdist_group("wheel_tool")
 def test_the_wheel_rolls_along_the_curve_by_friction_alone(told: Any) -> None:
     data = told("wheel_tool").scenario.plant.data
     x = np.linspace(0.0, 0.3, 10_001)
@@ -133,6 +142,7 @@ def test_the_wheel_rolls_along_the_curve_by_friction_alone(told: Any) -> None:
     assert 0.02 * abs(data.joint("axle").qpos[0]) == pytest.approx(length, abs=2e-3)
 
 
+@pytest.mark.xdist_group("policy_10hz")
 def test_a_blended_reference_is_that_of_the_chunk_when_the_next_one_comes(told: Any) -> None:
     runs = told("policy_10hz").runs
     blended, bare = (np.asarray(runs[Trial(case, "impedance")].reference.p) for case in ("blended", "not blended"))
@@ -141,6 +151,7 @@ def test_a_blended_reference_is_that_of_the_chunk_when_the_next_one_comes(told: 
     assert apart[99::100].max() < 1e-5
 
 
+@pytest.mark.xdist_group("xarm7_directions")
 def test_each_push_moves_the_tool_along_itself(told: Any) -> None:
     for i, axis in enumerate("xyz"):
         run = told("xarm7_directions").runs[Trial(f"along tool {axis}", "impedance")]
@@ -215,3 +226,40 @@ def test_policies_are_refused_in_words(old: str, tmp_path: Path) -> None:
     new, words = POLICY[old]
     with pytest.raises(TautError, match=re.escape(words)):
         changed(tmp_path, "policy_10hz", (old, new))
+
+
+# -------------------------------------------------------------------- contact
+
+
+@pytest.mark.xdist_group("panda_erases")
+def test_the_phases_of_a_story_tell_what_is_their_own(told: Any) -> None:
+    """What the law of another phase remembered, such as an estimate, is not what this one took for true."""
+    run = told("panda_erases").runs[Trial("", "task")]
+    lying, erasing = run.phase("lie_down"), run.phase("erase")
+    assert "law.lie_down.estimate.normal" in lying.extra
+    assert "law.lie_down.estimate.normal" not in erasing.extra
+    assert erasing.metrics.normal_error < 1.0 < lying.metrics.normal_error
+    assert np.isnan(run.phase("approach").metrics.normal_error)
+
+
+@pytest.mark.xdist_group("panda_writes")
+def test_what_sticks_is_held_by_friction_within_its_cone(told: Any) -> None:
+    stuck = told("panda_writes").runs[Trial("", "task")].phase("stick")
+    x, y, z = stuck.extra["F_ext"][-1, :3]
+    assert (x, z) == pytest.approx((-2.5, 10.0), abs=0.05)
+    assert np.hypot(x, y) < 0.4 * z
+    assert np.linalg.norm(stuck.task.twist[-1, :3]) < 1e-3
+
+
+@pytest.mark.xdist_group("panda_writes_round")
+def test_a_round_surface_is_written_on_at_its_speed(told: Any) -> None:
+    wrote = told("panda_writes_round").runs[Trial("", "task")].phase("write")
+    speed = np.linalg.norm(wrote.task.twist[:, :3], axis=1)
+    assert np.median(speed[400:800]) == pytest.approx(0.2, rel=0.01)
+    assert np.ptp(wrote.task.p[:, 2]) > 0.08
+
+
+@pytest.mark.xdist_group("panda_polishes")
+def test_a_surface_that_is_polished_goes_to_and_fro(told: Any) -> None:
+    polished = told("panda_polishes").runs[Trial("", "task")].phase("polish").between(0.7, 4.1)
+    assert np.abs(polished.task.twist[:, 2]).max() == pytest.approx(0.1, rel=0.05)

@@ -317,7 +317,8 @@ def test_force_and_hybrid_laws_need_contact_and_follow_their_own_samples_in_one_
     arm = taut.load_arm("panda")
     move = taut.laws.TaskComputedTorque(kp=100.0, kd=20.0)
     force = taut.laws.ForceControl(kfi=5.0, kdamp=(100.0, 5.0))
-    hybrid = taut.laws.HybridMotionForce(constraint=lambda T: T.p[2] - 0.1, motion=move, kfi=5.0)
+    height = float(taut.snapshot(arm, arm.home).T().p[2])
+    hybrid = taut.laws.HybridMotionForce(constraint=lambda T: T.p[2] - height, motion=move, kfi=5.0)
     task = [
         taut.Phase(move, name="approach", until=lambda x: x.elapsed > -1.0),
         taut.Phase(force, taut.TaskForce(F_app=[0, 0, -5.0, 0, 0, 0]), name="press", until=lambda x: x.elapsed > 0.0),
@@ -338,6 +339,32 @@ def test_force_and_hybrid_laws_need_contact_and_follow_their_own_samples_in_one_
     ctrl.step(arm.home, zero, F_ext=F)
     np.testing.assert_allclose(ctrl.step(arm.home, zero, F_ext=0.2 * F), taut.snapshot(arm, arm.home).g, atol=1e-9)
     assert ctrl.phase == "stop"
+
+
+def test_a_hybrid_phase_never_starts_off_its_constraint() -> None:
+    """Contact is to be on the surface, with a force where one is measured; a hinge needs no sensor for it."""
+    arm = taut.load_arm("panda")
+    T = taut.snapshot(arm, arm.home).T()
+    move = taut.laws.TaskComputedTorque(kp=100.0, kd=20.0)
+    axis = [*T.p[:2], T.p[2] - 0.2]
+    hinge = taut.Constraint.hinge(point=axis, axis=[0.0, 1.0, 0.0], T=T)
+    zero, F = np.zeros(7), np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0])
+    board = taut.Constraint(lambda T: T.p[2] - 0.1, one_sided=True)
+    for constraint, sensor, away, expected in (
+        (hinge, {}, 0.0, "slide"),
+        (hinge, {}, 0.1, "stop"),
+        (board, {"F_ext": F}, 0.0, "stop"),  # something touches, and it is not the board
+    ):
+        law = taut.laws.HybridMotionForce(constraint=constraint, motion=move, **({"kfi": 5.0} if sensor else {}))
+        task = [
+            taut.Phase(move, name="approach", until=lambda x: x.elapsed > -1.0),
+            taut.Phase(law, lambda x: taut.pressing(taut.TaskMotion(pose=x.T())), name="slide"),
+        ]
+        ctrl = taut.compile(task, arm, engine="float")
+        q = arm.home + away
+        ctrl.step(q, zero, **sensor)
+        ctrl.step(q, zero, **sensor)
+        assert ctrl.phase == expected
 
 
 # -------------------------------------------------------------------- bad input

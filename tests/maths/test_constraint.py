@@ -194,6 +194,27 @@ def test_a_moving_plane_asks_for_its_own_speed() -> None:
     )
 
 
+def test_a_plane_that_sways_goes_where_it_says_and_comes_back() -> None:
+    swaying = Constraint.plane(point=T0.p, normal=[0, 0, 1], sway=[0.0, 0.3, 0.06], period=2.0)
+    for t, way in ((0.0, 0.0), (0.5, 0.03), (1.0, 0.06), (2.0, 0.0)):
+        assert swaying.of_pose(Pose(T0.p + np.array([0.0, 0.0, way]), R=T0.R), t) == pytest.approx([0.0], abs=1e-12)
+    assert swaying.of_twist(T0, 0.5)[1] == pytest.approx([-np.pi * 0.06 / 2.0])  # its fastest
+    assert rows_at(swaying, np.zeros(6)).bias == pytest.approx([-0.5 * 0.06 * np.pi**2])
+    with pytest.raises(taut.RangeError, match=r"period must be > 0 \[s\]; got 0"):
+        Constraint.plane(point=T0.p, normal=[0, 0, 1], sway=[0, 0, 0.1], period=0.0)
+
+
+def test_chalk_that_sticks_bears_forces_and_turns() -> None:
+    stuck = Constraint.point(point=T0.p, normal=U)
+    assert stuck.one_sided == (True, False, False)
+    rows = rows_at(stuck, np.ones(6))
+    assert rows.phi == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+    assert rows.A is not None
+    assert rows.A[0] == pytest.approx([*U, 0.0, 0.0, 0.0])
+    assert rows.A[:, :3] @ rows.A[:, :3].T == pytest.approx(np.eye(3))
+    assert not np.any(rows.A[:, 3:])
+
+
 def test_a_rolling_wheel_is_a_constraint_of_velocities() -> None:
     """A-dot V of a knife edge that turns: the sideways direction turns with the tool."""
     edge = Constraint.pfaffian(lambda T: tm.array([*T.R[:, 1], 0.0, 0.0, 0.0]))

@@ -144,7 +144,7 @@ class TestMetrics:
     def test_forces_are_measured_where_they_are_recorded(self, make_run: Any) -> None:
         F_ext = np.array([[0.0, 3.0, 4.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 2.0, -1.0, 2.0]])
         m = make_run([0.0, 1.0], [[0.0], [0.0]], extra={"F_ext": F_ext}).metrics
-        assert (m.peak_force, m.peak_moment) == (5.0, 3.0)
+        assert (m.peak_force, m.peak_moment, m.moment_rms) == (5.0, 3.0, pytest.approx(np.sqrt(4.5)))
         assert (m.least_force, m.force_rms) == (1.0, pytest.approx(np.sqrt(13.0)))
         assert "peak_force   5 [N]: peak of the norm of the environment's force" in str(m)
 

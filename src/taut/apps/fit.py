@@ -45,8 +45,8 @@ GLANCES: Final = 200  # at a trajectory
 ERRORS_OF: Final[Mapping[type[Sample], tuple[str, ...]]] = {
     JointMotion: OF_JOINT_MOTION,
     TaskMotion: OF_TASK_MOTION,
-    hybrid_kind(TaskMotion): (*OF_TASK_MOTION, *OF_PRESSING),
     TaskForce: OF_FORCE,
+    hybrid_kind(TaskMotion): (*OF_TASK_MOTION, *OF_PRESSING, *OF_FORCE),
 }
 WHOSE: Final[Mapping[type[Sample], str]] = {
     JointMotion: "joints",

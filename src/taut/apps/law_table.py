@@ -72,7 +72,7 @@ def law_rows() -> list[LawRow]:
     return [_row(getattr(laws, name)) for name in laws.__all__ if name not in OF_OTHERS]
 
 
-OF_OTHERS: Final = ("Sum", "SideBySide")  # which are made of other laws
+OF_OTHERS: Final = ("Sum", "SideBySide", "NormalEstimate")  # which are made of other laws, or held by one
 
 
 def _row(cls: type[Law]) -> LawRow:

@@ -11,7 +11,7 @@ from taut.maths.constraint import Constraint
 
 __all__ = ["KINDS", "read_constraint"]
 
-KINDS: Final = ("plane", "sphere", "cylinder", "line", "hinge", "grasp", "pin", "knife_edge")
+KINDS: Final = ("plane", "point", "sphere", "cylinder", "line", "hinge", "grasp", "pin", "knife_edge")
 
 
 def read_constraint(section: Section, key: str = "constraint") -> Constraint:

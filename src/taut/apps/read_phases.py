@@ -9,16 +9,18 @@ from typing import Any, Final
 import numpy as np
 
 from taut.apps.read_laws import read_law
-from taut.apps.read_reference import read_reference
+from taut.apps.read_reference import read_forces, read_reference
 from taut.apps.toml import Section
 from taut.arm.description import Arm
 from taut.base.errors import TautError, quoted_list
 from taut.base.pose import Pose
 from taut.base.types import Float64Array
 from taut.control.guards import Guard, contact, lasting, moved, no_contact, settled
+from taut.control.hybrid_motion import hybrid_kind, pressing
 from taut.control.law import Law
 from taut.control.phase import Phase, PhaseReference
 from taut.control.phases import Phases
+from taut.control.reference import Reference
 from taut.control.steady import Steady
 from taut.control.task_reference import TaskMotion
 from taut.control.task_trajectory import Line
@@ -29,6 +31,7 @@ __all__ = ["TASK", "read_phases"]
 TASK: Final = "task"  # what the law of a task is called in tables and in [[pass]]
 WORDS: Final = ("contact", "no_contact", "moved", "elapsed", "settled")
 OF_CONTACT: Final = ("direction", "frame")
+OF_HYBRID: Final = hybrid_kind(TaskMotion)
 OF_SETTLED: Final = ("q", "position", "rotation", "v")
 
 Condition = Callable[[Snapshot], Any]
@@ -74,17 +77,19 @@ def _reference(section: Section, law: Law, arm: Arm, home: Float64Array, folder:
 
 
 def _steady(section: Section, law: Law) -> PhaseReference:
+    forces = read_forces(section)
     values = section.fields(("kind", "velocity", "angular", "ramp"))
     values.pop("kind")
     with section.blamed():
-        Steady(T0=Pose(np.zeros(3)), **values)
-    _require_tool(section, law)
+        _with_forces(Steady(T0=Pose(np.zeros(3)), **values), law, forces)
+    _require_tool(section, law, forces)
     frame = law.controlled_frame
-    return lambda x: Steady(T0=x.T(frame), **values)
+    return lambda x: _with_forces(Steady(T0=x.T(frame), **values), law, forces)
 
 
 def _by(section: Section, law: Law) -> PhaseReference:
     """A way from where the phase begins: in a straight line within a duration, or at once."""
+    forces = read_forces(section)
     values = section.fields(("kind", "p", "duration"), ("kind", "p"))
     way, duration = values["p"], values.get("duration")
     start = Pose(np.zeros(3))
@@ -93,19 +98,29 @@ def _by(section: Section, law: Law) -> PhaseReference:
     if duration is not None:
         with section.blamed("duration"):
             Line(T0=start, T1=there, duration=duration)
-    _require_tool(section, law)
+    with section.blamed():
+        _with_forces(TaskMotion(pose=start), law, forces)
+    _require_tool(section, law, forces)
     frame = law.controlled_frame
 
-    def reference(x: Snapshot) -> TaskMotion | Line:
+    def reference(x: Snapshot) -> Reference:
         T = x.T(frame)
         T1 = Pose(T.p + there.p, R=T.R)
-        return TaskMotion(pose=T1) if duration is None else Line(T0=T, T1=T1, duration=duration)
+        motion = TaskMotion(pose=T1) if duration is None else Line(T0=T, T1=T1, duration=duration)
+        return _with_forces(motion, law, forces)
 
     return reference
 
 
-def _require_tool(section: Section, law: Law) -> None:
-    if law.reference is not TaskMotion:
+def _with_forces(motion: TaskMotion | Line | Steady, law: Law, forces: Mapping[str, Any]) -> Reference:
+    """A motion as the law follows it: that of a hybrid law has forces, if only none."""
+    return pressing(motion, **forces) if forces or law.reference is OF_HYBRID else motion
+
+
+def _require_tool(section: Section, law: Law, forces: Mapping[str, Any]) -> None:
+    if law.reference is TaskMotion and forces:
+        raise section.error(f"{next(iter(forces))} is for a hybrid law, and {type(law).__name__} applies no forces")
+    if law.reference not in (TaskMotion, OF_HYBRID):
         raise section.error(
             f"kind is for a law that follows the tool, and {type(law).__name__} follows a {law.reference.described()}"
         )

@@ -106,13 +106,9 @@ class NormalEstimate(Law):
         g = F - v * ((v @ F) / (v @ v + NEVER))
         N = n_0 @ g
         seen = _across(n_0, g) / tm.maximum(N, self.force[()])
-        steepest = tm.tan(self.most[()])
-        w = (
-            _above(speed, self.speed)
-            * _above(N, self.force)
-            * _within(tm.abs(n_0 @ v) / speed, steepest)
-            * _within(tm.sqrt(seen @ seen + NEVER), steepest)
-        )
+        # A tool that comes or goes is among what is too steep: g . v = 0, so |seen| >= |n_0 . v| / speed.
+        steep = _within(tm.sqrt(seen @ seen + NEVER), tm.tan(self.most[()]))
+        w = _above(speed, self.speed) * _above(N, self.force) * steep
         old = _across(n_0, tilt)
         out: Vector3 = old + (1.0 - tm.exp(-self.rate[()] * w * dt)) * (seen - old)
         return out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, ClassVar, Final, Literal
 
@@ -33,24 +34,24 @@ __all__ = ["HybridMotionForce"]
 
 ForceFeedback = Literal["wrench", "joint_torque"]
 CHAIN: Final = 1e-4  # [1/kg, 1/(kg m^2)] of mobility: less of it is a direction that a chain does not have
+TOUCHING: Final = 1.0  # [N] on a tool that counts as in contact
 FEEDBACKS: Final[tuple[ForceFeedback, ...]] = ("wrench", "joint_torque")
 
 
 class HybridMotionForce(Law):
     """Hybrid motion-force control: a motion along constraints, and forces against them.
 
-    Law:          tau = J^T (P F_motion + (I - P) F_force + gamma + eta)                                eq. 10.45
-                    F_motion: what `motion` asks for, Lambda (a_des + kp X_e + ki int(X_e) + kd V_e)    eq. 10.31
-                    F_force:  A^T (lam_des + kfp lam_e + kfi int(lam_e) - kdamp (A V + phi_t))          eq. 10.38
-                  P = I - A^T (A Lambda^-1 A^T)^-1 A Lambda^-1                                          eq. 10.44
-                  less A^T (A Lambda^-1 A^T)^-1 (A-dot V + ...), the term `curvature`, which the chapter leaves out
-    Closed loop:  along the constraints that of `motion`, exactly, for whatever holds A V + phi_t = 0: P-projected, in
-                    an orthogonal projection of the product of Lambda^-1
-                    of a tool in a closed chain too, in the directions that the chain leaves to it: the term `chain`
-                  against them, with a rigid contact and F_app = A^T lam:  lam = lam_cmd, so that
-                    (1 + kfp) lam_e + kfi int(lam_e) = const, with the pole -kfi / (1 + kfp); the chapter's 10.36 has
-                    -kfi / kfp. The measured force is a tick old: kfp < 1, or the loop swings up
-                  curvature=False leaves an error of lam of (A Lambda^-1 A^T)^-1 A-dot V on curved and moving surfaces
+    Law:          tau = J^T (P F_motion + (I - P) F_force + gamma + eta - F_curved)                     eq. 10.45
+                  F_motion = Lambda (a_des + kp X_e + ki int(X_e) + kd V_e), or what else `motion` is     eq. 10.31
+                  F_force  = A^T (lam_des + kfp lam_e + kfi int(lam_e) - kdamp (A V + phi_t))             eq. 10.38
+                  F_curved = A^T S (A-dot V + ...), the term `curvature`, which the chapter leaves out
+                  P = I - A^T S A Lambda^-1, S = (A Lambda^-1 A^T)^-1                                     eq. 10.44
+    Closed loop:  along the constraints that of `motion`, as far as they allow it: P Lambda of it
+                  of a tool in a closed chain too, where the chain lets it go: the term `chain`
+                  against them lam = F_force's, in a rigid contact: (1 + kfp) lam_e + kfi int(lam_e) = const, with the
+                    pole -kfi / (1 + kfp), not the -kfi / kfp of eq. 10.36; the measured force is a tick old, so that
+                    kfp + kfi dt / 2 < 1, or the loop swings up
+                  with curvature=False lam is off by S A-dot V: m v^2 / r on a surface of radius r
 
     lam_meas is (A A^T)^-1 A F_app of the wrist sensor: friction along a surface at the tool's origin does not count
     as pressing. With feedback="joint_torque" it is eq. 10.42 with the measured torques; without kfp and kfi no force
@@ -185,6 +186,18 @@ class HybridMotionForce(Law):
         check_place(self.natural, x, self.tolerance)
         check_forces(self.natural, x, ref)
         check_motion(self.natural, x, ref, self.motion.controlled_frame, self.tolerance)
+
+    def touches(self, x: Snapshot) -> Any:
+        """Whether the arm keeps to the constraint: phi within the tolerance, and a force on it where one is measured.
+
+        Without a sensor, and for what holds both ways, phi alone tells.
+        """
+        rows = self.natural.at(x)
+        near = [tm.abs(value) <= self.tolerance for value in rows.phi]
+        if self.measures and self.feedback == "wrench" and any(rows.one_sided):
+            F = x.F_ext[:3]
+            near.append(F @ F > TOUCHING * TOUCHING)
+        return functools.reduce(lambda a, b: a & b, near)
 
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, object]]:
         rows, follow, estimated = self.natural.at(x), ref.motion, None

@@ -109,15 +109,19 @@ class Pressing:
 
     @property
     def rows(self) -> Callable[[Float64Array], Sample] | None:
-        """Samples at many times at once, as arrays (k, ...); None where the motion has only one after the other."""
-        return None if getattr(self._motion, "rows", None) is None else self._at_all
+        """Samples at many times at once, where the motion gives them so: much faster than one by one."""
+        of_motion: Callable[[Float64Array], Sample] | None = getattr(self._motion, "rows", None)
+        if of_motion is None:
+            return None
 
-    def _at_all(self, times: Float64Array) -> Sample:
-        motion: Sample = self._motion.rows(times)  # type: ignore[union-attr]
-        press, count = self._press, len(times)
-        numbers = [_checked_press(press(float(t)), float(t)) for t in times] if callable(press) else [press] * count
-        lam, F_app = (np.broadcast_to(force, (count, len(force))) for force in (self._lam, self._F_app))
-        return hybrid_kind(type(motion))(motion, np.array(numbers)[:, np.newaxis], lam, F_app)
+        def rows(times: Float64Array) -> Sample:
+            motion, k = of_motion(times), len(times)
+            given = [self._press(float(t)) if callable(self._press) else self._press for t in times]
+            press = np.array([_checked_press(value, float(t)) for value, t in zip(given, times, strict=True)])
+            lam, F_app = np.tile(self._lam, (k, 1)), np.tile(self._F_app, (k, 1))
+            return hybrid_kind(type(motion))(motion, press[:, np.newaxis], lam, F_app)
+
+        return rows
 
     @property
     def duration(self) -> float | None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, Protocol, TypeAlias, runtime_checkable
 
 from taut.base.checks import finite_scalar, positive_scalar
 from taut.base.errors import RangeError, UsageError, unknown_name
@@ -20,6 +21,15 @@ STOP: Final = "stop"
 CONTACT: Final = 1.0  # [N] a force that counts as contact, for laws that never start without
 OWN_WORDS: Final = (STOP, "phase", "next", "ticks", "ended", "begin", "lasted")  # of the memory of a task
 PhaseReference: TypeAlias = Reference | Callable[[Snapshot], Reference] | None
+
+
+@runtime_checkable
+class KnowsContact(Protocol):
+    """A law that knows where contact is."""
+
+    def touches(self, x: Snapshot) -> Any:
+        """Whether the arm is in contact, as a condition."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +59,8 @@ class Phase:
         otherwise: Where `unless` and `timeout` lead: "stop", or the name or number of a phase.
         then: Where `until` leads: the next phase, and from the last one "stop", if left out.
         name: What it is called, as in the path of a gain: law.approach.kp; phase1, phase2, ... if left out.
-        contact: What counts as contact for a law that needs it: a force [N], 1.0 if left out, or a guard.
+        contact: What counts as contact for a law that needs it: a force [N], or a guard; 1.0 N if left out, and for
+            a law that knows its surface, such as HybridMotionForce, to be on it.
 
     Raises:
         UsageError: Not a law, a reference that is none, a guard that is no function.
@@ -129,7 +140,11 @@ class Phase:
         """Whether there is contact, as a condition."""
         if callable(self.contact):
             return self.contact(x)
-        return contact(x, CONTACT if self.contact is None else float(self.contact))
+        holds: list[Any] = [law.touches(x) for _, law in all_laws(self.law) if isinstance(law, KnowsContact)]
+        force = self.contact if self.contact is not None else None if holds else CONTACT
+        if force is not None:
+            holds.append(contact(x, force))
+        return functools.reduce(lambda a, b: a & b, holds)
 
 
 def named_phases(task: Sequence[Phase]) -> dict[str, Phase]:

@@ -13,7 +13,7 @@ from typing import Any, Final, Protocol, Self
 import numpy as np
 
 from taut.base import math as tm
-from taut.base.checks import finite_array, read_only
+from taut.base.checks import finite_array, positive_scalar, read_only
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.pose import Pose
 from taut.base.types import Array, ArrayLike, Float64Array, Matrix, Twist, Vector
@@ -250,6 +250,8 @@ class Constraint:
         face: ArrayLike | None = None,
         one_sided: bool = True,
         velocity: ArrayLike = (0.0, 0.0, 0.0),
+        sway: ArrayLike = (0.0, 0.0, 0.0),
+        period: float = 1.0,
         frame: str | None = None,
     ) -> Self:
         """The tool's origin on a plane; with `face`, which lies flat on it: the board and the eraser of figure 10.16.
@@ -260,15 +262,19 @@ class Constraint:
             face: (3,) direction in the tool's axes that looks along -normal, into the plane: two more rows.
             one_sided: Whether it only pushes; the rows of a face hold both ways.
             velocity: (3,) at which the plane moves [m/s].
+            sway: (3,) how far it goes and comes back, by (1 - cos(2 pi t / period)) / 2 of it [m].
+            period: Of that [s].
             frame: The frame; the arm's tool if left out.
         """
         p, n = _three("point", point, "m"), _unit("normal", normal)
         speed = float(n @ _three("velocity", velocity, "m/s"))
+        half = 0.5 * float(n @ _three("sway", sway, "m"))
+        omega = 2.0 * np.pi / positive_scalar("period", period, unit="s")
         flat = None if face is None else _unit("face", face)
         e1, e2 = _across(n)
 
         def phi(T: Pose, t: Any) -> Array:
-            rows = [n @ (T.p - p) - speed * t]
+            rows = [n @ (T.p - p) - speed * t - half * (1.0 - tm.cos(omega * t))]
             if flat is not None:
                 looks = -(T.R @ flat)
                 # The rates of these rows at phi = 0 are the two rotations that tilt the face.
@@ -276,7 +282,30 @@ class Constraint:
             return tm.array(rows)
 
         sides = (one_sided, False, False) if flat is not None else (one_sided,)
-        return cls.of([_of_poses(phi if speed else (lambda T: phi(T, 0.0)), (frame,), sides)])
+        return cls.of([_of_poses(phi if speed or half else (lambda T: phi(T, 0.0)), (frame,), sides)])
+
+    @classmethod
+    def point(
+        cls,
+        *,
+        point: ArrayLike,
+        normal: ArrayLike = (0.0, 0.0, 1.0),
+        one_sided: bool = True,
+        frame: str | None = None,
+    ) -> Self:
+        """The tool's origin at a point of a surface, its rotation free: chalk that sticks; three rows.
+
+        The first row is that of the surface, and the other two are what friction holds, within its cone.
+
+        Args:
+            point: (3,) where it sticks [m], in world axes.
+            normal: (3,) direction of the surface towards free space, of any length.
+            one_sided: Whether the surface only pushes.
+            frame: The frame; the arm's tool if left out.
+        """
+        c, n = _three("point", point, "m"), _unit("normal", normal)
+        axes = np.array([n, *_across(n)])
+        return cls.of([_of_poses(lambda T: tm.array(list(axes @ (T.p - c))), (frame,), (one_sided, False, False))])
 
     @classmethod
     def sphere(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taut.base.types import Float64Array
+from taut.control.hybrid_motion import HybridMotion
 from taut.control.task_force import TaskForce
 from taut.record.task import TOOL
 
@@ -17,8 +18,16 @@ __all__ = ["applied_wrench", "force_error", "wanted_wrench"]
 
 
 def wanted_wrench(run: Run) -> Float64Array | None:
-    """(k, 6) F_app that was asked for, at the tool that the law controls, world axes; None where none was."""
-    if not isinstance(run.reference, TaskForce) or TOOL not in run.info or not len(run):
+    """(k, 6) F_app that was asked for, at the tool that the law controls, world axes; None where none was.
+
+    Of a hybrid law it is what was asked for as F_app, with a motion; what its rows do not hold may be anything.
+    """
+    if TOOL not in run.info or not len(run):
+        return None
+    if isinstance(run.reference, HybridMotion):
+        asked = np.asarray(run.reference.F_app, dtype=np.float64)
+        return asked if np.any(asked) else None
+    if not isinstance(run.reference, TaskForce):
         return None
     return np.asarray(run.reference.in_world(run.task.R), dtype=np.float64)
 

@@ -96,6 +96,7 @@ MEASURES: Final = {
     "force_rms": of_tool("RMS force", "N", "RMS of the norm of the environment's force"),
     "peak_force": of_tool("peak force", "N", "peak of the norm of the environment's force"),
     "peak_moment": of_tool("peak moment", "N m", "peak of the norm of the environment's moment"),
+    "moment_rms": of_tool("moment RMS", "N m", "RMS of the norm of the environment's moment"),
     "force_error_rms": of_tool("force RMS", "N", "RMS of the norm of the error of the force that the arm applies"),
     "force_error_peak": of_tool("force peak", "N", "peak of the norm of that error"),
     "moment_error_rms": of_tool(
@@ -184,6 +185,7 @@ class Metrics:
         force_rms: [N]
         peak_force: [N] largest force of the environment on the arm.
         peak_moment: [N m] its largest moment at the tool.
+        moment_rms: [N m] RMS of that moment.
         force_error_rms: [N] root of the mean square of the force's error: wanted less applied, both of the arm on the
             environment at the tool. Over the whole run; `run.between(start, end).metrics` has those of a window.
         force_error_peak: [N] the largest of that error.
@@ -248,6 +250,7 @@ class Metrics:
     force_rms: float
     peak_force: float
     peak_moment: float
+    moment_rms: float
     force_error_rms: float
     force_error_peak: float
     moment_error_rms: float
@@ -407,6 +410,7 @@ def _of_tool(run: Run) -> dict[str, Any]:
         out |= {"least_force": float(size.min()), "force_rms": float(_rms(size))}
         for name, part in (("peak_force", wrench[:, :3]), ("peak_moment", wrench[:, 3:])):
             out[name] = float(np.linalg.norm(part, axis=1).max())
+        out["moment_rms"] = float(_rms(np.linalg.norm(wrench[:, 3:], axis=1)))
     error = force_error(run)
     if error is not None:
         for name, part in (("force", error[:, :3]), ("moment", error[:, 3:])):

@@ -125,6 +125,7 @@ def phase_of(run: Run, name: str, visit: int) -> Run:
             value=float(visit),
         )
     window = visits[visit]
+    others = tuple(f"law.{other}." for other in (*about, STOP) if other != name)  # what they remember is old
     rows = slice(window.first, window.last + 1)
     own: Mapping[str, Any] = about.get(name, {})
     reference = run.reference
@@ -137,7 +138,7 @@ def phase_of(run: Run, name: str, visit: int) -> Run:
         run,
         **{key: getattr(run, key)[rows] for key in ("t", "q", "v", "tau", "command")},
         terms={key: values[rows] for key, values in run.terms.items()},
-        extra={key: values[rows] for key, values in run.extra.items()},
+        extra={key: values[rows] for key, values in run.extra.items() if not key.startswith(others)},
         reference=type(reference).of(fields),
         outcome=outcome,
         info=keys | {key: value for key, value in own.items() if key != "follows"},
