@@ -559,9 +559,7 @@ def test_a_low_pass_of_the_measured_velocity_can_be_written_too(tmp_path: Path) 
     assert np.asarray(velocity.cutoff).tolist() == [30.0, 40.0]
 
 
-ELSEWHERE = ("panda_payload", "peg", "panda_pushed", "xarm7_directions", "ur10_led", "ur10_led_drives", "two_arms")
-ELSEWHERE += ("wrong_board",)  # in test_wrong_board.py
-ELSEWHERE += ("wrist_alignment", "policy_10hz")  # these run in test_task_stories.py and test_peg.py
+ELSEWHERE = ("panda_payload", "peg", "wrong_board", *STORIES)  # each runs once, in the tests of its own
 
 
 @pytest.mark.parametrize("name", [name for name in built_in_scenarios() if name not in ELSEWHERE])

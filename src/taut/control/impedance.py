@@ -30,7 +30,7 @@ from taut.control.gains import Gain, GainValue
 from taut.control.law import Law, MemoryView
 from taut.control.nullspace import Posture
 from taut.control.spring import Bound
-from taut.control.targets import asked_of, calm_torque, eased, out_of_reach
+from taut.control.targets import RATE, asked_of, eased, out_of_reach, within_speed
 from taut.control.task import check_error_max, check_free, check_null, note_null, null_torque
 from taut.control.task_error import ERRORS, Coordinates, ErrorKind, check_coordinates, dimensions
 from taut.control.task_reference import TaskMotion
@@ -257,17 +257,19 @@ class Impedance(Law):
             lag = felt.outwards(D @ felt.inwards(error.acceleration - V_dot))
             F = wrench.mapped(felt.outwards) + Terms(inertia=lag)
             F = F + inertia.Lambda @ (motion + Terms(inertia=V_dot) - Terms(feedforward=error.acceleration))
-        tau = error.J.T @ F + Terms(nonlinear=x.h if cancels else x.g)
+        away = None if bound is not None else out_of_reach(x, ref, self.tool, asked_of(self.error, self.coordinates))
+        rest = Terms(nonlinear=x.h if cancels else x.g)
+        if away is not None:
+            pull = eased(away, away.clear, felt.X) * felt.outwards(felt.wrench(K @ felt.X))
+            calm = within_speed(x, inertia.Minv_JT, pull)
+            F = F.up_to(F.total + away.clear * (calm - F.total), "reach")
+            rest = rest + Terms(reach=-(away.clear * RATE) * (x.M @ x.v))
+        tau = error.J.T @ F + rest
         if self.null is not None:
             after["null"] = memory["null"]
         if self.null is not None and x.n > self.dimensions:  # else there is no free motion
             free, after["null"] = null_torque(self.null, x, ref, memory["null"], dt, inertia)
-            tau = tau + free
-        away = out_of_reach(x, ref, self.tool, asked_of(self.error, self.coordinates))
-        if away is not None and bound is None:
-            pull = felt.outwards(felt.wrench(spring(felt, K, None).total))
-            calm = calm_torque(x, error.J, eased(away, away.clear, felt.X) * pull)
-            tau = tau.up_to(tau.total + away.clear * (calm - tau.total), "reach")
+            tau = tau + (free if away is None else (1.0 - away.clear) * free)
         return Torque(tau), after
 
     def _damping(

@@ -12,12 +12,11 @@ from taut.control.law import Law
 from taut.control.side_by_side import SideBySide
 from taut.control.task_error import Coordinates, ErrorKind
 from taut.control.task_reference import TaskMotion
-from taut.maths.ik import shortened
 from taut.maths.out_of_reach import Asked, Beyond, distance_beyond, spheres
 from taut.maths.singularity import TOP_SPEED
 from taut.maths.snapshot import Snapshot
 
-__all__ = ["asked_of", "calm_torque", "eased", "far_away", "may_bound", "out_of_reach"]
+__all__ = ["RATE", "asked_of", "eased", "far_away", "may_bound", "out_of_reach", "within_speed"]
 
 EASED: Final = (0.05, 0.3)  # of the reach, and [rad]: what an error counts for at most, out of reach
 RATE: Final = 5.0  # [1/s] at which joints settle under a spring to a target out of reach
@@ -48,13 +47,21 @@ def eased(away: Beyond, share: Any, X: Vector) -> Any:
     return 1.0 / tm.sqrt(1.0 + share * (length + turn))
 
 
-def calm_torque(x: Snapshot, J: Matrix, F: Wrench) -> Vector:
-    """(n,) the torque of a spring's wrench F that brings no joint beyond its speed limit: M k (v_c - v) + h.
+def within_speed(x: Snapshot, Minv_JT: Matrix, F: Wrench) -> Wrench:
+    """(k,) a spring's wrench, made smaller until it brings no joint beyond its speed limit.
 
-    v_c is M^-1 J^T F / k, made shorter until it is within them; v follows it at the rate k.
+    With tau = J^T F - RATE M v + h the joint speeds follow M^-1 J^T F / RATE at that rate.
+
+    Args:
+        x: The arm at its measured state.
+        Minv_JT: (n, k) M^-1 J^T.
+        F: (k,) in the coordinates of J.
     """
-    wanted = shortened(x.M_factors.solve(J.T @ F) / RATE, TOP_SPEED * x.arm.velocity)
-    out: Vector = x.M @ (RATE * (wanted - x.v)) + x.h
+    most: Any = 1.0
+    for speed, top in zip(Minv_JT @ F, x.arm.velocity, strict=True):
+        if np.isfinite(top):
+            most = tm.maximum(most, tm.abs(speed) * (1.0 / (TOP_SPEED * RATE * top)))
+    out: Wrench = F / most
     return out
 
 
