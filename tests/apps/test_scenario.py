@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from story_names import STORIES
 
 import taut
 from taut.apps.cli import main

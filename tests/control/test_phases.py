@@ -418,7 +418,7 @@ def test_what_is_no_task_is_refused_in_a_sentence() -> None:
         (lambda: [a, Move(Drive(), name="b")], taut.MatchError, "the phases of a task give commands of one kind; these give 'a' a torque, 'b' a velocity"),
         (lambda: taut.lasting(7, ticks=1), taut.UsageError, "lasting takes a guard, such as lambda x: taut.contact(x, 2.0); got 7"),  # type: ignore[arg-type]
         (lambda: taut.lasting(lambda x: x.t > 1, ticks=0), taut.RangeError, "ticks must be a whole number >= 1; got 0"),
-        (lambda: taut.run([a, wrist], plant, duration=1.0), taut.MatchError, "phase 'touch' needs F_ext, which plant 'RigidPlant(planar3)' does not measure; it measures tau_meas, v; give the plant environment=, or take a taut.MujocoPlant"),
+        (lambda: taut.run([a, wrist], plant, duration=1.0), taut.MatchError, "phase 'touch' needs F_ext, which plant 'RigidPlant(planar3)' does not measure; it measures tau_meas, v; give the plant environment= or contact=, or take a taut.MujocoPlant"),
         (lambda: taut.run([a], plant, Q, duration=1.0), taut.UsageError, "each phase of a task has its own reference, as in taut.Phase(law, reference); leave ref out"),
         (lambda: taut.run([Move(PD, taut.stream(period=0.1))], plant, duration=1.0), taut.UsageError, "phase 'phase1': a stream in a simulation needs source=, a function that gives the next sample"),
         (lambda: taut.run([Move(PD, lambda x: 7)], plant, duration=1.0), taut.UsageError, "phase 'phase1': a reference is a sample such as taut.JointMotion(q=...), taut.hold(), a trajectory with at(t), taut.stream(...) or taut.chunk(...); got int"),  # type: ignore[arg-type, return-value]
