@@ -41,7 +41,7 @@ def at_its_ends(scenario: Scenario) -> Scenario:
     return dataclasses.replace(scenario, cases=kept, figures=figures, outputs=outputs)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")  # a group's tests are on one worker, and not one after the other
 def told(tmp_path_factory: pytest.TempPathFactory) -> Any:
     @cache
     def run(name: str) -> ScenarioResult:
@@ -95,9 +95,12 @@ def test_the_arm_that_is_not_pushed_rests_and_each_part_has_its_own_metrics(told
     assert np.isnan(run.metrics.task_rms)
 
 
+@pytest.mark.xdist_group("two_arms")
 def test_a_run_has_parts_only_of_laws_side_by_side(told: Any) -> None:
+    arm = taut.load_arm("one_joint")
+    alone = taut.run(taut.compile(taut.laws.PID(kp=1.0), arm), taut.RigidPlant(arm), duration=0.01)
     with pytest.raises(TautError, match=r"the run has no parts: its law is not taut\.SideBySide"):
-        told("wrist_alignment").runs[Trial("", "plain")].part("left")
+        alone.part("left")
     with pytest.raises(TautError, match="the run has no part 'lift'; did you mean 'left'"):
         told("two_arms").runs[Trial("", "both")].part("lift")
 
