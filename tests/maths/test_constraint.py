@@ -111,12 +111,12 @@ def test_projections_and_multipliers_are_those_of_the_formulas(
             found = at(q, v, tau)
             A, P, Minv = found["A"], found["P"], found["Minv"]
             least = [np.linalg.svd(found[what], compute_uv=False)[-1] for what in ("A", "A_q")]
-            if least[0] < 0.2 or least[1] < 0.02:
+            if least[0] < 0.2 or least[1] < 0.05:
                 continue  # far off a face or a hinge, whose rows lose their rank there; an arm that cannot press
             count += 1
             size = max(1.0, float(np.linalg.norm(P, 2)) ** 2)
             record("P^2 - P", np.abs(P @ P - P).max() / size)
-            record("P A^T", np.abs(P @ A.T).max() / (np.abs(A).max() * np.sqrt(size)))
+            record("P A^T", np.abs(P @ A.T).max() / (np.abs(A).max() * size))
             values = np.linalg.svd(P, compute_uv=False)
             assert (values[: 6 - len(A)] > 1.0 - 1e-9).all(), (kind, values)
             record("what P keeps of the rank that it loses", values[6 - len(A) :].max() / size)
