@@ -68,7 +68,14 @@ def _loaded(model: Model, payload: PayloadValues | None) -> list[RigidBody]:
     return bodies
 
 
-Motion = tuple[Vector3, Vector3, Vector3]
+Motion = tuple[Vector3, Vector3, Vector3, Matrix]
+
+
+def _swept(w: Vector3, dw: Vector3) -> Matrix:
+    """(3, 3) U with U r = dw x r + w x (w x r): the acceleration of a body's points by its turning."""
+    (x, y, z), (a, b, c) = w, dw
+    xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
+    return tm.array([[-(yy + zz), xy - c, xz + b], [xy + c, -(xx + zz), yz - a], [xz - b, yz + a, -(xx + yy)]])
 
 
 def _motions(
@@ -80,17 +87,17 @@ def _motions(
     *,
     gravity: bool,
 ) -> dict[int, Motion]:
-    """Angular velocity, angular acceleration and acceleration of the origin of bodies, each after its parent.
+    """Angular velocity and acceleration, acceleration of the origin and U of bodies, each after its parent.
 
     In body axes; None stands for zeros. With gravity all falls upwards: the base is accelerated by -g.
     """
     zero = np.zeros(3)
-    out: dict[int, Motion] = {BASE: (zero, zero, -model.gravity_B if gravity else zero)}
+    out: dict[int, Motion] = {BASE: (zero, zero, -model.gravity_B if gravity else zero, np.zeros((3, 3)))}
     for i in bodies:
         joint, (R, p) = model.joints[i], placed[i]
-        w, dw, dv = out[joint.parent]
+        w, dw, dv, U = out[joint.parent]
         w_i = R.T @ w
-        dv_i = R.T @ (dv + cross(dw, p) + cross(w, cross(w, p)))
+        dv_i = R.T @ (dv + U @ p)
         dw_i = R.T @ dw
         if joint.prismatic:
             if v is not None:
@@ -103,7 +110,7 @@ def _motions(
                 w_i = w_i + v[i] * Z
             if a is not None:
                 dw_i = dw_i + a[i] * Z
-        out[i] = w_i, dw_i, dv_i
+        out[i] = w_i, dw_i, dv_i, _swept(w_i, dw_i)
     del out[BASE]
     return out
 
@@ -125,8 +132,8 @@ def inverse_dynamics(
     forces: list[Vector3] = []
     moments: list[Vector3] = []
     motions = _motions(model, placed, range(model.n), v, a, gravity=gravity)
-    for body, (w, dw, dv) in zip(_loaded(model, payload), motions.values(), strict=True):
-        forces.append(body.m * dv + cross(dw, body.h) + cross(w, cross(w, body.h)))
+    for body, (w, dw, dv, U) in zip(_loaded(model, payload), motions.values(), strict=True):
+        forces.append(body.m * dv + U @ body.h)
         moments.append(body.I @ dw + cross(w, body.I @ w) + cross(body.h, dv))
     tau: list[Any] = [0.0] * model.n
     for i in range(model.n - 1, -1, -1):
@@ -289,8 +296,8 @@ def jacobian_rate_v(model: Model, q: Vector, v: Vector, frame: str | None = None
     if body == BASE:
         return tm.zeros(6)
     placed = _placed_all(model, q)
-    w, dw, dp = _motions(model, placed, model.arm.ancestors(body), v, None, gravity=False)[body]
-    dp = dp + cross(dw, p_in_body) + cross(w, cross(w, p_in_body))
+    _, dw, dp, U = _motions(model, placed, model.arm.ancestors(body), v, None, gravity=False)[body]
+    dp = dp + U @ p_in_body
     if axes == "W":
         R_W = link_poses(model, q)[body][0]
         return tm.array([*(R_W @ dp), *(R_W @ dw)])
