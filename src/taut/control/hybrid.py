@@ -11,6 +11,7 @@ from taut.base.checks import one_of
 from taut.base.errors import UsageError
 from taut.base.linalg import factor_spd
 from taut.base.types import Vector
+from taut.control.along_constraint import along_constraint, of_one_body
 from taut.control.command import Command, Terms, Torque
 from taut.control.compliance import check_sensor
 from taut.control.constraint_checks import (
@@ -20,7 +21,7 @@ from taut.control.constraint_checks import (
     check_place,
     check_surface,
 )
-from taut.control.constraint_estimate import NEVER, NormalEstimate, along_surface, turn_between, turned_rows
+from taut.control.constraint_estimate import NEVER, NormalEstimate, turn_between, turned_rows
 from taut.control.gains import Gain, Memory
 from taut.control.hybrid_motion import HybridMotion, hybrid_kind
 from taut.control.law import Law, MemoryView, call
@@ -46,7 +47,14 @@ class HybridMotionForce(Law):
                   F_force  = A^T (lam_des + kfp lam_e + kfi int(lam_e) - kdamp (A V + phi_t))             eq. 10.38
                   F_curved = A^T S (A-dot V + ...), the term `curvature`, which the chapter leaves out
                   P = I - A^T S A Lambda^-1, S = (A Lambda^-1 A^T)^-1                                     eq. 10.44
-    Closed loop:  along the constraints that of `motion`, as far as they allow it: P Lambda of it;
+                  with A X_e = 0, A V_e = 0, A a_des = -(A-dot V + ...): what a reference of the tool asks against a
+                    constraint of the tool is taken out of it, where the tool is, before `motion` sees it
+    Closed loop:  along the constraints that of `motion`: V-dot is what it asks for along them, whatever Lambda is,
+                    and wherever the surface really is. A reference that keeps to the constraint is not changed, and
+                    on a flat one eq. 10.45 is as it stands; on a curved one it differs by what the reference asks
+                    against the tangent at the tool, in the measure of the error along it
+                    of a law of joints, or a constraint that is not one of the tool's link, P Lambda of what it asks:
+                    what is asked against the constraint comes out as motion along it as well
                     of a tool in a closed chain, in the directions that the chain leaves to it: the term `chain`
                   against them lam = F_force's, in a rigid contact: (1 + kfp) lam_e + kfi int(lam_e) = const, with the
                     pole -kfi / (1 + kfp), not the -kfi / kfp of eq. 10.36; the measured force is a tick old, so that
@@ -72,7 +80,7 @@ class HybridMotionForce(Law):
         curvature: Whether the term of that name is in the law.
         tolerance: How far phi may be from zero where a run starts [m, rad].
         estimate: `taut.laws.NormalEstimate()` where it is not well known where the surface faces: the law is then
-            that of the constraint turned as force and motion show it, and the reference is followed along it.
+            that of the constraint turned as force and motion show it.
 
     Raises:
         UsageError: No constraint, or no law of motion that gives torques; an estimate of what is no surface.
@@ -200,12 +208,11 @@ class HybridMotionForce(Law):
         return functools.reduce(lambda a, b: a & b, near)
 
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, object]]:
-        rows, follow, estimated = self.natural.at(x), ref.motion, None
+        rows, estimated = self.natural.at(x), None
         if isinstance(self.estimate, NormalEstimate):
             rows, estimated = self._estimated(self.estimate, x, rows, memory["estimate"], dt)
-            follow = along_surface(x, rows, follow, self.motion.controlled_frame)
         held = Constrained.of(rows, x.M_factors)
-        command, motion = call(self.motion, x, follow, memory["motion"], dt)
+        command, motion = call(self.motion, x, self._followed(x, rows, ref.motion), memory["motion"], dt)
         if not isinstance(command, Torque):
             raise UsageError(
                 f"motion holds a law that gives torques, and {type(self.motion).__name__} gives a {command.kind}",
@@ -239,6 +246,14 @@ class HybridMotionForce(Law):
         n = n_0 + tilt
         n = n / tm.sqrt(n @ n + NEVER)
         return turned_rows(self.natural, x, turn_between(n_0, n)), {"tilt": tilt, "normal": n}
+
+    def _followed(self, x: Snapshot, rows: ConstraintRows, motion: Sample) -> Sample:
+        """What the law of motion follows: of a tool that is constrained, without what is against the constraint."""
+        tool = self.motion.controlled_frame
+        if not isinstance(motion, TaskMotion) or not of_one_body(self.natural, x, tool):
+            return motion
+        assert self.natural.frame is not None
+        return along_constraint(x, rows, *self.natural.frame, motion, tool)
 
     def _chain(self, x: Snapshot, held: Constrained, tau: Vector) -> Vector:
         """(n,) torques with which a tool that is part of a closed chain moves as it would without the other part.
