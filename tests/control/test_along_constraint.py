@@ -140,6 +140,31 @@ def test_what_another_link_touches_is_no_constraint_of_the_tool() -> None:
     assert of_one_body(Constraint(lambda T: T.p[2]), x, "panda_link7")
 
 
+@pytest.mark.parametrize("frame", [None, "panda_link8"])
+def test_an_impedance_with_inertia_answers_friction_and_a_push_and_not_the_force_of_the_contact(
+    frame: str | None,
+) -> None:
+    """D V-dot = F_ext along the constraint, of a tool that rests at its reference."""
+    q, D = ARM.home + 0.2 * np.cos(np.arange(7.0)), 6.0
+    x = taut.snapshot(ARM, q)
+    T, c = x.T(), x.T(frame).p
+    constraint = Constraint(lambda now: N @ (now.p - c), frames=(frame,))
+    inertia = np.diag([D, D, D, 0.2, 0.2, 0.2])
+    law = HybridMotionForce(
+        constraint=constraint,
+        motion=Impedance(D=inertia, K=(800.0, 30.0), B=(80.0, 4.0), null=None),
+    )
+    ctrl = taut.compile(law, ARM, engine="float")
+    along = np.cross(N, [1.0, 0.0, 0.0])
+    for push in (0.0, 3.0) if frame is None else (0.0,):
+        lever = np.zeros(3) if frame is None else c - T.p
+        contact = np.array([*(10.0 * N), *np.cross(lever, 10.0 * N)])  # at the tool's origin
+        pushed = np.array([*(push * along), *np.cross(lever, push * along)])
+        tau = ctrl.step(q, np.zeros(7), taut.pressing(taut.TaskMotion(pose=T), 10.0), F_ext=contact + pushed)
+        got = accelerated(ARM, constraint, q, np.zeros(7), tau + x.J().T @ pushed, None)
+        assert np.abs(got - np.linalg.solve(inertia, pushed)).max() < 1e-9, got
+
+
 def on_soft_board(motion: taut.Law, depth: float) -> Array:
     """Where the tool rests on a board that gives way, with a reference so far below the board's face."""
     T = taut.snapshot(ARM, ARM.home).T()

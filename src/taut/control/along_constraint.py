@@ -6,13 +6,14 @@ import numpy as np
 
 from taut.base import math as tm
 from taut.base.linalg import factor_spd
-from taut.base.types import Vector, Vector3
+from taut.base.types import Vector, Vector3, Wrench
+from taut.control.compliance import wrench_moved
 from taut.control.task_reference import TaskMotion
 from taut.maths.constraint import Constraint, ConstraintRows
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotation_exp, rotation_log
 
-__all__ = ["along_constraint", "of_one_body"]
+__all__ = ["along_constraint", "felt_along", "of_one_body"]
 
 
 def of_one_body(constraint: Constraint, x: Snapshot, tool: str | None) -> bool:
@@ -67,6 +68,29 @@ def along_constraint(
         }
     )
     return made if d is None else _at_point(made, -d)
+
+
+def felt_along(x: Snapshot, rows: ConstraintRows, frame: str | None) -> Snapshot:
+    """The same snapshot, whose F_ext is without what the constraint bears: friction along it, and a hand that pushes.
+
+    A law that answers F_ext with an acceleration, such as an `Impedance` with an inertia D, would answer the force of
+    the contact as well, and P would make of that a motion along the contact.
+
+    Args:
+        x: The arm, whose tool is on the link of the frame.
+        rows: The constraint there, with A.
+        frame: The frame that it is of.
+    """
+    A = rows.A
+    assert A is not None
+    factors = factor_spd(A @ A.T)
+
+    def along(F: Wrench) -> Wrench:
+        r = x.T().p - x.T(frame).p
+        there = wrench_moved(F, r)
+        return wrench_moved(there - A.T @ factors.solve(A @ there), -r)
+
+    return x.feeling(along)
 
 
 def _lever(x: Snapshot, frame: str | None, tool: str | None) -> Vector3 | None:

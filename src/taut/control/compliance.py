@@ -14,7 +14,7 @@ import numpy as np
 from taut.base import math as tm
 from taut.base.errors import MatchError, RangeError, UsageError
 from taut.base.linalg import LTDL, times_square_root
-from taut.base.types import Array, Matrix, Rotation, Vector, Wrench
+from taut.base.types import Array, Matrix, Rotation, Vector, Vector3, Wrench
 from taut.control.command import Terms
 from taut.control.gains import GainValue
 from taut.control.law import Law
@@ -36,6 +36,7 @@ __all__ = [
     "six_gains",
     "spring",
     "wrench_at",
+    "wrench_moved",
 ]
 
 GainFrame = Literal["world", "task", "tool"]
@@ -129,7 +130,12 @@ def wrench_at(x: Snapshot, tool: str | None) -> Wrench:
     F = x.F_ext
     if tool is None or tool == x.arm.tool:
         return F
-    return tm.array([*F[:3], *(F[3:] + tm.cross(x.T().p - x.T(tool).p, F[:3]))])
+    return wrench_moved(F, x.T().p - x.T(tool).p)
+
+
+def wrench_moved(F: Wrench, r: Vector3) -> Wrench:
+    """(6,) the same wrench at another point, from which r leads to where it stands, in its axes."""
+    return tm.array([*F[:3], *(F[3:] + tm.cross(r, F[:3]))])
 
 
 def check_sensor(x: Snapshot, tool: str | None) -> None:

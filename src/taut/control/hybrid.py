@@ -11,9 +11,9 @@ from taut.base.checks import one_of
 from taut.base.errors import UsageError
 from taut.base.linalg import factor_spd
 from taut.base.types import Vector
-from taut.control.along_constraint import along_constraint, of_one_body
+from taut.control.along_constraint import along_constraint, felt_along, of_one_body
 from taut.control.command import Command, Terms, Torque
-from taut.control.compliance import check_sensor
+from taut.control.compliance import check_sensor, wrench_at
 from taut.control.constraint_checks import (
     check_constraint,
     check_forces,
@@ -53,6 +53,7 @@ class HybridMotionForce(Law):
                     and wherever the surface really is. A reference that keeps to the constraint is not changed, and
                     on a flat one eq. 10.45 is as it stands; on a curved one it differs by what the reference asks
                     against the tangent at the tool, in the measure of the error along it
+                    an inertia D of `motion` feels what is along the constraint of F_ext, and not the contact's force
                     of a law of joints, or a constraint that is not one of the tool's link, P Lambda of what it asks:
                     what is asked against the constraint comes out as motion along it as well
                     of a tool in a closed chain, in the directions that the chain leaves to it: the term `chain`
@@ -212,7 +213,7 @@ class HybridMotionForce(Law):
         if isinstance(self.estimate, NormalEstimate):
             rows, estimated = self._estimated(self.estimate, x, rows, memory["estimate"], dt)
         held = Constrained.of(rows, x.M_factors)
-        command, motion = call(self.motion, x, self._followed(x, rows, ref.motion), memory["motion"], dt)
+        command, motion = call(self.motion, *self._along(x, rows, ref.motion), memory["motion"], dt)
         if not isinstance(command, Torque):
             raise UsageError(
                 f"motion holds a law that gives torques, and {type(self.motion).__name__} gives a {command.kind}",
@@ -247,13 +248,15 @@ class HybridMotionForce(Law):
         n = n / tm.sqrt(n @ n + NEVER)
         return turned_rows(self.natural, x, turn_between(n_0, n)), {"tilt": tilt, "normal": n}
 
-    def _followed(self, x: Snapshot, rows: ConstraintRows, motion: Sample) -> Sample:
-        """What the law of motion follows: of a tool that is constrained, without what is against the constraint."""
+    def _along(self, x: Snapshot, rows: ConstraintRows, motion: Sample) -> tuple[Snapshot, Sample]:
+        """What the law of motion sees and follows: of a tool that is constrained, without what is against that."""
         tool = self.motion.controlled_frame
         if not isinstance(motion, TaskMotion) or not of_one_body(self.natural, x, tool):
-            return motion
+            return x, motion
         assert self.natural.frame is not None
-        return along_constraint(x, rows, *self.natural.frame, motion, tool)
+        (frame,) = self.natural.frame
+        felt = felt_along(x, rows, frame) if of_one_body(self.natural, x, None) else x
+        return felt, along_constraint(x, rows, frame, motion, tool)
 
     def _chain(self, x: Snapshot, held: Constrained, tau: Vector) -> Vector:
         """(n,) torques with which a tool that is part of a closed chain moves as it would without the other part.
@@ -309,10 +312,7 @@ class HybridMotionForce(Law):
         if self.feedback == "joint_torque":
             return held.lam(x.tau_meas - x.h)
         (frame,) = self.natural.frame or (None,)
-        F = x.F_ext
-        if frame is not None and frame != x.arm.tool:
-            F = tm.array([*F[:3], *(F[3:] + tm.cross(x.T().p - x.T(frame).p, F[:3]))])
-        return _of_wrench(rows, -F)
+        return _of_wrench(rows, -wrench_at(x, frame))
 
 
 def _of_wrench(rows: ConstraintRows, F_app: Vector) -> Vector:
