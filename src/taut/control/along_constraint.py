@@ -9,7 +9,8 @@ from taut.base.linalg import factor_spd
 from taut.base.types import Vector, Vector3, Wrench
 from taut.control.compliance import wrench_moved
 from taut.control.task_reference import TaskMotion
-from taut.maths.constraint import Constraint, ConstraintRows
+from taut.maths.constraint import Constraint
+from taut.maths.constraint_rows import ConstraintRows
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotation_exp, rotation_log
 

@@ -22,7 +22,7 @@ from taut.control.spring import Bound, pulled
 from taut.control.task_error import Coordinates, ErrorKind, TaskError, task_error
 from taut.control.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
-from taut.maths.spatial import pose_log_rate, rotated
+from taut.maths.spatial import pose_log_rate, rotated, rotated_matrix
 
 __all__ = [
     "FRAMES",
@@ -80,11 +80,11 @@ class Compliance:
 
     def matrix_outwards(self, C: Matrix) -> Matrix:
         """(k, k) a symmetric matrix of the gains' axes in the coordinates of the error."""
-        return C if self.R is None else _turned(self.R, C)
+        return C if self.R is None else rotated_matrix(self.R, C)
 
     def matrix_inwards(self, C: Matrix) -> Matrix:
         """(k, k) the way back."""
-        return C if self.R is None else _turned(self.R.T, C)
+        return C if self.R is None else rotated_matrix(self.R.T, C)
 
     def wrench(self, force: Array) -> Wrench:
         """(k,) what pulls the tool where the potential X . force falls, in the axes of the gains."""
@@ -100,15 +100,6 @@ def spring(felt: Compliance, K: GainValue, bound: Bound | None) -> Terms:
     """The force of the spring in the axes of the gains, and what its bound takes of it."""
     whole = Terms(P=K @ felt.X)
     return whole if bound is None else whole + Terms(bound=bound.force(K, felt.X) - K @ felt.X)
-
-
-def _turned(R: Rotation, C: Matrix) -> Matrix:
-    """(6, 6) of one set of axes in another, block by block."""
-    out = tm.zeros((6, 6))
-    for i in (0, 3):
-        for j in (0, 3):
-            out[i : i + 3, j : j + 3] = R @ C[i : i + 3, j : j + 3] @ R.T
-    return out
 
 
 def modal_damping(inertia: LTDL, K: Matrix, zeta: Any, V: Vector) -> Vector:

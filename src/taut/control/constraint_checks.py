@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -11,7 +12,8 @@ from taut.base.types import Float64Array
 from taut.control.hybrid_motion import HybridMotion, Pressing
 from taut.control.reference import Chunk, Hold, Reference, Sample
 from taut.control.task_reference import TaskMotion
-from taut.maths.constraint import Constraint, ConstraintRows
+from taut.maths.constraint import Constraint
+from taut.maths.constraint_rows import ConstraintRows
 from taut.maths.snapshot import Snapshot
 
 __all__ = ["check_constraint", "check_forces", "check_motion", "check_place", "check_surface"]
@@ -118,15 +120,15 @@ def check_forces(constraint: Constraint, x: Snapshot, ref: Reference) -> None:
             f"{'row' if rows.count == 1 else 'rows'}",
             name="lam",
         )
-    for row, side in enumerate(rows.one_sided):
-        if side and lam[row] > 0.0:
-            raise RangeError(
-                f"lam[{row}] must be <= 0 [N], for the contact can be pressed and not pulled; got {lam[row]:g}; "
-                "pressing is lam < 0, or press=",
-                name="lam",
-                value=float(lam[row]),
-                rule="<= 0",
-            )
+    _check_pressed(
+        rows,
+        lam,
+        "lam",
+        lambda row: (
+            f"lam[{row}] must be <= 0 [N], for the contact can be pressed and not pulled; got {lam[row]:g}; "
+            "pressing is lam < 0, or press="
+        ),
+    )
     presses, F = bool(np.any(sample.press)), np.asarray(sample.F_app, dtype=np.float64)
     if rows.A is None:
         if presses or np.any(F):
@@ -148,7 +150,7 @@ def _check_range(A: Float64Array, F: Float64Array, rows: ConstraintRows) -> None
     size = float(np.linalg.norm(F))
     if not size:
         return
-    lam = np.linalg.lstsq(A.T, F, rcond=None)[0]
+    lam = np.asarray(np.linalg.lstsq(A.T, F, rcond=None)[0], dtype=np.float64)
     rest = F - A.T @ lam
     if np.linalg.norm(rest) > OUT_OF_RANGE * size:
         raise RangeError(
@@ -156,15 +158,21 @@ def _check_range(A: Float64Array, F: Float64Array, rows: ConstraintRows) -> None
             f"{_shown(F - rest)}, and not {_shown(rest)}",
             name="F_app",
         )
+    _check_pressed(
+        rows,
+        lam,
+        "F_app",
+        lambda row: (
+            f"F_app must press on a contact, and {_shown(F)} pulls at row {row}, lam = {lam[row]:.4g}; turn its sign"
+        ),
+    )
+
+
+def _check_pressed(rows: ConstraintRows, lam: Float64Array, name: str, sentence: Callable[[int], str]) -> None:
+    """No one-sided row is pulled at."""
     for row, side in enumerate(rows.one_sided):
         if side and lam[row] > 0.0:
-            raise RangeError(
-                f"F_app must press on a contact, and {_shown(F)} pulls at row {row}, lam = {lam[row]:.4g}; turn its "
-                "sign",
-                name="F_app",
-                value=float(lam[row]),
-                rule="lam <= 0",
-            )
+            raise RangeError(sentence(row), name=name, value=float(lam[row]), rule="lam <= 0")
 
 
 def _shown(F: Float64Array) -> str:

@@ -12,7 +12,8 @@ from taut.control.command import Command
 from taut.control.gains import Gain, GainValue, Memory
 from taut.control.law import Law, MemoryView
 from taut.control.reference import Sample
-from taut.maths.constraint import Constraint, ConstraintRows
+from taut.maths.constraint import Constraint
+from taut.maths.constraint_rows import ConstraintRows
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotated
 

@@ -20,7 +20,7 @@ from taut.control.task import check_null, null_torque
 from taut.control.task_force import FRAMES, ForceFrame, TaskForce
 from taut.maths import dynamics as dyn
 from taut.maths.snapshot import Snapshot
-from taut.maths.spatial import rotated
+from taut.maths.spatial import rotated, rotated_matrix
 from taut.maths.task_inertia import TaskInertia
 
 __all__ = ["ForceControl", "wrench_of_torques"]
@@ -214,7 +214,7 @@ class ForceControl(Law):
         Held over a tick kdamp V itself would throw about what is light, such as a last link about its own axis.
         """
         K = self.kdamp.matrix(6)
-        inverse = mobility if R is None else _turned(R.T, mobility)
+        inverse = mobility if R is None else rotated_matrix(R.T, mobility)
         out: Wrench = tm.solve(tm.eye(6) + dt * (K @ inverse), K @ V)
         return out
 
@@ -270,15 +270,6 @@ def _inwards(R: Rotation | None, six: Vector) -> Vector:
 
 def _numbers(gain: GainValue) -> Matrix:
     return np.asarray(gain.matrix(6), dtype=np.float64)
-
-
-def _turned(R: Rotation, C: Matrix) -> Matrix:
-    """(6, 6) of one set of axes in another, block by block."""
-    out = tm.zeros((6, 6))
-    for i in (0, 3):
-        for j in (0, 3):
-            out[i : i + 3, j : j + 3] = R @ C[i : i + 3, j : j + 3] @ R.T
-    return out
 
 
 def _check_pair(gain: GainValue, unit: str) -> None:

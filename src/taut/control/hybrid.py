@@ -28,7 +28,8 @@ from taut.control.law import Law, MemoryView, call
 from taut.control.reference import Reference, Sample
 from taut.control.task_reference import TaskMotion
 from taut.maths.constrained import Constrained
-from taut.maths.constraint import Constraint, ConstraintRows
+from taut.maths.constraint import Constraint
+from taut.maths.constraint_rows import ConstraintRows
 from taut.maths.snapshot import Snapshot
 
 __all__ = ["HybridMotionForce"]
