@@ -15,6 +15,7 @@ from taut import math as tm
 from taut.base.linalg import factor_spd
 from taut.maths.constrained import Constrained, force_projector
 
+NEAR = 0.1
 ARMS = ["panda", "ur10", "xarm7"]
 CENTER, U = np.array([0.3, -0.2, 0.1]), np.array([0.48, 0.6, 0.64])
 T0 = Pose([0.5, 0.1, 0.4], rpy=[0.4, 2.6, -0.3])
@@ -38,12 +39,15 @@ CONSTRAINTS: dict[str, Constraint] = {
 
 
 def evaluated(arm: taut.Arm, constraint: Constraint) -> Callable[[Array, Array, Array], dict[str, Array]]:
-    """All that is asked of a constraint, in native code: phi, A_q, bias, lam, P and the mobility of the tool."""
-    k, n = constraint.count, arm.n
-    blank = taut.snapshot(arm, arm.home)
+    """All that is asked of a constraint, in native code: phi, A_q, bias, lam, P and the mobility of the tool.
 
-    def function(q: Any, v: Any, tau: Any) -> Any:
-        x = blank.at(q, v)
+    Told by the way from a regular pose, near which native code is compared with Python once.
+    """
+    k, n = constraint.count, arm.n
+    blank, regular = taut.snapshot(arm, arm.home), arm.home + 0.6 * np.cos(1.7 * np.arange(n) + 0.3)
+
+    def function(away: Any, v: Any, tau: Any) -> Any:
+        x = blank.at(regular + NEAR * away, v)
         rows = constraint.at(x)
         held = Constrained.of(rows, x.M_factors)
         mobility = x.J() @ x.M_factors.solve(x.J().T)
@@ -52,7 +56,7 @@ def evaluated(arm: taut.Arm, constraint: Constraint) -> Callable[[Array, Array, 
         parts = [rows.phi, rows.A, rows.A_q, rows.bias, held.lam(tau - x.h), P, mobility, held.along(tau)]
         return tm.array([entry for part in parts for entry in part.ravel()])
 
-    compiled = taut.native(function, q=n, v=n, tau=n)
+    compiled = taut.native(function, away=n, v=n, tau=n)
     shapes = {
         "phi": (k,),
         "A": (k, 6),
@@ -65,7 +69,7 @@ def evaluated(arm: taut.Arm, constraint: Constraint) -> Callable[[Array, Array, 
     }
 
     def call(q: Array, v: Array, tau: Array) -> dict[str, Array]:
-        values, out, at = compiled(q, v, tau), {}, 0
+        values, out, at = compiled((q - regular) / NEAR, v, tau), {}, 0
         for name, shape in shapes.items():
             size = int(np.prod(shape))
             out[name] = values[at : at + size].reshape(shape)
