@@ -10,11 +10,14 @@ import pytest
 
 import taut
 from taut import Constraint, Pose
+from taut import math as tm
 from taut.base.types import Float64Array
 from taut.control.laws import ComputedTorque, HybridMotionForce, TaskComputedTorque, TaskVelocity
 from taut.control.reference import sample_rows
 
 Array = Float64Array
+ARM = taut.load_arm("panda")
+FLOOR = Constraint.plane(point=[0.0, 0.0, 0.4], normal=[0.0, 0.0, 1.0])
 BALL = Constraint.sphere(center=[0.4, 0.0, 0.1], radius=0.35)
 
 
@@ -196,6 +199,68 @@ def test_the_integral_is_bounded_and_a_contact_is_never_pulled() -> None:
     assert np.abs(pull).max() < 1e-9
 
 
+def test_the_integral_rests_where_it_would_pull_or_limits_cut_it() -> None:
+    arm = taut.load_arm("panda")
+    q, _ = on(BALL, arm)
+    x = taut.snapshot(arm, q)
+    n = (x.T().p - [0.4, 0.0, 0.1]) / 0.35
+    law = HybridMotionForce(constraint=BALL, motion=motion(), kfi=50.0)
+    ref = taut.pressing(taut.TaskMotion(pose=x.T()), 10.0)
+    ctrl = taut.compile(law, arm)
+    hit = np.array([*(200.0 * n), 0.0, 0.0, 0.0])  # an impact, which lam = 0 cannot answer
+    for _ in range(400):
+        ctrl.step(q, np.zeros(7), ref, F_ext=hit)
+    assert 0.2 <= ctrl.memory["law.e_int"][0] < 0.2 + 190.0 * 1e-3 + 1e-9  # kfi e_int is 10 N, and no more
+    for sign, other in ((1.0, -1.0), (-1.0, 1.0)):
+        limited = taut.compile(law, arm, limits=taut.Limits(tau=arm.effort, tau_dot=0.5))
+        limited.reset(tau_applied=taut.compile(law, arm).step(q, np.zeros(7), ref, F_ext=np.zeros(6)))
+        felt = np.array([*((10.0 + sign * 5.0) * n), 0.0, 0.0, 0.0])
+        back = np.array([*((10.0 + other * 5.0) * n), 0.0, 0.0, 0.0])
+        for _ in range(300):
+            limited.step(q, np.zeros(7), ref, F_ext=felt)
+        held = limited.memory["law.e_int"][0]
+        assert abs(held) < 0.3 * abs(sign * 5.0 * 0.3)  # 0.3 s of 5 N would be 1.5 N s
+        limited.step(q, np.zeros(7), ref, F_ext=back)
+        assert (limited.memory["law.e_int"][0] - held) * other > 0.0  # the way back is free
+
+
+@pytest.mark.parametrize("adds", [(), ("gravity",)])
+def test_joint_torques_measure_the_contact_whatever_the_plant_adds_itself(adds: tuple[str, ...]) -> None:
+    """Torque sensors have all that acts on the links: gravity that the plant compensates is in what they tell."""
+    q = taut.onto(FLOOR, ARM, ARM.home)
+    law = HybridMotionForce(constraint=FLOOR, motion=motion(), kfp=0.3, kfi=5.0, feedback="joint_torque")
+    plant = taut.RigidPlant(
+        ARM,
+        friction=None,
+        contact=taut.RigidContact(constraint=FLOOR),
+        adds=adds,
+        sensors=taut.Sensors(torque=taut.TorqueSensor()),
+    )
+    ctrl = taut.compile(law, ARM, adds=plant.adds)
+    run = taut.run(ctrl, plant, taut.pressing(taut.TaskMotion(pose=floor_pose()), 10.0), q0=q, duration=0.1)
+    assert abs(run.extra["contact.lam"][-1, 0] + 10.0) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("kfp", "kfi", "settles"), [(0.95, 1.0, True), (1.05, 1.0, False), (0.5, 900.0, True), (0.5, 1100.0, False)]
+)
+def test_on_a_rigid_contact_the_force_settles_where_kfp_and_kfi_dt_over_2_are_below_1(
+    kfp: float, kfi: float, settles: bool
+) -> None:
+    """The measured force is a tick old: e' = -kfp e - kfi int(e)."""
+    q = taut.onto(FLOOR, ARM, ARM.home)
+    law = HybridMotionForce(constraint=FLOOR, motion=motion(), kfp=kfp, kfi=kfi)
+    ctrl = taut.compile(law, ARM, engine="float")
+    ref, lam, errors = taut.pressing(taut.TaskMotion(pose=floor_pose()), 10.0), -9.9, []
+    for _ in range(120):  # small enough an error that the contact is never pulled at
+        ctrl.step(q, np.zeros(7), ref, F_ext=np.array([0.0, 0.0, -lam, 0.0, 0.0, 0.0]))
+        lam = float(ctrl.memory["law.lam"][0])
+        errors.append(abs(-10.0 - lam))
+        if errors[-1] > 5.0:
+            break
+    assert (max(errors[-10:]) < 0.5 * errors[0] + 1e-3) == settles
+
+
 def test_what_is_asked_follows_in_time() -> None:
     pose = Pose([0.4, 0.0, 0.3])
     line = taut.Line(T0=pose, T1=Pose([0.4, 0.2, 0.3]), duration=2.0)
@@ -224,10 +289,6 @@ def test_samples_at_many_times_are_those_one_after_the_other(force: dict[str, An
         np.testing.assert_allclose(rows, slow[name], atol=1e-14, err_msg=name)
 
 
-ARM = taut.load_arm("panda")
-FLOOR = Constraint.plane(point=[0.0, 0.0, 0.4], normal=[0.0, 0.0, 1.0])
-
-
 def stepped(constraint: Any, ref: Any, q: Array | None = None, **more: Any) -> Array:
     ctrl = taut.compile(HybridMotionForce(constraint=constraint, motion=motion(), **more), ARM)
     given = {"F_ext": np.zeros(6)} if "F_ext" in ctrl.needs else {}
@@ -236,6 +297,9 @@ def stepped(constraint: Any, ref: Any, q: Array | None = None, **more: Any) -> A
 
 def floor_pose() -> Pose:
     return taut.snapshot(ARM, taut.onto(FLOOR, ARM, ARM.home)).T()
+
+
+FLOOR_REF = taut.pressing(taut.TaskMotion(pose=floor_pose()))
 
 
 def squared(T: Pose) -> Any:
@@ -314,6 +378,34 @@ def squared(T: Pose) -> Any:
             lambda: stepped(FLOOR, taut.TaskMotion(pose=floor_pose())),
             taut.UsageError,
             r"taut\.pressing",
+        ),
+        (
+            lambda: HybridMotionForce(constraint=FLOOR, motion=motion(), tolerance=float("nan")),
+            taut.RangeError,
+            r"tolerance must be >= 0 \[m, rad\]; got nan",
+        ),
+        (
+            lambda: HybridMotionForce(constraint=FLOOR, motion=motion(), curvature="no"),
+            taut.UsageError,
+            "curvature must be True or False; got 'no'",
+        ),
+        (
+            lambda: HybridMotionForce(
+                constraint=Constraint.of_joints(lambda q: q, rows=7) + Constraint.of_joints(lambda q: q, rows=7),
+                motion=motion(),
+            ),
+            taut.UsageError,
+            "a hybrid law takes constraints of up to 12 rows; these have 14",
+        ),
+        (
+            lambda: taut.compile(HybridMotionForce(constraint=FLOOR, motion=motion(), kfp=0.5, kfi=3000.0), ARM),
+            taut.RangeError,
+            r"kfi / \(1 \+ kfp\) must be below twice the rate, 2000 \[1/s\]",
+        ),
+        (
+            lambda: stepped(lambda T: tm.array([T.p[2] - 0.4, T.p[2] - 0.4 + 1e-5 * T.p[0]]), FLOOR_REF),
+            taut.RangeError,
+            "the 2 rows of the constraint must be independent",
         ),
         (lambda: taut.pressing(3.0), taut.UsageError, "pressing takes a motion such as"),  # type: ignore[arg-type]
         (lambda: taut.pressing(taut.hold()), taut.UsageError, "got a hold without its sample"),

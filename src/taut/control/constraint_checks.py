@@ -18,7 +18,7 @@ from taut.maths.snapshot import Snapshot
 
 __all__ = ["check_constraint", "check_forces", "check_motion", "check_place", "check_surface"]
 
-DEPENDENT: Final = 1e-9  # of the largest singular value, rows scaled to length 1
+DEPENDENT: Final = 3e-4  # of the largest singular value, rows of length 1; below it rounding is beyond 1e-9
 OUT_OF_RANGE: Final = 1e-6  # of the wrench
 LOOKS: Final = 64  # at a motion before it is followed
 

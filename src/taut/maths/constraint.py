@@ -16,8 +16,8 @@ from taut.base.errors import UsageError
 from taut.base.pose import Pose
 from taut.base.types import ArrayLike, Float64Array
 from taut.maths import constraint_shapes as shapes
-from taut.maths.constraint_function import arguments, of_poses, of_velocity, sides
-from taut.maths.constraint_rows import ConstraintRows, OfJoints, OfPoses, OfVelocity, Piece, joined
+from taut.maths.constraint_function import arguments, of_poses, of_velocity, rows_of, sides
+from taut.maths.constraint_rows import ConstraintRows, OfJoints, OfJointVelocity, OfPoses, OfVelocity, Piece, joined
 from taut.maths.snapshot import Snapshot
 
 __all__ = ["Constraint"]
@@ -68,7 +68,7 @@ class Constraint:
 
     @classmethod
     def of(cls, pieces: Sequence[Piece]) -> Self:
-        """That of several functions at once."""
+        """That of several functions at once; of constraints one writes `one + other`."""
         made = object.__new__(cls)
         object.__setattr__(made, "pieces", tuple(pieces))
         return made
@@ -140,7 +140,7 @@ class Constraint:
     def of_joints(
         cls, function: Callable[..., Any], *, rows: int = 1, one_sided: bool | Sequence[bool] = False
     ) -> Self:
-        """phi(q) = 0, a function of the joints, or of joints and time: A(q) v = 0.
+        """phi(q) = 0, a function of the joints, or of joints and time: A(q) v = 0 by differentiation.
 
         Args:
             function: Takes (n,) joint positions, and if it has two arguments the time; gives `rows` numbers.
@@ -148,7 +148,25 @@ class Constraint:
             one_sided: As for a constraint of the pose.
         """
         timed = arguments("function", function, 1)
-        return cls.of([OfJoints(function=function, timed=timed, count=rows, one_sided=sides(one_sided, rows))])
+        count = rows_of(rows)
+        return cls.of([OfJoints(function=function, timed=timed, count=count, one_sided=sides(one_sided, count))])
+
+    @classmethod
+    def pfaffian_of_joints(cls, function: Callable[..., Any], *, rows: int = 1) -> Self:
+        """A(q) v = 0, a constraint of joint speeds that need not come from a phi.
+
+        Args:
+            function: Takes (n,) joint positions and gives A, (n,) or (rows, n), per joint speed.
+            rows: How many.
+
+        Example:
+            >>> import taut
+            >>> geared = Constraint.pfaffian_of_joints(lambda q: [1.0, -2.0])  # v_1 = 2 v_2
+            >>> geared.at(taut.snapshot(taut.load_arm("planar2"), [0.1, 0.2])).A_q.tolist()
+            [[1.0, -2.0]]
+        """
+        arguments("function", function, 1, may_be_timed=False)
+        return cls.of([OfJointVelocity(function=function, count=rows_of(rows))])
 
     @classmethod
     def pfaffian(cls, function: Callable[[Pose], Any], *, frame: str | None = None) -> Self:

@@ -9,12 +9,12 @@ from typing import Any, Final
 import numpy as np
 
 from taut.base import math as tm
-from taut.base.errors import ShapeError, UsageError
+from taut.base.errors import RangeError, ShapeError, TautError, UsageError, raised_location
 from taut.base.pose import Pose
 from taut.base.types import Array, Float64Array, Vector
 from taut.maths.constraint_rows import OfPoses, OfVelocity, each_moved
 
-__all__ = ["arguments", "of_poses", "of_velocity", "sides"]
+__all__ = ["arguments", "of_poses", "of_velocity", "rows_of", "sides"]
 
 MOST_ROWS: Final = 6  # of one function of poses
 SOMEWHERE: Final = (
@@ -82,6 +82,17 @@ def of_velocity(function: Callable[[Pose], Any], frame: str | None) -> OfVelocit
     return OfVelocity(function=function, frames=(frame,), count=count)
 
 
+def rows_of(rows: object) -> int:
+    """A number of rows.
+
+    Raises:
+        RangeError: It is none.
+    """
+    if isinstance(rows, bool) or not isinstance(rows, int) or rows < 1:
+        raise RangeError(f"rows must be a whole number >= 1; got {rows!r}", name="rows", rule=">= 1")
+    return rows
+
+
 def _slope(function: Callable[..., Any], poses: Sequence[Pose], timed: bool) -> Float64Array:
     def phi(step: Array) -> Vector:
         there = each_moved(poses, step)
@@ -93,7 +104,16 @@ def _slope(function: Callable[..., Any], poses: Sequence[Pose], timed: bool) -> 
 
 
 def _result(function: Callable[..., Any], arguments: Sequence[Any]) -> Any:
-    value = function(*arguments)
+    try:
+        value = function(*arguments)
+    except TautError:
+        raise
+    except Exception as cause:
+        raise UsageError(
+            f"a constraint function must work in every pose, and this one raises {type(cause).__name__}: {cause} at "
+            f"{raised_location(cause)}",
+            name="function",
+        ) from cause
     try:
         np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -130,9 +150,16 @@ def arguments(name: str, function: object, poses: int, *, may_be_timed: bool = T
             f"{type(function).__name__}",
             name=name,
         )
+    try:
+        signature = inspect.signature(function)
+    except ValueError:  # of some functions in C
+        raise UsageError(
+            f"{name} of this Constraint does not tell its arguments; write it as lambda T: ..., with taut.math",
+            name=name,
+        ) from None
     takes = [
         p
-        for p in inspect.signature(function).parameters.values()
+        for p in signature.parameters.values()
         if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD) and p.default is p.empty
     ]
     if len(takes) == poses:
@@ -153,10 +180,10 @@ def sides(one_sided: bool | Sequence[bool], count: int) -> tuple[bool, ...]:
     Raises:
         ShapeError: Not one for all rows, or one for each.
     """
-    each = (one_sided,) * count if isinstance(one_sided, bool) else tuple(one_sided)
+    each = tuple(one_sided) if isinstance(one_sided, (list, tuple)) else (one_sided,) * count
     if len(each) != count or not all(isinstance(side, bool) for side in each):
         raise ShapeError(
             f"one_sided must be True or False, or one for each of the {count} rows; got {one_sided!r}",
             name="one_sided",
         )
-    return each
+    return tuple(bool(side) for side in each)

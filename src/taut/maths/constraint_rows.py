@@ -15,7 +15,7 @@ from taut.base.types import Array, Matrix, Twist, Vector
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import moved
 
-__all__ = ["ConstraintRows", "OfJoints", "OfPoses", "OfVelocity", "Piece", "each_moved", "joined"]
+__all__ = ["ConstraintRows", "OfJointVelocity", "OfJoints", "OfPoses", "OfVelocity", "Piece", "each_moved", "joined"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -159,7 +159,13 @@ class OfJoints:
 
     def phi(self, q: Vector, t: Any) -> Vector:
         value = self.function(q, t) if self.timed else self.function(q)
-        out: Vector = tm.array([value]) if np.ndim(value) == 0 else tm.array(list(value))
+        given = _numbers("the function of a Constraint.of_joints", value)
+        out: Vector = tm.array([given[()]]) if given.ndim == 0 else given
+        if out.ndim != 1:
+            raise ShapeError(
+                f"the function of a Constraint.of_joints must give a number or (k,) numbers; got shape {out.shape}",
+                name="function",
+            )
         if out.shape != (self.count,):
             raise ShapeError(
                 f"the function of a Constraint.of_joints gives {len(out)} numbers, and it was made with "
@@ -206,7 +212,14 @@ class OfVelocity:
     def _A(self, T: Pose) -> Matrix:
         value = self.function(T)
         rows = [list(value)] if np.ndim(value) == 1 else [list(row) for row in value]
-        return tm.array(rows)
+        out: Matrix = tm.array(rows)
+        if out.shape != (self.count, 6):
+            raise ShapeError(
+                "the function of a Constraint.pfaffian must give A of one shape in every pose; got "
+                f"{(self.count, 6)} and {out.shape}",
+                name="function",
+            )
+        return out
 
     def of_twist(self, T: Pose, t: Any) -> tuple[Matrix, Vector]:  # noqa: ARG002
         return self._A(T), np.zeros(self.count)
@@ -226,6 +239,61 @@ class OfVelocity:
             curvature=curvature,
             one_sided=self.one_sided,
         )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OfJointVelocity:
+    """A(q) v = 0 alone."""
+
+    function: Callable[[Vector], Any]
+    count: int
+
+    @property
+    def one_sided(self) -> tuple[bool, ...]:
+        return (False,) * self.count
+
+    @property
+    def frames(self) -> tuple[str | None, ...]:
+        return ()
+
+    def _A(self, q: Vector) -> Matrix:
+        A = _numbers("the function of a Constraint.pfaffian_of_joints", self.function(q))
+        out: Matrix = tm.array([A]) if A.ndim == 1 else A
+        if out.shape != (self.count, len(q)):
+            raise ShapeError(
+                "the function of a Constraint.pfaffian_of_joints must give A per joint speed, of shape "
+                f"{(self.count, len(q))} with rows={self.count}; got {A.shape}",
+                name="function",
+            )
+        return out
+
+    def at(self, x: Snapshot) -> ConstraintRows:
+        q, v = x.q, x.v
+        curvature = tm.jacobian(lambda s: self._A(q + s[0] * v) @ v, np.zeros(1))[:, 0]
+        zero = np.zeros(self.count)
+        return ConstraintRows(
+            phi=zero,
+            A=None,
+            A_q=self._A(q),
+            phi_t=zero,
+            bias=curvature,
+            curvature=curvature,
+            one_sided=self.one_sided,
+        )
+
+
+def _numbers(who: str, value: Any) -> Array:
+    """What a function gives, as an array of numbers or symbols.
+
+    Raises:
+        ShapeError: It is something else.
+    """
+    try:
+        if value is None or isinstance(value, (str, dict, set)):
+            raise TypeError
+        return tm.array(list(value)) if np.ndim(value) else tm.array(value)
+    except (TypeError, ValueError):
+        raise ShapeError(f"{who} must give numbers; got {type(value).__name__}", name="function") from None
 
 
 def joined(parts: Iterable[Vector]) -> Vector:

@@ -96,6 +96,8 @@ def hinge(point: ArrayLike, axis: ArrayLike, T: Pose) -> Callable[[Pose], Array]
 
 def grasp(T: Pose | None) -> Callable[[Pose, Pose], Array]:
     """The way and the rotation of a second frame from where T has it in the first."""
+    if not isinstance(T, Pose | None):  # callers without a type checker
+        raise UsageError(f"T must be a taut.Pose, of the second frame in the first; got {type(T).__name__}", name="T")
     own = Pose() if T is None else T
 
     def phi(a: Pose, b: Pose) -> Array:
