@@ -302,6 +302,9 @@ def floor_pose() -> Pose:
 FLOOR_REF = taut.pressing(taut.TaskMotion(pose=floor_pose()))
 
 
+FLOOR_PRESS = taut.pressing(taut.TaskMotion(pose=floor_pose()), 10.0)
+
+
 def squared(T: Pose) -> Any:
     """phi = d^2, whose gradient is zero where it is."""
     return (T.p[2] - 0.4) * (T.p[2] - 0.4)
@@ -407,6 +410,11 @@ def squared(T: Pose) -> Any:
             taut.RangeError,
             "the 2 rows of the constraint must be independent",
         ),
+        (
+            lambda: stepped(Constraint.knife_edge(sideways=[0.0, 1.0, 0.0]) + FLOOR, FLOOR_PRESS),
+            taut.UsageError,
+            "press is a force into a surface, and the first row of the constraint is one of velocities; put the surface",
+        ),
         (lambda: taut.pressing(3.0), taut.UsageError, "pressing takes a motion such as"),  # type: ignore[arg-type]
         (lambda: taut.pressing(taut.hold()), taut.UsageError, "got a hold without its sample"),
         (lambda: taut.pressing(taut.JointMotion(q=[0.0]), -3.0), taut.RangeError, "press must be >= 0"),
@@ -430,6 +438,40 @@ def test_a_run_into_the_surface_is_refused_before_it_starts() -> None:
     dive = taut.pressing(taut.Line(T0=T, T1=Pose(T.p - [0.0, 0.0, 0.1], R=T.R), duration=1.0), 5.0)
     with pytest.raises(taut.RangeError, match=r"at t = 0\.25\d* s it is 0\.01\d* into it"):
         taut.run(ctrl, taut.RigidPlant(ARM), dive, duration=1.0, q0=q)
+
+
+def test_a_motion_is_looked_at_whichever_way_its_frame_is_named_and_of_a_chunk_each_sample() -> None:
+    """A constraint of the tool, a motion of the same frame by its name; a constraint of the flange behind the tool."""
+    T = floor_pose()
+    x = taut.snapshot(ARM, taut.onto(FLOOR, ARM, ARM.home))
+    flange = Constraint.plane(point=x.T("panda_link8").p, normal=[0.0, 0.0, 1.0], frame="panda_link8")
+    down = taut.pressing(taut.TaskMotion(pose=Pose.of(T.R, T.p - [0.0, 0.0, 0.05])), 5.0)
+    tilt = taut.pressing(taut.TaskMotion(pose=Pose.of(Pose(rpy=[0.5, 0.0, 0.0]).R @ T.R, T.p)), 5.0)
+    chunk = taut.chunk([0.1, 0.5], [taut.pressing(taut.TaskMotion(pose=T), 5.0), down])
+    for constraint, ref, when in ((FLOOR, down, "t = 0 s"), (FLOOR, chunk, "t = 0.5 s"), (flange, tilt, "t = 0 s")):
+        law = HybridMotionForce(constraint=constraint, motion=motion(tool="panda_hand_tcp"))
+        with pytest.raises(taut.RangeError, match=f"must keep to the constraint, and at {when} it is 0.0"):
+            law.check_reference(x, ref, 1000.0)
+
+
+def test_a_wrench_must_lie_in_the_range_of_a_all_the_way() -> None:
+    """On a sphere what presses at the start is askew later."""
+    q, _ = on(BALL, ARM)
+    x = taut.snapshot(ARM, q)
+    T, c = x.T(), np.array([0.4, 0.0, 0.1])
+    n = (T.p - c) / 0.35
+
+    class Arc:
+        duration = 1.0
+
+        def at(self, t: float) -> taut.TaskMotion:
+            R = Pose(rpy=[0.0, 0.0, 0.3 * t]).R
+            return taut.TaskMotion(pose=Pose.of(T.R, c + R @ (T.p - c)))
+
+    law = HybridMotionForce(constraint=BALL, motion=motion())
+    law.check_reference(x, taut.pressing(Arc(), 10.0), 1000.0)
+    with pytest.raises(taut.RangeError, match=r"F_app must lie in the range of A\^T, .* at t = 0\.0\d+ s, and not"):
+        law.check_reference(x, taut.pressing(Arc(), F_app=[*(-10.0 * n), 0.0, 0.0, 0.0]), 1000.0)
 
 
 def test_a_user_writes_a_constraint_as_a_function() -> None:
