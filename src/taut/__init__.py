@@ -98,7 +98,7 @@ if TYPE_CHECKING:
     from taut.loop import Loop as Loop
     from taut.maths import dynamics as dynamics
     from taut.maths.constraint import Constraint as Constraint
-    from taut.maths.constraint import ConstraintRows as ConstraintRows
+    from taut.maths.constraint_rows import ConstraintRows as ConstraintRows
     from taut.maths.gearing import rotor_share as rotor_share
     from taut.maths.ik import IkOutcome as IkOutcome
     from taut.maths.onto import onto as onto
@@ -205,7 +205,8 @@ _HOME: Final = {
     "control.wrist": ("Wrist",),
     "controller": ("Controller", "compile"),
     "loop": ("Loop",),
-    "maths.constraint": ("Constraint", "ConstraintRows"),
+    "maths.constraint": ("Constraint",),
+    "maths.constraint_rows": ("ConstraintRows",),
     "maths.gearing": ("rotor_share",),
     "maths.ik": ("IkOutcome",),
     "maths.onto": ("onto",),
