@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from typing import Any, ClassVar
 
@@ -200,6 +201,73 @@ def test_a_stream_without_a_source_is_given_sample_by_sample() -> None:
     assert ctrl.phase == "phase2"
     with pytest.raises(taut.UsageError, match="phase 'phase2' has its own reference; leave ref out of step"):
         ctrl.step(REST, np.zeros(3), taut.JointMotion(q=REST))
+
+
+def test_a_given_sample_of_another_size_is_refused_in_a_phase_too() -> None:
+    ctrl = taut.compile([taut.Phase(PD, taut.stream(period=0.01))], PLANAR)
+    for _ in range(2):
+        with pytest.raises(taut.ShapeError, match=r"ref.q must have shape \(3,\) \(3 joints\); got shape \(1,\)"):
+            ctrl.step(REST, np.zeros(3), taut.JointMotion(q=[0.1]))
+        ctrl.step(REST, np.zeros(3), taut.JointMotion(q=REST))
+
+
+def calls(function: Callable[[], object]) -> int:
+    """How many Python functions a call runs, builtins not counted."""
+    count = 0
+
+    def see(_frame: Any, event: str, _arg: Any) -> None:
+        nonlocal count
+        count += event == "call"
+
+    before = sys.getprofile()
+    sys.setprofile(see)
+    try:
+        function()
+    finally:
+        sys.setprofile(before)
+    return count
+
+
+@pytest.mark.parametrize(
+    "reference", [None, lambda x: taut.Quintic(q0=x.q, q1=x.q + 0.2, duration=0.2)], ids=["hold", "trajectory"]
+)
+def test_a_tick_within_a_phase_runs_one_python_function(reference: Any) -> None:
+    """Counted and not timed: samples are made ahead, and a tick copies one of them."""
+    ctrl = taut.compile([taut.Phase(PD, reference)], PLANAR)
+    zero = np.zeros(3)
+    ctrl.step(REST, zero)
+    seen = [calls(lambda: ctrl.step(REST, zero)) - 1 for _ in range(1000)]  # the lambda is one itself
+    assert sorted(set(seen))[0] == 1
+    assert seen.count(1) >= 990
+    alone = taut.compile(PD, PLANAR)
+    alone.step(REST, zero, Q)
+    assert calls(lambda: alone.step(REST, zero, Q)) == 1
+
+
+def test_an_odd_call_follows_the_same_reference_as_a_plain_one() -> None:
+    """Lists, a failing tick, new parameters with a blend: the sample is that of the tick, whatever the way to it."""
+    go = taut.Phase(
+        PD, lambda x: taut.Quintic(q0=x.q, q1=x.q + 0.2, duration=0.2), name="go", timeout=0.05, otherwise=1
+    )
+    plain, odd = (taut.compile([go, taut.Phase(PD)], PLANAR, limits=taut.Limits(blend=0.01)) for _ in range(2))
+    for k in range(80):
+        q = REST + 0.001 * k
+        if k == 10:
+            for ctrl in (plain, odd):
+                ctrl.parameters["law.go.kp"] = 50.0
+        if k % 7 == 3:
+            with pytest.raises(taut.RangeError, match=f"in tick {k}"):
+                odd.step(np.full(3, np.nan), np.zeros(3))
+        expected = plain.step(q, np.zeros(3))
+        got = odd.step(q.tolist(), v=[0.0, 0.0, 0.0]) if k % 3 else odd.step(q, np.zeros(3))
+        np.testing.assert_array_equal(got, expected)
+    assert odd.phase == plain.phase == "phase2"
+    odd.reset()
+    assert odd.phase == "go"
+    fresh = taut.compile([go, taut.Phase(PD)], PLANAR, limits=taut.Limits(blend=0.01))
+    fresh.parameters["law.go.kp"] = 50.0
+    for _ in range(3):
+        np.testing.assert_array_equal(odd.step(REST, np.zeros(3)), fresh.step(REST, np.zeros(3)))
 
 
 def test_a_stream_with_a_source_is_asked_from_the_begin_of_its_phase() -> None:

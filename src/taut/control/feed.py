@@ -72,6 +72,11 @@ class ReferenceFeed:
         j = math.floor(tick / period + NEAR) + 1
         return max(tick + 1, math.ceil(j * period - NEAR))
 
+    @property
+    def in_rows(self) -> bool:
+        """Whether the samples of many ticks cost little more than that of one."""
+        return isinstance(self._ref, (Sample, Stream)) or getattr(self._ref, "rows", None) is not None
+
     def fill(self, views: Mapping[str, Float64Array], first: int, state: Callable[[], Any]) -> None:
         """Write the reference of the ticks from `first` on into views (k, ...) by field.
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from taut.base.checks import float_array
 from taut.base.errors import TautError, UsageError
 from taut.base.types import Float64Array
 from taut.control.feed import ReferenceFeed
@@ -74,6 +75,11 @@ class PhaseFeed:
         question = None if self._inner is None else self._inner.next_question(tick - self._since)
         return None if question is None else question + self._since
 
+    @property
+    def in_rows(self) -> bool:
+        """Whether the samples of many ticks cost little more than that of one, once the reference is made."""
+        return self._inner is None or self._inner.in_rows
+
     def fill(
         self, views: Mapping[str, Float64Array], first: int, state: Callable[[], Any], given: Sample | None = None
     ) -> None:
@@ -94,8 +100,11 @@ class PhaseFeed:
                 views[field][...] = values
         own = {field[len(start) :]: view for field, view in views.items() if field.startswith(start)}
         if given is not None:
+            joints = self._side.arm.joint_names
             for field, view in own.items():
-                view[...] = getattr(given, field)
+                shape = view.shape[1:]
+                of_joints = joints if shape == (len(joints),) else None
+                view[...] = float_array(f"ref.{field}", getattr(given, field), shape=shape, joints=of_joints)
             return
         assert self._inner is not None
         self._inner.fill(own, first - self._since, state)
