@@ -290,6 +290,35 @@ def test_a_stream_with_a_source_is_asked_from_the_begin_of_its_phase() -> None:
     assert asked == [0.006, 0.01, 0.014, 0.018]
 
 
+def test_where_a_reference_fails_a_step_says_so_and_the_next_one_holds_the_arm() -> None:
+    def late(t: float) -> taut.JointMotion:
+        if t > 0.0105:
+            raise LookupError("no more")
+        return taut.JointMotion(q=REST)
+
+    class Late:
+        at = staticmethod(late)
+
+    soon = taut.Phase(PD, name="a", until=lambda x: x.elapsed > 0.0005)
+    cases: list[tuple[Any, int, str]] = [
+        (lambda x: {}["b"], 2, "phase 'b': its reference fails: KeyError: 'b' at "),
+        (Late(), 13, "phase 'b': its reference fails: LookupError: no more at "),
+    ]
+    for reference, ticks, text in cases:
+        ctrl = taut.compile([soon, taut.Phase(PD, reference, name="b")], PLANAR)
+        for _ in range(ticks):
+            ctrl.step(REST, np.zeros(3))
+        for _ in range(2):  # a sensor's fault is none of the reference
+            with pytest.raises(taut.RangeError, match="must be finite; got nan"):
+                ctrl.step(np.full(3, np.nan), np.zeros(3))
+        assert ctrl.phase == "b"
+        with pytest.raises(taut.UsageError, match=text):
+            ctrl.step(REST, np.zeros(3))
+        assert ctrl.phase == "stop"
+        held = ctrl.step(REST, np.zeros(3))
+        np.testing.assert_allclose(held, taut.snapshot(PLANAR, REST).g)
+
+
 # -------------------------------------------------------------------- laws that do not act
 
 
@@ -487,6 +516,9 @@ def test_what_is_no_task_is_refused_in_a_sentence() -> None:
         (lambda: taut.lasting(7, ticks=1), taut.UsageError, "lasting takes a guard, such as lambda x: taut.contact(x, 2.0); got 7"),  # type: ignore[arg-type]
         (lambda: taut.lasting(lambda x: x.t > 1, ticks=0), taut.RangeError, "ticks must be a whole number >= 1; got 0"),
         (lambda: taut.run([a, wrist], plant, duration=1.0), taut.MatchError, "phase 'touch' needs F_ext, which plant 'RigidPlant(planar3)' does not measure; it measures tau_meas, v; give the plant environment= or contact=, or take a taut.MujocoPlant"),
+        (lambda: [a, Move(PD, taut.JointMotion(q=[0.1]), name="b")], taut.ShapeError, "phase 'b': ref.q must have shape (3,); the reference gives (1,)"),
+        (lambda: [a, Move(PD, taut.hold(taut.JointMotion(q=[0.1])), name="b")], taut.ShapeError, "phase 'b': ref.q must have shape (3,); the reference gives (1,)"),
+        (lambda: [a, Move(PD, taut.Quintic(q0=[0.0], q1=[1.0], duration=1.0), name="b")], taut.ShapeError, "phase 'b': ref.q must have shape (3,); the reference gives (1,)"),
         (lambda: taut.run([a], plant, Q, duration=1.0), taut.UsageError, "each phase of a task has its own reference, as in taut.Phase(law, reference); leave ref out"),
         (lambda: taut.run([Move(PD, taut.stream(period=0.1))], plant, duration=1.0), taut.UsageError, "phase 'phase1': a stream in a simulation needs source=, a function that gives the next sample"),
         (lambda: taut.run([Move(PD, lambda x: 7)], plant, duration=1.0), taut.UsageError, "phase 'phase1': a reference is a sample such as taut.JointMotion(q=...), taut.hold(), a trajectory with at(t), taut.stream(...) or taut.chunk(...); got int"),  # type: ignore[arg-type, return-value]
@@ -504,7 +536,7 @@ def test_what_is_no_task_is_refused_in_a_sentence() -> None:
     for make, kind, text in cases:
         with pytest.raises(kind) as caught:
             compiled(make)
-        assert str(caught.value) == text
+        assert str(caught.value).partition(f" at {__file__}")[0] == text
 
 
 def test_a_branch_in_a_guard_is_told_with_its_line() -> None:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -126,6 +127,127 @@ def test_where_nothing_is_touched_the_task_stops_and_says_so() -> None:
     plain = taut.run(taut.compile(task[0].law, arm), taut.RigidPlant(arm), duration=0.01)
     with pytest.raises(taut.UsageError, match="the run has no phases: its law is not a task"):
         plain.phases  # noqa: B018
+
+
+PLANAR = taut.load_arm("planar3")
+HERE = np.array([0.5, 0.8, 0.6])
+PD = taut.laws.ComputedTorque(kp=100.0, kd=20.0)
+WAIT = taut.Phase(PD, name="wait", until=lambda x: x.elapsed > 0.0095)
+
+
+class Ends:
+    """A trajectory that is known for 20 ms."""
+
+    def at(self, t: float) -> taut.JointMotion:
+        if t > 0.0205:
+            raise LookupError("no more")
+        return taut.JointMotion(q=HERE)
+
+
+def asked(x: taut.Snapshot) -> taut.JointMotion:
+    if x.t > 0.025:
+        raise LookupError("no more")
+    return taut.JointMotion(q=HERE)
+
+
+FAILS: dict[str, tuple[taut.Phase, int, str]] = {
+    "function": (
+        taut.Phase(PD, lambda x: {}["target"], name="go"),  # type: ignore[arg-type, return-value]
+        11,
+        "its reference fails: KeyError: 'target' at {file}:",
+    ),
+    "trajectory": (taut.Phase(PD, Ends(), name="go"), 32, "its reference fails: LookupError: no more at {file}:"),
+    "stream": (
+        taut.Phase(PD, taut.stream(period=0.005, source=asked), name="go"),
+        26,
+        "its reference fails: LookupError: no more at {file}:",
+    ),
+    "size": (
+        taut.Phase(PD, lambda x: taut.JointMotion(q=[0.0]), name="go"),
+        11,
+        "ref.q must have shape (3,); the reference gives (1,)",
+    ),
+}
+
+
+@pytest.mark.parametrize("plant", [taut.RigidPlant(PLANAR), taut.MujocoPlant(PLANAR)], ids=["fused", "hosted"])
+@pytest.mark.parametrize(("phase", "tick", "text"), FAILS.values(), ids=FAILS)
+def test_a_reference_that_fails_ends_the_run_in_words_with_its_record(
+    plant: taut.RigidPlant | taut.MujocoPlant, phase: taut.Phase, tick: int, text: str, tmp_path: Path
+) -> None:
+    log = tmp_path / "run.mcap"
+    run = taut.run([WAIT, phase], plant, duration=0.1, q0=HERE, log=log)
+    began = tick == 11
+    assert (run.outcome.kind, len(run)) == ("stopped", tick)
+    assert run.outcome.message.startswith(
+        f"stopped at t = {tick / 1000:g} s (tick {tick}): phase 'go': {text.format(file=__file__)}"
+    )
+    assert run.outcome.message.endswith(
+        "phases: wait to 0.01 s" if began else "phases: wait to 0.011 s, go until then"
+    )
+    assert [window.name for window in run.phases] == (["wait"] if began else ["wait", "go"])
+    assert run.phase(run.phases[-1].name).outcome.kind == ("completed" if began else "stopped")
+    again = taut.load_run(log)
+    assert again.outcome == run.outcome
+    np.testing.assert_array_equal(again.q, run.q)
+    first = taut.Phase(phase.law, phase.reference, name="go")
+    if began:  # where it is the first phase, nothing has happened, and there is no record to keep
+        with pytest.raises(taut.TautError, match="phase 'go'"):
+            taut.run([first], plant, duration=0.1, q0=HERE)
+
+
+def test_a_reference_that_fails_beyond_the_end_of_its_phase_is_never_asked() -> None:
+    task = [WAIT, taut.Phase(PD, Ends(), name="go", until=lambda x: x.elapsed > 0.0195), taut.Phase(PD)]
+    assert taut.run(task, taut.RigidPlant(PLANAR), duration=0.1, q0=HERE).outcome.ok
+
+
+@pytest.mark.parametrize("plant", [taut.RigidPlant(PLANAR), taut.MujocoPlant(PLANAR)], ids=["fused", "hosted"])
+def test_a_guard_that_fails_as_plain_python_ends_the_run_in_words_with_its_record(plant: Any) -> None:
+    def until(x: taut.Snapshot) -> Any:
+        if float(np.asarray(x.t)) > 0.0305:
+            raise LookupError("no more")
+        return x.t < 0.0
+
+    ctrl = taut.compile([taut.Phase(PD, name="go", until=until)], PLANAR, engine="float")
+    run = taut.run(ctrl, plant, duration=0.1, q0=HERE)
+    assert (run.outcome.kind, len(run)) == ("stopped", 31)
+    assert run.outcome.message.startswith(
+        f"stopped at t = 0.031 s (tick 31): until of phase 'go' fails: LookupError: no more at {__file__}:"
+    )
+    assert run.outcome.message.endswith("; phases: go until then")
+
+
+def test_what_a_later_phase_follows_is_looked_at_before_the_run_or_where_it_begins() -> None:
+    T = taut.snapshot(PANDA, BOW).T()
+    height = float(T.p[2])
+    board = taut.Constraint.plane(point=T.p, normal=[0.0, 0.0, 1.0])
+    move = taut.laws.TaskComputedTorque(kp=100.0, kd=20.0)
+    hybrid = taut.laws.HybridMotionForce(constraint=board, motion=move)
+    plant = taut.RigidPlant(PANDA)
+
+    def off(x: taut.Snapshot) -> Any:
+        up = taut.Pose([*x.T().p[:2], height + 0.05], R=x.T().R)
+        return taut.pressing(taut.Line(T0=x.T(), T1=up, duration=0.5), 5.0)
+
+    def task(reference: Any, law: taut.Law = hybrid) -> list[taut.Phase]:
+        first = taut.Phase(move, name="wait", until=lambda x: x.elapsed > 0.0015)
+        return [first, taut.Phase(law, reference, name="slide", contact=lambda x: x.t > -1.0)]
+
+    def run(reference: Any, law: taut.Law = hybrid) -> taut.Run:
+        return taut.run(taut.compile(task(reference, law), PANDA, engine="float"), plant, duration=0.01, q0=BOW)
+
+    seen = taut.snapshot(PANDA, BOW)
+    words = "phase 'slide': the motion must keep to the constraint, and at t = "
+    with pytest.raises(taut.RangeError, match=words):  # before anything moves: it does not depend on where it begins
+        run(off(seen))
+    with pytest.raises(taut.RangeError, match=words):  # also where friction is compensated beside
+        run(off(seen), hybrid + taut.laws.FrictionCompensation(at="meas"))
+    with pytest.raises(taut.RangeError, match=r"phase 'slide': lam\[0\] must be <= 0 \[N\]"):
+        run(taut.pressing(taut.TaskMotion(pose=T), lam=[3.0]))
+    ended = run(off)
+    assert (ended.outcome.kind, len(ended)) == ("stopped", 3)
+    assert words in ended.outcome.message
+    assert run(lambda x: taut.pressing(taut.TaskMotion(pose=x.T()), 5.0)).outcome.ok
 
 
 def test_noise_does_not_depend_on_when_phases_begin() -> None:

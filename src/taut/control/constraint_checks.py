@@ -100,8 +100,14 @@ def check_place(constraint: Constraint, x: Snapshot, tolerance: float) -> None:
         )
 
 
-def check_forces(constraint: Constraint, x: Snapshot, ref: Reference) -> None:
+def check_forces(constraint: Constraint, x: Snapshot, ref: Reference, *, later: bool = False) -> None:
     """The forces of a reference are such as the constraint can bear.
+
+    Args:
+        constraint: The constraint.
+        x: Where the reference is followed from.
+        ref: The reference.
+        later: Whether that is somewhere else than at x: then what depends on the place is not looked at.
 
     Raises:
         UsageError: press where there is no surface; multipliers of rows that there are not.
@@ -141,7 +147,8 @@ def check_forces(constraint: Constraint, x: Snapshot, ref: Reference) -> None:
         raise UsageError(
             "press is a force, and the first row of the constraint holds rotations only; give lam=", name="press"
         )
-    _check_range(A, F, rows)
+    if not later:
+        _check_range(A, F, rows)
 
 
 def _check_range(A: Float64Array, F: Float64Array, rows: ConstraintRows) -> None:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
 from taut.base import math as tm
-from taut.base.errors import MatchError, ShapeError, TautError, UsageError
+from taut.base.errors import MatchError, RangeError, ShapeError, TautError, UsageError, raised_location
 from taut.base.types import Array
 from taut.control.command import Command, Terms
 from taut.control.guards import Lasting, condition
@@ -17,7 +18,7 @@ from taut.control.halt import Halt
 from taut.control.law import Law, MemoryView, call, initial_memory
 from taut.control.phase import STOP, Phase, named_phases
 from taut.control.phase_sample import PhaseSample, phase_sample
-from taut.control.reference import Chunk, Hold, JointMotion, Reference, Sample, Stream, Trajectory
+from taut.control.reference import Hold, JointMotion, Reference, Sample, Stream, Trajectory, as_reference
 from taut.maths.snapshot import PhaseView, Snapshot
 
 __all__ = ["ENDED", "Phases"]
@@ -112,12 +113,42 @@ class Phases(Law):
         for name in self.laws if changed else [next(iter(self.phases))]:
             self.laws[name].check_states(x, rate, changed=changed)
 
-    def check_references(self, x: Snapshot, ref: Reference, rate: float) -> None:  # noqa: ARG002
-        """What the first phase is to follow, where that is known before."""
-        name, phase = next(iter(self.phases.items()))
-        given = phase.reference
-        if given is None or isinstance(given, (Sample, Hold, Stream, Chunk, Trajectory)):
-            self.laws[name].check_references(x, Hold() if given is None else given, rate)
+    def check_references(self, x: Snapshot, ref: Reference, rate: float, *, later: bool = False) -> None:  # noqa: ARG002
+        """What the phases are to follow, as far as it is known before: not what depends on where a phase begins."""
+        for i, (name, phase) in enumerate(self.phases.items()):
+            given = phase.reference
+            if isinstance(given, Trajectory) or not (callable(given) or isinstance(given, Stream)):
+                reference = as_reference(Hold() if given is None else given)
+                with self.blamed(name):
+                    self.laws[name].check_references(x, reference, rate, later=i > 0)
+
+    def check_reference_here(self, name: str, x: Snapshot, ref: Reference, rate: float) -> None:
+        """What a phase is to follow, where it begins; not where it is refused, since there is no contact.
+
+        Raises:
+            RangeError, UsageError: It has no meaning there; the message names the phase.
+        """
+        phase = self.phases[name]
+        if phase.needs_contact and not condition(phase.in_contact(x), f"contact of phase '{name}'"):
+            return
+        with self.blamed(name):
+            self.laws[name].check_references(x, ref, rate)
+
+    @staticmethod
+    @contextmanager
+    def blamed(name: str, what: str = "its reference") -> Iterator[None]:
+        """An error is said to be of a phase; one that is no sentence of ours, that it failed, and where."""
+        try:
+            yield
+        except (ShapeError, RangeError) as cause:
+            raise type(cause)(
+                f"phase '{name}': {cause}", name=cause.name, joint=cause.joint, value=cause.value, rule=cause.rule
+            ) from cause
+        except TautError as cause:
+            raise UsageError(f"phase '{name}': {cause}", name="reference") from cause
+        except Exception as cause:
+            how = f"{type(cause).__name__}: {cause} at {raised_location(cause)}"
+            raise UsageError(f"phase '{name}': {what} fails: {how}", name="reference") from cause
 
     # ---------------------------------------------------------------- a tick
 
@@ -204,7 +235,8 @@ class Phases(Law):
         except TautError:
             raise
         except Exception as cause:
-            raise UsageError(f"{who} fails: {type(cause).__name__}: {cause}", name=word) from cause
+            how = f"{type(cause).__name__}: {cause} at {raised_location(cause)}"
+            raise UsageError(f"{who} fails: {how}", name=word) from cause
         holds = condition(given, who)
         if not isinstance(guard, Lasting):
             return holds

@@ -75,6 +75,8 @@ class TaskSteps:
     ) -> None:
         """Write what is followed in a tick where it is wanted.
 
+        Where the reference of the phase fails, the task stops: the tick after the one that raises holds the arm.
+
         Args:
             tick: Its number.
             going: Whether the task is going on; else it begins with this tick.
@@ -99,21 +101,32 @@ class TaskSteps:
         elif ref is not None:
             raise UsageError(f"phase '{name}' has its own reference; leave ref out of step", name="ref")
 
-        def state() -> Snapshot:
-            sizes = measurement_shapes(self._side.arm.n)
-            measured = {path: float_array(path, value, shape=sizes[path]) for path, value in given.items()}
-            self._side.check_finite(measured, tick)
-            sensing = subtree(self._memory, "sensing") if going else None
-            return plain_snapshot(self._side, measured, sensing, parameters, tick * self._side.dt)
-
         row = self._ahead.get(since)
         if row is None:
-            self._feed.prepare(state)
-            count = self._count(tick)
-            self._feed.fill({field: rows[:count] for field, rows in self._fields.items()}, tick, state, ref)
+            x = self._seen(tick, going, given, parameters) if since == 0 or not self._feed.waits else None
+            try:
+                count = self._make(tick, x, ref)
+            except Exception:
+                if going and not self._feed.waits:
+                    self._memory[NEXT][...], self._memory[TICKS][...] = len(self._task.phases), 0.0
+                raise
             # A first tick is never there beforehand, for what it follows depends on where its phase begins.
             row, self._ahead = self._table[0], {since + i: self._table[i] for i in range(1, count)}
         self._wanted[:] = row
+
+    def _seen(self, tick: int, going: bool, given: Mapping[str, Any], parameters: Mapping[str, Any]) -> Snapshot:
+        """What the controller sees in a tick."""
+        sizes = measurement_shapes(self._side.arm.n)
+        measured = {path: float_array(path, value, shape=sizes[path]) for path, value in given.items()}
+        self._side.check_finite(measured, tick)
+        sensing = subtree(self._memory, "sensing") if going else None
+        return plain_snapshot(self._side, measured, sensing, parameters, tick * self._side.dt)
+
+    def _make(self, tick: int, x: Snapshot | None, ref: Any) -> int:
+        """The samples from a tick on: how many."""
+        self._feed.prepare(lambda: x)
+        fields = {field: rows[: self._count(tick)] for field, rows in self._fields.items()}
+        return self._feed.fill(fields, tick, lambda: x, ref)
 
     def _count(self, tick: int) -> int:
         """Ticks whose samples can be made in this one."""

@@ -7,10 +7,11 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from taut.base.errors import RangeError
+from taut.base.errors import RangeError, TautError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
+from taut.codegen.program import failure
 from taut.control.lawside import LawSide
 from taut.control.phases import Phases
 from taut.control.targets import far_away, may_bound
@@ -115,7 +116,7 @@ class Tape:
                 "where a real one meets its stop"
             )
         message += self._remarks(ticks) + self.out_of_reach(ticks)
-        return self.with_phases(Outcome(kind="completed", message=message, tick=ticks - 1))
+        return Outcome(kind="completed", message=message, tick=ticks - 1)
 
     def with_phases(self, outcome: Outcome) -> Outcome:
         """The outcome with how the phases of a task ended, where the law is one."""
@@ -166,6 +167,12 @@ class Tape:
         """The outcome of a run that ends before an event, whose new values have no meaning there."""
         t = self.inputs["t"][tick]
         message = f"stopped at t = {t:.6g} s, before the event that sets {', '.join(new)}: {error}"
+        return Outcome(kind="stopped", message=message, tick=tick - 1)
+
+    def failed(self, tick: int, error: Exception) -> Outcome:
+        """The outcome of a run that ends before a tick in which a function of the caller's failed."""
+        how = str(error) if isinstance(error, TautError) else failure(error)
+        message = f"stopped at t = {self.inputs['t'][tick]:.6g} s (tick {tick}): {how}"
         return Outcome(kind="stopped", message=message, tick=tick - 1)
 
     def is_sane(self, tick: int) -> bool:
