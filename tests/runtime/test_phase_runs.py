@@ -6,7 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -248,6 +248,71 @@ def test_what_a_later_phase_follows_is_looked_at_before_the_run_or_where_it_begi
     assert (ended.outcome.kind, len(ended)) == ("stopped", 3)
     assert words in ended.outcome.message
     assert run(lambda x: taut.pressing(taut.TaskMotion(pose=x.T()), 5.0)).outcome.ok
+
+
+class Counts(taut.Law):
+    """A law that counts its ticks.
+
+    Law:          tau = 0
+    Closed loop:  M a + h = 0
+    """
+
+    recorded: ClassVar[tuple[str, ...]] = ("count",)
+    notices: ClassVar[tuple[tuple[str, str], ...]] = (("count", "it counted"),)
+    needs_contact: ClassVar[bool] = True
+    count: taut.Memory = taut.Memory(0.0)
+
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion, memory: Any, dt: float) -> Any:
+        return taut.Torque(P=0.0 * x.q), {"count": memory.count + 1.0}
+
+
+@pytest.mark.parametrize("plant", [taut.RigidPlant(PLANAR), taut.MujocoPlant(PLANAR)], ids=["fused", "hosted"])
+def test_what_a_law_remembers_is_nothing_where_its_phase_does_not_act(plant: Any, tmp_path: Path) -> None:
+    task = [
+        WAIT,
+        taut.Phase(Counts(), name="one", contact=lambda x: x.t > 0.0, until=lambda x: x.elapsed > 0.0035),
+        taut.Phase(Counts(), name="two", contact=lambda x: x.t < 0.0, otherwise="rest"),
+        taut.Phase(PD, name="rest"),
+    ]
+    log = tmp_path / "run.mcap"
+    run = taut.run(task, plant, duration=0.1, q0=HERE, log=log)
+    count = np.full(101, np.nan)
+    count[11:16] = [1.0, 2.0, 3.0, 4.0, 5.0]
+    np.testing.assert_array_equal(run.extra["law.one.count"], count)
+    assert np.isnan(run.extra["law.two.count"]).all()  # it was refused in its only tick
+    assert run.outcome.message.startswith(
+        "completed: 101 ticks, 0.1 s; it counted in 5 of 101 ticks, first at t = 0.011 s; phases"
+    )
+    np.testing.assert_array_equal(run.phase("one").extra["law.one.count"], count[11:16])
+    np.testing.assert_array_equal(taut.load_run(log).extra["law.one.count"], count)
+    np.testing.assert_array_equal(np.load(run.to_npz(tmp_path / "run.npz"))["extra.law.one.count"], count)
+    np.testing.assert_allclose(sum(run.terms.values()), run.command, atol=1e-9)  # terms are zero, not nothing
+    assert all(np.isfinite(values).all() for values in run.terms.values())
+
+
+def test_a_run_of_a_task_that_diverges_names_its_phases(tmp_path: Path) -> None:
+    wild = taut.laws.PID(kp=1e12, kd=0.0)
+    task = [WAIT, taut.Phase(wild, taut.JointMotion(q=HERE + 0.1), name="wild")]
+    for plant in (taut.RigidPlant(PLANAR), taut.MujocoPlant(PLANAR)):
+        run = taut.run(task, plant, duration=0.5, q0=HERE, log=tmp_path / "run.mcap")
+        assert run.outcome.kind == "diverged"
+        assert run.outcome.message.endswith("; phases: wait to 0.011 s, wild until then")
+        assert [window.name for window in run.phases] == ["wait", "wild"]
+        assert [run.phase(name).outcome.kind for name in ("wait", "wild")] == ["completed", "diverged"]
+        assert taut.load_run(tmp_path / "run.mcap").outcome == run.outcome
+
+
+def test_contact_that_was_lost_in_a_phase_is_not_lost_for_ever() -> None:
+    """The last number of a law of force is none of what comes after it."""
+    force = taut.laws.ForceControl(kfi=5.0, kdamp=(100.0, 5.0), patience=0.005)
+    task = [
+        taut.Phase(force, taut.TaskForce(F_app=[0, 0, -5.0, 0, 0, 0]), contact=lambda x: x.t > -1.0, name="press",
+                   until=lambda x: x.elapsed > 0.0195),
+        taut.Phase(STIFF, name="rest"),
+    ]  # fmt: skip
+    run = taut.run(task, taut.RigidPlant(PANDA, environment=taut.Push(peak=[0.1, 0, 0])), duration=0.1, q0=BOW)
+    assert run.extra["law.press.lost"][20] == 1.0
+    assert run.metrics.contact_lost_time == pytest.approx(run.phase("press").metrics.contact_lost_time + 0.001)
 
 
 def test_noise_does_not_depend_on_when_phases_begin() -> None:

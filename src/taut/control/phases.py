@@ -21,7 +21,7 @@ from taut.control.phase_sample import PhaseSample, phase_sample
 from taut.control.reference import Hold, JointMotion, Reference, Sample, Stream, Trajectory, as_reference
 from taut.maths.snapshot import PhaseView, Snapshot
 
-__all__ = ["ENDED", "Phases"]
+__all__ = ["ENDED", "NO_CONTACT", "Phases"]
 
 RUNNING, UNTIL, UNLESS, TIMEOUT, NO_CONTACT = range(5)
 ENDED: Final = {UNTIL: "until", UNLESS: "unless", TIMEOUT: "timeout", NO_CONTACT: "no contact"}
