@@ -339,6 +339,47 @@ def test_nan_of_a_law_that_does_not_act_reaches_nothing(engine: Any) -> None:
     assert ctrl.memory["law.b.e_int"] == pytest.approx(1.0)  # started when its phase did
 
 
+def first_inverse(x: taut.Snapshot) -> Any:
+    return taut.math.solve_spd(taut.math.array([[x.q[0], 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), np.ones(3))
+
+
+class Inverts(taut.Law):
+    """A law, and its start, that are singular where the first joint is at zero.
+
+    Law:          tau = a^-1 1, a = q_1
+    Closed loop:  none
+    """
+
+    def start(self, x: taut.Snapshot, ref: taut.JointMotion) -> dict[str, Any]:
+        return {"first": first_inverse(x)}
+
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion, memory: Any, dt: float) -> Any:
+        return taut.Torque(inverse=first_inverse(x)), {"first": memory.first}
+
+
+def test_what_is_singular_in_a_phase_that_does_not_act_ends_nothing_in_either_engine() -> None:
+    def singular(x: taut.Snapshot) -> Any:
+        return first_inverse(x)[0] > 0.0
+
+    task = [
+        taut.Phase(PD, Q, name="a", until=lambda x: x.q[0] > 1.0),
+        taut.Phase(Inverts(), name="b", unless=taut.lasting(singular, ticks=3), otherwise="a"),
+    ]
+    native, plain = (taut.compile(task, PLANAR, engine=engine) for engine in ("native", "float"))
+    at_zero, beyond = np.array([0.0, 0.8, 0.6]), np.array([2.0, 0.8, 0.6])
+    for q in (at_zero, at_zero, beyond, beyond, beyond, beyond, at_zero):
+        got = [ctrl.step(q, np.zeros(3)) for ctrl in (native, plain)]
+        np.testing.assert_allclose(got[0], got[1], rtol=1e-9)
+        assert native.phase == plain.phase
+        assert native.terms["inverse"] == pytest.approx(plain.terms["inverse"])
+    assert native.phase == "a"  # it was left after three ticks
+    run = taut.run(plain, taut.RigidPlant(PLANAR), duration=0.003, q0=at_zero)
+    assert run.outcome.ok
+    alone = taut.compile([taut.Phase(Inverts(), name="b")], PLANAR, engine="float")
+    with pytest.raises(taut.NumericalError):
+        alone.step(at_zero, np.zeros(3))
+
+
 def test_the_torque_of_a_task_is_that_of_its_law() -> None:
     task = [taut.Phase(PD, Q, name="a", until=lambda x: x.q[0] > 1.0), taut.Phase(PID, Q, name="b")]
     ctrl, pd, pid = (taut.compile(one, PLANAR) for one in (task, PD, PID))

@@ -226,6 +226,10 @@ class Law:
         """What a law that this one holds sees and follows."""
         return x, ref
 
+    def memory_of_children(self, x: Snapshot, ref: Sample) -> dict[str, Any]:
+        """Memory at the first tick of the laws that this one holds, by field."""
+        return {name: initial_memory(child, *self.seen_by(name, x, ref)) for name, child in self.children().items()}
+
     @property
     def controlled_frame(self) -> str | None:
         """The frame that this law, or a law that it holds, controls; None for the arm's tool."""
@@ -429,7 +433,7 @@ def initial_memory(law: Law, x: Snapshot, ref: Sample) -> dict[str, Any]:
     for field in dataclasses.fields(law):  # type: ignore[arg-type]  # every law is a dataclass
         if isinstance(type(law).__dict__.get(field.name), Memory):
             values[field.name] = law.__dict__[field.name]
-    values |= {name: initial_memory(child, *law.seen_by(name, x, ref)) for name, child in law.children().items()}
+    values |= law.memory_of_children(x, ref)
     start: Callable[[Snapshot, Sample], Mapping[str, Any]] | None = getattr(law, "start", None)
     if start is not None:
         values |= start(x, ref)

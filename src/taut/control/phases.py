@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any, Final
+from functools import partial
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
 from taut.base import math as tm
-from taut.base.errors import MatchError, RangeError, ShapeError, TautError, UsageError, raised_location
+from taut.base.errors import (
+    MatchError,
+    NumericalError,
+    RangeError,
+    ShapeError,
+    TautError,
+    UsageError,
+    raised_location,
+)
 from taut.base.types import Array
 from taut.control.command import Command, Terms
-from taut.control.guards import Lasting, condition
+from taut.control.guards import Guard, Lasting, condition
 from taut.control.halt import Halt
-from taut.control.law import Law, MemoryView, call, initial_memory
+from taut.control.law import Law, LawMemory, MemoryView, call, initial_memory
 from taut.control.phase import STOP, Phase, named_phases
 from taut.control.phase_sample import PhaseSample, phase_sample
 from taut.control.reference import Hold, JointMotion, Reference, Sample, Stream, Trajectory, as_reference
@@ -23,9 +32,11 @@ from taut.maths.snapshot import PhaseView, Snapshot
 
 __all__ = ["ENDED", "NO_CONTACT", "Phases"]
 
+T = TypeVar("T")
 RUNNING, UNTIL, UNLESS, TIMEOUT, NO_CONTACT = range(5)
 ENDED: Final = {UNTIL: "until", UNLESS: "unless", TIMEOUT: "timeout", NO_CONTACT: "no contact"}
 """What ended a phase, by the code that is recorded in the last tick of it."""
+BESIDE: Final = 0.1  # [rad | m]
 NEAR: Final = 1e-6  # [ticks] what a timeout that is meant to be a whole number of ticks may miss one by
 
 
@@ -157,6 +168,14 @@ class Phases(Law):
         none = {"lasted": np.zeros(counters)} if counters else {}
         return {"phase": 0.0, "next": 0.0, "ticks": 0.0, "ended": 0.0, "begin": tm.array(x.q), **none}
 
+    def memory_of_children(self, x: Snapshot, ref: Sample) -> dict[str, Any]:
+        """Zeros: each law starts when its phase begins, and what it would start with now may not be finite."""
+        out: dict[str, Any] = {}
+        for name, law in self.laws.items():
+            own = self.sample_of(name, ref)
+            out[name] = _zeros(_beside_singular(partial(initial_memory, law, ref=own), x, idle=True))
+        return out
+
     @staticmethod
     def begins(memory: Mapping[str, Any]) -> Any:
         """Whether the coming tick is the first one of its phase."""
@@ -175,9 +194,12 @@ class Phases(Law):
             own = self.sample_of(name, ref)
             if name == STOP:
                 law = law._replaced({"kind": self._kind(commands)})
-            old, new = memory[name], initial_memory(law, x, own)
-            held = _chosen(fresh, new, old)
-            commands[name], left = call(law, x, own, held, dt)
+            old = memory[name]
+
+            def called(x: Snapshot, law: Law = law, own: Sample = own, old: LawMemory = old) -> tuple[Command, Any]:
+                return call(law, x, own, _chosen(fresh, initial_memory(law, x, own), old), dt)
+
+            commands[name], left = _beside_singular(called, x, idle=_known_false(acting[name]))
             after[name] = _chosen(acting[name], left, old)
         elapsed = memory.ticks * dt
         moved = self._moved_on(x, ref, memory, (here, refused, fresh, begin, elapsed), dt)
@@ -189,7 +211,7 @@ class Phases(Law):
         refused: Any = np.bool_(False)
         for i, (name, phase) in enumerate(self.phases.items()):
             if phase.needs_contact:
-                touches = condition(phase.in_contact(x), f"contact of phase '{name}'")
+                touches = _holding(phase.in_contact, x, f"contact of phase '{name}'", idle=_known_false(here[i]))
                 refused = refused | (here[i] & fresh & ~touches)
         return refused
 
@@ -229,18 +251,10 @@ class Phases(Law):
         guard = getattr(phase, word)
         if guard is None:
             return np.bool_(False)
-        who = f"{word} of phase '{name}'"
-        try:
-            given = guard(seen)
-        except TautError:
-            raise
-        except Exception as cause:
-            how = f"{type(cause).__name__}: {cause} at {raised_location(cause)}"
-            raise UsageError(f"{who} fails: {how}", name=word) from cause
-        holds = condition(given, who)
+        memory, fresh, here, counts = now
+        holds = _holding(guard, seen, f"{word} of phase '{name}'", idle=_known_false(here))
         if not isinstance(guard, Lasting):
             return holds
-        memory, fresh, here, counts = now
         before = tm.where(fresh, 0.0, memory["lasted"][len(counts)])
         counts.append(tm.where(here & holds, before + 1.0, 0.0))
         return counts[-1] > guard.ticks - 0.5
@@ -291,6 +305,47 @@ def _is(number: Any, i: int, last: int) -> Any:
     if i < last:
         holds = (number < i + 0.5) & holds
     return holds
+
+
+def _known_false(which: Any) -> bool:
+    """Whether a condition is known not to hold: as plain Python runs it, what does not act is idle."""
+    return isinstance(which, (bool, np.bool_)) and not which
+
+
+def _beside_singular(evaluated: Callable[[Snapshot], T], x: Snapshot, *, idle: bool) -> T:
+    """What a law gives in a tick, or what a function makes of it.
+
+    Compiled code gives numbers that are not finite where a law is singular. Plain Python refuses to, and an idle law
+    is asked beside that state: of what it gives only names and shapes are used.
+    """
+    try:
+        return evaluated(x)
+    except NumericalError:
+        if not idle:
+            raise
+        return evaluated(x.at(x.q + BESIDE * np.cos(np.arange(x.n)), x.v))
+
+
+def _zeros(memory: Any) -> Any:
+    """Memory of the same shapes."""
+    if isinstance(memory, Mapping):
+        return {name: _zeros(value) for name, value in memory.items()}
+    return tm.zeros(np.shape(memory))
+
+
+def _holding(guard: Guard, x: Snapshot, who: str, *, idle: bool) -> Any:
+    """Whether a guard holds; that of an idle phase does not where it is singular."""
+    try:
+        return condition(guard(x), who)
+    except NumericalError:
+        if not idle:
+            raise
+        return np.bool_(False)
+    except TautError:
+        raise
+    except Exception as cause:
+        how = f"{type(cause).__name__}: {cause} at {raised_location(cause)}"
+        raise UsageError(f"{who} fails: {how}", name="guard") from cause
 
 
 def _chosen(which: Any, a: Any, b: Any) -> Any:
