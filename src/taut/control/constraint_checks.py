@@ -104,8 +104,14 @@ def check_place(constraint: Constraint, x: Snapshot, tolerance: float) -> None:
         )
 
 
-def check_forces(constraint: Constraint, x: Snapshot, ref: Reference) -> None:
+def check_forces(constraint: Constraint, x: Snapshot, ref: Reference, *, later: bool = False) -> None:
     """The forces of a reference are such as the constraint can bear.
+
+    Args:
+        constraint: The constraint.
+        x: Where the reference is followed from.
+        ref: The reference.
+        later: Whether that is somewhere else than at x: then what depends on the place is not looked at.
 
     Raises:
         UsageError: press where there is no surface; multipliers of rows that there are not.
@@ -148,7 +154,8 @@ def check_forces(constraint: Constraint, x: Snapshot, ref: Reference) -> None:
             "give lam=",
             name="press",
         )
-    _check_range(A, F, rows.one_sided)
+    if not later:
+        _check_range(A, F, rows.one_sided)
 
 
 def _of_velocities(constraint: Constraint) -> bool:

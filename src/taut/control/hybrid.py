@@ -216,6 +216,15 @@ class HybridMotionForce(Law):
         check_forces(self.natural, x, ref)
         check_motion(self.natural, x, ref, self.motion.controlled_frame, self.tolerance)
 
+    def check_reference_later(self, x: Snapshot, ref: Reference, rate: float) -> None:  # noqa: ARG002
+        """The same of a phase that begins elsewhere, as far as it is known: the motion keeps to the constraint.
+
+        Raises:
+            RangeError: A motion off the constraint, a force that the contact cannot bear at any place.
+        """
+        check_forces(self.natural, x, ref, later=True)
+        check_motion(self.natural, x, ref, self.motion.controlled_frame, self.tolerance)
+
     def touches(self, x: Snapshot) -> Any:
         """Whether the arm keeps to the constraint: phi within the tolerance, and a force on it where one is measured.
 

@@ -418,7 +418,8 @@ def _of_tool(run: Run) -> dict[str, Any]:
             out |= {f"{name}_error_rms": float(_rms(size)), f"{name}_error_peak": float(_peak(size))}
     lost = [column for name, column in run.extra.items() if name.startswith("law.") and name.endswith(".lost")]
     if lost:
-        out["contact_lost_time"] = float(np.sum((np.max(lost, axis=0)[:-1] != 0.0) * np.diff(run.t)))
+        told = np.any([column > 0.0 for column in lost], axis=0)  # NaN where the law's phase does not act
+        out["contact_lost_time"] = float(np.sum(told[:-1] * np.diff(run.t)))
     return out | pressed_measures(run) | felt_measures(run)
 
 

@@ -45,7 +45,8 @@ def run(
     """Run a controller against a plant and record every tick.
 
     Model plants are fused with the controller into one native loop; engines are stepped tick by tick. A run that
-    diverges ends with that outcome, and keeps what came before.
+    diverges ends with that outcome, and keeps what came before. So does one of a task in which what a phase is to
+    follow fails, or a guard, after the first tick.
 
     Args:
         ctrl: A controller from `taut.compile`, or a whole `taut.Loop` (then leave plant, ref and duration out); or a
@@ -136,9 +137,11 @@ def _recorded(going: FusedRun | HostedRun, log: str | os.PathLike[str] | None, p
     with Progress(len(tape.inputs["t"]), progress) as bar:
         if log is None:
             kept, outcome = going.go(bar.advance, None)
+            outcome = tape.with_phases(outcome)
         else:
             with open_log(log) as file:
                 kept, outcome = going.go(bar.advance, file)
+                outcome = tape.with_phases(outcome)
                 file.finish(outcome)
     return tape.piece(0, kept, outcome)
 
