@@ -81,7 +81,7 @@ SCENE = """
   <worldbody>
     <geom name="board" type="box" size="0.2 0.2 0.05" pos="0 0 -0.05" rgba="1 0 1 1" friction="0.3" priority="1"
           solref="0.005 1" solimp="0 0.9 0.002 0.5 1"/>
-    <body name="flap" pos="0.2 0.2 0.4">
+    <body name="flap" pos="0.2 -0.2 0.2">
       <joint name="flap" axis="0 1 0" damping="0.01"/>
       <geom type="box" size="0.1 0.02 0.02" pos="0.1 0 0" mass="0.1" rgba="0 1 1 1" contype="0" conaffinity="0"/>
     </body>
