@@ -4,65 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete
+from servo_runs import Servo
 
 import taut
 
-RATES = (100.0, 1000.0)
-KINDS = ("measured", "difference", taut.LowPass(cutoff=20.0), taut.Difference(cutoff=20.0))
 CLOSE = 0.05  # poles nearer than this share of their size are compared by the polynomial's coefficients
 WITHIN = 0.005
-
-
-@dataclass(frozen=True, kw_only=True)
-class Servo:
-    """The chapter's link without friction on a table, under PID at a rate."""
-
-    rate: float
-    kind: int
-    taps: int = 0
-    exact: bool = False
-
-    def sampled(self, kp: float, kd: float, ki: float) -> taut.SampledErrorDynamics:
-        return taut.second_order(M=0.5, kp=kp, kd=kd, ki=ki).sampled(
-            rate=self.rate,
-            delay=self.taps / self.rate,
-            velocity=KINDS[self.kind],
-            integrator="exact" if self.exact else "semi-implicit-euler",
-        )
-
-    def error(self, kp: float, kd: float, ki: float, ticks: int) -> np.ndarray:
-        """(ticks,) the error of a run of taut from e = 1 mrad at rest, over 1 mrad."""
-        ctrl, plant = compiled(self.rate, self.kind), plant_of(self.taps / self.rate, self.exact)
-        ctrl.parameters["law.kp"], ctrl.parameters["law.kd"], ctrl.parameters["law.ki"] = kp, kd, ki
-        run = taut.run(ctrl, plant, taut.JointMotion(q=[0.0]), duration=ticks / self.rate, q0=[-1e-3])
-        return -run.q[:ticks, 0] / 1e-3
-
-
-@cache
-def table() -> taut.Arm:
-    return taut.load_arm("one_joint").with_gravity([0.0, 0.0, 0.0])
-
-
-@cache
-def compiled(rate: float, kind: int) -> taut.Controller:
-    law = taut.laws.PID(kp=1.0, kd=1.0, ki=1.0)
-    return taut.compile(law, table(), rate=rate, sensing=taut.Sensing(velocity=KINDS[kind]))
-
-
-@cache
-def plant_of(delay: float, exact: bool) -> taut.RigidPlant:
-    return taut.RigidPlant(
-        table(),
-        friction=None,
-        integrator="rk4" if exact else "semi-implicit-euler",
-        actuation=taut.Actuation(delay=delay),
-    )
 
 
 SERVOS = [

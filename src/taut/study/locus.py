@@ -25,7 +25,7 @@ __all__ = ["Crossing", "Locus", "Replaceable", "locus"]
 Complex = NDArray[np.complex128]
 FINE: Final = 0.02  # of the picture's extent: what a pole may move between two values
 DEPTH: Final = 14  # halvings of the space between two values that are asked for
-HALVINGS: Final = 60
+HALVINGS: Final = 44
 REAL: Final = 1e-6  # imaginary part of what a double pole splits into, in parts of its size
 
 

@@ -10,7 +10,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Final, Literal
 
 import numpy as np
@@ -231,10 +231,9 @@ class SampledLoop:
         mass, damping = np.asarray(self.mass), np.asarray(self.damping)
         eye, none = np.eye(n), np.zeros((n, n))
         if self.integrator == "exact":
-            rates = np.linalg.solve(mass, np.hstack([-damping, eye]))
-            A = np.block([[none, eye, none], [none, rates], [none, none, none]])
             part = self.periods[1]
-            before, after = expm(A * part * T), expm(A * (1.0 - part) * T)
+            before = _moved(mass.tobytes(), damping.tobytes(), part * T)
+            after = _moved(mass.tobytes(), damping.tobytes(), (1.0 - part) * T)
         else:
             h = T / self.substeps
             factor = np.linalg.inv(mass + h * damping)
@@ -322,6 +321,18 @@ class SampledLoop:
 
         scale = self.rate**2 / largest  # at this factor the spring turns the mass round in a period
         return largest_factor(stable, 1e-7 * scale, 100.0 * scale)
+
+
+@lru_cache(maxsize=256)
+def _moved(mass: bytes, damping: bytes, time: float) -> Float64Array:
+    """(3n, 3n) what a time [s] makes of position, velocity and force; maps and loci over gains ask often for one."""
+    n = math.isqrt(len(mass) // 8)
+    M, b = (np.frombuffer(matrix, dtype=np.float64).reshape(n, n) for matrix in (mass, damping))
+    eye, none = np.eye(n), np.zeros((n, n))
+    rates = np.linalg.solve(M, np.hstack([-b, eye]))
+    made: Float64Array = expm(np.block([[none, eye, none], [none, rates], [none, none, none]]) * time)
+    made.flags.writeable = False
+    return made
 
 
 def _scaled(matrix: Float64Array) -> Float64Array:
