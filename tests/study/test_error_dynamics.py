@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from exact_response import exact_response
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 import taut
 from taut.study.second_order_response import FASTEST, settling_angle
@@ -82,6 +83,20 @@ class TestTheChapter:
         assert pd.steady_state_error("disturbance", 0.981) == pytest.approx(0.981 / 2.205)
         assert pd.replaced(ki=1.0).steady_state_error("disturbance", 0.981) == 0.0
 
+    def test_figure_10_6_runs_end_where_the_statics_says(self) -> None:
+        """From -pi/2 to 0 in gravity: Kp e = m g r cos(theta) is left by PD, and nothing by PID."""
+        arm = taut.load_arm("one_joint")
+        ctrl = taut.compile(taut.laws.PID(kp=2.205, kd=2.0, ki=0.0), arm, rate=1000.0)
+        left = brentq(lambda e: 2.205 * e - 0.981 * math.cos(e), 0.0, 1.0)
+        for ki, expected in ((0.0, left), (1.0, 0.0)):
+            ctrl.parameters["law.ki"] = ki
+            run = taut.run(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=[0.0]), duration=20.0, q0=[-0.5 * math.pi])
+            assert -run.q[-1, 0] == pytest.approx(expected, abs=2e-4)
+        linear = taut.second_order(**CHAPTER, kp=2.205, kd=2.0).steady_state_error(
+            "disturbance", 0.981 * math.cos(left)
+        )
+        assert linear == pytest.approx(left)
+
     def test_the_integral_does_not_take_away_the_error_of_a_sine(self) -> None:
         pd = taut.second_order(**CHAPTER, kp=2.205, kd=2.0)
         s = 2j * math.pi * 0.5
@@ -139,13 +154,21 @@ class TestTheResponse:
         assert np.abs(d.response(later)[0]).max() < 0.02
         assert abs(float(d.response(t * (1.0 - 1e-6))[0])) > 0.02
 
-    @pytest.mark.parametrize("zeta", [0.05, 0.4, 0.78, 1.0, 2.5])
+    @pytest.mark.parametrize("zeta", [1e-6, 0.05, 0.4, 0.78, 1.0, 2.5])
     def test_the_search_for_any_order_finds_what_the_closed_form_says(self, zeta: float) -> None:
         d = taut.second_order(omega_n=5.0, zeta=zeta)
         far = taut.ErrorDynamics(coefficients=np.polymul(d.coefficients, [1.0, 1e7]))
         for name in ("settling_time", "overshoot", "rise_time", "peak_time"):
             expected, got = getattr(d, name), getattr(far, name)
             assert got == pytest.approx(expected, rel=1e-5, abs=1e-9, nan_ok=True), name
+
+    def test_of_velocity_input_control_is_that_of_section_11_3(self) -> None:
+        """e_dot + kp e + ki int(e) = 0 with a double pole: e = (1 - p t) exp(-p t), which overshoots by exp(-2)."""
+        d = taut.ErrorDynamics(coefficients=[1.0, 20.0, 100.0], integral=True)
+        t = np.linspace(0.0, 1.0, 11)
+        np.testing.assert_allclose(d.response(t)[0], (1.0 - 10.0 * t) * np.exp(-10.0 * t), atol=1e-13)
+        assert d.overshoot == pytest.approx(100.0 * math.exp(-2.0))
+        assert d.step.peak_time == pytest.approx(0.2)
 
     def test_what_does_not_settle_says_so(self) -> None:
         for coefficients in ([1.0, 0.0, 4.0], [1.0, -1.0, 4.0], [1.0, 1.0, 1.0, 5.0]):

@@ -140,6 +140,18 @@ class TestClosedForms:
         d = taut.second_order(omega_n=10.0, zeta=1.0).sampled(rate=2000.0)
         assert d.largest_stable_delay == pytest.approx(margin - 0.5 / 2000.0, rel=2e-3)
 
+    def test_a_delay_of_hundreds_of_periods_is_a_border_too(self) -> None:
+        d = taut.second_order(omega_n=1.0, zeta=1.0).sampled(rate=300.0, velocity="difference")
+        assert 150.0 < d.largest_stable_delay * 300.0 < 250.0
+        assert d.replaced(delay=0.9999 * d.largest_stable_delay).stable
+        assert not d.replaced(delay=1.0001 * d.largest_stable_delay).stable
+
+    def test_nothing_that_does_not_pull_is_stable(self) -> None:
+        d = taut.second_order(M=0.5, kp=0.0, kd=4.0).sampled(rate=100.0)
+        assert (d.stable, d.lowest_stable_rate, d.largest_stable_delay) == (False, math.inf, 0.0)
+        undamped = taut.second_order(kp=4.0, kd=0.0).sampled(rate=100.0, integrator="semi-implicit-euler")
+        assert not undamped.stable
+
     def test_no_rate_and_no_delay_help_where_the_book_is_unstable(self) -> None:
         d = taut.second_order(M=0.5, kp=1.0, kd=1.0, ki=3.0).sampled(rate=1000.0)
         assert (d.lowest_stable_rate, d.largest_stable_delay) == (math.inf, 0.0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -13,11 +12,12 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from taut.base.checks import finite_array, finite_scalar, one_of, positive_scalar
-from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.errors import ShapeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
+from taut.study import characteristic
 from taut.study.joint_gains import JointGains
-from taut.study.linear_response import NEVER, StepShape, step_shape
-from taut.study.poles import damping_ratios, sorted_poles
+from taut.study.linear_response import NEVER, StepShape, companion, step_shape
+from taut.study.poles import damping_ratios
 from taut.study.routh import RouthTable, routh
 from taut.study.sampled import Integrator, VelocityKind
 from taut.study.second_order_response import shape, swing
@@ -33,7 +33,6 @@ Case = Literal["overdamped", "critically damped", "underdamped"]
 CASES: Final[tuple[Case, ...]] = ("overdamped", "critically damped", "underdamped")
 Input = Literal["step", "ramp", "parabola", "disturbance"]
 INPUTS: Final[tuple[Input, ...]] = ("step", "ramp", "parabola", "disturbance")
-CRITICAL: Final = 1e-14  # of zeta^2 about 1: what rounding leaves of a critically damped design
 EQUAL: Final = 1e-10  # of a coefficient: what conversions between kinds of systems leave of no difference
 Complex = NDArray[np.complex128]
 
@@ -119,15 +118,7 @@ class ErrorDynamics:
             >>> d.kp, d.kd
             (125.0, 20.0)
         """
-        given = np.atleast_1d(np.asarray(poles))
-        if given.ndim != 1 or not given.size or given.dtype.kind not in "fiuc":
-            raise ShapeError(f"poles must be a list of numbers [1/s]; got {poles!r}", name="poles")
-        if not np.isfinite(given).all():
-            raise RangeError("poles must be finite [1/s]", name="poles", value=given)
-        made = np.poly(given)
-        if np.iscomplexobj(made) or not _paired(given):
-            raise RangeError("complex poles must come in conjugate pairs; give -a + jb and -a - jb", name="poles")
-        return cls(coefficients=made, integral=integral)
+        return cls(coefficients=characteristic.from_poles(poles), integral=integral)
 
     @classmethod
     def from_matrix(cls, A: ArrayLike) -> ErrorDynamics:
@@ -143,10 +134,7 @@ class ErrorDynamics:
             >>> ErrorDynamics.from_matrix([[0.0, 1.0], [-100.0, -20.0]]).case
             'critically damped'
         """
-        matrix = finite_array("A", A)
-        if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not matrix.size:
-            raise ShapeError(f"A must be a square matrix; got shape {matrix.shape}", name="A")
-        return cls(coefficients=_characteristic(matrix))
+        return cls(coefficients=characteristic.from_matrix(A))
 
     @classmethod
     def of(cls, system: Any) -> ErrorDynamics:
@@ -187,17 +175,7 @@ class ErrorDynamics:
 
         Of the second order by the formula of section 10.2.1.1, whose discriminant is exact.
         """
-        if self.order != 2:
-            return sorted_poles(np.roots(self._a))
-        sigma, excess = self._sigma, self._excess
-        if excess < 0.0:
-            pair = [complex(-sigma, math.sqrt(-excess)), complex(-sigma, -math.sqrt(-excess))]
-        elif excess == 0.0:
-            pair = [complex(-sigma), complex(-sigma)]
-        else:
-            far = -(sigma + math.copysign(math.sqrt(excess), sigma))
-            pair = [complex(far), complex(float(self._a[2] / self._a[0]) / far)]
-        return sorted_poles(np.array(pair))
+        return characteristic.roots(self._a)
 
     @cached_property
     def routh(self) -> RouthTable:
@@ -253,10 +231,7 @@ class ErrorDynamics:
 
     @cached_property
     def _excess(self) -> float:
-        """zeta^2 omega_n^2 - omega_n^2 [1/s^2], rounded once; zero within rounding of a critically damped design."""
-        a2, a1, a0 = (Fraction(float(a)) for a in self._a)
-        excess = float((a1 * a1 - 4 * a2 * a0) / (4 * a2 * a2))
-        return 0.0 if abs(excess) <= CRITICAL * self._sigma**2 else excess
+        return characteristic.excess(self._a)
 
     @property
     def zeta(self) -> float:
@@ -385,13 +360,7 @@ class ErrorDynamics:
 
     @cached_property
     def _chain(self) -> tuple[Float64Array, float]:
-        """Companion matrix of e^(k) / w^k, and w: the size of the poles, so that its entries are of one size."""
-        sizes = np.abs(self.poles)
-        w = float(np.exp(np.mean(np.log(sizes[sizes > 0.0])))) if (sizes > 0.0).any() else 1.0
-        n = self.order
-        A = np.diag(np.full(n - 1, w), 1)
-        A[-1] = -self._a[:0:-1] / self._a[0] * w ** (np.arange(n) - n + 1.0)
-        return A, w
+        return companion(self._a, self.poles)
 
     @cached_property
     def step(self) -> StepShape:
@@ -458,14 +427,8 @@ class ErrorDynamics:
         numerator = self._numerator("disturbance" if to == "disturbance" else "reference")
         if not self.stable:
             return None
-        powers = {"step": 0, "ramp": 1, "parabola": 2, "disturbance": 0}[to]
-        low = numerator[::-1]  # from s^0 up
-        if not low.any() or size == 0.0:
-            return 0.0
-        first = int(np.flatnonzero(low)[0])
-        if first < powers:
-            return math.copysign(math.inf, low[first] * self._a[-1] * size)
-        return float(size * low[powers] / self._a[-1]) if first == powers else 0.0
+        power = {"step": 0, "ramp": 1, "parabola": 2, "disturbance": 0}[to]
+        return characteristic.final_value(numerator, self._a, power, size)
 
     def sine_error(self, frequency: float, of: Literal["reference", "disturbance"] = "reference") -> float | None:
         """Amplitude of the error, once it has settled, over that of a sine that is followed or that disturbs.
@@ -570,21 +533,3 @@ class ErrorDynamics:
         from taut.study.error_plots import of_continuous
 
         return of_continuous(self)
-
-
-def _characteristic(matrix: Float64Array) -> Float64Array:
-    """det(s I - A), by Faddeev and Leverrier in fractions: double roots stay double."""
-    n = len(matrix)
-    A = [[Fraction(float(entry)) for entry in row] for row in matrix]
-    made, N = [Fraction(1)], [[Fraction(int(i == j)) for j in range(n)] for i in range(n)]
-    for k in range(1, n + 1):
-        AN = [[sum((A[i][m] * N[m][j] for m in range(n)), Fraction(0)) for j in range(n)] for i in range(n)]
-        made.append(-sum((AN[i][i] for i in range(n)), Fraction(0)) / k)
-        N = [[AN[i][j] + (made[k] if i == j else 0) for j in range(n)] for i in range(n)]
-    return np.array([float(a) for a in made])
-
-
-def _paired(poles: NDArray[Any]) -> bool:
-    upper = np.sort_complex(poles[poles.imag > 0.0])
-    lower = np.sort_complex(np.conj(poles[poles.imag < 0.0]))
-    return len(upper) == len(lower) and bool(np.allclose(upper, lower, rtol=1e-12, atol=0.0))

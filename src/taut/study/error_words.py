@@ -21,6 +21,7 @@ __all__ = ["equation", "number", "of_continuous", "of_sampled", "pole"]
 
 MOST_POLES = 8
 WIDTH = 17  # of the first column
+LONG = "too lightly damped to be followed to its end"
 
 
 def number(value: float | None, unit: str = "") -> str:
@@ -67,13 +68,13 @@ def of_continuous(d: ErrorDynamics) -> str:
     if d.stable:
         lines.append(_row("time constant", f"{number(d.time_constant, 's')}, of the slowest pole"))
         lines += _step(d)
-        lines.append(
-            _row("settling, 2 %", f"{number(d.settling_time, 's')} exactly; 4 tau: {number(d.settling_by_rule, 's')}")
-        )
+        exact = LONG if math.isnan(d.settling_time) else f"{number(d.settling_time, 's')} exactly"
+        lines.append(_row("settling, 2 %", f"{exact}; 4 tau: {number(d.settling_by_rule, 's')}"))
     lines += _steady(d)
     if d.joint is not None:
         gains = f"kp = {d.kp:.6g}, kd = {d.kd:.6g}, ki = {d.ki:.6g}"
-        lines.append(_row("gains", f"{gains}; stable for 0 <= ki < {number(d.largest_ki)}"))
+        bound = f"stable for 0 <= ki < {number(d.largest_ki)}" if d.largest_ki else "no ki is stable with these"
+        lines.append(_row("gains", f"{gains}; {bound}"))
     return "\n".join(lines)
 
 
@@ -92,10 +93,8 @@ def of_sampled(d: SampledErrorDynamics) -> str:
     lines.append(_row("zeta, omega_n", pairs))
     if d.stable:
         lines += _step(d)
-        book_settles = number(d.continuous.settling_time, "s")
-        lines.append(
-            _row("settling, 2 %", f"{d.settling_ticks} ticks, {number(d.settling_time, 's')}; book: {book_settles}")
-        )
+        ticks = f"{d.settling_ticks} ticks, {number(d.settling_time, 's')}" if d.settling_ticks is not None else LONG
+        lines.append(_row("settling, 2 %", f"{ticks}; book: {number(d.continuous.settling_time, 's')}"))
     rate, delay = d.lowest_stable_rate, d.largest_stable_delay
     lowest = "at no rate" if math.isinf(rate) else f"from {number(rate, 'Hz')} on"
     lines.append(_row("stable", f"{lowest} with this delay; at this rate {_late(delay)}"))

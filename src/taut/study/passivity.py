@@ -69,8 +69,6 @@ def spare_damping_in_band(loop: SampledLoop, band: float | None = None) -> float
 
 def largest_passive(loop: SampledLoop, band: float | None = None, *, everything: bool = True) -> float:
     """The factor on K up to which spare damping is not negative: for every environment, or for motion in a band."""
-    if loop.integrates:
-        return 0.0
     largest = float(np.abs(np.linalg.eigvalsh(np.asarray(loop.K))).max())
     spare = spare_damping if everything else lambda loop: spare_damping_in_band(loop, band)
     if largest == 0.0:

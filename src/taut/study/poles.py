@@ -28,7 +28,7 @@ class Spectrum:
 
 def sorted_poles(poles: NDArray[Any]) -> Complex:
     """Slowest first, the upper one of a pair before the lower."""
-    made = np.asarray(poles, dtype=np.complex128)
+    made = np.asarray(poles, dtype=np.complex128) + 0.0  # no -0
     return made[np.lexsort((-made.imag, -made.real))]
 
 

@@ -95,10 +95,10 @@ def routh(coefficients: ArrayLike) -> RouthTable:
 
     Example:
         >>> print(routh([0.5, 2.1, 2.205, 1.0]))
-        s^3 |     0.5    2.205
-        s^2 |     2.1        1
-        s^1 |  1.9669
-        s^0 |       1
+        s^3 |    0.5   2.205
+        s^2 |    2.1       1
+        s^1 | 1.9669
+        s^0 |      1
         stable: no change of sign in the first column
         >>> routh([1.0, 1.0, 2.0, 2.0]).on_axis
         2

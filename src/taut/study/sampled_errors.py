@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from taut.base.checks import finite_scalar
 from taut.base.errors import UsageError
 from taut.base.types import Float64Array
+from taut.study.delay_margin import largest_delay
 from taut.study.error_dynamics import ErrorDynamics
 from taut.study.joint_gains import JointGains
 from taut.study.linear_response import NEVER, StepShape, powers, sampled_shape
@@ -30,7 +31,7 @@ STEP: Final = 2.0**0.25  # of the search for a rate
 MOST_STEPS: Final = 80  # of it: a factor of a million
 MOST_PERIODS: Final = 500  # of delay that are searched
 HALVINGS: Final = 40
-OF_A_PERIOD: Final = 12  # halvings of a period of delay
+ROUNDING: Final = 1e-12  # of a pole's modulus
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -128,7 +129,12 @@ class SampledErrorDynamics:
     @property
     def stable(self) -> bool:
         """Whether every error dies away: all poles within the unit circle."""
-        return self.radius < 1.0
+        return self._pulls and self.radius < 1.0 - ROUNDING
+
+    @property
+    def _pulls(self) -> bool:
+        """Whether anything pulls at an error."""
+        return self.gains.kp > 0.0 or self.gains.ki > 0.0
 
     def replaced(self, **numbers: float) -> SampledErrorDynamics:
         """The same with other numbers: M, b, kp, kd, ki, rate, delay."""
@@ -148,7 +154,7 @@ class SampledErrorDynamics:
     @property
     def _start(self) -> tuple[Float64Array, Float64Array]:
         """The state of a unit error at rest, and the row that reads the error: positions come first."""
-        if not self.gains.kp and not self.gains.ki:
+        if not self._pulls:
             raise UsageError("nothing pulls at an error: kp and ki are zero", name="kp")
         first = np.eye(len(self.matrix))[0]
         return first, first
@@ -228,30 +234,11 @@ class SampledErrorDynamics:
     def largest_stable_delay(self) -> float:
         """[s] from the tick to the torque up to which it is stable at its rate: the first border from none.
 
-        Zero if it is unstable without delay; whole periods with integrator="semi-implicit-euler"; infinite if 500
-        periods do not make it unstable.
+        Zero if it is unstable without delay; whole periods with integrator="semi-implicit-euler".
         """
-
-        def stable(periods: float) -> bool:
-            return self._stable_at(delay=periods * self.dt)
-
-        if not stable(0.0):
+        if not self._pulls:
             return 0.0
-        low, high = 0, 1
-        while stable(high):
-            low, high = high, high + max(1, high // 4)
-            if high > MOST_PERIODS:
-                return math.inf
-        while high - low > 1:
-            middle = (low + high) // 2
-            low, high = (middle, high) if stable(middle) else (low, middle)
-        if self.integrator != "exact":
-            return low * self.dt
-        few, many = float(low), float(high)
-        for _ in range(OF_A_PERIOD if low > 50 else HALVINGS):
-            part = 0.5 * (few + many)
-            few, many = (part, many) if stable(part) else (few, part)
-        return few * self.dt
+        return largest_delay(self.loop, whole=self.integrator != "exact") * self.dt
 
     # ---------------------------------------------------------------- ways out
 

@@ -71,7 +71,7 @@ def second_order(
         >>> print(second_order(M=0.5, b=0.1, kp=2.205, kd=2.0, ki=1.0))
         error dynamics 0.5 s^3 + 2.1 s^2 + 2.205 s + 1 = 0
           stable           no change of sign in the first column
-          poles            -0.6848 +- 0.4896j, -2.83 1/s
+          poles            -0.6367 +- 0.5273j, -2.927 1/s
         ...
 
     References:

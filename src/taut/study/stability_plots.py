@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_locus", "draw_map", "of_locus", "of_map"]
 
-STABLE: Final = colour(2)
+STABLE: Final = "#C4E7DC"  # a light shade of colour(2), opaque: neighbouring cells show no seam
 FAR: Final = 0.98  # quantile of the poles that are shown
 
 
@@ -81,9 +81,9 @@ def draw_map(ax: Axes, found: StabilityMap, units: tuple[str, str] = ("", ""), *
     labels = [f"{name} [{unit}]" if unit else name for name, unit in zip(found.names, units, strict=True)]
     prepared(ax, "", labels[1], labels[0])
     areas, lines = _cells(found)
-    ax.add_collection(PolyCollection(areas, facecolor=STABLE, alpha=0.25, edgecolor="none"))
+    ax.add_collection(PolyCollection(areas, facecolor=STABLE, edgecolor=STABLE, linewidth=0.5, zorder=0.4))
     ax.add_collection(LineCollection(lines, color=INK, linewidth=1.2))
-    ax.fill_between([], [], color=STABLE, alpha=0.25, label="stable")
+    ax.fill_between([], [], color=STABLE, label="stable")
     ax.plot([], [], color=INK, linewidth=1.2, label="border")
     x, y = found.values
     if log:
