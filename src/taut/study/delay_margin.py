@@ -26,7 +26,7 @@ def largest_delay(loop: SampledLoop, *, whole: bool = False) -> float:
     """The delay in periods up to which a loop of one direction is stable: the first border from none.
 
     Law:          with a delay of d + s periods the characteristic polynomial is z^d D(z) + N_s(z); from a stable
-                  start a pole first reaches the unit circle where |N_s| = |D| at z = exp(j theta) and
+                  start a pole first reaches the unit circle where abs(N_s) = abs(D) at z = exp(j theta) and
                   d theta = arg(N_s / D) - pi, modulo 2 pi
 
     Args:

@@ -194,12 +194,12 @@ class ErrorDynamics:
 
     @property
     def damping_ratios(self) -> Float64Array:
-        """(n,) -Re(s) / |s| of each pole."""
+        """(n,) -Re(s) / abs(s) of each pole."""
         return damping_ratios(self.poles)
 
     @property
     def natural_frequencies(self) -> Float64Array:
-        """(n,) |s| of each pole [rad/s]."""
+        """(n,) abs(s) of each pole [rad/s]."""
         made: Float64Array = np.abs(self.poles)
         return made
 

@@ -33,7 +33,7 @@ def sorted_poles(poles: NDArray[Any]) -> Complex:
 
 
 def damping_ratios(poles: Complex) -> Float64Array:
-    """-Re(s) / |s| of each; 1 for what is gone at once, 0 at the origin."""
+    """-Re(s) / abs(s) of each; 1 for what is gone at once, 0 at the origin."""
     sizes = np.abs(poles)
     ratios = np.divide(-poles.real, sizes, out=np.zeros(len(poles)), where=(sizes > 0.0) & np.isfinite(sizes))
     made: Float64Array = np.where(np.isfinite(sizes), ratios, 1.0)

@@ -112,12 +112,12 @@ class SampledErrorDynamics:
 
     @property
     def damping_ratios(self) -> Float64Array:
-        """(N,) -Re(s) / |s| of each pole."""
+        """(N,) -Re(s) / abs(s) of each pole."""
         return damping_ratios(self.s_poles)
 
     @property
     def natural_frequencies(self) -> Float64Array:
-        """(N,) |s| of each pole [rad/s]."""
+        """(N,) abs(s) of each pole [rad/s]."""
         made: Float64Array = np.abs(self.s_poles)
         return made
 
