@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import sys
+from pathlib import Path
+from textwrap import indent
 
 import numpy as np
 import pytest
@@ -357,6 +359,28 @@ class TestPythonControl:
             taut.MissingExtraError, match=r"a system of python-control needs the package 'control'.*\[control\]"
         ):
             taut.second_order(omega_n=1.0, zeta=1.0).to_control()
+
+
+def test_reports_are_those_on_the_page() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "error_dynamics.md").read_text(encoding="utf-8")
+    late = taut.second_order(**CHAPTER, kd=120.0, zeta=1.0).sampled(rate=100.0)
+    for shown in (
+        taut.second_order(**CHAPTER, kp=2.205, kd=2.0, ki=1.0), taut.routh([1.0, 1.0, 2.0, 2.0, 3.0]), late,
+    ):  # fmt: skip
+        assert indent(str(shown), "    ") in page
+    assert late.report() == str(late)
+
+
+def test_reports_have_words_for_what_is_not() -> None:
+    assert str(taut.second_order(kp=0.0, kd=0.0)).splitlines() == [
+        "error dynamics s^2 = 0",
+        "  not stable       2 roots on the imaginary axis",
+        "  poles            0, 0 1/s",
+        "  gains            kp = 0, kd = 0, ki = 0; no ki is stable with these",
+    ]
+    assert "settling, 2 %    2.608 s exactly; 4 tau: 2.667 s" in str(taut.ErrorDynamics(coefficients=[2.0, 3.0]))
+    swinging = taut.second_order(omega_n=1.0, zeta=1e-9).sampled(rate=100.0, velocity=taut.LowPass(cutoff=20.0))
+    assert "not stable" in str(swinging.replaced(kd=0.0))
 
 
 def test_its_picture_shows_both_settling_times_and_the_poles() -> None:
