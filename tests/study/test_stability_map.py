@@ -92,6 +92,12 @@ def test_it_takes_matrices_and_linear_loops() -> None:
         lambda k, b: np.array([[0.0, 1.0], [-k, -b]]), {"k": [-1.0, -0.1, 1.0], "b": [-1.0, 1.0]}
     )
     assert spring.stable.tolist() == [[False, False], [False, False], [False, True]]
+    np.testing.assert_allclose(spring.border[spring.along == 0], [[0.0, 1.0]], atol=1e-6)
+    asked = []
+    taut.stability_map(
+        lambda k, b: asked.append(k) or np.array([[0.0, 1.0], [-k, -b]]), {"k": [-1.0, 1.0], "b": [1.0, 2.0]}
+    )
+    assert len(asked) < 60  # a border at zero is not bisected for ever
     circle = taut.stability_map(
         lambda a, b: np.array([[a, -b], [b, a]]),
         {"a": np.linspace(-1.5, 1.5, 7), "b": np.linspace(-1.5, 1.5, 7)},

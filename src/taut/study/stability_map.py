@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["StabilityMap", "stability_map"]
 
 CLOSE: Final = 5e-4  # of a border's value: between what is stable and what is not
+NEAR_ZERO: Final = 1e-3  # of the step between two neighbours: what counts as its value where it is less
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,7 +31,8 @@ class StabilityMap:
         names: Of the two.
         values: Of each, the grid: (m,) and (k,).
         stable: (m, k) at its points.
-        border: (p, 2) points between a stable and an unstable neighbour, to 0.1 % of the one that was bisected.
+        border: (p, 2) points between a stable and an unstable neighbour, to 0.1 % of the one that was bisected, or of
+            a thousandth of the grid's step if it is less than that.
         along: (p,) which of the two was bisected.
         inside: (p,) whether the stable side is that of the larger value.
     """
@@ -139,8 +141,8 @@ def _grid(name: str, values: ArrayLike) -> Float64Array:
 def _between(stable: Callable[[float], bool], low: float, high: float) -> float:
     """The border between two values of which one is stable."""
     low, high = float(low), float(high)
-    first = stable(low)
-    while high - low > CLOSE * max(abs(low), abs(high)):
+    first, small = stable(low), NEAR_ZERO * (high - low)
+    while high - low > CLOSE * max(abs(low), abs(high), small):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if stable(middle) == first else (low, middle)
     return 0.5 * (low + high)
