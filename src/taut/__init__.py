@@ -147,6 +147,8 @@ if TYPE_CHECKING:
     from taut.study.limits import StiffnessLimits as StiffnessLimits
     from taut.study.limits import check_stiffness as check_stiffness
     from taut.study.limits import stiffness_limits as stiffness_limits
+    from taut.study.linear_loop import LinearLoop as LinearLoop
+    from taut.study.linearise import linearise as linearise
     from taut.study.sampled import SampledLoop as SampledLoop
     from taut.study.specification import Specification as Specification
     from taut.study.specification import check_specification as check_specification
@@ -239,6 +241,8 @@ _HOME: Final = {
     "study.freedoms": ("Freedoms", "freedoms"),
     "study.impedance": ("check_impedance",),
     "study.limits": ("StiffnessCheck", "StiffnessLimits", "check_stiffness", "stiffness_limits"),
+    "study.linear_loop": ("LinearLoop",),
+    "study.linearise": ("linearise",),
     "study.sampled": ("SampledLoop",),
     "study.specification": ("Specification", "check_specification", "possible_specifications"),
     "study.tip": ("check_stiffness_at", "safe_stiffness"),
