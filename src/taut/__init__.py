@@ -155,6 +155,11 @@ if TYPE_CHECKING:
     from taut.study.specification import possible_specifications as possible_specifications
     from taut.study.tip import check_stiffness_at as check_stiffness_at
     from taut.study.tip import safe_stiffness as safe_stiffness
+    from taut.study.tip_response import TipMeasurement as TipMeasurement
+    from taut.study.tip_response import TipRanking as TipRanking
+    from taut.study.tip_response import TipResponse as TipResponse
+    from taut.study.tip_response import rank_tips as rank_tips
+    from taut.study.tip_response import tip_impedance as tip_impedance
     from taut.study.wrist import WristCalibration as WristCalibration
     from taut.study.wrist import calibrate_wrist as calibrate_wrist
     from taut.study.wrist_poses import calibration_poses as calibration_poses
@@ -246,6 +251,7 @@ _HOME: Final = {
     "study.sampled": ("SampledLoop",),
     "study.specification": ("Specification", "check_specification", "possible_specifications"),
     "study.tip": ("check_stiffness_at", "safe_stiffness"),
+    "study.tip_response": ("TipMeasurement", "TipRanking", "TipResponse", "rank_tips", "tip_impedance"),
     "study.wrist": ("WristCalibration", "calibrate_wrist"),
     "study.wrist_poses": ("calibration_poses",),
 }

@@ -18,9 +18,10 @@ Flags = NDArray[np.bool_]
 
 MOST: Final = 60  # steps of Newton
 STILL: Final = 1e-10  # of a memory's size, and absolute below one
+DUST: Final = 1e-13  # likewise: a residual that is all rounding, of which no step can be made
 TOLD: Final = 1e-7  # likewise: what drifts by less is rounding
 LONGEST: Final = 0.3  # [rad | m] of a joint in one step of Newton
-RANK: Final = 1e-12
+RANK: Final = 1e-9  # of the largest singular value: below it a motion is free, and stays where it is
 SHOWS: Final = 1e-9
 
 
@@ -73,7 +74,8 @@ def resting(map_: LoopMap, start: Point, within: float) -> Rest:
         solved = telling(found.A, found.C) & ~_standing(found)
         scale = 1.0 + np.abs(coordinates.read(memory, memory[np.newaxis])[0])
         wrong = np.abs(found.residual) / scale
-        if (np.abs(step) / scale)[solved].max(initial=0.0) < STILL and _rests(found, solved, wrong):
+        settled = (np.abs(step) / scale)[solved].max(initial=0.0) < STILL and _rests(found, solved, wrong)
+        if settled or wrong[solved].max(initial=0.0) < DUST:
             return _at_rest(map_, at, found, wrong, start, within)
         step = np.zeros(len(coordinates))
         step[solved] = _newton(found, solved, scale)

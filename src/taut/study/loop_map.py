@@ -23,7 +23,7 @@ from taut.maths.spatial import rotation_exp
 from taut.plant.disturbance import COMMAND, disturbance_shapes
 from taut.plant.rigid import RigidPlant
 
-__all__ = ["Coordinates", "Derivative", "LoopMap", "Point", "loop_map", "require_finite"]
+__all__ = ["Coordinates", "Derivative", "LoopMap", "Point", "loop_map", "require_finite", "small_turns"]
 
 OUTPUTS: Final = ("q", "v", "tip.p", "tip.R", "tip.twist", "command")
 ROTATION: Final = "R"  # the last name in the path of a rotation
@@ -88,10 +88,7 @@ class Coordinates:
         for field in self.fields:
             rows, columns = self.places[field.path], slice(field.offset, field.offset + field.size)
             if _is_rotation(field.path, field.shape):
-                W = ways[:, columns].reshape(-1, 3, 3) @ at[columns].reshape(3, 3).T
-                out[:, rows] = 0.5 * np.stack(
-                    [W[:, 2, 1] - W[:, 1, 2], W[:, 0, 2] - W[:, 2, 0], W[:, 1, 0] - W[:, 0, 1]], axis=1
-                )
+                out[:, rows] = small_turns(ways[:, columns].reshape(-1, 3, 3) @ at[columns].reshape(3, 3).T)
             else:
                 out[:, rows] = ways[:, columns]
         return out
@@ -109,6 +106,12 @@ class Coordinates:
     def difference(self, after: Float64Array, before: Float64Array) -> Float64Array:
         """What leads from one place to another: exact for numbers, to first order for rotations."""
         return np.asarray(self.read(before, (after - before)[np.newaxis])[0])
+
+
+def small_turns(W: Float64Array) -> Float64Array:
+    """(m, 3) the rotation vectors in the skew parts of matrices (m, 3, 3)."""
+    entries = [W[:, 2, 1] - W[:, 1, 2], W[:, 0, 2] - W[:, 2, 0], W[:, 1, 0] - W[:, 0, 1]]
+    return 0.5 * np.stack(entries, axis=1)
 
 
 def _is_rotation(path: str, shape: tuple[int, ...]) -> bool:
@@ -194,8 +197,8 @@ class LoopMap:
         self.memory = memory
         self.state_coordinates = Coordinates(memory)
         self.tangent = self._tangent = StepTangent(
-            self._step,
-            self._stepped.substep,
+            self.step,
+            self.substep,
             self.plant.substeps - 1,
             self.inputs,
             self.parameters,
@@ -207,12 +210,16 @@ class LoopMap:
         self.outputs = Block.of({path: self.tangent.outputs.shapes[path] for path in OUTPUTS})
         self.output_coordinates = Coordinates(self.outputs)
 
-    def _step(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:
+    def step(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:
         """A period, with where the tool is in its first instant."""
         record, after = self._stepped.step(inputs, parameters, memory)
         model, q, v = model_of(self.plant.arm), memory["plant.q"], memory["plant.v"]
         T = dyn.pose(model, q)
         return {**record, "tip.p": T.p, "tip.R": T.R, "tip.twist": dyn.twist(model, q, v)}, after
+
+    def substep(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:
+        """What is left of a period, part by part."""
+        return self._stepped.substep(inputs, parameters, memory)
 
     # ---------------------------------------------------------------- the map
 
