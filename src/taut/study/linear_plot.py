@@ -55,6 +55,9 @@ def _plane_of_s(ax: Axes, lin: LinearLoop) -> None:
         line = colour(i) if i is not None and i < MOST else INK
         ax.plot([mode.s.real] * 2, [mode.s.imag, -mode.s.imag], "x", color=line, markersize=5.0)
     ax.axvline(0.0, color=INK, linewidth=0.8)
+    slow = min((mode.omega_n for mode in lin.modes if mode.omega_n > 0.0), default=1.0)
+    ax.set_xscale("symlog", linthresh=10.0 ** np.ceil(np.log10(slow)))
+    ax.set_yscale("symlog", linthresh=10.0 ** np.ceil(np.log10(slow)))
 
 
 def _sensitivities(ax: Axes, lin: LinearLoop, omega: Float64Array) -> None:

@@ -307,7 +307,7 @@ class TipRanking:
 def rank_tips(
     loops: Mapping[str, Loop], *, at: ArrayLike | None = None, direction: ArrayLike, omega: ArrayLike = (HERTZ,)
 ) -> TipRanking:
-    """Which laws make the tool hard to move, and which easy: |Z| along a direction, the highest first.
+    """Which laws make the tool hard to move, and which easy: the size of Z along a direction, the highest first.
 
     Motion control is high and force control low: Delta X = Y Delta F, section 10.5.
 
