@@ -46,8 +46,8 @@ class JointMargins:
 class DiskMargin:
     """Of all commands at once: each may be multiplied by any complex number of a disk, each by another.
 
-    The disk is (1 + d alpha / 2) / (1 - d alpha / 2) with d inside the unit circle. The alpha here is on the safe side: the loop is
-    stable for at least that much.
+    The disk is (1 + d alpha / 2) / (1 - d alpha / 2) with d inside the unit circle. The alpha here is on the safe
+    side: the loop is stable for at least that much.
 
     Args:
         alpha: Its size; at most 2.
