@@ -148,6 +148,8 @@ if TYPE_CHECKING:
     from taut.study.limits import StiffnessLimits as StiffnessLimits
     from taut.study.limits import check_stiffness as check_stiffness
     from taut.study.limits import stiffness_limits as stiffness_limits
+    from taut.study.linear_loop import LinearLoop as LinearLoop
+    from taut.study.linearise import linearise as linearise
     from taut.study.locus import Locus as Locus
     from taut.study.locus import locus as locus
     from taut.study.routh import RouthTable as RouthTable
@@ -162,6 +164,11 @@ if TYPE_CHECKING:
     from taut.study.stability_map import stability_map as stability_map
     from taut.study.tip import check_stiffness_at as check_stiffness_at
     from taut.study.tip import safe_stiffness as safe_stiffness
+    from taut.study.tip_response import TipMeasurement as TipMeasurement
+    from taut.study.tip_response import TipRanking as TipRanking
+    from taut.study.tip_response import TipResponse as TipResponse
+    from taut.study.tip_response import rank_tips as rank_tips
+    from taut.study.tip_response import tip_impedance as tip_impedance
     from taut.study.wrist import WristCalibration as WristCalibration
     from taut.study.wrist import calibrate_wrist as calibrate_wrist
     from taut.study.wrist_poses import calibration_poses as calibration_poses
@@ -252,12 +259,15 @@ _HOME: Final = {
     "study.limits": ("StiffnessCheck", "StiffnessLimits", "check_stiffness", "stiffness_limits"),
     "study.locus": ("Locus", "locus"),
     "study.routh": ("RouthTable", "routh"),
+    "study.linear_loop": ("LinearLoop",),
+    "study.linearise": ("linearise",),
     "study.sampled": ("SampledLoop",),
     "study.sampled_errors": ("SampledErrorDynamics",),
     "study.second_order": ("second_order",),
     "study.specification": ("Specification", "check_specification", "possible_specifications"),
     "study.stability_map": ("StabilityMap", "stability_map"),
     "study.tip": ("check_stiffness_at", "safe_stiffness"),
+    "study.tip_response": ("TipMeasurement", "TipRanking", "TipResponse", "rank_tips", "tip_impedance"),
     "study.wrist": ("WristCalibration", "calibrate_wrist"),
     "study.wrist_poses": ("calibration_poses",),
 }
