@@ -244,6 +244,11 @@ def test_what_a_later_phase_follows_is_looked_at_before_the_run_or_where_it_begi
         run(off(seen), hybrid + taut.laws.FrictionCompensation(at="meas"))
     with pytest.raises(taut.RangeError, match=r"phase 'slide': lam\[0\] must be <= 0 \[N\]"):
         run(taut.pressing(taut.TaskMotion(pose=T), lam=[3.0]))
+    squared = taut.Constraint(lambda T: (T.p[2] - height) ** 2)  # nor may the law itself be without a meaning there
+    flat = taut.laws.HybridMotionForce(constraint=squared, motion=move)
+    ended = run(lambda x: taut.pressing(taut.TaskMotion(pose=x.T())), flat)
+    assert (ended.outcome.kind, len(ended)) == ("stopped", 3)
+    assert "phase 'slide': row 0 of the constraint must have a gradient" in ended.outcome.message
     ended = run(off)
     assert (ended.outcome.kind, len(ended)) == ("stopped", 3)
     assert words in ended.outcome.message
