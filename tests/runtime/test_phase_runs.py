@@ -244,6 +244,11 @@ def test_what_a_later_phase_follows_is_looked_at_before_the_run_or_where_it_begi
         run(off(seen), hybrid + taut.laws.FrictionCompensation(at="meas"))
     with pytest.raises(taut.RangeError, match=r"phase 'slide': lam\[0\] must be <= 0 \[N\]"):
         run(taut.pressing(taut.TaskMotion(pose=T), lam=[3.0]))
+    squared = taut.Constraint(lambda T: (T.p[2] - height) ** 2)  # nor may the law itself be without a meaning there
+    flat = taut.laws.HybridMotionForce(constraint=squared, motion=move)
+    ended = run(lambda x: taut.pressing(taut.TaskMotion(pose=x.T())), flat)
+    assert (ended.outcome.kind, len(ended)) == ("stopped", 3)
+    assert "phase 'slide': row 0 of the constraint must have a gradient" in ended.outcome.message
     ended = run(off)
     assert (ended.outcome.kind, len(ended)) == ("stopped", 3)
     assert words in ended.outcome.message
@@ -313,6 +318,49 @@ def test_contact_that_was_lost_in_a_phase_is_not_lost_for_ever() -> None:
     run = taut.run(task, taut.RigidPlant(PANDA, environment=taut.Push(peak=[0.1, 0, 0])), duration=0.1, q0=BOW)
     assert run.extra["law.press.lost"][20] == 1.0
     assert run.metrics.contact_lost_time == pytest.approx(run.phase("press").metrics.contact_lost_time + 0.001)
+
+
+def swing() -> list[taut.Phase]:
+    """Three phases of two laws, one of them the same object twice, with a guard that counts and a timeout."""
+    pid = taut.laws.PID(kp=80.0, kd=8.0, ki=300.0)
+    return [
+        taut.Phase(pid, lambda x: taut.Quintic(q0=x.q, q1=x.q + 0.1, duration=0.04), name="one", timeout=0.0305, otherwise="two"),
+        taut.Phase(PD, taut.JointMotion(q=HERE), name="two", until=taut.lasting(lambda x: x.q[0] > 0.0, ticks=40)),
+        taut.Phase(pid, name="three", until=lambda x: x.elapsed > 0.0195, then="one"),
+    ]  # fmt: skip
+
+
+def test_both_engines_and_a_step_give_the_same_task_with_events_and_gains_of_one_phase() -> None:
+    limits = taut.Limits(tau=60.0, tau_dot=2000.0, blend=0.01)
+    plant = taut.RigidPlant(PLANAR)
+    at = {0.02: {"law.one.kp": 60.0}, 0.04: {"law.two.kp": 150.0}, 0.06: {"law.three.kp": 20.0}}
+    events = [taut.Event(t=t, set=new) for t, new in at.items()]
+    runs = [
+        taut.run(taut.compile(swing(), PLANAR, limits=limits, engine=engine), plant, duration=0.15, q0=HERE, events=events)  # type: ignore[arg-type]
+        for engine in ("native", "float")
+    ]  # fmt: skip
+    names = ["one", "two", "three", "one", "two"]
+    for run in runs:
+        assert [window.name for window in run.phases] == names
+    for field in ("q", "v", "command"):
+        np.testing.assert_allclose(getattr(runs[0], field), getattr(runs[1], field), rtol=0.0, atol=1e-9)
+    assert (np.abs(np.diff(runs[0].command, axis=0)) <= 2.0 * (1.0 + 1e-9)).all()
+    ctrl = taut.compile(swing(), PLANAR, limits=limits)
+    for k, (q, v) in enumerate(zip(runs[0].q, runs[0].v, strict=True)):
+        for path, value in at.get(k / 1000, {}).items():
+            ctrl.parameters[path] = value
+        np.testing.assert_allclose(ctrl.step(q, v), runs[0].command[k], rtol=0.0, atol=1e-9)
+    assert ctrl.parameters["law.one.kp"] != ctrl.parameters["law.three.kp"]  # of one law object
+    swung = taut.compile(swing(), PLANAR)
+    other = taut.run(swung, taut.RigidPlant(PLANAR), duration=0.15, q0=HERE, events=events[:1])
+    assert np.abs(other.command - runs[0].command).max() > 0.1  # and events change something
+
+
+def test_a_task_whose_velocity_is_made_from_positions_takes_positions_alone() -> None:
+    ctrl = taut.compile(swing(), PLANAR, sensing=taut.Sensing(velocity="difference"))
+    run = taut.run(ctrl, taut.RigidPlant(PLANAR), duration=0.1, q0=HERE)
+    stepped = np.array([ctrl.step(q) for q in run.q])
+    np.testing.assert_allclose(stepped, run.command, rtol=0.0, atol=1e-9)
 
 
 def test_noise_does_not_depend_on_when_phases_begin() -> None:

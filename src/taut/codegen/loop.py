@@ -38,7 +38,7 @@ class FloatLoop:
     ) -> None:
         self._step, self._substep, self._repeats = step, substep, repeats
         self._inputs, self._parameters, self._memory = inputs, parameters, memory
-        self.raised: Exception | None = None
+        self.raised: Exception | None = None  # in the last run
         values = (block.views(flat) for block, flat in zip((inputs, parameters, memory), example, strict=True))
         with np.errstate(all="ignore"):
             record, _ = step(*(_copied(value) for value in values))
@@ -50,6 +50,7 @@ class FloatLoop:
         What the code of a step raises ends them too, and is kept in `raised`.
         """
         values = self._parameters.views(parameters)
+        self.raised = None
         for k in range(len(inputs)):
             row = self._inputs.views(inputs[k])
             try:

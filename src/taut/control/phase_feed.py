@@ -9,6 +9,7 @@ import numpy as np
 
 from taut.base.checks import float_array
 from taut.base.errors import UsageError
+from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.control.feed import ReferenceFeed
 from taut.control.lawside import LawSide
@@ -30,21 +31,24 @@ class PhaseFeed:
     Args:
         task: The law of the task.
         side: What surrounds it.
-        stepped: Whether samples of a stream without a source come from the caller, tick by tick.
+        parameters: Gives those of the law side by path, in a run: phases are checked there where they begin. Without,
+            ticks are taken one by one, and samples of a stream without a source come from the caller.
 
     Raises:
         UsageError: A stream without a source, in a run.
     """
 
-    def __init__(self, task: Phases, side: LawSide, *, stepped: bool = False) -> None:
+    def __init__(
+        self, task: Phases, side: LawSide, parameters: Callable[[], Mapping[str, Any]] | None = None
+    ) -> None:
         self._task, self._side = task, side
         self._index, self._since = 0, 0
         self._inner: ReferenceFeed | None = None  # made when the phase is first filled
         self._others: dict[str, Float64Array] = {}
-        self._stepped = stepped
+        self._parameters = parameters
         for name, phase in task.phases.items():
             self._look_at(name, phase.reference)
-            if not stepped and isinstance(phase.reference, Stream) and phase.reference.source is None:
+            if parameters is not None and isinstance(phase.reference, Stream) and phase.reference.source is None:
                 raise UsageError(
                     f"phase '{name}': a stream in a simulation needs source=, a function that gives the next sample",
                     name="reference",
@@ -146,8 +150,10 @@ class PhaseFeed:
         with self._task.blamed(name):
             reference = Hold() if given is None or self.waits else as_reference(given)
             self._inner = ReferenceFeed(reference, law.reference, self._side.arm, self._side.dt, at_rest)
-        if name != STOP and not self._stepped:
-            self._task.check_reference_here(name, x, reference, self._side.rate)
+        if name != STOP and self._parameters is not None:
+            bound = self._task.bound(subtree(self._parameters(), "law"))
+            assert isinstance(bound, Phases)
+            bound.check_begin(name, x, reference, self._side.rate)
         kind = self._task.reference
         if issubclass(kind, PhaseSample):
             rest, start = self._task.at_rest(x), f"{kind.name_of(law.reference)}_"

@@ -133,16 +133,19 @@ class Phases(Law):
                 with self.blamed(name):
                     self.laws[name].check_references(x, reference, rate, later=i > 0)
 
-    def check_reference_here(self, name: str, x: Snapshot, ref: Reference, rate: float) -> None:
-        """What a phase is to follow, where it begins; not where it is refused, since there is no contact.
+    def check_begin(self, name: str, x: Snapshot, ref: Reference, rate: float) -> None:
+        """A phase that begins must have a meaning there, with its gains and what it is to follow.
+
+        Not one that is refused, since there is no contact.
 
         Raises:
-            RangeError, UsageError: It has no meaning there; the message names the phase.
+            RangeError, UsageError: It has none; the message names the phase.
         """
         phase = self.phases[name]
         if phase.needs_contact and not condition(phase.in_contact(x), f"contact of phase '{name}'"):
             return
         with self.blamed(name):
+            self.laws[name].check_states(x, rate)
             self.laws[name].check_references(x, ref, rate)
 
     @staticmethod

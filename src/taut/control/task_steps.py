@@ -40,7 +40,7 @@ class TaskSteps:
 
     def __init__(self, side: LawSide, task: Phases, memory: Mapping[str, Float64Array], wanted: Float64Array) -> None:
         self._side, self._task, self._memory, self._wanted = side, task, memory, wanted
-        self._feed = PhaseFeed(task, side, stepped=True)
+        self._feed = PhaseFeed(task, side)
         self._table = np.zeros((AHEAD, wanted.size))
         self._fields: dict[str, Float64Array] = {}  # of all rows of the table
         first = 0

@@ -76,7 +76,7 @@ class FusedRun:
         self._feed: ReferenceFeed | PhaseFeed = (
             ReferenceFeed(loop.ref, side.law.reference, side.arm, loop.dt, at_rest)
             if task is None
-            else PhaseFeed(task, side)
+            else PhaseFeed(task, side, lambda: self._parameters.views(self._values))
         )
         self._of_task, self._drawn = task is not None, 1  # the noise of row 0 is drawn at the start
         first = np.zeros((1, self._inputs.size))

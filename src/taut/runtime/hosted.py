@@ -86,7 +86,7 @@ class HostedRun:
         first = {**ctrl.parameters, **{p: side.checked_parameter(p, v) for p, v in at_once.items()}}
         side.check_start(q, first, ref)
         self._feed: ReferenceFeed | PhaseFeed = (
-            PhaseFeed(side.law, side)
+            PhaseFeed(side.law, side, lambda: self._kernel.blocks.views("parameters"))
             if isinstance(side.law, Phases)
             else ReferenceFeed(ref, side.law.reference, side.arm, side.dt, side.at_rest(q))
         )
