@@ -69,7 +69,7 @@ def compare(
     over_time = [2.1] if len(heads) == 1 else [1.6] * len(heads)
     over_time = over_time if joint is None else [1.9, 1.7]
     labels = [wrapped(name, NAME) for name in runs]
-    bar = 0.3 if any("\n" in label for label in labels) else 0.22  # [in]
+    bar = 0.36 if any("\n" in label for label in labels) else 0.22  # [in]
     heights = [0.5 + sum(over_time), rows * (0.3 + bar * len(runs))]
     figure = Figure(figsize=(WIDTH, 0.3 + sum(heights)), dpi=150, layout="constrained")
     if title:
