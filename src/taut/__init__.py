@@ -139,6 +139,8 @@ if TYPE_CHECKING:
     from taut.runtime.simulate import run as run
     from taut.study.admissible import Admissible as Admissible
     from taut.study.contact_modes import FrictionMargin as FrictionMargin
+    from taut.study.coupling import Coupling as Coupling
+    from taut.study.coupling import coupling as coupling
     from taut.study.freedom_words import FreedomRow as FreedomRow
     from taut.study.freedoms import Freedoms as Freedoms
     from taut.study.freedoms import freedoms as freedoms
@@ -149,6 +151,8 @@ if TYPE_CHECKING:
     from taut.study.limits import stiffness_limits as stiffness_limits
     from taut.study.linear_loop import LinearLoop as LinearLoop
     from taut.study.linearise import linearise as linearise
+    from taut.study.lyapunov import Lyapunov as Lyapunov
+    from taut.study.lyapunov import lyapunov as lyapunov
     from taut.study.sampled import SampledLoop as SampledLoop
     from taut.study.specification import Specification as Specification
     from taut.study.specification import check_specification as check_specification
@@ -242,12 +246,14 @@ _HOME: Final = {
     "runtime.simulate": ("run",),
     "study.admissible": ("Admissible",),
     "study.contact_modes": ("FrictionMargin",),
+    "study.coupling": ("Coupling", "coupling"),
     "study.freedom_words": ("FreedomRow",),
     "study.freedoms": ("Freedoms", "freedoms"),
     "study.impedance": ("check_impedance",),
     "study.limits": ("StiffnessCheck", "StiffnessLimits", "check_stiffness", "stiffness_limits"),
     "study.linear_loop": ("LinearLoop",),
     "study.linearise": ("linearise",),
+    "study.lyapunov": ("Lyapunov", "lyapunov"),
     "study.sampled": ("SampledLoop",),
     "study.specification": ("Specification", "check_specification", "possible_specifications"),
     "study.tip": ("check_stiffness_at", "safe_stiffness"),

@@ -425,7 +425,13 @@ def test_the_report_names_what_there_is(rich_model: taut.LinearLoop) -> None:
     assert text.startswith("73 states, 1000 Hz, equilibrium at q = [")
     for words in ("stable", "panda_joint7", "omega_n", "all at once (disk", "poles at z = 0"):
         assert words in text
-    rich_model.plot()
+
+
+def test_the_picture_has_poles_sensitivities_and_the_tool(late: taut.LinearLoop) -> None:
+    axes = late.plot().axes
+    assert [ax.get_title(loc="left") for ax in axes][:2] == ["poles, z", "modes, s = log z / dt"]
+    poles = axes[0].lines[1].get_xydata()
+    assert np.sort(poles[:, 0]) == pytest.approx(np.sort(late.poles.real))
 
 
 # -------------------------------------------------------------------- bad input
