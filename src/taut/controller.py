@@ -129,9 +129,14 @@ class Controller:
         self._command = self._kernel.blocks.views("outputs")["command"]
         self._memory = self._kernel.blocks.views("memory")
         self._torque_at_start: Float64Array | None = None
-        self._task = TaskSteps(side, side.law) if isinstance(side.law, Phases) else None
-        # The builtin stands before the method that documents it; the references of a task are made in Python.
-        vars(self)["step"] = self._kernel.step if self._task is None else self._task_step
+        self._task: TaskSteps | None = None
+        # The builtin stands before the method that documents it; before that of a task, what places its samples.
+        vars(self)["step"] = self._kernel.step
+        if isinstance(side.law, Phases):
+            fields = [field for field in self._kernel.blocks.layout["inputs"].fields if field.path in _wanted(side)]
+            first, end = fields[0].offset, fields[-1].offset + fields[-1].size
+            self._task = TaskSteps(side, side.law, self._memory, self._kernel.blocks.inputs[first:end])
+            vars(self)["step"] = self._task.around(self._kernel.step, self._slow)
 
     def recording_kernel(self, sensed: tuple[str, ...] = ()) -> Kernel:
         """A kernel of the same law with blocks of its own, that gives every term in every tick: for simulations.
@@ -268,26 +273,20 @@ class Controller:
 
     def _slow(self, *args: Any, **kwargs: Any) -> Any:
         """A tick with whatever was passed: checked in words, converted, started where needed."""
-        self._take(*self._arguments(args, kwargs))
-        self._kernel.tick()
+        given, ref = self._arguments(args, kwargs)
+        self._check_given(given)
+        kernel = self._kernel
+        if self._task is not None:
+            going = self._going
+            self._task.place(kernel.count if going else 0, going, given, ref, self.parameters.views)
+        self._take(given, ref)
+        kernel.tick()
         return self._command.copy()
 
-    def _task_step(self, *args: Any, **kwargs: Any) -> Any:
-        """A tick of a task: the sample is made here, and what was passed is checked where it goes on to."""
-        assert self._task is not None
-        given, ref = self._arguments(args, kwargs)
-        kernel = self._kernel
-        going = kernel.ready or self.parameters.changed
-        tick, memory = (kernel.count, self._memory) if going else (0, None)
-        if self._task.looks(tick, memory):
-            self._check_given(given)
-        sample = self._task.sample(tick, memory, given, ref, self.parameters.views)
-        measured = [given.pop(name) for name in ("q", "v") if name in given]
-        return (
-            kernel.step(*measured, sample, **given)
-            if len(measured) == 2
-            else self._slow(*measured, ref=sample, **given)
-        )
+    @property
+    def _going(self) -> bool:
+        """Whether memory has started, if only to wait for a change of parameters."""
+        return self._kernel.ready or self.parameters.changed
 
     def _arguments(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[dict[str, Any], Any]:
         known = ("q", "v", "ref", "F_app", *MEASUREMENTS)
@@ -312,21 +311,21 @@ class Controller:
         return {name: value for name, value in given.items() if value is not None}, ref
 
     def _take(self, given: dict[str, Any], ref: Any) -> None:
-        """Check everything, then write everything."""
-        self._check_given(given)
-        if not isinstance(ref, self.law.reference):
+        """Check everything, then write everything; the sample of a task is there already."""
+        if self._task is None and not isinstance(ref, self.law.reference):
             hint = "; for a trajectory pass ref.at(t)" if isinstance(ref, Trajectory) else ""
             got = "none" if ref is None else type(ref).__name__
             raise UsageError(f"step needs ref, a taut.{self.law.reference.described()}; got {got}{hint}", name="ref")
         joints = self.arm.joint_names
-        taken = given | {path: getattr(ref, path[4:]) for path in self._inputs if path.startswith("ref.")}
+        wanted = _wanted(self.side) if self._task is None else {}
+        taken = given | {path: getattr(ref, path[4:]) for path in wanted}
         checked = {
             path: float_array(
                 path, value, shape=self._inputs[path].shape, joints=joints if path not in AT_TOOL else None
             )
             for path, value in taken.items()
         }
-        self.side.check_finite(checked, self._kernel.count if self._kernel.ready else 0)
+        self.side.check_finite(checked, self._kernel.count if self._going else 0)
         for path, value in checked.items():
             self._inputs[path][...] = value
 
@@ -439,8 +438,7 @@ class Controller:
         """
         if self._task is None:
             raise UsageError("a controller of one law has no phases; compile a list of taut.Phase", name="phase")
-        going = self._kernel.ready or self.parameters.changed
-        return self._task.name(self._memory if going else None)
+        return self._task.name(self._going)
 
     # ---------------------------------------------------------------- looking inside
 
@@ -561,6 +559,11 @@ class _Functions:
         return self._side.law.reference.of(subtree(inputs, "ref"))
 
 
+def _wanted(side: LawSide) -> dict[str, tuple[int, ...]]:
+    """The inputs that the sample fills, by path."""
+    return {f"ref.{name}": shape for name, shape in side.law.reference.fields(side.arm.n).items()}
+
+
 def _kernel_of(
     side: LawSide,
     engine: Literal["native", "float"],
@@ -574,7 +577,7 @@ def _kernel_of(
     """A law side as a kernel with blocks of its own; without `slow` it is for `tick` alone."""
     n, probe = side.arm.n, _probed(side)
     sizes = measurement_shapes(n)
-    ref_fields = {f"ref.{name}": shape for name, shape in side.law.reference.fields(n).items()}
+    ref_fields = _wanted(side)
     held = {TOLD: (), HELD: (n,)} if "limits.tau_applied" in probe.shapes else {}
     terms = {f"terms.{name}": (n,) for name in probe.terms} if record else {}
     sensed_sizes = {f"sensed.{name}": sizes[name] for name in sensed}
@@ -596,15 +599,16 @@ def _kernel_of(
     program = trace(functions.tick, inputs, parameters, memory)
     starter = trace(functions.start, inputs, parameters, Block())
     v = ("v",) if side.sensing.needs_velocity else ()
-    plain = slow is not None
-    arguments = [Argument((name,)) for name in ("q", *v)] + [Argument(tuple(ref_fields), is_object=True)]
+    plain, given = slow is not None, not isinstance(side.law, Phases)  # a task makes its samples itself
+    arguments = [Argument((name,)) for name in ("q", *v)]
+    arguments += [Argument(tuple(ref_fields), is_object=True)] if given else []
     return NativeKernel(
         program,
         starter,
         blocks,
         arguments=arguments if plain else None,
         keywords=tuple(name for name in side.takes if name != "v"),
-        reference=side.law.reference if plain else None,
+        reference=side.law.reference if plain and given else None,
         time="t",
         dt=side.dt,
         guarded=True,

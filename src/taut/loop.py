@@ -144,12 +144,19 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
         if name not in plant.measures:
             raise MatchError(
                 f"{_asking(side, name)} needs {name}, which plant '{plant.name}' does not measure; it measures "
-                f"{', '.join(sorted(plant.measures)) or 'positions only'}" + PROVIDED_BY.get(name, ""),
+                f"{', '.join(sorted(plant.measures)) or 'positions only'}" + _provided_by(name, plant),
                 name=name,
             )
     _check_weight(side, plant)
     _check_adds(law, side.adds, probe.used, plant)
     _check_start(side, plant)
+
+
+def _provided_by(name: str, plant: AnyPlant) -> str:
+    """What would measure it, as a way out."""
+    if name == "F_ext" and isinstance(plant, HasSensors) and plant.sensors.wrench is None:
+        return "; give the plant sensors=taut.Sensors(wrench=taut.WrenchSensor())"
+    return PROVIDED_BY.get(name, "")
 
 
 def _asking(side: LawSide, name: str) -> str:

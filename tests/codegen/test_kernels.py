@@ -13,7 +13,7 @@ import taut
 from taut import math as tm
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
-from taut.codegen.llvm import declarations, kernel, number
+from taut.codegen.llvm import _Body, declarations, kernel, number
 from taut.codegen.loop import FloatLoop, NativeLoop
 from taut.codegen.native import compiled
 from taut.codegen.program import Program, trace
@@ -136,6 +136,24 @@ def test_equal_squares_differ_by_nothing() -> None:
     root = taut.native(lambda x, y: tm.sqrt(x * x - y * y), x=(), y=())
     for x in np.random.default_rng(0).uniform(0.1, 10.0, 200):
         assert root(np.array(x), np.array(x)) == 0.0
+
+
+def test_what_rounding_makes_large_is_not_taken_for_a_fault() -> None:
+    """Zero but for rounding, 1e-16 times 1e12: fused code and Python differ by more than any tolerance that is useful."""
+    native = taut.native(lambda x: 1e12 * ((x * x + x) - x * (x + 1.0)), x=())
+    assert abs(native(np.array(0.7))) < 1e-2
+
+
+def test_lengths_are_fused_and_roots_of_differences_are_not() -> None:
+    def exact(function: Any) -> int:
+        body = _Body(trace(lambda i, _p, _m: ({"y": function(i["x"])}, {}), Block.of({"x": (3,)}), Block(), Block()))
+        return len(body._exact)
+
+    assert exact(lambda x: tm.sqrt(x @ x)) == 0
+    assert exact(lambda x: tm.sqrt(tm.abs(x[0]) + tm.maximum(x[1], 0.5) * tm.exp(x[2]))) == 0
+    assert exact(lambda x: tm.sqrt(x @ x - x[0])) > 0
+    assert exact(lambda x: tm.sqrt(x[0] * x[1])) > 0
+    assert exact(lambda x: tm.where(x @ x > 1.0, 1.0, 0.0)) > 0
 
 
 # -------------------------------------------------------------------- memory

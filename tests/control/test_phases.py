@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from typing import Any, ClassVar
 
@@ -202,6 +203,73 @@ def test_a_stream_without_a_source_is_given_sample_by_sample() -> None:
         ctrl.step(REST, np.zeros(3), taut.JointMotion(q=REST))
 
 
+def test_a_given_sample_of_another_size_is_refused_in_a_phase_too() -> None:
+    ctrl = taut.compile([taut.Phase(PD, taut.stream(period=0.01))], PLANAR)
+    for _ in range(2):
+        with pytest.raises(taut.ShapeError, match=r"ref.q must have shape \(3,\) \(3 joints\); got shape \(1,\)"):
+            ctrl.step(REST, np.zeros(3), taut.JointMotion(q=[0.1]))
+        ctrl.step(REST, np.zeros(3), taut.JointMotion(q=REST))
+
+
+def calls(function: Callable[[], object]) -> int:
+    """How many Python functions a call runs, builtins not counted."""
+    count = 0
+
+    def see(_frame: Any, event: str, _arg: Any) -> None:
+        nonlocal count
+        count += event == "call"
+
+    before = sys.getprofile()
+    sys.setprofile(see)
+    try:
+        function()
+    finally:
+        sys.setprofile(before)
+    return count
+
+
+@pytest.mark.parametrize(
+    "reference", [None, lambda x: taut.Quintic(q0=x.q, q1=x.q + 0.2, duration=0.2)], ids=["hold", "trajectory"]
+)
+def test_a_tick_within_a_phase_runs_one_python_function(reference: Any) -> None:
+    """Counted and not timed: samples are made ahead, and a tick copies one of them."""
+    ctrl = taut.compile([taut.Phase(PD, reference)], PLANAR)
+    zero = np.zeros(3)
+    ctrl.step(REST, zero)
+    seen = [calls(lambda: ctrl.step(REST, zero)) - 1 for _ in range(1000)]  # the lambda is one itself
+    assert sorted(set(seen))[0] == 1
+    assert seen.count(1) >= 990
+    alone = taut.compile(PD, PLANAR)
+    alone.step(REST, zero, Q)
+    assert calls(lambda: alone.step(REST, zero, Q)) == 1
+
+
+def test_an_odd_call_follows_the_same_reference_as_a_plain_one() -> None:
+    """Lists, a failing tick, new parameters with a blend: the sample is that of the tick, whatever the way to it."""
+    go = taut.Phase(
+        PD, lambda x: taut.Quintic(q0=x.q, q1=x.q + 0.2, duration=0.2), name="go", timeout=0.05, otherwise=1
+    )
+    plain, odd = (taut.compile([go, taut.Phase(PD)], PLANAR, limits=taut.Limits(blend=0.01)) for _ in range(2))
+    for k in range(80):
+        q = REST + 0.001 * k
+        if k == 10:
+            for ctrl in (plain, odd):
+                ctrl.parameters["law.go.kp"] = 50.0
+        if k % 7 == 3:
+            with pytest.raises(taut.RangeError, match=f"in tick {k}"):
+                odd.step(np.full(3, np.nan), np.zeros(3))
+        expected = plain.step(q, np.zeros(3))
+        got = odd.step(q.tolist(), v=[0.0, 0.0, 0.0]) if k % 3 else odd.step(q, np.zeros(3))
+        np.testing.assert_array_equal(got, expected)
+    assert odd.phase == plain.phase == "phase2"
+    odd.reset()
+    assert odd.phase == "go"
+    fresh = taut.compile([go, taut.Phase(PD)], PLANAR, limits=taut.Limits(blend=0.01))
+    fresh.parameters["law.go.kp"] = 50.0
+    for _ in range(3):
+        np.testing.assert_array_equal(odd.step(REST, np.zeros(3)), fresh.step(REST, np.zeros(3)))
+
+
 def test_a_stream_with_a_source_is_asked_from_the_begin_of_its_phase() -> None:
     asked: list[float] = []
 
@@ -222,6 +290,35 @@ def test_a_stream_with_a_source_is_asked_from_the_begin_of_its_phase() -> None:
     assert asked == [0.006, 0.01, 0.014, 0.018]
 
 
+def test_where_a_reference_fails_a_step_says_so_and_the_next_one_holds_the_arm() -> None:
+    def late(t: float) -> taut.JointMotion:
+        if t > 0.0105:
+            raise LookupError("no more")
+        return taut.JointMotion(q=REST)
+
+    class Late:
+        at = staticmethod(late)
+
+    soon = taut.Phase(PD, name="a", until=lambda x: x.elapsed > 0.0005)
+    cases: list[tuple[Any, int, str]] = [
+        (lambda x: {}["b"], 2, "phase 'b': its reference fails: KeyError: 'b' at "),
+        (Late(), 13, "phase 'b': its reference fails: LookupError: no more at "),
+    ]
+    for reference, ticks, text in cases:
+        ctrl = taut.compile([soon, taut.Phase(PD, reference, name="b")], PLANAR)
+        for _ in range(ticks):
+            ctrl.step(REST, np.zeros(3))
+        for _ in range(2):  # a sensor's fault is none of the reference
+            with pytest.raises(taut.RangeError, match="must be finite; got nan"):
+                ctrl.step(np.full(3, np.nan), np.zeros(3))
+        assert ctrl.phase == "b"
+        with pytest.raises(taut.UsageError, match=text):
+            ctrl.step(REST, np.zeros(3))
+        assert ctrl.phase == "stop"
+        held = ctrl.step(REST, np.zeros(3))
+        np.testing.assert_allclose(held, taut.snapshot(PLANAR, REST).g)
+
+
 # -------------------------------------------------------------------- laws that do not act
 
 
@@ -240,6 +337,47 @@ def test_nan_of_a_law_that_does_not_act_reaches_nothing(engine: Any) -> None:
     ctrl.step(beyond - 1.0, np.zeros(3))
     ctrl.step(REST, np.zeros(3))
     assert ctrl.memory["law.b.e_int"] == pytest.approx(1.0)  # started when its phase did
+
+
+def first_inverse(x: taut.Snapshot) -> Any:
+    return taut.math.solve_spd(taut.math.array([[x.q[0], 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), np.ones(3))
+
+
+class Inverts(taut.Law):
+    """A law, and its start, that are singular where the first joint is at zero.
+
+    Law:          tau = a^-1 1, a = q_1
+    Closed loop:  none
+    """
+
+    def start(self, x: taut.Snapshot, ref: taut.JointMotion) -> dict[str, Any]:
+        return {"first": first_inverse(x)}
+
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion, memory: Any, dt: float) -> Any:
+        return taut.Torque(inverse=first_inverse(x)), {"first": memory.first}
+
+
+def test_what_is_singular_in_a_phase_that_does_not_act_ends_nothing_in_either_engine() -> None:
+    def singular(x: taut.Snapshot) -> Any:
+        return first_inverse(x)[0] > 0.0
+
+    task = [
+        taut.Phase(PD, Q, name="a", until=lambda x: x.q[0] > 1.0),
+        taut.Phase(Inverts(), name="b", unless=taut.lasting(singular, ticks=3), otherwise="a"),
+    ]
+    native, plain = (taut.compile(task, PLANAR, engine=engine) for engine in ("native", "float"))
+    at_zero, beyond = np.array([0.0, 0.8, 0.6]), np.array([2.0, 0.8, 0.6])
+    for q in (at_zero, at_zero, beyond, beyond, beyond, beyond, at_zero):
+        got = [ctrl.step(q, np.zeros(3)) for ctrl in (native, plain)]
+        np.testing.assert_allclose(got[0], got[1], rtol=1e-9)
+        assert native.phase == plain.phase
+        assert native.terms["inverse"] == pytest.approx(plain.terms["inverse"])
+    assert native.phase == "a"  # it was left after three ticks
+    run = taut.run(plain, taut.RigidPlant(PLANAR), duration=0.003, q0=at_zero)
+    assert run.outcome.ok
+    alone = taut.compile([taut.Phase(Inverts(), name="b")], PLANAR, engine="float")
+    with pytest.raises(taut.NumericalError):
+        alone.step(at_zero, np.zeros(3))
 
 
 def test_the_torque_of_a_task_is_that_of_its_law() -> None:
@@ -419,6 +557,9 @@ def test_what_is_no_task_is_refused_in_a_sentence() -> None:
         (lambda: taut.lasting(7, ticks=1), taut.UsageError, "lasting takes a guard, such as lambda x: taut.contact(x, 2.0); got 7"),  # type: ignore[arg-type]
         (lambda: taut.lasting(lambda x: x.t > 1, ticks=0), taut.RangeError, "ticks must be a whole number >= 1; got 0"),
         (lambda: taut.run([a, wrist], plant, duration=1.0), taut.MatchError, "phase 'touch' needs F_ext, which plant 'RigidPlant(planar3)' does not measure; it measures tau_meas, v; give the plant environment= or contact=, or take a taut.MujocoPlant"),
+        (lambda: [a, Move(PD, taut.JointMotion(q=[0.1]), name="b")], taut.ShapeError, "phase 'b': ref.q must have shape (3,); the reference gives (1,)"),
+        (lambda: [a, Move(PD, taut.hold(taut.JointMotion(q=[0.1])), name="b")], taut.ShapeError, "phase 'b': ref.q must have shape (3,); the reference gives (1,)"),
+        (lambda: [a, Move(PD, taut.Quintic(q0=[0.0], q1=[1.0], duration=1.0), name="b")], taut.ShapeError, "phase 'b': ref.q must have shape (3,); the reference gives (1,)"),
         (lambda: taut.run([a], plant, Q, duration=1.0), taut.UsageError, "each phase of a task has its own reference, as in taut.Phase(law, reference); leave ref out"),
         (lambda: taut.run([Move(PD, taut.stream(period=0.1))], plant, duration=1.0), taut.UsageError, "phase 'phase1': a stream in a simulation needs source=, a function that gives the next sample"),
         (lambda: taut.run([Move(PD, lambda x: 7)], plant, duration=1.0), taut.UsageError, "phase 'phase1': a reference is a sample such as taut.JointMotion(q=...), taut.hold(), a trajectory with at(t), taut.stream(...) or taut.chunk(...); got int"),  # type: ignore[arg-type, return-value]
@@ -436,7 +577,7 @@ def test_what_is_no_task_is_refused_in_a_sentence() -> None:
     for make, kind, text in cases:
         with pytest.raises(kind) as caught:
             compiled(make)
-        assert str(caught.value) == text
+        assert str(caught.value).partition(f" at {__file__}")[0] == text
 
 
 def test_a_branch_in_a_guard_is_told_with_its_line() -> None:

@@ -250,6 +250,67 @@ def test_the_power_balance_of_the_drives_holds_in_contact() -> None:
     np.testing.assert_allclose(parts["motor"], taken, atol=1e-12)
 
 
+GEARED = MASS.with_joints(rotor_inertia=[4.0, 3.0, 2.0])
+SOFT = {"stiffness": 2e4, "damping": 50.0}
+DRIVES: dict[str, tuple[taut.Actuation, float, float]] = {  # with the force, least and largest, that is left of 20 N
+    "rigid": (taut.Actuation(), 20.0, 20.0),
+    "elastic": (taut.Actuation(transmission=taut.Transmission(**SOFT)), 20.0, 20.0),
+    "backlash": (taut.Actuation(transmission=taut.Transmission(**SOFT, backlash=0.002)), 20.0, 20.0),
+    "lossy": (taut.Actuation(transmission=taut.Transmission(efficiency=0.8)), 16.0, 16.0),
+    "lossy and elastic": (taut.Actuation(transmission=taut.Transmission(efficiency=0.8, **SOFT)), 16.0, 25.0),
+    "motor at its limit": (taut.Actuation(motor=taut.Motor(peak=12.0)), 12.0, 12.0),
+    "slow amplifier": (taut.Actuation(bandwidth=50.0, delay=0.002), 20.0, 20.0),
+}
+
+
+class Feels(taut.Law):
+    """A law that keeps what the torque sensors gave.
+
+    Law:          tau = a_des
+    Closed loop:  none
+    """
+
+    recorded = ("felt",)
+
+    def start(self, x: taut.Snapshot, ref: taut.JointMotion) -> dict[str, object]:
+        return {"felt": x.tau_meas}
+
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion, memory: object, dt: float) -> object:
+        return taut.Torque(P=ref.a), {"felt": x.tau_meas}
+
+
+@pytest.mark.parametrize("name", DRIVES)
+def test_every_drive_presses_as_asked_and_its_torque_sensor_tells(name: str) -> None:
+    """It falls on the floor first, which takes up the play; what the motor gives less the weight is what presses."""
+    actuation, least, most = DRIVES[name]
+    contact = taut.RigidContact(constraint=FLOOR, friction=MU)
+    plant = taut.RigidPlant(GEARED, friction=None, contact=contact, actuation=actuation)
+    ref = taut.JointMotion(q=np.zeros(3), a=[0.0, 0.0, -20.0])
+    found = taut.run(taut.compile(Feels(), GEARED), plant, ref, duration=1.5, q0=[0.0, 0.0, 0.02])
+    force = found.extra["F_ext"][-1, 2] - WEIGHT
+    assert least * (1.0 - 1e-6) <= force <= most * (1.0 + 1e-6)  # gears that lose hold, too, so that both is at rest
+    assert found.extra["law.felt"][-1] == pytest.approx([0.0, 0.0, -force], rel=1e-6, abs=1e-6)
+    assert found.extra["contact.drift"].max() < 1e-9
+
+
+@pytest.mark.parametrize("backlash", [0.0, 0.002])
+def test_energy_does_not_grow_where_elastic_joints_bounce(backlash: float) -> None:
+    """Restitution 1, springs without damping: the links, the rotors and the springs keep what they have, or less."""
+    drives = taut.Actuation(transmission=taut.Transmission(stiffness=2e4, backlash=backlash))
+    contact = taut.RigidContact(constraint=FLOOR, restitution=1.0)
+    plant = {"actuation": drives, "energy": True, "substeps": 4}
+    found = run(contact, arm=GEARED, q0=[0.0, 0.0, 0.05], v0=[0.3, 0.0, 0.0], duration=2.0, **plant)
+    states = [taut.snapshot(MASS, found.q[k], found.v[k]) for k in range(0, 2001, 20)]  # of the links alone
+    links = np.array([x.kinetic_energy + x.potential_energy for x in states])
+    stored = sum(found.extra[f"work.{name}"].sum(axis=1) for name in ("rotor", "spring"))[::20]
+    total = links + stored
+    down = found.v[:, 2] < 0.0
+    assert (down[:-1] & ~down[1:]).sum() > 4  # it bounces
+    fall = WEIGHT * 0.05
+    assert total.max() - total[0] < 0.02 * fall  # semi-implicit Euler swings about what it keeps
+    assert np.mean(total[-20:]) - total[0] < 0.003 * fall  # of second order in the step
+
+
 def test_contacts_and_environments_act_together() -> None:
     spring = taut.Spring(stiffness=100.0, at=[0.1, 0.0, -0.2])
     found = run(taut.RigidContact(constraint=FLOOR, friction=MU), environment=spring, duration=0.1)

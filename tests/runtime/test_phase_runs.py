@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -126,6 +127,240 @@ def test_where_nothing_is_touched_the_task_stops_and_says_so() -> None:
     plain = taut.run(taut.compile(task[0].law, arm), taut.RigidPlant(arm), duration=0.01)
     with pytest.raises(taut.UsageError, match="the run has no phases: its law is not a task"):
         plain.phases  # noqa: B018
+
+
+PLANAR = taut.load_arm("planar3")
+HERE = np.array([0.5, 0.8, 0.6])
+PD = taut.laws.ComputedTorque(kp=100.0, kd=20.0)
+WAIT = taut.Phase(PD, name="wait", until=lambda x: x.elapsed > 0.0095)
+
+
+class Ends:
+    """A trajectory that is known for 20 ms."""
+
+    def at(self, t: float) -> taut.JointMotion:
+        if t > 0.0205:
+            raise LookupError("no more")
+        return taut.JointMotion(q=HERE)
+
+
+def asked(x: taut.Snapshot) -> taut.JointMotion:
+    if x.t > 0.025:
+        raise LookupError("no more")
+    return taut.JointMotion(q=HERE)
+
+
+FAILS: dict[str, tuple[taut.Phase, int, str]] = {
+    "function": (
+        taut.Phase(PD, lambda x: {}["target"], name="go"),  # type: ignore[arg-type, return-value]
+        11,
+        "its reference fails: KeyError: 'target' at {file}:",
+    ),
+    "trajectory": (taut.Phase(PD, Ends(), name="go"), 32, "its reference fails: LookupError: no more at {file}:"),
+    "stream": (
+        taut.Phase(PD, taut.stream(period=0.005, source=asked), name="go"),
+        26,
+        "its reference fails: LookupError: no more at {file}:",
+    ),
+    "size": (
+        taut.Phase(PD, lambda x: taut.JointMotion(q=[0.0]), name="go"),
+        11,
+        "ref.q must have shape (3,); the reference gives (1,)",
+    ),
+}
+
+
+@pytest.mark.parametrize("plant", [taut.RigidPlant(PLANAR), taut.MujocoPlant(PLANAR)], ids=["fused", "hosted"])
+@pytest.mark.parametrize(("phase", "tick", "text"), FAILS.values(), ids=FAILS)
+def test_a_reference_that_fails_ends_the_run_in_words_with_its_record(
+    plant: taut.RigidPlant | taut.MujocoPlant, phase: taut.Phase, tick: int, text: str, tmp_path: Path
+) -> None:
+    log = tmp_path / "run.mcap"
+    run = taut.run([WAIT, phase], plant, duration=0.1, q0=HERE, log=log)
+    began = tick == 11
+    assert (run.outcome.kind, len(run)) == ("stopped", tick)
+    assert run.outcome.message.startswith(
+        f"stopped at t = {tick / 1000:g} s (tick {tick}): phase 'go': {text.format(file=__file__)}"
+    )
+    assert run.outcome.message.endswith(
+        "phases: wait to 0.01 s" if began else "phases: wait to 0.011 s, go until then"
+    )
+    assert [window.name for window in run.phases] == (["wait"] if began else ["wait", "go"])
+    assert run.phase(run.phases[-1].name).outcome.kind == ("completed" if began else "stopped")
+    again = taut.load_run(log)
+    assert again.outcome == run.outcome
+    np.testing.assert_array_equal(again.q, run.q)
+    first = taut.Phase(phase.law, phase.reference, name="go")
+    if began:  # where it is the first phase, nothing has happened, and there is no record to keep
+        with pytest.raises(taut.TautError, match="phase 'go'"):
+            taut.run([first], plant, duration=0.1, q0=HERE)
+
+
+def test_a_reference_that_fails_beyond_the_end_of_its_phase_is_never_asked() -> None:
+    task = [WAIT, taut.Phase(PD, Ends(), name="go", until=lambda x: x.elapsed > 0.0195), taut.Phase(PD)]
+    assert taut.run(task, taut.RigidPlant(PLANAR), duration=0.1, q0=HERE).outcome.ok
+
+
+@pytest.mark.parametrize("plant", [taut.RigidPlant(PLANAR), taut.MujocoPlant(PLANAR)], ids=["fused", "hosted"])
+def test_a_guard_that_fails_as_plain_python_ends_the_run_in_words_with_its_record(plant: Any) -> None:
+    def until(x: taut.Snapshot) -> Any:
+        if float(np.asarray(x.t)) > 0.0305:
+            raise LookupError("no more")
+        return x.t < 0.0
+
+    ctrl = taut.compile([taut.Phase(PD, name="go", until=until)], PLANAR, engine="float")
+    run = taut.run(ctrl, plant, duration=0.1, q0=HERE)
+    assert (run.outcome.kind, len(run)) == ("stopped", 31)
+    assert run.outcome.message.startswith(
+        f"stopped at t = 0.031 s (tick 31): until of phase 'go' fails: LookupError: no more at {__file__}:"
+    )
+    assert run.outcome.message.endswith("; phases: go until then")
+
+
+def test_what_a_later_phase_follows_is_looked_at_before_the_run_or_where_it_begins() -> None:
+    T = taut.snapshot(PANDA, BOW).T()
+    height = float(T.p[2])
+    board = taut.Constraint.plane(point=T.p, normal=[0.0, 0.0, 1.0])
+    move = taut.laws.TaskComputedTorque(kp=100.0, kd=20.0)
+    hybrid = taut.laws.HybridMotionForce(constraint=board, motion=move)
+    plant = taut.RigidPlant(PANDA)
+
+    def off(x: taut.Snapshot) -> Any:
+        up = taut.Pose([*x.T().p[:2], height + 0.05], R=x.T().R)
+        return taut.pressing(taut.Line(T0=x.T(), T1=up, duration=0.5), 5.0)
+
+    def task(reference: Any, law: taut.Law = hybrid) -> list[taut.Phase]:
+        first = taut.Phase(move, name="wait", until=lambda x: x.elapsed > 0.0015)
+        return [first, taut.Phase(law, reference, name="slide", contact=lambda x: x.t > -1.0)]
+
+    def run(reference: Any, law: taut.Law = hybrid) -> taut.Run:
+        return taut.run(taut.compile(task(reference, law), PANDA, engine="float"), plant, duration=0.01, q0=BOW)
+
+    seen = taut.snapshot(PANDA, BOW)
+    words = "phase 'slide': the motion must keep to the constraint, and at t = "
+    with pytest.raises(taut.RangeError, match=words):  # before anything moves: it does not depend on where it begins
+        run(off(seen))
+    with pytest.raises(taut.RangeError, match=words):  # also where friction is compensated beside
+        run(off(seen), hybrid + taut.laws.FrictionCompensation(at="meas"))
+    with pytest.raises(taut.RangeError, match=r"phase 'slide': lam\[0\] must be <= 0 \[N\]"):
+        run(taut.pressing(taut.TaskMotion(pose=T), lam=[3.0]))
+    squared = taut.Constraint(lambda T: (T.p[2] - height) ** 2)  # nor may the law itself be without a meaning there
+    flat = taut.laws.HybridMotionForce(constraint=squared, motion=move)
+    ended = run(lambda x: taut.pressing(taut.TaskMotion(pose=x.T())), flat)
+    assert (ended.outcome.kind, len(ended)) == ("stopped", 3)
+    assert "phase 'slide': row 0 of the constraint must have a gradient" in ended.outcome.message
+    ended = run(off)
+    assert (ended.outcome.kind, len(ended)) == ("stopped", 3)
+    assert words in ended.outcome.message
+    assert run(lambda x: taut.pressing(taut.TaskMotion(pose=x.T()), 5.0)).outcome.ok
+
+
+class Counts(taut.Law):
+    """A law that counts its ticks.
+
+    Law:          tau = 0
+    Closed loop:  M a + h = 0
+    """
+
+    recorded: ClassVar[tuple[str, ...]] = ("count",)
+    notices: ClassVar[tuple[tuple[str, str], ...]] = (("count", "it counted"),)
+    needs_contact: ClassVar[bool] = True
+    count: taut.Memory = taut.Memory(0.0)
+
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion, memory: Any, dt: float) -> Any:
+        return taut.Torque(P=0.0 * x.q), {"count": memory.count + 1.0}
+
+
+@pytest.mark.parametrize("plant", [taut.RigidPlant(PLANAR), taut.MujocoPlant(PLANAR)], ids=["fused", "hosted"])
+def test_what_a_law_remembers_is_nothing_where_its_phase_does_not_act(plant: Any, tmp_path: Path) -> None:
+    task = [
+        WAIT,
+        taut.Phase(Counts(), name="one", contact=lambda x: x.t > 0.0, until=lambda x: x.elapsed > 0.0035),
+        taut.Phase(Counts(), name="two", contact=lambda x: x.t < 0.0, otherwise="rest"),
+        taut.Phase(PD, name="rest"),
+    ]
+    log = tmp_path / "run.mcap"
+    run = taut.run(task, plant, duration=0.1, q0=HERE, log=log)
+    count = np.full(101, np.nan)
+    count[11:16] = [1.0, 2.0, 3.0, 4.0, 5.0]
+    np.testing.assert_array_equal(run.extra["law.one.count"], count)
+    assert np.isnan(run.extra["law.two.count"]).all()  # it was refused in its only tick
+    assert run.outcome.message.startswith(
+        "completed: 101 ticks, 0.1 s; it counted in 5 of 101 ticks, first at t = 0.011 s; phases"
+    )
+    np.testing.assert_array_equal(run.phase("one").extra["law.one.count"], count[11:16])
+    np.testing.assert_array_equal(taut.load_run(log).extra["law.one.count"], count)
+    np.testing.assert_array_equal(np.load(run.to_npz(tmp_path / "run.npz"))["extra.law.one.count"], count)
+    np.testing.assert_allclose(sum(run.terms.values()), run.command, atol=1e-9)  # terms are zero, not nothing
+    assert all(np.isfinite(values).all() for values in run.terms.values())
+
+
+def test_a_run_of_a_task_that_diverges_names_its_phases(tmp_path: Path) -> None:
+    wild = taut.laws.PID(kp=1e12, kd=0.0)
+    task = [WAIT, taut.Phase(wild, taut.JointMotion(q=HERE + 0.1), name="wild")]
+    for plant in (taut.RigidPlant(PLANAR), taut.MujocoPlant(PLANAR)):
+        run = taut.run(task, plant, duration=0.5, q0=HERE, log=tmp_path / "run.mcap")
+        assert run.outcome.kind == "diverged"
+        assert run.outcome.message.endswith("; phases: wait to 0.011 s, wild until then")
+        assert [window.name for window in run.phases] == ["wait", "wild"]
+        assert [run.phase(name).outcome.kind for name in ("wait", "wild")] == ["completed", "diverged"]
+        assert taut.load_run(tmp_path / "run.mcap").outcome == run.outcome
+
+
+def test_contact_that_was_lost_in_a_phase_is_not_lost_for_ever() -> None:
+    """The last number of a law of force is none of what comes after it."""
+    force = taut.laws.ForceControl(kfi=5.0, kdamp=(100.0, 5.0), patience=0.005)
+    task = [
+        taut.Phase(force, taut.TaskForce(F_app=[0, 0, -5.0, 0, 0, 0]), contact=lambda x: x.t > -1.0, name="press",
+                   until=lambda x: x.elapsed > 0.0195),
+        taut.Phase(STIFF, name="rest"),
+    ]  # fmt: skip
+    run = taut.run(task, taut.RigidPlant(PANDA, environment=taut.Push(peak=[0.1, 0, 0])), duration=0.1, q0=BOW)
+    assert run.extra["law.press.lost"][20] == 1.0
+    assert run.metrics.contact_lost_time == pytest.approx(run.phase("press").metrics.contact_lost_time + 0.001)
+
+
+def swing() -> list[taut.Phase]:
+    """Three phases of two laws, one of them the same object twice, with a guard that counts and a timeout."""
+    pid = taut.laws.PID(kp=80.0, kd=8.0, ki=300.0)
+    return [
+        taut.Phase(pid, lambda x: taut.Quintic(q0=x.q, q1=x.q + 0.1, duration=0.04), name="one", timeout=0.0305, otherwise="two"),
+        taut.Phase(PD, taut.JointMotion(q=HERE), name="two", until=taut.lasting(lambda x: x.q[0] > 0.0, ticks=40)),
+        taut.Phase(pid, name="three", until=lambda x: x.elapsed > 0.0195, then="one"),
+    ]  # fmt: skip
+
+
+def test_both_engines_and_a_step_give_the_same_task_with_events_and_gains_of_one_phase() -> None:
+    limits = taut.Limits(tau=60.0, tau_dot=2000.0, blend=0.01)
+    plant = taut.RigidPlant(PLANAR)
+    at = {0.02: {"law.one.kp": 60.0}, 0.04: {"law.two.kp": 150.0}, 0.06: {"law.three.kp": 20.0}}
+    events = [taut.Event(t=t, set=new) for t, new in at.items()]
+    runs = [
+        taut.run(taut.compile(swing(), PLANAR, limits=limits, engine=engine), plant, duration=0.15, q0=HERE, events=events)  # type: ignore[arg-type]
+        for engine in ("native", "float")
+    ]  # fmt: skip
+    names = ["one", "two", "three", "one", "two"]
+    for run in runs:
+        assert [window.name for window in run.phases] == names
+    for field in ("q", "v", "command"):
+        np.testing.assert_allclose(getattr(runs[0], field), getattr(runs[1], field), rtol=0.0, atol=1e-9)
+    assert (np.abs(np.diff(runs[0].command, axis=0)) <= 2.0 * (1.0 + 1e-9)).all()
+    ctrl = taut.compile(swing(), PLANAR, limits=limits)
+    for k, (q, v) in enumerate(zip(runs[0].q, runs[0].v, strict=True)):
+        for path, value in at.get(k / 1000, {}).items():
+            ctrl.parameters[path] = value
+        np.testing.assert_allclose(ctrl.step(q, v), runs[0].command[k], rtol=0.0, atol=1e-9)
+    assert ctrl.parameters["law.one.kp"] != ctrl.parameters["law.three.kp"]  # of one law object
+    swung = taut.compile(swing(), PLANAR)
+    other = taut.run(swung, taut.RigidPlant(PLANAR), duration=0.15, q0=HERE, events=events[:1])
+    assert np.abs(other.command - runs[0].command).max() > 0.1  # and events change something
+
+
+def test_a_task_whose_velocity_is_made_from_positions_takes_positions_alone() -> None:
+    ctrl = taut.compile(swing(), PLANAR, sensing=taut.Sensing(velocity="difference"))
+    run = taut.run(ctrl, taut.RigidPlant(PLANAR), duration=0.1, q0=HERE)
+    stepped = np.array([ctrl.step(q) for q in run.q])
+    np.testing.assert_allclose(stepped, run.command, rtol=0.0, atol=1e-9)
 
 
 def test_noise_does_not_depend_on_when_phases_begin() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from typing import Final
 
 from taut.base.graph import BOOLEAN_OPS, NONE, Op
@@ -15,7 +15,7 @@ __all__ = ["LIBM", "declarations", "kernel"]
 FLAGS: Final = "nsz contract"  # a product and a sum may be rounded once, together
 EXACT: Final = "nsz"
 # What jumps, or ends, at a value of its argument. All that goes into it is computed as in Python, to the last bit:
-# fused, x x - y y of equal x and y is not zero but +-1e-17, and its square root NaN.
+# fused, x x - y y of equal x and y is not zero but +-1e-17, and its square root NaN. A sum of squares has none.
 _DECIDING: Final = frozenset(
     {Op.SQRT, Op.LOG, Op.ASIN, Op.ACOS, Op.ATAN2, Op.FLOOR, Op.LT, Op.LE, Op.EQ},
 )
@@ -207,6 +207,29 @@ def kernel(program: Program, name: str, linkage: str = "") -> str:
     )
 
 
+def _never_negative(program: Program) -> set[int]:
+    """Nodes that are sums of squares and the like: not negative, however they are rounded."""
+    graph = program.graph
+    found: set[int] = set()
+    for i in program.live:
+        op, a, b, c, value = graph.ops[i], graph.a[i], graph.b[i], graph.c[i], graph.value[i]
+        if value is not None:
+            positive = value >= 0.0
+        elif op == Op.MUL:
+            positive = a == b or (a in found and b in found)
+        elif op in (Op.ADD, Op.DIV, Op.MIN):
+            positive = a in found and b in found
+        elif op == Op.MAX:
+            positive = a in found or b in found
+        elif op == Op.SELECT:
+            positive = b in found and c in found
+        else:
+            positive = op in (Op.SQRT, Op.ABS, Op.EXP)
+        if positive:
+            found.add(i)
+    return found
+
+
 class _Body:
     """The straight-line code of one program."""
 
@@ -215,8 +238,12 @@ class _Body:
         self._graph = program.graph
         self._out: list[str] = []
         self._paired: set[int] = set()  # arguments whose sine and cosine stand already
-        deciding = (i for i in program.live if program.graph.ops[i] in _DECIDING)
+        positive = _never_negative(program)
+        deciding = (i for i in program.live if self._graph.ops[i] in _DECIDING and not self._is_length(i, positive))
         self._exact = frozenset(self._graph.live(x for i in deciding for x in self._graph.operands(i)))
+
+    def _is_length(self, i: int, positive: Set[int]) -> bool:
+        return self._graph.ops[i] == Op.SQRT and self._graph.a[i] in positive
 
     def lines(self) -> list[str]:
         graph = self._graph

@@ -38,20 +38,29 @@ class FloatLoop:
     ) -> None:
         self._step, self._substep, self._repeats = step, substep, repeats
         self._inputs, self._parameters, self._memory = inputs, parameters, memory
+        self.raised: Exception | None = None  # in the last run
         values = (block.views(flat) for block, flat in zip((inputs, parameters, memory), example, strict=True))
         with np.errstate(all="ignore"):
             record, _ = step(*(_copied(value) for value in values))
         self.outputs = Block.of({path: np.shape(value) for path, value in record.items()})
 
     def run(self, inputs: Float64Array, parameters: Float64Array, memory: Float64Array, outputs: Float64Array) -> int:
-        """Steps with one row of inputs and of outputs each; the number of them that ended in finite memory."""
+        """Steps with one row of inputs and of outputs each; the number of them that ended in finite memory.
+
+        What the code of a step raises ends them too, and is kept in `raised`.
+        """
         values = self._parameters.views(parameters)
+        self.raised = None
         for k in range(len(inputs)):
             row = self._inputs.views(inputs[k])
-            with np.errstate(all="ignore"):
-                record, after = self._step(row, values, _copied(self._memory.views(memory)))
-                for _ in range(self._repeats):
-                    _, after = self._substep(row, values, after)
+            try:
+                with np.errstate(all="ignore"):
+                    record, after = self._step(row, values, _copied(self._memory.views(memory)))
+                    for _ in range(self._repeats):
+                        _, after = self._substep(row, values, after)
+            except Exception as error:
+                self.raised = error
+                return k
             self.outputs.pack(record, outputs[k])
             new = self._memory.pack(after)
             if not np.isfinite(new).all():
@@ -69,6 +78,8 @@ class NativeLoop:
 
     When it is compiled it is compared with the plain run at `example` (inputs, parameters, memory, flat) and near it.
     """
+
+    raised: Exception | None = None  # compiled code raises nothing
 
     def __init__(
         self,

@@ -72,23 +72,48 @@ class ReferenceFeed:
         j = math.floor(tick / period + NEAR) + 1
         return max(tick + 1, math.ceil(j * period - NEAR))
 
-    def fill(self, views: Mapping[str, Float64Array], first: int, state: Callable[[], Any]) -> None:
+    @property
+    def in_rows(self) -> bool:
+        """Whether the samples of many ticks cost little more than that of one."""
+        return isinstance(self._ref, (Sample, Stream)) or getattr(self._ref, "rows", None) is not None
+
+    def fill(
+        self, views: Mapping[str, Float64Array], first: int, state: Callable[[], Any], *, whole: bool = True
+    ) -> int:
         """Write the reference of the ticks from `first` on into views (k, ...) by field.
 
         Args:
             views: Where to write: one array per field of the sample.
             first: Number of the first tick.
             state: Gives the snapshot at the first tick, for the source of a stream.
+            whole: Whether all ticks must have a sample; else those before the reference fails are enough.
+
+        Returns:
+            Number of ticks that were filled: if that is less than k, the reference fails in a later tick.
+
+        Raises:
+            TautError: The first of the ticks has no sample; what a function of the caller's raises comes through.
         """
         count = len(next(iter(views.values())))
-        times: Float64Array = (first + np.arange(count, dtype=np.float64)) * self._dt
         if isinstance(self._ref, Stream):
             self._ask(self._ref, first, state)
+        while True:
+            try:
+                table = self._checked_rows((first + np.arange(count, dtype=np.float64)) * self._dt)
+            except Exception:
+                if whole or count == 1:
+                    raise
+                count //= 2  # what comes later may never be asked for
+                continue
+            for name, view in views.items():
+                view[:count] = table[name]
+            return count
+
+    def _checked_rows(self, times: Float64Array) -> dict[str, Float64Array]:
         table = self._rows(times)
         if "q" in table:
             require_radians("ref.q", table["q"], self._arm)
-        for name, view in views.items():
-            view[...] = table[name]
+        return table
 
     def _ask(self, stream: Stream, first: int, state: Callable[[], Any]) -> None:
         """The next answer of a stream, if its time has come, and the fade from the one before."""
@@ -96,8 +121,9 @@ class ReferenceFeed:
             return
         now = np.array([first * self._dt])
         before = None if stream.blend is None or self._current is None else self._rows(now)
-        self._asked, self._since, self._fade = first, first * self._dt, None
+        self._since, self._fade = first * self._dt, None
         self._current = self._answer(stream, state())
+        self._asked = first
         if before is not None:
             assert stream.blend is not None
             self._fade = Fade.of(self._kind, before, self._rows(now), self._since, stream.blend, self._arm)

@@ -73,7 +73,8 @@ class Law:
     * optionally `check_rate(self, rate)`, which refuses gains that have no meaning at that rate [Hz];
     * optionally `check_state(self, x, rate)`, which refuses gains that have no meaning where a run starts, and
       `check_change(self, x, rate)`, which refuses new ones where the arm is then;
-    * optionally `check_reference(self, x, ref, rate)`, which refuses what a run is to follow from there;
+    * optionally `check_reference(self, x, ref, rate)`, which refuses what a run is to follow from there, and
+      `check_reference_later(self, x, ref, rate)`, what a phase would follow that begins later, elsewhere;
     * `reference`, the kind of sample it follows (JointMotion unless said);
     * `recorded`, the entries of its memory that a run keeps as further columns, where it has them (none unless said);
     * `notices`, pairs of a recorded entry and what the outcome of a run says where that is not zero;
@@ -225,6 +226,10 @@ class Law:
         """What a law that this one holds sees and follows."""
         return x, ref
 
+    def memory_of_children(self, x: Snapshot, ref: Sample) -> dict[str, Any]:
+        """Memory at the first tick of the laws that this one holds, by field."""
+        return {name: initial_memory(child, *self.seen_by(name, x, ref)) for name, child in self.children().items()}
+
     @property
     def controlled_frame(self) -> str | None:
         """The frame that this law, or a law that it holds, controls; None for the arm's tool."""
@@ -268,13 +273,23 @@ class Law:
         if check is not None:
             check(x, rate)
 
-    def check_references(self, x: Snapshot, ref: Reference, rate: float) -> None:
-        """What a run is to follow must have a meaning for this law, where it starts.
+    def check_references(self, x: Snapshot, ref: Reference, rate: float, *, later: bool = False) -> None:
+        """What is to be followed must have a meaning for this law, and for those it holds that follow the same.
+
+        Args:
+            x: Where it is followed from.
+            ref: What is to be followed.
+            rate: [Hz].
+            later: Whether that begins later, where it is not known yet, and x is where the run starts.
 
         Raises:
             RangeError, UsageError: It has none.
         """
-        check: Callable[[Snapshot, Reference, float], None] | None = getattr(self, "check_reference", None)
+        for law in self.children().values():
+            if law.reference is self.reference:
+                law.check_references(x, ref, rate, later=later)
+        hook = "check_reference_later" if later else "check_reference"
+        check: Callable[[Snapshot, Reference, float], None] | None = getattr(self, hook, None)
         if check is not None:
             check(x, ref, rate)
 
@@ -347,13 +362,17 @@ def _check_arguments(cls: type[Law]) -> None:
             named = ", ".join(f"{name}{f' [{units[name]}]' if name in units else ''}" for name in missing)
             raise UsageError(f"{cls.__name__} needs {named}", name=missing[0])
         generated(self, *args, **kwargs)
+        for name, value in kwargs.items():  # dataclasses.replace gives all that the law has, also what means nothing
+            gain = cls.__dict__.get(name)
+            if isinstance(gain, Gain) and isinstance(value, GainValue) and not gain.has_meaning(self):
+                object.__setattr__(self, name, gain.default)
         for own, given in self.gains().items():
             if cls.__dict__[own].pairs:
                 values = cls.__dict__[own].checked(given, name=own, entries=self.gain_size(own))
                 self.__dict__[own] = GainValue(values, own)
         for name in kwargs:
             gain = cls.__dict__.get(name)
-            if isinstance(gain, Gain) and not gain.has_meaning(self):
+            if isinstance(gain, Gain) and not isinstance(kwargs[name], GainValue) and not gain.has_meaning(self):
                 assert gain.where is not None
                 other, value = gain.where
                 words = value if isinstance(value, tuple) else (value,)
@@ -418,7 +437,7 @@ def initial_memory(law: Law, x: Snapshot, ref: Sample) -> dict[str, Any]:
     for field in dataclasses.fields(law):  # type: ignore[arg-type]  # every law is a dataclass
         if isinstance(type(law).__dict__.get(field.name), Memory):
             values[field.name] = law.__dict__[field.name]
-    values |= {name: initial_memory(child, *law.seen_by(name, x, ref)) for name, child in law.children().items()}
+    values |= law.memory_of_children(x, ref)
     start: Callable[[Snapshot, Sample], Mapping[str, Any]] | None = getattr(law, "start", None)
     if start is not None:
         values |= start(x, ref)
@@ -433,6 +452,7 @@ RESERVED: Final = frozenset(name for name in vars(Law) if not name.startswith("_
     "check_change",
     "check_state",
     "check_reference",
+    "check_reference_later",
 }
 
 

@@ -2,29 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any, Final
+from functools import partial
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
 from taut.base import math as tm
-from taut.base.errors import MatchError, ShapeError, TautError, UsageError
+from taut.base.errors import (
+    MatchError,
+    NumericalError,
+    RangeError,
+    ShapeError,
+    TautError,
+    UsageError,
+    raised_location,
+)
 from taut.base.types import Array
 from taut.control.command import Command, Terms
-from taut.control.guards import Lasting, condition
+from taut.control.guards import Guard, Lasting, condition
 from taut.control.halt import Halt
-from taut.control.law import Law, MemoryView, call, initial_memory
+from taut.control.law import Law, LawMemory, MemoryView, call, initial_memory
 from taut.control.phase import STOP, Phase, named_phases
 from taut.control.phase_sample import PhaseSample, phase_sample
-from taut.control.reference import Chunk, Hold, JointMotion, Reference, Sample, Stream, Trajectory
+from taut.control.reference import Hold, JointMotion, Reference, Sample, Stream, Trajectory, as_reference
 from taut.maths.snapshot import PhaseView, Snapshot
 
-__all__ = ["ENDED", "Phases"]
+__all__ = ["ENDED", "NO_CONTACT", "Phases"]
 
+T = TypeVar("T")
 RUNNING, UNTIL, UNLESS, TIMEOUT, NO_CONTACT = range(5)
 ENDED: Final = {UNTIL: "until", UNLESS: "unless", TIMEOUT: "timeout", NO_CONTACT: "no contact"}
 """What ended a phase, by the code that is recorded in the last tick of it."""
+BESIDE: Final = 0.1  # [rad | m]
 NEAR: Final = 1e-6  # [ticks] what a timeout that is meant to be a whole number of ticks may miss one by
 
 
@@ -112,12 +124,45 @@ class Phases(Law):
         for name in self.laws if changed else [next(iter(self.phases))]:
             self.laws[name].check_states(x, rate, changed=changed)
 
-    def check_references(self, x: Snapshot, ref: Reference, rate: float) -> None:  # noqa: ARG002
-        """What the first phase is to follow, where that is known before."""
-        name, phase = next(iter(self.phases.items()))
-        given = phase.reference
-        if given is None or isinstance(given, (Sample, Hold, Stream, Chunk, Trajectory)):
-            self.laws[name].check_references(x, Hold() if given is None else given, rate)
+    def check_references(self, x: Snapshot, ref: Reference, rate: float, *, later: bool = False) -> None:  # noqa: ARG002
+        """What the phases are to follow, as far as it is known before: not what depends on where a phase begins."""
+        for i, (name, phase) in enumerate(self.phases.items()):
+            given = phase.reference
+            if isinstance(given, Trajectory) or not (callable(given) or isinstance(given, Stream)):
+                reference = as_reference(Hold() if given is None else given)
+                with self.blamed(name):
+                    self.laws[name].check_references(x, reference, rate, later=i > 0)
+
+    def check_begin(self, name: str, x: Snapshot, ref: Reference, rate: float) -> None:
+        """A phase that begins must have a meaning there, with its gains and what it is to follow.
+
+        Not one that is refused, since there is no contact.
+
+        Raises:
+            RangeError, UsageError: It has none; the message names the phase.
+        """
+        phase = self.phases[name]
+        if phase.needs_contact and not condition(phase.in_contact(x), f"contact of phase '{name}'"):
+            return
+        with self.blamed(name):
+            self.laws[name].check_states(x, rate)
+            self.laws[name].check_references(x, ref, rate)
+
+    @staticmethod
+    @contextmanager
+    def blamed(name: str, what: str = "its reference") -> Iterator[None]:
+        """An error is said to be of a phase; one that is no sentence of ours, that it failed, and where."""
+        try:
+            yield
+        except (ShapeError, RangeError) as cause:
+            raise type(cause)(
+                f"phase '{name}': {cause}", name=cause.name, joint=cause.joint, value=cause.value, rule=cause.rule
+            ) from cause
+        except TautError as cause:
+            raise UsageError(f"phase '{name}': {cause}", name="reference") from cause
+        except Exception as cause:
+            how = f"{type(cause).__name__}: {cause} at {raised_location(cause)}"
+            raise UsageError(f"phase '{name}': {what} fails: {how}", name="reference") from cause
 
     # ---------------------------------------------------------------- a tick
 
@@ -125,6 +170,14 @@ class Phases(Law):
         counters = sum(len(_counters(phase)) for phase in self.phases.values())
         none = {"lasted": np.zeros(counters)} if counters else {}
         return {"phase": 0.0, "next": 0.0, "ticks": 0.0, "ended": 0.0, "begin": tm.array(x.q), **none}
+
+    def memory_of_children(self, x: Snapshot, ref: Sample) -> dict[str, Any]:
+        """Zeros: each law starts when its phase begins, and what it would start with now may not be finite."""
+        out: dict[str, Any] = {}
+        for name, law in self.laws.items():
+            own = self.sample_of(name, ref)
+            out[name] = _zeros(_beside_singular(partial(initial_memory, law, ref=own), x, idle=True))
+        return out
 
     @staticmethod
     def begins(memory: Mapping[str, Any]) -> Any:
@@ -144,9 +197,12 @@ class Phases(Law):
             own = self.sample_of(name, ref)
             if name == STOP:
                 law = law._replaced({"kind": self._kind(commands)})
-            old, new = memory[name], initial_memory(law, x, own)
-            held = _chosen(fresh, new, old)
-            commands[name], left = call(law, x, own, held, dt)
+            old = memory[name]
+
+            def called(x: Snapshot, law: Law = law, own: Sample = own, old: LawMemory = old) -> tuple[Command, Any]:
+                return call(law, x, own, _chosen(fresh, initial_memory(law, x, own), old), dt)
+
+            commands[name], left = _beside_singular(called, x, idle=_known_false(acting[name]))
             after[name] = _chosen(acting[name], left, old)
         elapsed = memory.ticks * dt
         moved = self._moved_on(x, ref, memory, (here, refused, fresh, begin, elapsed), dt)
@@ -158,7 +214,7 @@ class Phases(Law):
         refused: Any = np.bool_(False)
         for i, (name, phase) in enumerate(self.phases.items()):
             if phase.needs_contact:
-                touches = condition(phase.in_contact(x), f"contact of phase '{name}'")
+                touches = _holding(phase.in_contact, x, f"contact of phase '{name}'", idle=_known_false(here[i]))
                 refused = refused | (here[i] & fresh & ~touches)
         return refused
 
@@ -198,17 +254,10 @@ class Phases(Law):
         guard = getattr(phase, word)
         if guard is None:
             return np.bool_(False)
-        who = f"{word} of phase '{name}'"
-        try:
-            given = guard(seen)
-        except TautError:
-            raise
-        except Exception as cause:
-            raise UsageError(f"{who} fails: {type(cause).__name__}: {cause}", name=word) from cause
-        holds = condition(given, who)
+        memory, fresh, here, counts = now
+        holds = _holding(guard, seen, f"{word} of phase '{name}'", idle=_known_false(here))
         if not isinstance(guard, Lasting):
             return holds
-        memory, fresh, here, counts = now
         before = tm.where(fresh, 0.0, memory["lasted"][len(counts)])
         counts.append(tm.where(here & holds, before + 1.0, 0.0))
         return counts[-1] > guard.ticks - 0.5
@@ -259,6 +308,47 @@ def _is(number: Any, i: int, last: int) -> Any:
     if i < last:
         holds = (number < i + 0.5) & holds
     return holds
+
+
+def _known_false(which: Any) -> bool:
+    """Whether a condition is known not to hold: as plain Python runs it, what does not act is idle."""
+    return isinstance(which, (bool, np.bool_)) and not which
+
+
+def _beside_singular(evaluated: Callable[[Snapshot], T], x: Snapshot, *, idle: bool) -> T:
+    """What a law gives in a tick, or what a function makes of it.
+
+    Compiled code gives numbers that are not finite where a law is singular. Plain Python refuses to, and an idle law
+    is asked beside that state: of what it gives only names and shapes are used.
+    """
+    try:
+        return evaluated(x)
+    except NumericalError:
+        if not idle:
+            raise
+        return evaluated(x.at(x.q + BESIDE * np.cos(np.arange(x.n)), x.v))
+
+
+def _zeros(memory: Any) -> Any:
+    """Memory of the same shapes."""
+    if isinstance(memory, Mapping):
+        return {name: _zeros(value) for name, value in memory.items()}
+    return tm.zeros(np.shape(memory))
+
+
+def _holding(guard: Guard, x: Snapshot, who: str, *, idle: bool) -> Any:
+    """Whether a guard holds; that of an idle phase does not where it is singular."""
+    try:
+        return condition(guard(x), who)
+    except NumericalError:
+        if not idle:
+            raise
+        return np.bool_(False)
+    except TautError:
+        raise
+    except Exception as cause:
+        how = f"{type(cause).__name__}: {cause} at {raised_location(cause)}"
+        raise UsageError(f"{who} fails: {how}", name="guard") from cause
 
 
 def _chosen(which: Any, a: Any, b: Any) -> Any:

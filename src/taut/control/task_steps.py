@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -15,62 +15,84 @@ from taut.control.feed import plain_snapshot
 from taut.control.lawside import LawSide
 from taut.control.phase_feed import PhaseFeed
 from taut.control.phases import Phases
-from taut.control.reference import Sample
 from taut.maths.snapshot import Snapshot, measurement_shapes
 
 __all__ = ["TaskSteps"]
 
 NEXT: Final = "law.next"
-AHEAD: Final = 64  # ticks whose samples are made at once
+TICKS: Final = "law.ticks"
+AHEAD: Final = 256  # ticks whose samples are made at once
+ONE_BY_ONE: Final = 16  # the same of a trajectory that gives one at a time, so that no tick waits long for them
 
 
 class TaskSteps:
-    """Makes the sample of each tick, as a run does for a block of them.
+    """Makes the sample of each tick, ahead for a block of them as a run does.
+
+    A tick whose sample is there costs one row to copy. In the others, such as the first one of a phase, the sample
+    is made from what is measured then.
 
     Args:
         side: The law side.
         task: Its law.
+        memory: Memory of the law side by path, as compiled code changes it.
+        wanted: Where compiled code reads the sample, flat: the fields of the task's kind, one behind the other.
     """
 
-    def __init__(self, side: LawSide, task: Phases) -> None:
-        self._side, self._task = side, task
-        self._feed = PhaseFeed(task, side, stepped=True)
-        kind = task.reference
-        self._rows = {name: np.zeros((AHEAD, *shape)) for name, shape in kind.fields(side.arm.n).items()}
-        self._filled = range(0)  # ticks whose samples are there
+    def __init__(self, side: LawSide, task: Phases, memory: Mapping[str, Float64Array], wanted: Float64Array) -> None:
+        self._side, self._task, self._memory, self._wanted = side, task, memory, wanted
+        self._feed = PhaseFeed(task, side)
+        self._table = np.zeros((AHEAD, wanted.size))
+        self._fields: dict[str, Float64Array] = {}  # of all rows of the table
+        first = 0
+        for name, shape in task.reference.fields(side.arm.n).items():
+            size = int(np.prod(shape, dtype=np.int64))
+            self._fields[name] = self._table[:, first : first + size].reshape(AHEAD, *shape)
+            first += size
+        self._ahead: dict[int, Float64Array] = {}  # the sample, flat, by the number of a tick in its phase
 
-    def name(self, memory: Mapping[str, Float64Array] | None) -> str:
-        """The phase that the coming tick belongs to."""
-        return self._task.names[0 if memory is None else int(memory[NEXT])]
+    def name(self, going: bool) -> str:
+        """The phase that the coming tick belongs to, of a task that is going on or begins with it."""
+        return self._task.names[int(self._memory[NEXT]) if going else 0]
 
-    def looks(self, tick: int, memory: Mapping[str, Float64Array] | None) -> bool:
-        """Whether `sample` looks at what is measured in a tick."""
-        return memory is None or bool(memory["law.ticks"] < 0.5) or tick not in self._filled
+    def around(self, step: Callable[..., Any], slow: Callable[..., Any]) -> Callable[..., Any]:
+        """`step`, which reads the sample where it is wanted, with that sample; `slow` where it is still to be made.
 
-    def sample(
-        self,
-        tick: int,
-        memory: Mapping[str, Float64Array] | None,
-        given: Mapping[str, Any],
-        ref: Any,
-        parameters: Mapping[str, Any],
-    ) -> Sample:
-        """What is followed in a tick.
+        What is no plain call, and a tick before memory has started, `step` itself hands to `slow`.
+        """
+        ticks, wanted = self._memory[TICKS].item, self._wanted
+
+        def with_sample(*args: Any, **kwargs: Any) -> Any:
+            row = self._ahead.get(int(ticks()))
+            if row is None:
+                return slow(*args, **kwargs)
+            wanted[:] = row
+            return step(*args, **kwargs)
+
+        return with_sample
+
+    def place(
+        self, tick: int, going: bool, given: Mapping[str, Any], ref: Any, parameters: Mapping[str, Any]
+    ) -> None:
+        """Write what is followed in a tick where it is wanted.
+
+        Where the reference of the phase fails, the task stops: the tick after the one that raises holds the arm.
 
         Args:
             tick: Its number.
-            memory: All memory by path; None before the first tick.
+            going: Whether the task is going on; else it begins with this tick.
             given: What is measured, as the caller gave it.
             ref: The sample that the caller gave; None for none.
             parameters: Parameters of the law side by path.
 
         Raises:
             UsageError: A sample where the phase has a reference of its own, or none where it waits for one.
+            ShapeError: A sample of another size.
         """
-        if memory is None or memory["law.ticks"] < 0.5:
-            self._feed.begin(0 if memory is None else int(memory[NEXT]), tick)
-            self._filled = range(0)
-        name = self.name(memory)
+        since = int(self._memory[TICKS]) if going else 0
+        name = self.name(going)
+        if since == 0:
+            self._ahead = {}
+            self._feed.begin(self._task.names.index(name), tick)
         if self._feed.waits:
             if not isinstance(ref, self._task.laws[name].reference):
                 kind = self._task.laws[name].reference.described()
@@ -79,30 +101,37 @@ class TaskSteps:
         elif ref is not None:
             raise UsageError(f"phase '{name}' has its own reference; leave ref out of step", name="ref")
 
-        if self._feed.waits or tick not in self._filled:
-            self._fill(tick, memory, given, ref, parameters)
-        row = tick - self._filled.start
-        return self._task.reference.of({field: values[row] for field, values in self._rows.items()})
+        row = self._ahead.get(since)
+        if row is None:
+            x = self._seen(tick, going, given, parameters) if since == 0 or not self._feed.waits else None
+            try:
+                count = self._make(tick, x, ref)
+            except Exception:
+                if going and not self._feed.waits:
+                    self._memory[NEXT][...], self._memory[TICKS][...] = len(self._task.phases), 0.0
+                raise
+            # A first tick is never there beforehand, for what it follows depends on where its phase begins.
+            row, self._ahead = self._table[0], {since + i: self._table[i] for i in range(1, count)}
+        self._wanted[:] = row
 
-    def _fill(
-        self,
-        tick: int,
-        memory: Mapping[str, Float64Array] | None,
-        given: Mapping[str, Any],
-        ref: Any,
-        parameters: Mapping[str, Any],
-    ) -> None:
-        """The samples of the ticks from this one on, at most up to where a stream is asked again."""
+    def _seen(self, tick: int, going: bool, given: Mapping[str, Any], parameters: Mapping[str, Any]) -> Snapshot:
+        """What the controller sees in a tick."""
+        sizes = measurement_shapes(self._side.arm.n)
+        measured = {path: float_array(path, value, shape=sizes[path]) for path, value in given.items()}
+        self._side.check_finite(measured, tick)
+        sensing = subtree(self._memory, "sensing") if going else None
+        return plain_snapshot(self._side, measured, sensing, parameters, tick * self._side.dt)
 
-        def state() -> Snapshot:
-            sizes = measurement_shapes(self._side.arm.n)
-            measured = {path: float_array(path, value, shape=sizes[path]) for path, value in given.items()}
-            self._side.check_finite(measured, tick)
-            sensing = None if memory is None else subtree(memory, "sensing")
-            return plain_snapshot(self._side, measured, sensing, parameters, tick * self._side.dt)
+    def _make(self, tick: int, x: Snapshot | None, ref: Any) -> int:
+        """The samples from a tick on: how many."""
+        self._feed.prepare(lambda: x)
+        fields = {field: rows[: self._count(tick)] for field, rows in self._fields.items()}
+        return self._feed.fill(fields, tick, lambda: x, ref)
 
-        self._feed.prepare(state)
+    def _count(self, tick: int) -> int:
+        """Ticks whose samples can be made in this one."""
+        if self._feed.waits:
+            return 1
         question = self._feed.next_question(tick)
-        count = AHEAD if question is None else min(AHEAD, question - tick)
-        self._filled = range(tick, tick + count)
-        self._feed.fill({field: values[:count] for field, values in self._rows.items()}, tick, state, ref)
+        count = AHEAD if self._feed.in_rows else ONE_BY_ONE
+        return count if question is None else min(count, question - tick)

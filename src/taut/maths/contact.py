@@ -12,9 +12,9 @@ from taut.base.types import Matrix, Vector
 
 __all__ = ["SWEEPS", "Touch", "both", "choose", "contact_impulses", "held_impulses", "opposite"]
 
-SWEEPS: Final = 8  # of block Gauss-Seidel where several contacts act together, half before the exact solve
-ROUNDS: Final = 8  # of the direction of sliding, which depends on the normal force and the other way round
-FEWER: Final = 3  # of them in each sweep
+SWEEPS: Final = 4  # of block Gauss-Seidel where several contacts act together
+ROUNDS: Final = 3  # of the direction of sliding, which depends on the normal force and the other way round
+STEPS: Final = 3  # of Newton's method for all contacts at once
 SLACK: Final = 1e-11  # of the diagonal, so that contacts that share a load need not be independent
 JAMMED: Final = 1e-3  # least share of a normal mobility that friction leaves; below it rigid bodies jam
 NOTHING: Final = 1e-30
@@ -52,10 +52,10 @@ def contact_impulses(
         u_n = 0, or of a one-sided one   u_n >= 0,  p_n >= 0,  u_n p_n = 0
         u_t = 0 and |p_t| <= mu |p_n|,   or   p_t = -mu |p_n| u_t / |u_t|
 
-    the last with a round cone. A contact that is alone is solved for exactly: whether it sticks, from the impulses
-    that would stop it; else the direction of its sliding by a few steps of Newton's method. Several take turns, in a
-    fixed number of sweeps so that it is straight-line code, from a guess; in the middle those that touch are solved
-    for together, exactly, and the other half puts right what that moved.
+    the last with a round cone. The contacts take turns, in a fixed number of sweeps so that it is straight-line code,
+    from a guess: each finds whether it sticks, from the impulses that would stop it, else roughly where it slides.
+    Newton's method then solves for all of them together, as they touch, stick and slide: three steps, of which one
+    that does not help is not taken.
 
     Args:
         W: (m, m) velocities per impulse, B M^-1 B^T.
@@ -65,26 +65,30 @@ def contact_impulses(
         there: Whether each contact may act at all.
         guess: (m,) impulses to start from, where there are several contacts.
         sweeps: Number of sweeps.
+
+    References:
+        Alart and Curnier, A mixed formulation for frictional contact problems prone to Newton like solution methods,
+        Computer Methods in Applied Mechanics and Engineering 92 (1991).
     """
     blocks = [_Block.of(W, touch) for touch in touches]
     alone = len(blocks) == 1
     p = [0.0] * len(r) if alone else list(guess)
-    slip: list[Any] = [None] * len(blocks)
-
-    def sweep(count: int) -> None:
-        for _ in range(count):
-            for c, block in enumerate(blocks):
-                own = set(block.rows)
-                others = [j for j in range(len(r)) if j not in own]
-                free = {i: _sum(r[i], ((W[i, j], p[j]) for j in others)) for i in block.rows}
-                slip[c] = block.solve(free, p, mu[c], there[c], ROUNDS if alone else FEWER)
-
-    if alone:
-        sweep(1)
+    for _ in range(1 if alone else sweeps):
+        for c, block in enumerate(blocks):
+            own = set(block.rows)
+            others = [j for j in range(len(r)) if j not in own]
+            free = {i: _sum(r[i], ((W[i, j], p[j]) for j in others)) for i in block.rows}
+            block.solve(free, p, mu[c], there[c])
+    if alone and not touches[0].tangents:
         return tm.array(p)
-    sweep(sweeps // 2)
-    p = _together(W, r, touches, slip)
-    sweep(sweeps - sweeps // 2)
+    modes, miss = _modes(W, r, touches, mu, there, p)
+    for _ in range(STEPS):
+        new = _newton(W, r, touches, modes)
+        new_modes, left = _modes(W, r, touches, mu, there, new)
+        better = left < miss
+        p = [choose(better, a, b) for a, b in zip(new, p, strict=True)]
+        modes = [now.instead(old, better) for now, old in zip(new_modes, modes, strict=True)]
+        miss = choose(better, left, miss)
     return tm.array(p)
 
 
@@ -101,15 +105,6 @@ def held_impulses(W: Matrix, u: Vector, held: Sequence[Any]) -> Vector:
     rhs = [choose(held[i], -u[i], 0.0) for i in range(m)]
     solved: Vector = tm.solve_spd(tm.array(A), tm.array(rhs))
     return solved
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Slip:
-    """How a contact moves after it was solved for."""
-
-    on: Any  # whether it touches
-    sticks: Any
-    along: tuple[Any, Any]  # direction of its sliding, times its friction and the sign of its normal impulse
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,25 +136,20 @@ class _Block:
     def rows(self) -> tuple[int, ...]:
         return (*self.touch.held, *self.touch.tangents)
 
-    def solve(self, r: dict[int, Any], p: list[Any], mu: Any, there: Any, rounds: int) -> _Slip:
+    def solve(self, r: dict[int, Any], p: list[Any], mu: Any, there: Any) -> None:
         """Write its impulses into p, from velocities without them."""
         held, tangents = self.touch.held, self.touch.tangents
         r_h = tm.array([r[i] for i in held])
         y = self.held.solve(r_h)
         best = [-entry for entry in y]
-        sticks, along = False, (0.0, 0.0)
         if tangents:
-            r_t = tm.array([r[i] for i in tangents])
-            best, sticks, along = self._rubbing(r_h, r_t, y, best, mu, rounds)
+            best = self._rubbing(r_h, tm.array([r[i] for i in tangents]), y, best, mu)
         on = there if not self.touch.one_sided else both(there, best[0] > 0.0)
         for i, value in zip(self.rows, best, strict=True):
             p[i] = choose(on, value, 0.0)
-        return _Slip(on=on, sticks=sticks, along=along)
 
-    def _rubbing(
-        self, r_h: Vector, r_t: Vector, y: Vector, p_h: list[Any], mu: Any, rounds: int
-    ) -> tuple[list[Any], Any, Any]:
-        """Impulses with friction, whether it sticks, and where it slides."""
+    def _rubbing(self, r_h: Vector, r_t: Vector, y: Vector, p_h: list[Any], mu: Any) -> list[Any]:
+        """Impulses with friction."""
         assert self.all is not None
         assert self.across is not None
         assert self.plane is not None
@@ -170,7 +160,7 @@ class _Block:
         if self.touch.one_sided:
             sticks = both(sticks, stop[0] > 0.0)
         signed, d, speed = mu, (0.0, 0.0), None
-        for _ in range(rounds):
+        for _ in range(ROUNDS):
             if not self.touch.one_sided:
                 signed = choose(p_h[0] < 0.0, -mu, mu)
             z = [_sum(r_t[k], ((self.across[i, k], p_h[i]) for i in range(h))) for k in range(2)]
@@ -178,9 +168,8 @@ class _Block:
             bent = self.held.solve(tm.array([self.across[i, 0] * d[0] + self.across[i, 1] * d[1] for i in range(h)]))
             normal = -y[0] / tm.maximum(1.0 - signed * bent[0], JAMMED)
             p_h = [normal, *(signed * normal * bent[i] - y[i] for i in range(1, h))]
-        along = (signed * d[0], signed * d[1])
-        slides = [*p_h, -along[0] * p_h[0], -along[1] * p_h[0]]
-        return [choose(sticks, a, b) for a, b in zip(stop, slides, strict=True)], sticks, along
+        slides = [*p_h, -signed * d[0] * p_h[0], -signed * d[1] * p_h[0]]
+        return [choose(sticks, a, b) for a, b in zip(stop, slides, strict=True)]
 
 
 def _sliding(W: Matrix, z: Sequence[Any], c: Any, speed: Any) -> tuple[tuple[Any, Any], Any]:
@@ -208,31 +197,95 @@ def _sliding(W: Matrix, z: Sequence[Any], c: Any, speed: Any) -> tuple[tuple[Any
     return (d[0] * size, d[1] * size), s
 
 
-def _together(W: Matrix, r: Vector, touches: Sequence[Touch], slip: Sequence[_Slip]) -> list[Any]:
-    """Impulses of all contacts as they touch, stick and slide now, exactly; those that would pull go."""
+@dataclass(frozen=True, kw_only=True)
+class _Mode:
+    """How a contact behaves at some impulses, and what Newton's method needs of it.
+
+    With z = p_t - step u_t its friction is z where |z| is within the cone, and else shortened to its border:
+    p_t = share z = most d.
+    """
+
+    on: Any  # whether it touches
+    sticks: Any
+    d: tuple[Any, Any] = (0.0, 0.0)  # z / |z|
+    share: Any = 0.0
+    step: Any = 0.0  # impulse per velocity
+    mu: Any = 0.0  # with the sign of the normal impulse
+
+    def instead(self, other: _Mode, holds: Any) -> _Mode:
+        """This one where the condition holds, else the other."""
+        on, sticks = (
+            opposite(both(opposite(both(holds, a)), opposite(both(opposite(holds), b))))
+            for a, b in ((self.on, other.on), (self.sticks, other.sticks))
+        )
+        d = [choose(holds, a, b) for a, b in zip(self.d, other.d, strict=True)]
+        numbers = {name: choose(holds, getattr(self, name), getattr(other, name)) for name in ("share", "step", "mu")}
+        return _Mode(on=on, sticks=sticks, d=(d[0], d[1]), **numbers)
+
+
+def _modes(
+    W: Matrix, r: Vector, touches: Sequence[Touch], mu: Sequence[Any], there: Sequence[Any], p: Sequence[Any]
+) -> tuple[list[_Mode], Any]:
+    """The mode of each contact at some impulses, and by how much, squared, these miss the laws."""
+    m = len(r)
+    u = [_sum(r[i], ((W[i, j], p[j]) for j in range(m))) for i in range(m)]
+    out: list[_Mode] = []
+    miss: Any = 0.0
+    for touch, friction, may in zip(touches, mu, there, strict=True):
+        n, on, signed = touch.normal, may, friction
+        if touch.one_sided:
+            push = p[n] - u[n] / W[n, n]
+            on = both(may, push > 0.0)
+            missed = [p[n] - choose(on, push, 0.0)]
+        else:
+            missed = [choose(on, u[n] / W[n, n], 0.0)]
+        missed += [choose(on, u[i] / W[i, i], p[i]) for i in touch.beside]
+        mode = _Mode(on=on, sticks=False)
+        if touch.tangents:
+            if not touch.one_sided:
+                signed = choose(p[n] < 0.0, -friction, friction)
+            step = 2.0 / _sum(NOTHING, ((W[i, i], 1.0) for i in touch.tangents))
+            z = [p[i] - step * u[i] for i in touch.tangents]
+            size = tm.sqrt(z[0] * z[0] + z[1] * z[1] + NOTHING)
+            share = tm.maximum(signed * p[n], 0.0) / size
+            sticks = both(on, share >= 1.0)
+            missed += [p[i] - choose(on, tm.minimum(share, 1.0) * z[k], 0.0) for k, i in enumerate(touch.tangents)]
+            mode = _Mode(on=on, sticks=sticks, d=(z[0] / size, z[1] / size), share=share, step=step, mu=signed)
+        out.append(mode)
+        miss = _sum(miss, ((part, part) for part in missed))
+    return out, miss
+
+
+def _newton(W: Matrix, r: Vector, touches: Sequence[Touch], modes: Sequence[_Mode]) -> list[Any]:
+    """One step of Newton's method for all impulses: exact for those that stick, touch or are apart as they do now."""
     m = len(r)
     A = [[0.0] * m for _ in range(m)]
     rhs: list[Any] = [0.0] * m
 
-    def row(i: int, holds: Any, instead: Sequence[tuple[int, Any]]) -> None:
+    def stopped(i: int, holds: Any) -> None:
         for j in range(m):
             A[i][j] = choose(holds, W[i, j] * (1.0 + SLACK) if i == j else W[i, j], 1.0 if i == j else 0.0)
-        for j, value in instead:
-            A[i][j] = choose(holds, A[i][j], value)
         rhs[i] = choose(holds, -r[i], 0.0)
 
-    for touch, now in zip(touches, slip, strict=True):
+    for touch, now in zip(touches, modes, strict=True):
         for i in touch.held:
-            row(i, now.on, ())
-        for i, share in zip(touch.tangents, now.along, strict=False):
-            row(i, both(now.on, now.sticks), [(touch.normal, choose(now.on, share, 0.0))])
-    found = list(tm.solve(tm.array(A), tm.array(rhs)))
-    for touch in touches:
-        if touch.one_sided:
-            keeps = found[touch.normal] >= 0.0
-            for i in (*touch.held, *touch.tangents):
-                found[i] = choose(keeps, found[i], 0.0)
-    return found
+            stopped(i, now.on)
+        slides = both(now.on, opposite(now.sticks))
+        for k, i in enumerate(touch.tangents):
+            stopped(i, now.sticks)
+            # p_t - share P (p_t - step u_t) - mu d p_n = 0 with P = 1 - d d^T, across the direction of sliding
+            across = [(1.0 if e == k else 0.0) - now.d[k] * now.d[e] for e in range(2)]
+            pull = now.share * now.step
+            for j in range(m):
+                entry = _sum(0.0, ((pull * across[e], W[t, j]) for e, t in enumerate(touch.tangents)))
+                if j == touch.normal:
+                    entry = entry - now.mu * now.d[k]
+                if j in touch.tangents:
+                    entry = entry + (1.0 if i == j else 0.0) - now.share * across[touch.tangents.index(j)]
+                A[i][j] = choose(slides, entry, A[i][j])
+            lost = _sum(0.0, ((pull * across[e], r[t]) for e, t in enumerate(touch.tangents)))
+            rhs[i] = choose(slides, -lost, rhs[i])
+    return list(tm.solve(tm.array(A), tm.array(rhs)))
 
 
 # -------------------------------------------------------------------- small ones

@@ -296,7 +296,8 @@ class _Solver:
             taken = factors.solve(across)
             r_f = tm.array([r[i] for i in fixed])
             W_c, r_c = W_c - across.T @ taken, r_c - taken.T @ r_f
-        p_c = contact_impulses(W_c, r_c, rows, mu, there, [guess[i] for i in free], sweeps=self.sweeps)
+        start, sweeps = [guess[i] for i in free], (self.sweeps + 1) // 2  # exact steps take the place of the others
+        p_c = contact_impulses(W_c, r_c, rows, mu, there, start, sweeps=sweeps)
         out: list[Any] = [0.0] * len(r)
         for i, value in zip(free, p_c, strict=True):
             out[i] = value

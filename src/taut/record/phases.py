@@ -79,18 +79,21 @@ def windows(
     return tuple(out)
 
 
-def told(found: Sequence[PhaseWindow], completed: Outcome) -> Outcome:
-    """The outcome of a run that came to its end, with how each phase of its task ended.
+def told(found: Sequence[PhaseWindow], outcome: Outcome) -> Outcome:
+    """The outcome of a run with how each phase of its task ended.
 
     A task that stopped for another reason than its last `until` did not go to its end.
     """
     last = found[-1]
     before = found[-2] if last.name == STOP and len(found) > 1 else last
-    wrong = before.ended not in (None, WELL)
-    message = f"{completed.message}; phases: {', '.join(map(str, found))}"
+    wrong = outcome.kind == "completed" and before.ended not in (None, WELL)
+    said = [*map(str, found)]
+    if not outcome.ok and last.ended is None and last.name != STOP:
+        said[-1] = f"{last.name} until then"
+    message = f"{outcome.message}; phases: {', '.join(said)}"
     if wrong:
         message = message.replace("completed", "stopped", 1)
-    return dataclasses.replace(completed, kind="stopped" if wrong else completed.kind, message=message)
+    return dataclasses.replace(outcome, kind="stopped" if wrong else outcome.kind, message=message)
 
 
 def phases_of(run: Run) -> tuple[PhaseWindow, ...]:
@@ -133,6 +136,8 @@ def phase_of(run: Run, name: str, visit: int) -> Run:
         reference = getattr(reference, str(own["follows"]))
     fields = {field: getattr(reference, field)[rows] for field in type(reference).fields(run.n)}
     outcome = Outcome(kind="completed", message=str(window), tick=len(run.t[rows]) - 1)
+    if not run.outcome.ok and window.name != STOP and window.ended is None:  # the run ended in it
+        outcome = dataclasses.replace(run.outcome, tick=outcome.tick)
     keys = {key: value for key, value in run.info.items() if key not in (PHASES, FELT)}
     return dataclasses.replace(
         run,

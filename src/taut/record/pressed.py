@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -33,8 +34,9 @@ def true_normal(run: Run) -> tuple[Float64Array, Float64Array] | None:
 
 
 def estimated_normal(run: Run) -> Float64Array | None:
-    """(k, 3) what the law took for the normal, where it estimates one."""
-    return next((np.asarray(column) for name, column in run.extra.items() if name.endswith(ESTIMATED)), None)
+    """(k, 3) what the law took for the normal, where it estimates one; NaN where no phase that does acts."""
+    taken = [np.asarray(column) for name, column in run.extra.items() if name.endswith(ESTIMATED)]
+    return functools.reduce(lambda a, b: np.where(np.isnan(a), b, a), taken) if taken else None
 
 
 def pressed_measures(run: Run) -> dict[str, float]:
@@ -55,8 +57,9 @@ def pressed_measures(run: Run) -> dict[str, float]:
         size = np.linalg.norm(across[touching], axis=1)
         out |= {"surface_rms": float(np.sqrt(np.mean(size**2))), "surface_peak": float(size.max())}
     taken = estimated_normal(run)
-    if taken is not None:
-        last = int(np.flatnonzero(touching)[-1])
+    known = touching if taken is None else touching & np.isfinite(taken).all(axis=1)
+    if taken is not None and known.any():
+        last = int(np.flatnonzero(known)[-1])
         sine, cosine = np.linalg.norm(np.cross(taken[last], n[last])), taken[last] @ n[last]
         out["normal_error"] = float(np.rad2deg(np.arctan2(sine, cosine)))
     return out

@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from taut.base.errors import RangeError
+from taut.base.errors import NumericalError, RangeError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
@@ -76,7 +76,7 @@ class FusedRun:
         self._feed: ReferenceFeed | PhaseFeed = (
             ReferenceFeed(loop.ref, side.law.reference, side.arm, loop.dt, at_rest)
             if task is None
-            else PhaseFeed(task, side)
+            else PhaseFeed(task, side, lambda: self._parameters.views(self._values))
         )
         self._of_task, self._drawn = task is not None, 1  # the noise of row 0 is drawn at the start
         first = np.zeros((1, self._inputs.size))
@@ -146,7 +146,12 @@ class FusedRun:
             refused = self._refused(k)
             if refused is not None:
                 return k, refused
-            end = self._prepare(k, ticks)
+            try:
+                end = self._prepare(k, ticks)
+            except Exception as error:
+                if k == 0 or not self._of_task:
+                    raise
+                return k, tape.failed(k, error)
             end, done = self._block(k, end)
             if done < end - k:
                 kept, outcome = self._diverged(k + done)
@@ -178,6 +183,8 @@ class FusedRun:
 
     def _diverged(self, k: int) -> tuple[int, Outcome]:
         """How a run ended whose step after row k was not finite: by a sensor, by the law, or by itself."""
+        if self._run.raised is not None:
+            return self._raised(k, self._run.raised)
         row, memory = self._inputs.views(self.tape.input_rows[k]), self._memory.views(self._state)
         side, parameters = self._loop.side, self._parameters.views(self._values)
         with np.errstate(all="ignore"):
@@ -190,6 +197,15 @@ class FusedRun:
                 message = f"{error} (t = {float(row['t']):.6g} s)"
                 return k, Outcome(kind="diverged", message=message, tick=k - 1, joint=error.joint)
         return self.tape.diverged(k)
+
+    def _raised(self, k: int, error: Exception) -> tuple[int, Outcome]:
+        """The same where plain Python raised something in tick k: numbers that are none, or a mistake in its code."""
+        if isinstance(error, NumericalError):
+            message = f"{error} (t = {self.tape.inputs['t'][k]:.6g} s, tick {k})"
+            return k, Outcome(kind="diverged", message=message, tick=k - 1, joint=error.joint)
+        if k == 0 or not self._of_task:
+            raise error
+        return k, self.tape.failed(k, error)
 
     def _refused(self, k: int) -> Outcome | None:
         """How the run ends where an event asks for what has no meaning where the arm is."""
@@ -225,7 +241,7 @@ class FusedRun:
             self._feed.prepare(state)
         end = self._end_of_block(k, ticks)
         self._draw_up_to(end)
-        self._feed.fill(self.tape.reference(k, end), k, state)
+        end = k + self._feed.fill(self.tape.reference(k, end), k, state)
         if before is not None and k > 0:  # in the first tick there is nothing yet to go on from
             self._take_up(k, before)
         return end

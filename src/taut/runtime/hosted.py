@@ -86,7 +86,7 @@ class HostedRun:
         first = {**ctrl.parameters, **{p: side.checked_parameter(p, v) for p, v in at_once.items()}}
         side.check_start(q, first, ref)
         self._feed: ReferenceFeed | PhaseFeed = (
-            PhaseFeed(side.law, side)
+            PhaseFeed(side.law, side, lambda: self._kernel.blocks.views("parameters"))
             if isinstance(side.law, Phases)
             else ReferenceFeed(ref, side.law.reference, side.arm, side.dt, side.at_rest(q))
         )
@@ -132,7 +132,12 @@ class HostedRun:
         out = tape.outputs
         out["q"][k], out["v"][k] = plant.state()
         measured = plant.measure()
-        self._reference(k, measured)
+        try:
+            self._reference(k, measured)
+        except Exception as error:
+            if k == 0 or not isinstance(self._feed, PhaseFeed):
+                raise
+            return tape.failed(k, error)
         for path, view in self._measured:
             view[...] = measured[path]
         for rows, view in self._wanted:
@@ -150,6 +155,10 @@ class HostedRun:
                 return Outcome(kind="diverged", message=message, tick=k - 1, joint=error.joint)
             _, outcome = tape.diverged(k)
             return Outcome(kind="diverged", message=f"{outcome.message}; {error}", tick=k - 1, joint=outcome.joint)
+        except Exception as error:
+            if k == 0 or not isinstance(self._feed, PhaseFeed):
+                raise
+            return tape.failed(k, error)
         for view, rows in self._given:
             rows[k] = view
         out["tau"][k] = plant.advance(self._command)
@@ -201,5 +210,4 @@ class HostedRun:
         question = self._feed.next_question(k)
         stops = [k + BLOCK, self._ticks]
         end = min(stops if question is None else [*stops, question])
-        self._feed.fill(self.tape.reference(k, end), k, state)
-        self._filled = end
+        self._filled = k + self._feed.fill(self.tape.reference(k, end), k, state)

@@ -18,6 +18,7 @@ from taut.controller import Controller, compile
 from taut.loop import Loop, ModelPlant, check_fit, require_no_reference, state_at_start
 from taut.record.progress import Progress
 from taut.record.run import Run
+from taut.runtime.around_info import around_info
 from taut.runtime.events import Event, sorted_events
 from taut.runtime.fused import FusedRun
 from taut.runtime.host import HostPlant
@@ -45,7 +46,8 @@ def run(
     """Run a controller against a plant and record every tick.
 
     Model plants are fused with the controller into one native loop; engines are stepped tick by tick. A run that
-    diverges ends with that outcome, and keeps what came before.
+    diverges ends with that outcome, and keeps what came before. So does one of a task in which what a phase is to
+    follow fails, or a guard, after the first tick.
 
     Args:
         ctrl: A controller from `taut.compile`, or a whole `taut.Loop` (then leave plant, ref and duration out); or a
@@ -94,6 +96,7 @@ def run(
         "plant": target.name,
         "events": [event.json() for _, event in due],
         **tool_info(law, ctrl.side, q, ctrl.parameters),
+        **around_info(target, q, length),
     }
     going: FusedRun | HostedRun
     if isinstance(target, ModelPlant):
@@ -136,9 +139,11 @@ def _recorded(going: FusedRun | HostedRun, log: str | os.PathLike[str] | None, p
     with Progress(len(tape.inputs["t"]), progress) as bar:
         if log is None:
             kept, outcome = going.go(bar.advance, None)
+            outcome = tape.with_phases(outcome)
         else:
             with open_log(log) as file:
                 kept, outcome = going.go(bar.advance, file)
+                outcome = tape.with_phases(outcome)
                 file.finish(outcome)
     return tape.piece(0, kept, outcome)
 

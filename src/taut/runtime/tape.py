@@ -6,13 +6,15 @@ from collections.abc import Mapping
 from typing import Any, Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from taut.base.errors import RangeError
+from taut.base.errors import RangeError, TautError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
+from taut.codegen.program import failure
 from taut.control.lawside import LawSide
-from taut.control.phases import Phases
+from taut.control.phases import NO_CONTACT, Phases
 from taut.control.targets import far_away, may_bound
 from taut.loop import AnyPlant
 from taut.maths.snapshot import Snapshot
@@ -76,6 +78,7 @@ class Tape:
         self.outputs = outputs.views(self.output_rows)
         self.inputs["t"][...] = np.arange(ticks) * side.dt
         self.info = info
+        self._phases = side.law.names if isinstance(side.law, Phases) else ()
 
     def reference(self, first: int, end: int) -> dict[str, Float64Array]:
         """The reference's columns for some ticks, to be filled."""
@@ -83,6 +86,7 @@ class Tape:
 
     def piece(self, first: int, end: int, outcome: Outcome) -> Run:
         """The ticks from first to end as a Run; its arrays share the tape's memory."""
+        self._leave_out(first, end)
         arm, rows = self._side.arm, {name: column[first:end] for name, column in self.outputs.items()}
         extra = {name: rows[name] for name in rows if name not in COLUMNS and not name.startswith("terms.")}
         return Run(
@@ -103,6 +107,18 @@ class Tape:
             arm=self._plant.arm,
         )
 
+    def _leave_out(self, first: int, end: int) -> None:
+        """What a phase remembers is NaN where it does not act: it is old there, and belongs to nothing."""
+        for column, values in self.outputs.items() if self._phases else ():
+            if column.startswith("law."):
+                values[first:end][~self._acting(column, first, end)] = np.nan
+
+    def _acting(self, path: str, first: int, end: int) -> NDArray[np.bool_]:
+        """(k,) whether the phase with this memory acts; not where it is refused for want of contact."""
+        phase, ended = (self.outputs[name][first:end] for name in ("phase", "phase_ended"))
+        acts: NDArray[np.bool_] = (phase == self._phases.index(path.split(".")[1])) & (ended != NO_CONTACT)
+        return acts
+
     def completed(self) -> Outcome:
         """The outcome of a run that came to its end; it says where the arm went that a real one cannot go."""
         ticks, arm = len(self.output_rows), self._plant.arm
@@ -115,16 +131,15 @@ class Tape:
                 "where a real one meets its stop"
             )
         message += self._remarks(ticks) + self.out_of_reach(ticks)
-        return self.with_phases(Outcome(kind="completed", message=message, tick=ticks - 1))
+        return Outcome(kind="completed", message=message, tick=ticks - 1)
 
     def with_phases(self, outcome: Outcome) -> Outcome:
         """The outcome with how the phases of a task ended, where the law is one."""
-        law = self._side.law
-        if not isinstance(law, Phases) or outcome.tick < 0:
+        if not self._phases or outcome.tick < 0:
             return outcome
         rows = slice(outcome.tick + 1)
         phase, ended = (self.outputs[name][rows] for name in ("phase", "phase_ended"))
-        return told(windows(law.names, phase, ended, self.inputs["t"][rows]), outcome)
+        return told(windows(self._phases, phase, ended, self.inputs["t"][rows]), outcome)
 
     def _remarks(self, ticks: int) -> str:
         """Which sensors were at their range in the first ticks of the run, and what the law has to say of them."""
@@ -137,17 +152,13 @@ class Tape:
                     f"ticks, first at t = {self.inputs['t'][at[0]]:.6g} s"
                 )
         for path, text in self._side.notices.items():
-            at = np.flatnonzero(self.outputs[path][:ticks] * self._acting(path, ticks))
+            told = self.outputs[path][:ticks] != 0.0
+            if self._phases:
+                told &= self._acting(path, 0, ticks)
+            at = np.flatnonzero(told)
             if len(at):
                 said += f"; {text} in {len(at)} of {ticks} ticks, first at t = {self.inputs['t'][at[0]]:.6g} s"
         return said
-
-    def _acting(self, path: str, ticks: int) -> Float64Array:
-        """(ticks,) 1.0 where the law with this memory acts: in a task, in its phase; else in all ticks."""
-        law = self._side.law
-        if not isinstance(law, Phases):
-            return np.ones(ticks)
-        return np.asarray(self.outputs["phase"][:ticks] == law.names.index(path.split(".")[1]), dtype=np.float64)
 
     def out_of_reach(self, ticks: int) -> str:
         """Whether targets of the first ticks were certainly out of the tool's reach, and by how much."""
@@ -166,6 +177,12 @@ class Tape:
         """The outcome of a run that ends before an event, whose new values have no meaning there."""
         t = self.inputs["t"][tick]
         message = f"stopped at t = {t:.6g} s, before the event that sets {', '.join(new)}: {error}"
+        return Outcome(kind="stopped", message=message, tick=tick - 1)
+
+    def failed(self, tick: int, error: Exception) -> Outcome:
+        """The outcome of a run that ends before a tick in which a function of the caller's failed."""
+        how = str(error) if isinstance(error, TautError) else failure(error)
+        message = f"stopped at t = {self.inputs['t'][tick]:.6g} s (tick {tick}): {how}"
         return Outcome(kind="stopped", message=message, tick=tick - 1)
 
     def is_sane(self, tick: int) -> bool:
