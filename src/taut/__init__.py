@@ -139,6 +139,8 @@ if TYPE_CHECKING:
     from taut.runtime.simulate import run as run
     from taut.study.admissible import Admissible as Admissible
     from taut.study.contact_modes import FrictionMargin as FrictionMargin
+    from taut.study.coupling import Coupling as Coupling
+    from taut.study.coupling import coupling as coupling
     from taut.study.error_dynamics import ErrorDynamics as ErrorDynamics
     from taut.study.freedom_words import FreedomRow as FreedomRow
     from taut.study.freedoms import Freedoms as Freedoms
@@ -152,6 +154,8 @@ if TYPE_CHECKING:
     from taut.study.linearise import linearise as linearise
     from taut.study.locus import Locus as Locus
     from taut.study.locus import locus as locus
+    from taut.study.lyapunov import Lyapunov as Lyapunov
+    from taut.study.lyapunov import lyapunov as lyapunov
     from taut.study.routh import RouthTable as RouthTable
     from taut.study.routh import routh as routh
     from taut.study.sampled import SampledLoop as SampledLoop
@@ -252,6 +256,7 @@ _HOME: Final = {
     "runtime.simulate": ("run",),
     "study.admissible": ("Admissible",),
     "study.contact_modes": ("FrictionMargin",),
+    "study.coupling": ("Coupling", "coupling"),
     "study.error_dynamics": ("ErrorDynamics",),
     "study.freedom_words": ("FreedomRow",),
     "study.freedoms": ("Freedoms", "freedoms"),
@@ -261,6 +266,7 @@ _HOME: Final = {
     "study.routh": ("RouthTable", "routh"),
     "study.linear_loop": ("LinearLoop",),
     "study.linearise": ("linearise",),
+    "study.lyapunov": ("Lyapunov", "lyapunov"),
     "study.sampled": ("SampledLoop",),
     "study.sampled_errors": ("SampledErrorDynamics",),
     "study.second_order": ("second_order",),
