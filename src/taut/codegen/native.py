@@ -122,17 +122,17 @@ def compiled(
     verify: Callable[[NativeModule], None] | None = None,
     level: int = LEVEL,
 ) -> NativeModule:
-    """Machine code for a module of LLVM text.
+    """Machine code for a module of LLVM text. It gives the same numbers at each level.
 
     Args:
         content: What the text is made from; with the platform it is the key in the cache.
         text: Makes the text; called only where the cache has nothing.
         names: Functions to look up.
         verify: Checks a freshly compiled module and raises where it is wrong; only what passed is kept.
-        level: Of LLVM's code generator.
+        level: Of LLVM's code generator, at least: what the cache has at the full one serves too.
     """
-    key = hashlib.sha256(_platform_key() + bytes([level]) + content).digest()
-    kept = cache.load(key)
+    keys = [hashlib.sha256(_platform_key() + bytes([k]) + content).digest() for k in dict.fromkeys((level, LEVEL))]
+    key, kept = keys[0], next(filter(None, map(cache.load, reversed(keys))), None)
     with _LOCK:
         if kept is not None:
             try:
