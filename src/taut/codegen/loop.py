@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import functools
-from typing import Final
 
 import numpy as np
 
@@ -12,13 +11,11 @@ from taut.base.types import Float64Array
 from taut.codegen.kernel import verified
 from taut.codegen.layout import Block
 from taut.codegen.llvm import declarations, kernel
-from taut.codegen.native import LEVEL, QUICK, NativeModule, compiled
+from taut.codegen.native import NativeModule, compiled, level_for
 from taut.codegen.program import Function, Program, trace
 from taut.codegen.text import Writer
 
 __all__ = ["FloatLoop", "NativeLoop"]
-
-PATIENCE: Final = 50_000  # calls of code until it was worth compiling well
 
 
 class FloatLoop:
@@ -120,8 +117,7 @@ class NativeLoop:
         """Get ready for so many ticks more, or for any number."""
         if ticks is not None:
             self._ticks += ticks
-        few = ticks is not None and self._ticks * self.operations <= PATIENCE * self._length
-        level = QUICK if few else LEVEL
+        level = level_for(None if ticks is None else self._ticks * self.operations / max(self._length, 1))
         if level <= self._level:
             return
         self._level = level

@@ -21,13 +21,17 @@ from taut.base.errors import TautError
 from taut.codegen import cache
 from taut.codegen.llvm import LIBM
 
-__all__ = ["LEVEL", "QUICK", "NativeModule", "available", "compiled", "warn_of_plain_python"]
+__all__ = ["LEVEL", "QUICK", "NativeModule", "available", "compiled", "level_for", "warn_of_plain_python"]
 
 LEVEL: Final = 2  # of LLVM's code generator; 3 gives nothing, 1 is no faster to compile
-QUICK: Final = (
-    0  # for code that is called some hundred times: a fifth of the time to compile, three times that to run
-)
+QUICK: Final = 0  # a fifth of the time to compile, three times that to run
+PATIENCE: Final = 50_000  # calls of code until it was worth compiling well
 _LOCK: Final = threading.Lock()
+
+
+def level_for(calls: float | None) -> int:
+    """The level for code that is called so often, or any number of times."""
+    return QUICK if calls is not None and calls <= PATIENCE else LEVEL
 
 
 def available() -> bool:
