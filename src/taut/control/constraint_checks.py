@@ -18,6 +18,7 @@ __all__ = ["check_constraint", "check_forces", "check_motion", "check_place", "c
 
 DEPENDENT: Final = 1e-9  # of the largest singular value, rows scaled to length 1
 OUT_OF_RANGE: Final = 1e-6  # of the wrench
+ELSEWHEN: Final = 0.1234567  # [s]
 LOOKS: Final = 64  # at a motion before it is followed
 
 
@@ -178,8 +179,18 @@ def _shown(F: Float64Array) -> str:
     return f"[{', '.join(f'{x + 0.0:.4g}' for x in np.round(F, 9))}]"
 
 
-def check_motion(constraint: Constraint, x: Snapshot, ref: Reference, tool: str | None, tolerance: float) -> None:
+def check_motion(
+    constraint: Constraint, x: Snapshot, ref: Reference, tool: str | None, tolerance: float, *, later: bool = False
+) -> None:
     """A motion of the tool that is known before it is followed keeps to the constraint.
+
+    Args:
+        constraint: The constraint.
+        x: Where and when it is followed from.
+        ref: The motion.
+        tool: The frame that moves; None for the arm's tool.
+        tolerance: Largest phi [m, rad].
+        later: Whether it is followed from a later time on that is not known: then not against what moves by itself.
 
     Raises:
         RangeError: It leaves it, or goes into it.
@@ -197,7 +208,9 @@ def check_motion(constraint: Constraint, x: Snapshot, ref: Reference, tool: str 
         sample = _at(ref, float(t))
         if not isinstance(sample, HybridMotion) or not isinstance(sample.motion, TaskMotion):
             return
-        phi = constraint.of_pose(sample.motion.pose, float(t))
+        phi = constraint.of_pose(sample.motion.pose, float(x.t) + float(t))
+        if later and np.any(phi != constraint.of_pose(sample.motion.pose, float(x.t) + float(t) + ELSEWHEN)):
+            return
         row = int(np.argmax(np.abs(phi)))
         if abs(phi[row]) > tolerance:
             which = "" if len(phi) == 1 else f" in row {row}"
