@@ -137,12 +137,16 @@ def task_figures() -> dict[str, dict]:
     arm, other = rivals.ARM, task_rivals.PinocchioTask()
     posture = taut.laws.Posture(q=arm.home)
     rng = np.random.default_rng(0)
-    q, v = arm.home + 0.1 * rng.standard_normal(7), rng.standard_normal(7)
-    V, a = rng.standard_normal(6), rng.standard_normal(6)
     T = taut.snapshot(arm, arm.home).T()
+    height = T.p[2]
+    floor = taut.Constraint(lambda T: T.p[2] - height)
+    q, v = taut.onto(floor, arm, arm.home + 0.1 * rng.standard_normal(7)), rng.standard_normal(7)
+    upwards = taut.snapshot(arm, q).J()[2]
+    v -= upwards * (upwards @ v) / (upwards @ upwards)  # a state, and below a motion, that keep to the floor
+    V, a = rng.standard_normal(6), rng.standard_normal(6)
+    V[2] = a[2] = 0.0
     pose = T @ taut.Pose([0.05, 0.02, -0.03], rpy=[0.2, 0.1, -0.3])
     goal = pin.SE3(pose.R, pose.p)
-    height = T.p[2]
     on_floor = taut.TaskMotion(pose=taut.Pose([*pose.p[:2], height], R=pose.R), twist=V, acceleration=a)
     cases = {
         "task computed torque": (
@@ -157,11 +161,10 @@ def task_figures() -> dict[str, dict]:
         ),
         "hybrid motion-force": (
             taut.laws.HybridMotionForce(
-                constraint=lambda T: T.p[2] - height,
+                constraint=floor,
                 motion=taut.laws.TaskComputedTorque(kp=task_rivals.KP, kd=task_rivals.KD, null=posture),
                 kfp=task_rivals.KFP,
                 kfi=task_rivals.KFI,
-                tolerance=1.0,  # the states of a benchmark are anywhere
             ),
             taut.pressing(on_floor, lam=task_rivals.F_DES[2:3]),
             other.hybrid,

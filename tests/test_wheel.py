@@ -47,6 +47,12 @@ def python(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
+def test_tests_of_a_group_run_in_one_process(request: pytest.FixtureRequest) -> None:
+    """Or what they share is made twice, in silence: pytest-xdist may miss the marks of a newer pytest."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        assert request.node.nodeid.endswith("@wheel")
+
+
 def test_the_wheel_ships_what_it_reads_and_nothing_else(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     source = {str(f.relative_to(REPOSITORY / "src")) for f in (REPOSITORY / "src" / "taut").rglob("*") if f.is_file()}

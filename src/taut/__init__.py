@@ -98,7 +98,7 @@ if TYPE_CHECKING:
     from taut.loop import Loop as Loop
     from taut.maths import dynamics as dynamics
     from taut.maths.constraint import Constraint as Constraint
-    from taut.maths.constraint import ConstraintRows as ConstraintRows
+    from taut.maths.constraint_rows import ConstraintRows as ConstraintRows
     from taut.maths.gearing import rotor_share as rotor_share
     from taut.maths.ik import IkOutcome as IkOutcome
     from taut.maths.onto import onto as onto
@@ -139,6 +139,9 @@ if TYPE_CHECKING:
     from taut.runtime.simulate import run as run
     from taut.study.admissible import Admissible as Admissible
     from taut.study.contact_modes import FrictionMargin as FrictionMargin
+    from taut.study.coupling import Coupling as Coupling
+    from taut.study.coupling import coupling as coupling
+    from taut.study.error_dynamics import ErrorDynamics as ErrorDynamics
     from taut.study.freedom_words import FreedomRow as FreedomRow
     from taut.study.freedoms import Freedoms as Freedoms
     from taut.study.freedoms import freedoms as freedoms
@@ -147,12 +150,29 @@ if TYPE_CHECKING:
     from taut.study.limits import StiffnessLimits as StiffnessLimits
     from taut.study.limits import check_stiffness as check_stiffness
     from taut.study.limits import stiffness_limits as stiffness_limits
+    from taut.study.linear_loop import LinearLoop as LinearLoop
+    from taut.study.linearise import linearise as linearise
+    from taut.study.locus import Locus as Locus
+    from taut.study.locus import locus as locus
+    from taut.study.lyapunov import Lyapunov as Lyapunov
+    from taut.study.lyapunov import lyapunov as lyapunov
+    from taut.study.routh import RouthTable as RouthTable
+    from taut.study.routh import routh as routh
     from taut.study.sampled import SampledLoop as SampledLoop
+    from taut.study.sampled_errors import SampledErrorDynamics as SampledErrorDynamics
+    from taut.study.second_order import second_order as second_order
     from taut.study.specification import Specification as Specification
     from taut.study.specification import check_specification as check_specification
     from taut.study.specification import possible_specifications as possible_specifications
+    from taut.study.stability_map import StabilityMap as StabilityMap
+    from taut.study.stability_map import stability_map as stability_map
     from taut.study.tip import check_stiffness_at as check_stiffness_at
     from taut.study.tip import safe_stiffness as safe_stiffness
+    from taut.study.tip_response import TipMeasurement as TipMeasurement
+    from taut.study.tip_response import TipRanking as TipRanking
+    from taut.study.tip_response import TipResponse as TipResponse
+    from taut.study.tip_response import rank_tips as rank_tips
+    from taut.study.tip_response import tip_impedance as tip_impedance
     from taut.study.wrist import WristCalibration as WristCalibration
     from taut.study.wrist import calibrate_wrist as calibrate_wrist
     from taut.study.wrist_poses import calibration_poses as calibration_poses
@@ -205,7 +225,8 @@ _HOME: Final = {
     "control.wrist": ("Wrist",),
     "controller": ("Controller", "compile"),
     "loop": ("Loop",),
-    "maths.constraint": ("Constraint", "ConstraintRows"),
+    "maths.constraint": ("Constraint",),
+    "maths.constraint_rows": ("ConstraintRows",),
     "maths.gearing": ("rotor_share",),
     "maths.ik": ("IkOutcome",),
     "maths.onto": ("onto",),
@@ -235,13 +256,24 @@ _HOME: Final = {
     "runtime.simulate": ("run",),
     "study.admissible": ("Admissible",),
     "study.contact_modes": ("FrictionMargin",),
+    "study.coupling": ("Coupling", "coupling"),
+    "study.error_dynamics": ("ErrorDynamics",),
     "study.freedom_words": ("FreedomRow",),
     "study.freedoms": ("Freedoms", "freedoms"),
     "study.impedance": ("check_impedance",),
     "study.limits": ("StiffnessCheck", "StiffnessLimits", "check_stiffness", "stiffness_limits"),
+    "study.locus": ("Locus", "locus"),
+    "study.routh": ("RouthTable", "routh"),
+    "study.linear_loop": ("LinearLoop",),
+    "study.linearise": ("linearise",),
+    "study.lyapunov": ("Lyapunov", "lyapunov"),
     "study.sampled": ("SampledLoop",),
+    "study.sampled_errors": ("SampledErrorDynamics",),
+    "study.second_order": ("second_order",),
     "study.specification": ("Specification", "check_specification", "possible_specifications"),
+    "study.stability_map": ("StabilityMap", "stability_map"),
     "study.tip": ("check_stiffness_at", "safe_stiffness"),
+    "study.tip_response": ("TipMeasurement", "TipRanking", "TipResponse", "rank_tips", "tip_impedance"),
     "study.wrist": ("WristCalibration", "calibrate_wrist"),
     "study.wrist_poses": ("calibration_poses",),
 }

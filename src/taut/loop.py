@@ -23,6 +23,7 @@ from taut.control.phases import Phases
 from taut.control.reference import Hold, Reference, as_reference
 from taut.maths.adds import Adds
 from taut.maths.snapshot import MEASUREMENTS
+from taut.plant.disturbance import COMMAND, of_plant
 from taut.plant.sensors import Sensors
 
 __all__ = [
@@ -143,12 +144,19 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
         if name not in plant.measures:
             raise MatchError(
                 f"{_asking(side, name)} needs {name}, which plant '{plant.name}' does not measure; it measures "
-                f"{', '.join(sorted(plant.measures)) or 'positions only'}" + PROVIDED_BY.get(name, ""),
+                f"{', '.join(sorted(plant.measures)) or 'positions only'}" + _provided_by(name, plant),
                 name=name,
             )
     _check_weight(side, plant)
     _check_adds(law, side.adds, probe.used, plant)
     _check_start(side, plant)
+
+
+def _provided_by(name: str, plant: AnyPlant) -> str:
+    """What would measure it, as a way out."""
+    if name == "F_ext" and isinstance(plant, HasSensors) and plant.sensors.wrench is None:
+        return "; give the plant sensors=taut.Sensors(wrench=taut.WrenchSensor())"
+    return PROVIDED_BY.get(name, "")
 
 
 def _asking(side: LawSide, name: str) -> str:
@@ -331,13 +339,17 @@ class Loop:
         return {**self.plant.measure(plant, subtree(inputs, "noise"), parameters), "t": inputs["t"]}
 
     def step(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:
-        """One control period: (what is recorded, memory after it)."""
+        """One control period: (what is recorded, memory after it).
+
+        Inputs may have disturbances too, see `taut.plant.disturbance`.
+        """
         dt, plant = parameters[DT], subtree(memory, "plant")
         measured = self.measured(plant, inputs, parameters)
         law = {path: value for path, value in memory.items() if not path.startswith("plant.")}
         tick = self.side.tick(measured, self._sample(inputs), law, parameters, dt)
-        plant = self.plant.command(tick.command, plant, inputs["t"])
-        plant = self.plant.advance(plant, parameters, dt / self.plant.substeps)
+        command = tick.command + inputs[COMMAND] if COMMAND in inputs else tick.command
+        plant = self.plant.command(command, plant, inputs["t"])
+        plant = self.plant.advance(plant, {**parameters, **of_plant(inputs)}, dt / self.plant.substeps)
         before = subtree(memory, "plant")
         record = {"q": before["q"], "v": before["v"], "command": tick.command, "tau": plant["tau"]}
         record |= self.plant.extra(before, plant)
@@ -348,9 +360,10 @@ class Loop:
         record |= {column: tick.memory[path] for column, path in self.side.recorded.items()}
         return record, {f"plant.{path}": value for path, value in plant.items()} | tick.memory
 
-    def substep(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:  # noqa: ARG002
+    def substep(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:
         """One further step of the integrator in the same control period."""
-        plant = self.plant.advance(subtree(memory, "plant"), parameters, parameters[DT] / self.plant.substeps)
+        dt = parameters[DT] / self.plant.substeps
+        plant = self.plant.advance(subtree(memory, "plant"), {**parameters, **of_plant(inputs)}, dt)
         return {}, {**memory, **{f"plant.{path}": value for path, value in plant.items()}}
 
     def _sample(self, inputs: Values) -> Any:

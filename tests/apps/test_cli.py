@@ -58,6 +58,9 @@ def test_the_laws_are_listed_with_equation_closed_loop_and_needs(capsys: pytest.
     assert rows["ComputedTorque"]["law"][0].endswith("eq. 10.19, 10.21")
     assert rows["ComputedTorque"]["gains"] == {"kp": "1/s^2", "kd": "1/s", "ki": "1/s^3"}
     assert rows["VelocityPI"]["command"] == "velocity"
+    assert {"kfp", "kfi", "kdamp", "e_int_max"} <= set(rows["ForceControl"]["gains"])  # some need a feedback
+    whole = "kdamp V is that of the arm alone when the tick ends, (I + kdamp Lambda^-1 dt)^-1 kdamp V, which is stable for "
+    assert whole + "any kdamp at any pose" in rows["ForceControl"]["law"]
     assert all(row["law"] and row["closed_loop"] for row in rows.values())
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import taut
-from taut.apps.run_scenario import run_scenario
+from taut.apps.run_scenario import _remark, run_scenario
 from taut.apps.scenario import load_scenario
 
 SCENARIO = """
@@ -40,3 +40,18 @@ def test_the_table_stands_before_the_run(tmp_path: Path) -> None:
     run_scenario(load_scenario(str(file)), tmp_path / "out", say=said.append)
     table = taut.freedoms(taut.Constraint.plane(point=x.T().p, normal=[0.0, 0.0, 1.0]), at=x)
     assert said[:2] == [f"law 'pressing': {table}", "running pressing ..."]
+
+
+def test_a_table_that_nobody_could_read_is_left_out_and_that_of_each_phase_is_there() -> None:
+    bar = load_scenario("two_arms_bar")
+    law = bar.laws["hybrid"]
+    assert _remark(taut.compile(law, bar.arm, engine="float"), bar).splitlines() == [
+        "held: 8 motions and 6 forces may be chosen",
+        "its rows are sums of many joints: taut.freedoms prints them",
+        "the pose is off the constraint: phi[5] = 0.0122",
+    ]
+    writes = load_scenario("panda_writes")
+    said = _remark(taut.compile(writes.laws["task"], writes.arm, engine="float"), writes)
+    heads = [line for line in said.splitlines() if line.startswith("phase")]
+    assert [head.partition(":")[0] for head in heads] == ["phase 'contact'", "phase 'slide'", "phase 'stick'"]
+    assert "3 motions and 3 forces" in heads[2]

@@ -79,7 +79,9 @@ def test_a_missed_pass_figure_exits_with_one_and_says_which(
     file = tmp_path / "case.toml"
     file.write_text(changed("max = 3.0", "max = 1e-6"))
     assert main(["run", str(file), "--out", str(tmp_path / "out")]) == 1
-    assert "missed: PD: peak_error must be <= 1e-06; got " in capsys.readouterr().out
+    said = capsys.readouterr().out.splitlines()
+    assert said[-2].startswith("missed: PD: peak_error must be <= 1e-06; got ")
+    assert said[-1] == "reached: 0 of 1 pass figures"
 
 
 def test_a_run_that_diverges_exits_with_one_and_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -61,10 +61,11 @@ def test_a_spring_tip_takes_the_impact_and_gives_way_by_the_force_over_its_stiff
     for force in told.values():
         assert np.allclose(np.cross(force[-1], n), 0.0, atol=1e-6)
     assert np.linalg.norm(told["soft"], axis=1).max() < 0.6 * np.linalg.norm(told["stiff"], axis=1).max()
-    # At rest: the force along the tool's axis, z, less the tip's own weight, over the stiffness.
-    sunk = stiff.task.p[-1, 2] - soft.task.p[-1, 2]
-    weight = 0.02 * 9.81
-    assert np.isclose(sunk, (soft.extra["F_ext"][-1, 2] - weight) / 1000.0, atol=4e-4)
+    # At rest: the force along the tool's axis, z, less the tip's own weight, over the stiffness. The slope counts what
+    # the two rest apart along the plate. A light tip is deeper in the plate: solref is a stiffness per mass, 0.6 mm.
+    apart = stiff.task.p[-1] - soft.task.p[-1]
+    sunk, weight = (n @ apart) / n[2], 0.02 * 9.81
+    assert np.isclose(sunk, (soft.extra["F_ext"][-1, 2] - weight) / 1000.0, atol=7e-4)
     assert soft.metrics.largest_press == pytest.approx(np.linalg.norm(told["soft"], axis=1).max())
     error = 10.0 - np.linalg.norm(told["soft"], axis=1)
     assert soft.metrics.press_rms == pytest.approx(np.sqrt(np.mean(error**2)))

@@ -152,7 +152,7 @@ def test_solve_pivots(name: str) -> None:
     b = np.arange(1.0, len(M) + 1.0)
     columns = np.column_stack([b, b**2])
     for result in both(tm.solve, M, b):
-        np.testing.assert_allclose(result, np.linalg.solve(M, b), rtol=SOLVED)
+        np.testing.assert_allclose(result, np.linalg.solve(M, b), rtol=SOLVED, atol=SOLVED)
     for result in both(tm.solve, M, columns):
         np.testing.assert_allclose(result, np.linalg.solve(M, columns), rtol=SOLVED, atol=SOLVED)
     for result in both(tm.inverse, M):

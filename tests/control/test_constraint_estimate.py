@@ -10,8 +10,7 @@ import pytest
 
 import taut
 from taut.base.errors import RangeError, UsageError
-from taut.control.constraint_estimate import NormalEstimate, along_surface, turn_between, turned_rows
-from taut.control.task_reference import TaskMotion
+from taut.control.constraint_estimate import NormalEstimate, turn_between, turned_rows
 from taut.maths.spatial import rotation_exp, rotation_log
 
 DT = 1e-3
@@ -154,22 +153,6 @@ def test_the_smallest_rotation_takes_one_normal_to_the_other() -> None:
     assert np.allclose(R @ UP, n, atol=1e-15)
     assert np.allclose(R @ R.T, np.eye(3), atol=1e-15)
     assert np.isclose(np.linalg.norm(rotation_log(R)), np.deg2rad(14.0))
-
-
-def test_a_reference_off_the_surface_keeps_all_that_is_along_it() -> None:
-    arm = taut.load_arm("panda")
-    x = taut.snapshot(arm, arm.home, 0.1 * np.cos(np.arange(7.0)))
-    T, n = x.T(), tilted(10.0, 0.5)
-    rows = taut.Constraint.plane(point=T.p, normal=n).at(x)
-    pose = taut.Pose.of(T.R, T.p + np.array([0.03, -0.02, 0.01]))
-    made = along_surface(x, rows, TaskMotion(pose=pose, twist=[0.1, 0, 0, 0, 0, 0.2]), None)
-    e, wanted = made.p - T.p, pose.p - T.p
-    assert abs(n @ e) < 1e-12
-    assert np.allclose(e, wanted - (n @ wanted) * n, atol=1e-12)
-    assert np.allclose(made.R, T.R, atol=1e-12)
-    assert abs(n @ (made.twist[:3] - x.twist()[:3])) < 1e-12
-    assert np.isclose(made.twist[5], 0.2)
-    assert abs(np.asarray(rows.A) @ made.acceleration + rows.curvature) < 1e-12
 
 
 # -------------------------------------------------------------------- in the law

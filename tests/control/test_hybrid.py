@@ -10,11 +10,14 @@ import pytest
 
 import taut
 from taut import Constraint, Pose
+from taut import math as tm
 from taut.base.types import Float64Array
 from taut.control.laws import ComputedTorque, HybridMotionForce, TaskComputedTorque, TaskVelocity
 from taut.control.reference import sample_rows
 
 Array = Float64Array
+ARM = taut.load_arm("panda")
+FLOOR = Constraint.plane(point=[0.0, 0.0, 0.4], normal=[0.0, 0.0, 1.0])
 BALL = Constraint.sphere(center=[0.4, 0.0, 0.1], radius=0.35)
 
 
@@ -43,20 +46,25 @@ def test_the_law_is_equation_10_45_with_the_curvature_term(name: str, engine: An
     q, v = on(BALL, arm)
     x = taut.snapshot(arm, q, v)
     T = x.T()
-    target = taut.TaskMotion(pose=Pose(T.p + np.array([0.004, 0.003, 0.0]), R=T.R), twist=[0.1, 0.2, 0, 0, 0, 0.3])
+    n = (T.p - [0.4, 0.0, 0.1]) / 0.35
+    aside = np.cross(n, [0.0, 0.004, 0.003])  # what the reference asks is along the sphere
+    twist = np.array([*np.cross(n, [0.2, 0.0, 0.1]), 0.0, 0.0, 0.3])
+    V = x.twist()
+    centripetal = -n * (V[:3] @ V[:3]) / 0.35
+    a_des = np.array([*(centripetal + np.cross(n, [0.3, 0.1, -0.2])), 0.1, 0.2, 0.3])
+    target = taut.TaskMotion(pose=Pose(T.p + aside, R=T.R), twist=twist, acceleration=a_des)
     F_ext = np.array([1.0, 2.0, 9.0, 0.1, -0.2, 0.3])
     tau = ctrl.step(q, v, taut.pressing(target, 10.0), F_ext=F_ext)
 
     J, M = x.J(), x.M
     Lambda = np.linalg.inv(J @ np.linalg.solve(M, J.T))
-    V = J @ v
-    n = (T.p - [0.4, 0.0, 0.1]) / 0.35
     A = np.array([[*n, 0.0, 0.0, 0.0]])
     Adot_V = np.array([(V[:3] @ V[:3] - (n @ V[:3]) ** 2) / 0.35])
     S = np.linalg.inv(A @ np.linalg.inv(Lambda) @ A.T)
     P = np.eye(6) - A.T @ S @ A @ np.linalg.inv(Lambda)
     error = np.append(target.p - T.p, np.zeros(3))
-    F_motion = Lambda @ (100.0 * error + 20.0 * (target.twist - V))
+    wanted = a_des + 100.0 * error + 20.0 * (target.twist - V)
+    F_motion = Lambda @ wanted
     F_d, F_app = A.T @ [-10.0], -F_ext
     lam_e = np.array([-10.0]) - A @ F_app
     F_force = F_d + A.T @ ((kfp + kfi * dt) * lam_e - kdamp * (A @ V))
@@ -70,8 +78,7 @@ def test_the_law_is_equation_10_45_with_the_curvature_term(name: str, engine: An
     assert ctrl.memory["law.lam"] == pytest.approx(lam, rel=1e-9)
     a = np.linalg.solve(Lambda, F - gamma - A.T @ lam)
     assert np.abs(A @ a + Adot_V).max() < 1e-9
-    wanted = 100.0 * error + 20.0 * (target.twist - V)
-    assert np.abs(P @ (Lambda @ (a - wanted))).max() < 1e-9 * np.abs(Lambda @ wanted).max()
+    assert np.abs(a - wanted).max() < 1e-9 * np.abs(wanted).max()
 
 
 def test_without_the_curvature_term_3_kg_at_0_3_m_per_s_on_0_1_m_press_2_7_newton_less() -> None:
@@ -192,6 +199,68 @@ def test_the_integral_is_bounded_and_a_contact_is_never_pulled() -> None:
     assert np.abs(pull).max() < 1e-9
 
 
+def test_the_integral_rests_where_it_would_pull_or_limits_cut_it() -> None:
+    arm = taut.load_arm("panda")
+    q, _ = on(BALL, arm)
+    x = taut.snapshot(arm, q)
+    n = (x.T().p - [0.4, 0.0, 0.1]) / 0.35
+    law = HybridMotionForce(constraint=BALL, motion=motion(), kfi=50.0)
+    ref = taut.pressing(taut.TaskMotion(pose=x.T()), 10.0)
+    ctrl = taut.compile(law, arm)
+    hit = np.array([*(200.0 * n), 0.0, 0.0, 0.0])  # an impact, which lam = 0 cannot answer
+    for _ in range(400):
+        ctrl.step(q, np.zeros(7), ref, F_ext=hit)
+    assert 0.2 <= ctrl.memory["law.e_int"][0] < 0.2 + 190.0 * 1e-3 + 1e-9  # kfi e_int is 10 N, and no more
+    for sign, other in ((1.0, -1.0), (-1.0, 1.0)):
+        limited = taut.compile(law, arm, limits=taut.Limits(tau=arm.effort, tau_dot=0.5))
+        limited.reset(tau_applied=taut.compile(law, arm).step(q, np.zeros(7), ref, F_ext=np.zeros(6)))
+        felt = np.array([*((10.0 + sign * 5.0) * n), 0.0, 0.0, 0.0])
+        back = np.array([*((10.0 + other * 5.0) * n), 0.0, 0.0, 0.0])
+        for _ in range(300):
+            limited.step(q, np.zeros(7), ref, F_ext=felt)
+        held = limited.memory["law.e_int"][0]
+        assert abs(held) < 0.3 * abs(sign * 5.0 * 0.3)  # 0.3 s of 5 N would be 1.5 N s
+        limited.step(q, np.zeros(7), ref, F_ext=back)
+        assert (limited.memory["law.e_int"][0] - held) * other > 0.0  # the way back is free
+
+
+@pytest.mark.parametrize("adds", [(), ("gravity",)])
+def test_joint_torques_measure_the_contact_whatever_the_plant_adds_itself(adds: tuple[str, ...]) -> None:
+    """Torque sensors have all that acts on the links: gravity that the plant compensates is in what they tell."""
+    q = taut.onto(FLOOR, ARM, ARM.home)
+    law = HybridMotionForce(constraint=FLOOR, motion=motion(), kfp=0.3, kfi=5.0, feedback="joint_torque")
+    plant = taut.RigidPlant(
+        ARM,
+        friction=None,
+        contact=taut.RigidContact(constraint=FLOOR),
+        adds=adds,
+        sensors=taut.Sensors(torque=taut.TorqueSensor()),
+    )
+    ctrl = taut.compile(law, ARM, adds=plant.adds)
+    run = taut.run(ctrl, plant, taut.pressing(taut.TaskMotion(pose=floor_pose()), 10.0), q0=q, duration=0.1)
+    assert abs(run.extra["contact.lam"][-1, 0] + 10.0) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("kfp", "kfi", "settles"), [(0.95, 1.0, True), (1.05, 1.0, False), (0.5, 900.0, True), (0.5, 1100.0, False)]
+)
+def test_on_a_rigid_contact_the_force_settles_where_kfp_and_kfi_dt_over_2_are_below_1(
+    kfp: float, kfi: float, settles: bool
+) -> None:
+    """The measured force is a tick old: e' = -kfp e - kfi int(e)."""
+    q = taut.onto(FLOOR, ARM, ARM.home)
+    law = HybridMotionForce(constraint=FLOOR, motion=motion(), kfp=kfp, kfi=kfi)
+    ctrl = taut.compile(law, ARM, engine="float")
+    ref, lam, errors = taut.pressing(taut.TaskMotion(pose=floor_pose()), 10.0), -9.9, []
+    for _ in range(120):  # small enough an error that the contact is never pulled at
+        ctrl.step(q, np.zeros(7), ref, F_ext=np.array([0.0, 0.0, -lam, 0.0, 0.0, 0.0]))
+        lam = float(ctrl.memory["law.lam"][0])
+        errors.append(abs(-10.0 - lam))
+        if errors[-1] > 5.0:
+            break
+    assert (max(errors[-10:]) < 0.5 * errors[0] + 1e-3) == settles
+
+
 def test_what_is_asked_follows_in_time() -> None:
     pose = Pose([0.4, 0.0, 0.3])
     line = taut.Line(T0=pose, T1=Pose([0.4, 0.2, 0.3]), duration=2.0)
@@ -220,10 +289,6 @@ def test_samples_at_many_times_are_those_one_after_the_other(force: dict[str, An
         np.testing.assert_allclose(rows, slow[name], atol=1e-14, err_msg=name)
 
 
-ARM = taut.load_arm("panda")
-FLOOR = Constraint.plane(point=[0.0, 0.0, 0.4], normal=[0.0, 0.0, 1.0])
-
-
 def stepped(constraint: Any, ref: Any, q: Array | None = None, **more: Any) -> Array:
     ctrl = taut.compile(HybridMotionForce(constraint=constraint, motion=motion(), **more), ARM)
     given = {"F_ext": np.zeros(6)} if "F_ext" in ctrl.needs else {}
@@ -232,6 +297,12 @@ def stepped(constraint: Any, ref: Any, q: Array | None = None, **more: Any) -> A
 
 def floor_pose() -> Pose:
     return taut.snapshot(ARM, taut.onto(FLOOR, ARM, ARM.home)).T()
+
+
+FLOOR_REF = taut.pressing(taut.TaskMotion(pose=floor_pose()))
+
+
+FLOOR_PRESS = taut.pressing(taut.TaskMotion(pose=floor_pose()), 10.0)
 
 
 def squared(T: Pose) -> Any:
@@ -311,6 +382,39 @@ def squared(T: Pose) -> Any:
             taut.UsageError,
             r"taut\.pressing",
         ),
+        (
+            lambda: HybridMotionForce(constraint=FLOOR, motion=motion(), tolerance=float("nan")),
+            taut.RangeError,
+            r"tolerance must be >= 0 \[m, rad\]; got nan",
+        ),
+        (
+            lambda: HybridMotionForce(constraint=FLOOR, motion=motion(), curvature="no"),
+            taut.UsageError,
+            "curvature must be True or False; got 'no'",
+        ),
+        (
+            lambda: HybridMotionForce(
+                constraint=Constraint.of_joints(lambda q: q, rows=7) + Constraint.of_joints(lambda q: q, rows=7),
+                motion=motion(),
+            ),
+            taut.UsageError,
+            "a hybrid law takes constraints of up to 12 rows; these have 14",
+        ),
+        (
+            lambda: taut.compile(HybridMotionForce(constraint=FLOOR, motion=motion(), kfp=0.5, kfi=3000.0), ARM),
+            taut.RangeError,
+            r"kfi / \(1 \+ kfp\) must be below twice the rate, 2000 \[1/s\]",
+        ),
+        (
+            lambda: stepped(lambda T: tm.array([T.p[2] - 0.4, T.p[2] - 0.4 + 1e-5 * T.p[0]]), FLOOR_REF),
+            taut.RangeError,
+            "the 2 rows of the constraint must be independent",
+        ),
+        (
+            lambda: stepped(Constraint.knife_edge(sideways=[0.0, 1.0, 0.0]) + FLOOR, FLOOR_PRESS),
+            taut.UsageError,
+            "press is a force into a surface, and the first row of the constraint is one of velocities; put the surface",
+        ),
         (lambda: taut.pressing(3.0), taut.UsageError, "pressing takes a motion such as"),  # type: ignore[arg-type]
         (lambda: taut.pressing(taut.hold()), taut.UsageError, "got a hold without its sample"),
         (lambda: taut.pressing(taut.JointMotion(q=[0.0]), -3.0), taut.RangeError, "press must be >= 0"),
@@ -334,6 +438,40 @@ def test_a_run_into_the_surface_is_refused_before_it_starts() -> None:
     dive = taut.pressing(taut.Line(T0=T, T1=Pose(T.p - [0.0, 0.0, 0.1], R=T.R), duration=1.0), 5.0)
     with pytest.raises(taut.RangeError, match=r"at t = 0\.25\d* s it is 0\.01\d* into it"):
         taut.run(ctrl, taut.RigidPlant(ARM), dive, duration=1.0, q0=q)
+
+
+def test_a_motion_is_looked_at_whichever_way_its_frame_is_named_and_of_a_chunk_each_sample() -> None:
+    """A constraint of the tool, a motion of the same frame by its name; a constraint of the flange behind the tool."""
+    T = floor_pose()
+    x = taut.snapshot(ARM, taut.onto(FLOOR, ARM, ARM.home))
+    flange = Constraint.plane(point=x.T("panda_link8").p, normal=[0.0, 0.0, 1.0], frame="panda_link8")
+    down = taut.pressing(taut.TaskMotion(pose=Pose.of(T.R, T.p - [0.0, 0.0, 0.05])), 5.0)
+    tilt = taut.pressing(taut.TaskMotion(pose=Pose.of(Pose(rpy=[0.5, 0.0, 0.0]).R @ T.R, T.p)), 5.0)
+    chunk = taut.chunk([0.1, 0.5], [taut.pressing(taut.TaskMotion(pose=T), 5.0), down])
+    for constraint, ref, when in ((FLOOR, down, "t = 0 s"), (FLOOR, chunk, "t = 0.5 s"), (flange, tilt, "t = 0 s")):
+        law = HybridMotionForce(constraint=constraint, motion=motion(tool="panda_hand_tcp"))
+        with pytest.raises(taut.RangeError, match=f"must keep to the constraint, and at {when} it is 0.0"):
+            law.check_reference(x, ref, 1000.0)
+
+
+def test_a_wrench_must_lie_in_the_range_of_a_all_the_way() -> None:
+    """On a sphere what presses at the start is askew later."""
+    q, _ = on(BALL, ARM)
+    x = taut.snapshot(ARM, q)
+    T, c = x.T(), np.array([0.4, 0.0, 0.1])
+    n = (T.p - c) / 0.35
+
+    class Arc:
+        duration = 1.0
+
+        def at(self, t: float) -> taut.TaskMotion:
+            R = Pose(rpy=[0.0, 0.0, 0.3 * t]).R
+            return taut.TaskMotion(pose=Pose.of(T.R, c + R @ (T.p - c)))
+
+    law = HybridMotionForce(constraint=BALL, motion=motion())
+    law.check_reference(x, taut.pressing(Arc(), 10.0), 1000.0)
+    with pytest.raises(taut.RangeError, match=r"F_app must lie in the range of A\^T, .* at t = 0\.0\d+ s, and not"):
+        law.check_reference(x, taut.pressing(Arc(), F_app=[*(-10.0 * n), 0.0, 0.0, 0.0]), 1000.0)
 
 
 def test_a_user_writes_a_constraint_as_a_function() -> None:

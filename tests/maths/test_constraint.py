@@ -15,6 +15,7 @@ from taut import math as tm
 from taut.base.linalg import factor_spd
 from taut.maths.constrained import Constrained, force_projector
 
+NEAR = 0.1
 ARMS = ["panda", "ur10", "xarm7"]
 CENTER, U = np.array([0.3, -0.2, 0.1]), np.array([0.48, 0.6, 0.64])
 T0 = Pose([0.5, 0.1, 0.4], rpy=[0.4, 2.6, -0.3])
@@ -38,12 +39,15 @@ CONSTRAINTS: dict[str, Constraint] = {
 
 
 def evaluated(arm: taut.Arm, constraint: Constraint) -> Callable[[Array, Array, Array], dict[str, Array]]:
-    """All that is asked of a constraint, in native code: phi, A_q, bias, lam, P and the mobility of the tool."""
-    k, n = constraint.count, arm.n
-    blank = taut.snapshot(arm, arm.home)
+    """All that is asked of a constraint, in native code: phi, A_q, bias, lam, P and the mobility of the tool.
 
-    def function(q: Any, v: Any, tau: Any) -> Any:
-        x = blank.at(q, v)
+    Told by the way from a regular pose, near which native code is compared with Python once.
+    """
+    k, n = constraint.count, arm.n
+    blank, regular = taut.snapshot(arm, arm.home), arm.home + 0.6 * np.cos(1.7 * np.arange(n) + 0.3)
+
+    def function(away: Any, v: Any, tau: Any) -> Any:
+        x = blank.at(regular + NEAR * away, v)
         rows = constraint.at(x)
         held = Constrained.of(rows, x.M_factors)
         mobility = x.J() @ x.M_factors.solve(x.J().T)
@@ -52,7 +56,7 @@ def evaluated(arm: taut.Arm, constraint: Constraint) -> Callable[[Array, Array, 
         parts = [rows.phi, rows.A, rows.A_q, rows.bias, held.lam(tau - x.h), P, mobility, held.along(tau)]
         return tm.array([entry for part in parts for entry in part.ravel()])
 
-    compiled = taut.native(function, q=n, v=n, tau=n)
+    compiled = taut.native(function, away=n, v=n, tau=n)
     shapes = {
         "phi": (k,),
         "A": (k, 6),
@@ -65,7 +69,7 @@ def evaluated(arm: taut.Arm, constraint: Constraint) -> Callable[[Array, Array, 
     }
 
     def call(q: Array, v: Array, tau: Array) -> dict[str, Array]:
-        values, out, at = compiled(q, v, tau), {}, 0
+        values, out, at = compiled((q - regular) / NEAR, v, tau), {}, 0
         for name, shape in shapes.items():
             size = int(np.prod(shape))
             out[name] = values[at : at + size].reshape(shape)
@@ -245,6 +249,56 @@ def test_a_constraint_of_joints_is_differentiated_along_the_joints() -> None:
     assert rows.phi.tolist() == [0.0]
 
 
+def test_a_constraint_of_joint_speeds_needs_no_phi() -> None:
+    """A(q) v = 0 of a mechanism that is not integrable; its rate by differences."""
+    arm = taut.load_arm("planar3")
+    constraint = Constraint.pfaffian_of_joints(lambda q: [tm.cos(q[1]), q[0], 0.0])
+    q, v, h = np.array([0.3, -0.4, 0.5]), np.array([1.0, -2.0, 0.7]), 1e-6
+    rows = constraint.at(taut.snapshot(arm, q, v))
+    assert rows.A is None
+    assert rows.phi.tolist() == rows.phi_t.tolist() == [0.0]
+    np.testing.assert_allclose(rows.A_q, [[np.cos(-0.4), 0.3, 0.0]], atol=1e-15)
+    ahead, behind = (constraint.at(taut.snapshot(arm, q + s * v, v)).A_q @ v for s in (h, -h))
+    assert (ahead - behind) / (2.0 * h) == pytest.approx(rows.bias, abs=1e-8)
+    law = taut.laws.HybridMotionForce(constraint=constraint, motion=taut.laws.ComputedTorque(kp=100.0, kd=20.0))
+    v -= np.linalg.pinv(rows.A_q) @ (rows.A_q @ v)
+    x = taut.snapshot(arm, q, v)
+    tau = taut.compile(law, arm).step(q, v, taut.pressing(taut.JointMotion(q=q + 0.1), lam=[3.0]))
+    rows = constraint.at(x)
+    A = np.asarray(rows.A_q)
+    whole = np.block([[x.M, A.T], [A, np.zeros((1, 1))]])
+    a = np.linalg.solve(whole, np.concatenate([tau - x.h, -rows.bias]))
+    assert a[3:] == pytest.approx([3.0])  # what is asked for is what the mechanism feels
+    two = Constraint.pfaffian_of_joints(lambda q: np.eye(3)[:2], rows=2)
+    assert two.at(x).A_q.tolist() == np.eye(3)[:2].tolist()
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "sentence"),
+    [
+        (lambda: Constraint.of_joints(lambda q: None), taut.ShapeError, "must give numbers; got NoneType"),
+        (lambda: Constraint.of_joints(lambda q: "a"), taut.ShapeError, "must give numbers; got str"),
+        (lambda: Constraint.of_joints(lambda q: np.eye(2)), taut.ShapeError, r"number or \(k,\) numbers; got shape"),
+        (lambda: Constraint.of_joints(lambda q: q[0], rows=0), taut.RangeError, "rows must be a whole number >= 1"),
+        (lambda: Constraint.of_joints(lambda q: q[0], rows=1.5), taut.RangeError, "rows must be .*; got 1.5"),  # type: ignore[arg-type]
+        (lambda: Constraint.of_joints(3), taut.UsageError, "must be a function"),  # type: ignore[arg-type]
+        (lambda: Constraint.pfaffian_of_joints(lambda q, t: q), taut.UsageError, "must take 1 argument; it takes 2"),
+        (
+            lambda: Constraint.pfaffian_of_joints(lambda q: [1.0]),
+            taut.ShapeError,
+            r"\(1, 2\) with rows=1; got \(1,\)",
+        ),
+        (lambda: Constraint.pfaffian_of_joints(lambda q: None), taut.ShapeError, "must give numbers; got NoneType"),
+    ],
+)
+def test_a_wrong_constraint_of_joints_is_one_sentence(
+    make: Callable[[], Constraint], error: type[Exception], sentence: str
+) -> None:
+    x = taut.snapshot(taut.load_arm("planar2"), [0.1, 0.2])
+    with pytest.raises(error, match=sentence):
+        make().at(x)
+
+
 def test_a_closed_chain_is_a_constraint_of_two_frames() -> None:
     arm = taut.load_arm("baxter")
     rng = np.random.default_rng(4)
@@ -292,6 +346,8 @@ def test_onto_finds_the_nearest_state_and_says_when_there_is_none() -> None:
         taut.onto(Constraint.plane(point=[0, 0, 9.0], normal=[0, 0, 1]), arm, arm.home)
     with pytest.raises(taut.UsageError, match=r"onto takes a taut\.Constraint; got function"):
         taut.onto(lambda T: T.p[2], arm, arm.home)  # type: ignore[arg-type]
+    with pytest.raises(taut.UsageError, match=r"onto takes an arm from taut\.load_arm; got str"):
+        taut.onto(CONSTRAINTS["plane"], "panda", arm.home)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -320,6 +376,23 @@ def test_onto_finds_the_nearest_state_and_says_when_there_is_none() -> None:
         (lambda: Constraint.pfaffian(lambda T: T.p), taut.ShapeError, r"must give A, \(6,\) or \(k, 6\)"),
         (lambda: Constraint.pfaffian(lambda T: np.zeros(6)), taut.UsageError, "gives A = 0, which forbids nothing"),
         (lambda: Constraint.pin("a", "b", directions=[1.0, 0.0]), taut.ShapeError, r"directions must be \(k, 3\)"),
+        (lambda: Constraint(max), taut.UsageError, "does not tell its arguments; write it as lambda T"),
+        (
+            lambda: Constraint(lambda T: {}["x"]),
+            taut.UsageError,
+            r"raises KeyError: 'x' at .*test_constraint\.py:\d+",
+        ),
+        (
+            lambda: Constraint.pfaffian(lambda T: {}["x"]),
+            taut.UsageError,
+            "in every pose, and this one raises KeyError",
+        ),
+        (
+            lambda: Constraint(lambda T: T.p[2], one_sided=np.True_),
+            taut.ShapeError,
+            "one_sided must be True or False",
+        ),  # type: ignore[arg-type]
+        (lambda: Constraint.grasp("a", "b", T=3), taut.UsageError, "T must be a taut.Pose, of the second frame"),  # type: ignore[arg-type]
         (lambda: CONSTRAINTS["plane"] + 3, TypeError, "unsupported operand"),  # type: ignore[operator]
     ],
 )

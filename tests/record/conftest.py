@@ -74,3 +74,38 @@ def panda_run() -> taut.Run:
     ctrl = taut.compile(law, arm, limits=taut.Limits.of(arm))
     path = taut.Quintic(q0=arm.home, q1=arm.home + 0.3, duration=0.4)
     return taut.run(ctrl, taut.RigidPlant(arm.with_payload(1.0)), path, duration=0.5)
+
+
+SCENE = """
+<mujoco>
+  <worldbody>
+    <geom name="board" type="box" size="0.2 0.2 0.05" pos="0 0 -0.05" rgba="1 0 1 1" friction="0.3" priority="1"
+          solref="0.005 1" solimp="0 0.9 0.002 0.5 1"/>
+    <body name="flap" pos="0.2 -0.2 0.2">
+      <joint name="flap" axis="0 1 0" damping="0.01"/>
+      <geom type="box" size="0.1 0.02 0.02" pos="0.1 0 0" mass="0.1" rgba="0 1 1 1" contype="0" conaffinity="0"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.fixture(scope="session")
+def pressing_task() -> taut.Run:
+    """A UR5 that comes down on a board of a scene and presses, in two phases; beside it a flap falls on its hinge."""
+    arm = taut.load_arm("ur5")
+    tip = taut.snapshot(arm, arm.home).T()
+    board = taut.Constraint.plane(point=tip.p - [0.0, 0.0, 0.001], normal=[0.0, 0.0, 1.0])
+    move = taut.laws.TaskComputedTorque(kp=400.0, kd=40.0)
+    hybrid = taut.laws.HybridMotionForce(constraint=board, motion=move, kfi=20.0, kdamp=150.0)
+    task = [
+        taut.Phase(
+            move,
+            lambda x: taut.Steady(T0=x.T(), velocity=[0.0, 0.0, -0.02]),
+            name="approach",
+            until=lambda x: taut.contact(x, 1.0),
+        ),
+        taut.Phase(hybrid, lambda x: taut.pressing(taut.TaskMotion(pose=x.T()), 4.0), name="press", contact=0.01),
+    ]
+    plant = taut.MujocoPlant(arm, scene=SCENE, scene_at=taut.Pose(tip.p - [0.0, 0.0, 0.011]), friction=None)
+    return taut.run(task, plant, duration=0.2)

@@ -76,6 +76,15 @@ def texts(figure: Any) -> str:
     return " | ".join(str(text.get_text()) for text in figure.findobj(lambda x: hasattr(x, "get_text")))
 
 
+def test_errors_of_force_alone_are_called_what_they_are(run: taut.Run) -> None:
+    wanted = wanted_wrench(run)
+    assert wanted is not None
+    F = np.column_stack([run.extra["F_ext"][:, :3], -wanted[:, 3:]])  # no error of the moment
+    shown = texts(compare({"a": dataclasses.replace(run, extra={"F_ext": F})}, measures=["force_error_rms"]))
+    assert "norm of the force's error" in shown
+    assert "force error RMS [N]" in shown
+
+
 def test_plots_show_what_was_wanted_and_comparisons_the_errors_of_force(run: taut.Run) -> None:
     assert "wanted, -F_app" in texts(run.plot())
     figure = texts(compare({"a": run, "b": run}, window=(1.0, 1.5)))

@@ -222,6 +222,35 @@ def test_wrong_joints_get_one_sentence(many: Any, make_run: Any) -> None:
         make_run([], np.zeros((0, 1))).plot()
 
 
+def test_terms_beyond_the_eight_colours_are_told_apart_by_their_dashes_and_leave_room(many: Any) -> None:
+    q = many(7).q
+    terms = {f"a_term_{i}": q + 0.1 * i for i in range(15)} | {f"an_idle_one_of_long_name_{i}": 0.0 * q for i in "ab"}
+    figure = many(7, terms=terms).plot()
+    assert_legible(figure)
+    ax = figure.axes[3]
+    looks = {(line.get_color(), str(line.get_linestyle())) for line in ax.lines}
+    assert len(looks) == len(ax.lines) == 15
+    assert min(ax.get_position().height for ax in figure.axes if ax.get_visible()) * figure.get_figheight() > 0.5
+
+
+def test_a_plot_of_phases_has_their_names_above_the_curves_and_what_each_asked_for(pressing_task: taut.Run) -> None:
+    run = pressing_task
+    figure = run.plot()
+    assert_legible(figure)
+    assert figure.get_suptitle().startswith("approach, press  on  MujocoPlant(ur5)")
+    tool, normal = axes_titled(figure, "tool and reference"), axes_titled(figure, "force along the normal")
+    assert [text.get_text() for text in tool.texts] == ["approach", "press"]
+    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    lowest = min(text.get_window_extent(renderer).y0 for text in tool.texts)
+    for line in tool.lines:
+        if len(line.get_ydata()) > 2:
+            assert tool.transData.transform((0.0, np.max(line.get_ydata())))[1] < lowest
+    seen = np.column_stack(curves(axes_titled(figure, "position error"), "-")[:3])
+    np.testing.assert_array_equal(seen, run.phase("approach").task.position_error)
+    np.testing.assert_array_equal(curves(normal, "-")[0], np.linalg.norm(run.extra["contact.normal_force"], axis=1))
+    np.testing.assert_array_equal(curves(normal, "--")[0], np.full(len(run.phase("press")), 4.0))
+
+
 # -------------------------------------------------------------------- several runs
 
 
@@ -240,6 +269,13 @@ def test_a_comparison_shows_norms_and_overall_numbers(many: Any) -> None:
 def test_a_comparison_is_legible_for_one_and_for_eight_runs(many: Any) -> None:
     for count in (1, 8):
         assert_legible(compare({f"run number {i}": many(2) for i in range(count)}))
+
+
+def test_names_of_runs_stand_whole_beside_their_bars(many: Any) -> None:
+    figure = compare({"torque sensor and inner loop": many(2), "current alone": many(2)})
+    assert_legible(figure)
+    names = [label.get_text() for ax in figure.findobj(matplotlib.axes.Axes) for label in ax.get_yticklabels()]
+    assert {"torque sensor and\ninner loop", "current alone"} <= set(names)
 
 
 @pytest.mark.parametrize("count", [1, 2, 8])

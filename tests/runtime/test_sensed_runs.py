@@ -241,6 +241,7 @@ LACKS: list[tuple[taut.Law, taut.Sensors, str]] = [
     (Motors(), taut.Sensors(motor=taut.Encoder()), "Motors needs v_motor, which plant 'RigidPlant(planar2)' does not measure; it measures q_motor, tau_meas, v; give the plant sensors=taut.Sensors(motor_velocity=taut.Tachometer())"),
     (Tip(), taut.Sensors(), "Tip needs a_tip, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant sensors=taut.Sensors(tip=taut.Accelerometer())"),
     (Forces(), taut.Sensors(), "Forces needs F_ext, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant environment= or contact=, or take a taut.MujocoPlant"),
+    (Forces(), taut.Sensors(wrench=None), "Forces needs F_ext, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant sensors=taut.Sensors(wrench=taut.WrenchSensor())"),
 ]  # fmt: skip
 
 

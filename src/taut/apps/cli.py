@@ -185,10 +185,12 @@ def _run(arguments: argparse.Namespace) -> int:
         for kind, reason in result.skipped.items():
             print(_one_line(f"no {kind}: {reason}"))
         for trial, one in result.runs.items():
-            if not one.outcome.ok or PHASES in one.info:
+            if not one.outcome.ok or PHASES in one.info or "; " in one.outcome.message:
                 print(_one_line(f"{trial.label}: {one.outcome}"))
         for text in result.missed:
             print(_one_line(f"missed: {text}"))
+        if result.figures:
+            print(f"reached: {result.figures - len(result.missed)} of {result.figures} pass figures")
     return DONE if result.ok else FAILED
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from taut.arm.description import Arm
 from taut.control import laws
-from taut.control.describe import held_laws, section, summary
+from taut.control.describe import held_laws, statements, summary
 from taut.control.gains import Gain
 from taut.control.hybrid_motion import HybridMotion
 from taut.control.law import Law, field_units
@@ -77,7 +77,8 @@ OF_OTHERS: Final = ("Sum", "SideBySide", "NormalEstimate")  # which are made of 
 
 def _row(cls: type[Law]) -> LawRow:
     fields_of = {field.name: cls.__dict__.get(field.name) for field in fields(cls)}  # type: ignore[arg-type]
-    gains = [name for name, field in fields_of.items() if isinstance(field, Gain) and field.where is None]
+    every = {name: field for name, field in fields_of.items() if isinstance(field, Gain)}
+    gains = [name for name, field in every.items() if field.where is None]
     given = {"constraint": Constraint(lambda T: T.p[2])} if "constraint" in fields_of else {}
     law = cls(**_numbers(cls, gains), **given, **{name: _held(cls) for name in held_laws(cls)})
     side = LawSide(law=law, arm=_six_axes(), rate=1000.0, sensing=Sensing(), limits=None, adds=Adds())
@@ -85,9 +86,9 @@ def _row(cls: type[Law]) -> LawRow:
     return LawRow(
         name=cls.__name__,
         summary=summary(cls),
-        law=section(cls, "Law"),
-        closed_loop=section(cls, "Closed loop"),
-        gains={name: units.get(name, "") for name in gains},
+        law=statements(cls, "Law"),
+        closed_loop=statements(cls, "Closed loop"),
+        gains={name: units.get(name, "") for name, field in every.items() if field.has_meaning(law)},
         command=side.probe.kind,
         reference="none" if cls.ignores_reference else cls.reference.__name__,
         needs=("q", *side.needs),

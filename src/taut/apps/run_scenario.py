@@ -23,7 +23,7 @@ from taut.control.hybrid import HybridMotionForce
 from taut.control.impedance import Impedance
 from taut.control.phases import Phases
 from taut.controller import Controller, compile
-from taut.maths.snapshot import snapshot
+from taut.maths.snapshot import Snapshot, snapshot
 from taut.record.compare import compare
 from taut.record.files import cannot_write, checked_target, written_aside
 from taut.record.metrics import MEASURES, Metrics
@@ -39,6 +39,7 @@ from taut.study.impedance import check_impedance, impedance_of
 __all__ = ["ScenarioResult", "run_scenario"]
 
 SECTIONS: Final = {"duration": "run", "ref": "reference"}  # which an error of a run is about, by its name
+READABLE: Final = 118  # letters of a line
 COLUMNS = (
     "rms_error",
     "peak_error",
@@ -66,6 +67,11 @@ class ScenarioResult:
     outputs: Mapping[str, Path]
     skipped: Mapping[str, str]  # outputs that could not be made, and why
     missed: tuple[str, ...]  # pass figures that were not reached, in words
+
+    @property
+    def figures(self) -> int:
+        """How many pass figures there were to reach: of each run those that are about it."""
+        return sum(_is_about(figure, trial) for figure in self.scenario.figures for trial in self.runs)
 
     @property
     def ok(self) -> bool:
@@ -263,9 +269,13 @@ def _blamed(scenario: Scenario, trial: Trial) -> Iterator[None]:
 
 def _remark(ctrl: Controller, scenario: Scenario) -> str:
     """What is to be said of a spring at the tool, or of a constraint, before it runs."""
+    q = scenario.arm.home if scenario.q0 is None else scenario.q0
     if isinstance(ctrl.law, HybridMotionForce):
-        q = scenario.arm.home if scenario.q0 is None else scenario.q0
-        return str(freedoms(ctrl.law.natural, at=snapshot(scenario.arm, q)))
+        return _freedoms_of(ctrl.law, snapshot(scenario.arm, q))
+    if isinstance(ctrl.law, Phases):
+        x, laws = snapshot(scenario.arm, q), ctrl.law.laws
+        hybrid = {name: law for name, law in laws.items() if isinstance(law, HybridMotionForce)}
+        return "\n".join(f"phase '{name}': {_freedoms_of(law, x)}" for name, law in hybrid.items())
     found = impedance_of(ctrl.law)
     if found is None or (isinstance(found[0], Impedance) and found[0].has("D")):
         return ""
@@ -276,6 +286,15 @@ def _remark(ctrl: Controller, scenario: Scenario) -> str:
         return "" if check.passive_in_band else f"its spring {check.sentences[2]}"
     except TautError:  # a pose or a filter for which there is no such answer
         return ""
+
+
+def _freedoms_of(law: HybridMotionForce, x: Snapshot) -> str:
+    """What may be chosen; without the rows of a table that nobody could read, such as of a chain of many joints."""
+    table = freedoms(law.natural, at=x)
+    head, *lines = str(table).splitlines()
+    if max(map(len, lines), default=0) > READABLE:
+        lines = ["its rows are sums of many joints: taut.freedoms prints them", *lines[1 + len(table.rows) :]]
+    return "\n".join([head, *lines])
 
 
 # -------------------------------------------------------------------- files
@@ -384,10 +403,15 @@ def _save_metrics(runs: Mapping[Trial, Run], path: Path) -> None:
 # -------------------------------------------------------------------- pass figures
 
 
+def _is_about(figure: PassFigure, trial: Trial) -> bool:
+    """Whether a pass figure judges a run."""
+    return trial.law == figure.law and figure.case in (None, trial.case)
+
+
 def _missed(figure: PassFigure, runs: Mapping[Trial, Run]) -> Iterator[str]:
     """In words, the runs in which a pass figure is not reached."""
     for trial, one in runs.items():
-        if trial.law == figure.law and figure.case in (None, trial.case):
+        if _is_about(figure, trial):
             text = _shortfall_of_part(figure, one)
             if text is not None:
                 yield f"{trial.label}{'' if figure.part is None else f', {figure.part}'}: {text}"

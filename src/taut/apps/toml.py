@@ -37,6 +37,7 @@ WORDS: Final = {
         'kind = "mujoco" or [plant.environment] measures it'
     ),
     "sensors=taut.Sensors(torque=taut.TorqueSensor())": "[plant.sensors.torque]",
+    "sensors=taut.Sensors(wrench=taut.WrenchSensor())": "[plant.sensors.wrench]",
     "sensors=taut.Sensors(motor=taut.Encoder())": "[plant.sensors.motor]",
     "sensors=taut.Sensors(motor_velocity=taut.Tachometer())": "[plant.sensors.motor_velocity]",
     "sensors=taut.Sensors(tip=taut.Accelerometer())": "[plant.sensors.tip]",

@@ -122,10 +122,10 @@ class LTDL:
         twice = half([[once[j][i] for j in range(n)] for i in range(n)])
         return _back([entry for row in twice for entry in row], (n, n))
 
-    def least_direction(self, steps: int = 1) -> Array:
-        """A unit vector along the eigenvector of the smallest eigenvalue, by inverse iteration.
+    def least_direction(self) -> tuple[Array, Any]:
+        """A unit vector u near the eigenvector of the smallest eigenvalue, and u . A u, by one inverse iteration.
 
-        It starts from x in L x = e_k with k the smallest pivot: x . A x is that pivot, and |x| >= 1. Each step
+        It starts from x in L x = e_k with k the smallest pivot: x . A x is that pivot, and |x| >= 1. The step
         divides what is left of the others by the ratio of their eigenvalues to the smallest.
         """
         n, smallest = len(self.d), self.d[0]
@@ -137,11 +137,10 @@ class LTDL:
         for k in range(n):
             for i in range(k):
                 x[k] = x[k] - self._l[k][i] * x[i]
-        out = _back(x, (n,))
-        for _ in range(steps):
-            out = self.solve(out)
-        unit: Array = out / np.sqrt(out @ out)
-        return unit
+        start = _back(x, (n,))
+        out = self.solve(start)
+        square = out @ out
+        return out / np.sqrt(square), (start @ out) / square
 
     def _solve_one(self, x: list[Any]) -> list[Any]:
         n, L = len(x), self._l

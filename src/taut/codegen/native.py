@@ -21,9 +21,12 @@ from taut.base.errors import TautError
 from taut.codegen import cache
 from taut.codegen.llvm import LIBM
 
-__all__ = ["NativeModule", "available", "compiled", "warn_of_plain_python"]
+__all__ = ["LEVEL", "QUICK", "NativeModule", "available", "compiled", "warn_of_plain_python"]
 
 LEVEL: Final = 2  # of LLVM's code generator; 3 gives nothing, 1 is no faster to compile
+QUICK: Final = (
+    0  # for code that is called some hundred times: a fifth of the time to compile, three times that to run
+)
 _LOCK: Final = threading.Lock()
 
 
@@ -54,20 +57,20 @@ class NativeModule:
         return self.addresses[name]
 
 
-def _new_machine() -> Any:
+def _new_machine(level: int) -> Any:
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     return llvm.Target.from_default_triple().create_target_machine(
-        cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=LEVEL
+        cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=level
     )
 
 
 @functools.cache
-def _machine() -> Any:
+def _machine(level: int) -> Any:
     """LLVM's code generator for this processor."""
-    return _new_machine()
+    return _new_machine(level)
 
 
 @functools.cache
@@ -75,7 +78,7 @@ def _jit() -> Any:
     """The linker that puts object code into this process; it takes over its machine, so it has its own."""
     import llvmlite.binding as llvm
 
-    return llvm.create_lljit_compiler(_new_machine())
+    return llvm.create_lljit_compiler(_new_machine(LEVEL))
 
 
 @functools.cache
@@ -117,24 +120,26 @@ def compiled(
     text: Callable[[], str],
     names: Sequence[str],
     verify: Callable[[NativeModule], None] | None = None,
+    level: int = LEVEL,
 ) -> NativeModule:
-    """Machine code for a module of LLVM text.
+    """Machine code for a module of LLVM text. It gives the same numbers at each level.
 
     Args:
         content: What the text is made from; with the platform it is the key in the cache.
         text: Makes the text; called only where the cache has nothing.
         names: Functions to look up.
         verify: Checks a freshly compiled module and raises where it is wrong; only what passed is kept.
+        level: Of LLVM's code generator, at least: what the cache has at the full one serves too.
     """
-    key = hashlib.sha256(_platform_key() + content).digest()
-    kept = cache.load(key)
+    keys = [hashlib.sha256(_platform_key() + bytes([k]) + content).digest() for k in dict.fromkeys((level, LEVEL))]
+    key, kept = keys[0], next(filter(None, map(cache.load, reversed(keys))), None)
     with _LOCK:
         if kept is not None:
             try:
                 return _linked(kept, names, cached=True)
             except RuntimeError:  # an object that LLVM does not take: compile it again
                 pass
-        code = _generated(text())
+        code = _generated(text(), level)
         module = _linked(code, names, cached=False)
     if verify is not None:
         verify(module)
@@ -142,10 +147,10 @@ def compiled(
     return module
 
 
-def _generated(text: str) -> bytes:
+def _generated(text: str, level: int) -> bytes:
     import llvmlite.binding as llvm
 
-    machine = _machine()
+    machine = _machine(level)
     try:
         module = llvm.parse_assembly(text)
     except RuntimeError as cause:  # a fault of ours, never of the caller

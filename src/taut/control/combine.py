@@ -27,6 +27,12 @@ class Sum(Law):
 
     parts: Mapping[str, Law]
 
+    def __post_init__(self) -> None:
+        followers = [law for law in self.parts.values() if not law.ignores_reference]
+        first = next(iter(followers or self.parts.values()))
+        object.__setattr__(self, "reference", first.reference)
+        object.__setattr__(self, "ignores_reference", not followers)
+
     def children(self) -> dict[str, Law]:
         return dict(self.parts)
 
@@ -93,7 +99,4 @@ def added(first: Law, second: Law) -> Sum:
                 k += 1
                 unique = f"{name}{k}"
             parts[unique] = part
-    made = Sum(parts=parts)
-    object.__setattr__(made, "reference", follows)
-    object.__setattr__(made, "ignores_reference", first.ignores_reference and second.ignores_reference)
-    return made
+    return Sum(parts=parts)

@@ -14,7 +14,7 @@ import numpy as np
 from taut.base import math as tm
 from taut.base.errors import MatchError, RangeError, UsageError
 from taut.base.linalg import LTDL, times_square_root
-from taut.base.types import Array, Matrix, Rotation, Vector, Wrench
+from taut.base.types import Array, Matrix, Rotation, Vector, Vector3, Wrench
 from taut.control.command import Terms
 from taut.control.gains import GainValue
 from taut.control.law import Law
@@ -22,7 +22,7 @@ from taut.control.spring import Bound, pulled
 from taut.control.task_error import Coordinates, ErrorKind, TaskError, task_error
 from taut.control.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
-from taut.maths.spatial import pose_log_rate, rotated
+from taut.maths.spatial import pose_log_rate, rotated, rotated_matrix
 
 __all__ = [
     "FRAMES",
@@ -36,6 +36,7 @@ __all__ = [
     "six_gains",
     "spring",
     "wrench_at",
+    "wrench_moved",
 ]
 
 GainFrame = Literal["world", "task", "tool"]
@@ -79,11 +80,11 @@ class Compliance:
 
     def matrix_outwards(self, C: Matrix) -> Matrix:
         """(k, k) a symmetric matrix of the gains' axes in the coordinates of the error."""
-        return C if self.R is None else _turned(self.R, C)
+        return C if self.R is None else rotated_matrix(self.R, C)
 
     def matrix_inwards(self, C: Matrix) -> Matrix:
         """(k, k) the way back."""
-        return C if self.R is None else _turned(self.R.T, C)
+        return C if self.R is None else rotated_matrix(self.R.T, C)
 
     def wrench(self, force: Array) -> Wrench:
         """(k,) what pulls the tool where the potential X . force falls, in the axes of the gains."""
@@ -99,15 +100,6 @@ def spring(felt: Compliance, K: GainValue, bound: Bound | None) -> Terms:
     """The force of the spring in the axes of the gains, and what its bound takes of it."""
     whole = Terms(P=K @ felt.X)
     return whole if bound is None else whole + Terms(bound=bound.force(K, felt.X) - K @ felt.X)
-
-
-def _turned(R: Rotation, C: Matrix) -> Matrix:
-    """(6, 6) of one set of axes in another, block by block."""
-    out = tm.zeros((6, 6))
-    for i in (0, 3):
-        for j in (0, 3):
-            out[i : i + 3, j : j + 3] = R @ C[i : i + 3, j : j + 3] @ R.T
-    return out
 
 
 def modal_damping(inertia: LTDL, K: Matrix, zeta: Any, V: Vector) -> Vector:
@@ -129,7 +121,12 @@ def wrench_at(x: Snapshot, tool: str | None) -> Wrench:
     F = x.F_ext
     if tool is None or tool == x.arm.tool:
         return F
-    return tm.array([*F[:3], *(F[3:] + tm.cross(x.T().p - x.T(tool).p, F[:3]))])
+    return wrench_moved(F, x.T().p - x.T(tool).p)
+
+
+def wrench_moved(F: Wrench, r: Vector3) -> Wrench:
+    """(6,) the same wrench at another point, from which r leads to where it stands, in its axes."""
+    return tm.array([*F[:3], *(F[3:] + tm.cross(r, F[:3]))])
 
 
 def check_sensor(x: Snapshot, tool: str | None) -> None:

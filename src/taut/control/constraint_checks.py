@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
 
 from taut.base.errors import RangeError, UsageError
 from taut.base.types import Float64Array
+from taut.control.along_constraint import of_one_body
 from taut.control.hybrid_motion import HybridMotion, Pressing
 from taut.control.reference import Chunk, Hold, Reference, Sample
 from taut.control.task_reference import TaskMotion
-from taut.maths.constraint import Constraint, ConstraintRows
+from taut.maths.constraint import Constraint
+from taut.maths.constraint_rows import OfVelocity
 from taut.maths.snapshot import Snapshot
 
 __all__ = ["check_constraint", "check_forces", "check_motion", "check_place", "check_surface"]
 
-DEPENDENT: Final = 1e-9  # of the largest singular value, rows scaled to length 1
+DEPENDENT: Final = 3e-4  # of the largest singular value, rows of length 1; below it rounding is beyond 1e-9
 OUT_OF_RANGE: Final = 1e-6  # of the wrench
 ELSEWHEN: Final = 0.1234567  # [s]
 LOOKS: Final = 64  # at a motion before it is followed
@@ -74,10 +77,11 @@ def check_surface(constraint: Constraint, x: Snapshot, tool: str | None) -> None
             name="estimate",
         )
     A = constraint.at(x).A
-    if A is None or np.linalg.norm(np.asarray(A, dtype=np.float64)[0, :3]) < 1e-9:
+    if A is None or np.linalg.norm(np.asarray(A, dtype=np.float64)[0, :3]) < 1e-9 or _of_velocities(constraint):
+        what = "is one of velocities" if _of_velocities(constraint) else "holds rotations only"
         raise UsageError(
-            "estimate is of a surface's normal, and the first row of the constraint holds rotations only; put the "
-            "surface first, or leave it out",
+            f"estimate is of a surface's normal, and the first row of the constraint {what}; put the surface first, "
+            "or leave it out",
             name="estimate",
         )
 
@@ -125,15 +129,15 @@ def check_forces(constraint: Constraint, x: Snapshot, ref: Reference, *, later: 
             f"{'row' if rows.count == 1 else 'rows'}",
             name="lam",
         )
-    for row, side in enumerate(rows.one_sided):
-        if side and lam[row] > 0.0:
-            raise RangeError(
-                f"lam[{row}] must be <= 0 [N], for the contact can be pressed and not pulled; got {lam[row]:g}; "
-                "pressing is lam < 0, or press=",
-                name="lam",
-                value=float(lam[row]),
-                rule="<= 0",
-            )
+    _check_pressed(
+        rows.one_sided,
+        lam,
+        "lam",
+        lambda row: (
+            f"lam[{row}] must be <= 0 [N], for the contact can be pressed and not pulled; got {lam[row]:g}; "
+            "pressing is lam < 0, or press="
+        ),
+    )
     presses, F = bool(np.any(sample.press)), np.asarray(sample.F_app, dtype=np.float64)
     if rows.A is None:
         if presses or np.any(F):
@@ -144,35 +148,49 @@ def check_forces(constraint: Constraint, x: Snapshot, ref: Reference, *, later: 
             )
         return
     A = np.asarray(rows.A, dtype=np.float64)
-    if presses and np.linalg.norm(A[0, :3]) < 1e-9:
+    if presses and (np.linalg.norm(A[0, :3]) < 1e-9 or _of_velocities(constraint)):
+        what = "is one of velocities" if _of_velocities(constraint) else "holds rotations only"
         raise UsageError(
-            "press is a force, and the first row of the constraint holds rotations only; give lam=", name="press"
+            f"press is a force into a surface, and the first row of the constraint {what}; put the surface first, or "
+            "give lam=",
+            name="press",
         )
     if not later:
-        _check_range(A, F, rows)
+        _check_range(A, F, rows.one_sided)
 
 
-def _check_range(A: Float64Array, F: Float64Array, rows: ConstraintRows) -> None:
+def _of_velocities(constraint: Constraint) -> bool:
+    return isinstance(constraint.pieces[0], OfVelocity)
+
+
+def _check_range(A: Float64Array, F: Float64Array, one_sided: Sequence[bool], when: str = "") -> None:
     size = float(np.linalg.norm(F))
     if not size:
         return
-    lam = np.linalg.lstsq(A.T, F, rcond=None)[0]
+    lam = np.asarray(np.linalg.lstsq(A.T, F, rcond=None)[0], dtype=np.float64)
     rest = F - A.T @ lam
     if np.linalg.norm(rest) > OUT_OF_RANGE * size:
         raise RangeError(
             f"F_app must lie in the range of A^T, for the constraint bears nothing else; of {_shown(F)} it can bear "
-            f"{_shown(F - rest)}, and not {_shown(rest)}",
+            f"{_shown(F - rest)}{when}, and not {_shown(rest)}",
             name="F_app",
         )
-    for row, side in enumerate(rows.one_sided):
+    _check_pressed(
+        one_sided,
+        lam,
+        "F_app",
+        lambda row: (
+            f"F_app must press on a contact, and {_shown(F)} pulls at row {row}{when}, lam = {lam[row]:.4g}; "
+            "turn its sign"
+        ),
+    )
+
+
+def _check_pressed(one_sided: Sequence[bool], lam: Float64Array, name: str, sentence: Callable[[int], str]) -> None:
+    """No one-sided row is pulled at."""
+    for row, side in enumerate(one_sided):
         if side and lam[row] > 0.0:
-            raise RangeError(
-                f"F_app must press on a contact, and {_shown(F)} pulls at row {row}, lam = {lam[row]:.4g}; turn its "
-                "sign",
-                name="F_app",
-                value=float(lam[row]),
-                rule="lam <= 0",
-            )
+            raise RangeError(sentence(row), name=name, value=float(lam[row]), rule="lam <= 0")
 
 
 def _shown(F: Float64Array) -> str:
@@ -182,7 +200,9 @@ def _shown(F: Float64Array) -> str:
 def check_motion(
     constraint: Constraint, x: Snapshot, ref: Reference, tool: str | None, tolerance: float, *, later: bool = False
 ) -> None:
-    """A motion of the tool that is known before it is followed keeps to the constraint.
+    """A motion that is known before it is followed keeps to the constraint, which bears F_app all the way.
+
+    It is a motion of the link that is constrained: of a chunk its samples are looked at, of a trajectory 64 instants.
 
     Args:
         constraint: The constraint.
@@ -193,23 +213,19 @@ def check_motion(
         later: Whether it is followed from a later time on that is not known: then not against what moves by itself.
 
     Raises:
-        RangeError: It leaves it, or goes into it.
+        RangeError: It leaves the constraint, or goes into it; or F_app leaves the range of A^T.
     """
-    if constraint.frame is None or constraint.frame[0] not in (tool, x.arm.tool if tool is None else tool):
+    if not of_one_body(constraint, x, tool):
         return
-    if isinstance(ref, (Hold, Chunk, Sample)):
-        times = np.zeros(1)
-    else:
-        length = getattr(ref, "duration", None)
-        if not isinstance(length, (int, float)) or not np.isfinite(length):
-            return
-        times = np.linspace(0.0, float(length), LOOKS)
-    for t in times:
-        sample = _at(ref, float(t))
+    assert constraint.frame is not None
+    beyond = x.T(tool).inverse() @ x.T(*constraint.frame)
+    for t in _times(ref):
+        sample = _at(ref, t)
         if not isinstance(sample, HybridMotion) or not isinstance(sample.motion, TaskMotion):
             return
-        phi = constraint.of_pose(sample.motion.pose, float(x.t) + float(t))
-        if later and np.any(phi != constraint.of_pose(sample.motion.pose, float(x.t) + float(t) + ELSEWHEN)):
+        pose, now = sample.motion.pose @ beyond, float(x.t) + t
+        phi = constraint.of_pose(pose, now)
+        if later and np.any(phi != constraint.of_pose(pose, now + ELSEWHEN)):
             return
         row = int(np.argmax(np.abs(phi)))
         if abs(phi[row]) > tolerance:
@@ -222,6 +238,21 @@ def check_motion(
                 value=float(phi[row]),
                 rule=f"<= {tolerance:g}",
             )
+        F_app = np.asarray(sample.F_app, dtype=np.float64)
+        if np.any(F_app):
+            _check_range(constraint.of_twist(pose, now)[0], F_app, constraint.one_sided, f" at t = {t:g} s")
+
+
+def _times(ref: Reference) -> list[float]:
+    """When to look at a motion before it is followed [s]; never where it has no known end."""
+    if isinstance(ref, Chunk):
+        return [float(t) for t in ref.times]
+    if isinstance(ref, (Hold, Sample)):
+        return [0.0]
+    length = getattr(ref, "duration", None)
+    if not isinstance(length, (int, float)) or not np.isfinite(length):
+        return []
+    return [float(t) for t in np.linspace(0.0, float(length), LOOKS)]
 
 
 def _first(ref: Reference) -> Sample | None:

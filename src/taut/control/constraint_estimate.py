@@ -7,18 +7,17 @@ from typing import Any, Final
 
 from taut.base import math as tm
 from taut.base.errors import UsageError
-from taut.base.linalg import factor_spd
 from taut.base.types import Rotation, Vector3
 from taut.control.command import Command
 from taut.control.gains import Gain, GainValue, Memory
 from taut.control.law import Law, MemoryView
 from taut.control.reference import Sample
-from taut.control.task_reference import TaskMotion
-from taut.maths.constraint import Constraint, ConstraintRows
+from taut.maths.constraint import Constraint
+from taut.maths.constraint_rows import ConstraintRows
 from taut.maths.snapshot import Snapshot
-from taut.maths.spatial import rotated, rotation_exp, rotation_log
+from taut.maths.spatial import rotated
 
-__all__ = ["NEVER", "NormalEstimate", "along_surface", "turn_between", "turned_rows"]
+__all__ = ["NEVER", "NormalEstimate", "turn_between", "turned_rows"]
 
 NEVER: Final = 1e-24  # keeps a root from zero, where it has no slope
 
@@ -144,18 +143,3 @@ def turned_rows(constraint: Constraint, x: Snapshot, R: Rotation) -> ConstraintR
     seen = constraint.at(x.turned(R, frame))
     assert seen.A is not None
     return dataclasses.replace(seen, A=tm.array([rotated(R, row) for row in seen.A]))
-
-
-def along_surface(x: Snapshot, rows: ConstraintRows, ref: TaskMotion, frame: str | None) -> TaskMotion:
-    """The same motion through where the tool is: what it asks for against the rows is taken out, and no more.
-
-    A reference on the stated surface is off the true one. P, which is orthogonal in the product of Lambda^-1 only,
-    would make of that an error along the surface and of rotation.
-    """
-    A, T = rows.A, x.T(frame)
-    assert A is not None
-    factors = factor_spd(A @ A.T)
-    off = A.T @ factors.solve(A @ tm.array([*(ref.p - T.p), *rotation_log(ref.R @ T.R.T)]))
-    V = ref.twist - A.T @ factors.solve(A @ (ref.twist - x.twist(frame)))
-    a = ref.acceleration - A.T @ factors.solve(A @ ref.acceleration + rows.curvature)
-    return TaskMotion.of({"p": ref.p - off[:3], "R": rotation_exp(-off[3:]) @ ref.R, "twist": V, "acceleration": a})

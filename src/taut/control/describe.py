@@ -22,6 +22,7 @@ __all__ = [
     "optional_laws",
     "section",
     "short",
+    "statements",
     "summary",
     "title",
 ]
@@ -90,15 +91,32 @@ def summary(law: type[Law]) -> str:
 
 def section(law: type[Law], head: str) -> list[str]:
     """The lines behind 'Law:' or 'Closed loop:' in a docstring."""
+    return [text for _, text in _lines(law, head)]
+
+
+def statements(law: type[Law], head: str) -> list[str]:
+    """What stands behind 'Law:' or 'Closed loop:', each statement whole: lines set in further go on with it."""
+    lines = _lines(law, head)
+    out: list[str] = []
+    for indent, text in lines:
+        if out and indent > lines[0][0]:
+            out[-1] += f" {text}"
+        else:
+            out.append(text)
+    return out
+
+
+def _lines(law: type[Law], head: str) -> list[tuple[int, str]]:
+    """Column and text of each line of a part of a docstring."""
     lines = (inspect.getdoc(law) or "").splitlines()
     for i, line in enumerate(lines):
         if line.startswith(f"{head}:"):
-            found = [line.partition(":")[2]]
+            found = [" " * len(f"{head}:") + line.partition(":")[2]]
             for follow in lines[i + 1 :]:
                 if not follow.startswith(" "):
                     break
                 found.append(follow)
-            return [re.sub(r"\s{3,}", "   ", text.strip()) for text in found]
+            return [(len(text) - len(text.lstrip()), re.sub(r"\s{3,}", "   ", text.strip())) for text in found]
     return []
 
 

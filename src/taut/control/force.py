@@ -8,19 +8,19 @@ import numpy as np
 
 from taut.base import math as tm
 from taut.base.checks import one_of, require_positive, vector
-from taut.base.errors import RangeError, ShapeError
+from taut.base.errors import ShapeError
 from taut.base.types import ArrayLike, Matrix, Rotation, Vector, Wrench
 from taut.control.command import Command, Terms, Torque
 from taut.control.compliance import check_sensor, wrench_at
 from taut.control.gains import Gain, GainValue, Memory
-from taut.control.integral import ANTI_WINDUP, AntiWindup, check_tracking, integrated
+from taut.control.integral import ANTI_WINDUP, AntiWindup, check_force_pole, check_tracking, integrated
 from taut.control.law import Law, MemoryView
 from taut.control.nullspace import Posture
 from taut.control.task import check_null, null_torque
 from taut.control.task_force import FRAMES, ForceFrame, TaskForce
 from taut.maths import dynamics as dyn
 from taut.maths.snapshot import Snapshot
-from taut.maths.spatial import rotated
+from taut.maths.spatial import rotated, rotated_matrix
 from taut.maths.task_inertia import TaskInertia
 
 __all__ = ["ForceControl", "wrench_of_torques"]
@@ -144,16 +144,7 @@ class ForceControl(Law):
         check_tracking(self.anti_windup, self.tracking, rate)
         if not self.measures:
             return
-        fastest = np.linalg.solve(np.eye(6) + _numbers(self.kfp), _numbers(self.kfi))
-        pole = float(np.max(np.abs(np.linalg.eigvals(fastest))))
-        if pole >= 2.0 * rate:
-            raise RangeError(
-                f"kfi / (1 + kfp) must be below twice the rate, {2.0 * rate:g} [1/s], or the force swings on any "
-                f"contact; got {pole:g}; a pole of 1 to 20 1/s is usual",
-                name="kfi",
-                value=pole,
-                rule="kfi / (1 + kfp) < 2 rate",
-            )
+        check_force_pole(self.kfp.matrix(6), self.kfi.matrix(6), rate)
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
         """The wrist sensor must be on the link that is controlled."""
@@ -214,7 +205,7 @@ class ForceControl(Law):
         Held over a tick kdamp V itself would throw about what is light, such as a last link about its own axis.
         """
         K = self.kdamp.matrix(6)
-        inverse = mobility if R is None else _turned(R.T, mobility)
+        inverse = mobility if R is None else rotated_matrix(R.T, mobility)
         out: Wrench = tm.solve(tm.eye(6) + dt * (K @ inverse), K @ V)
         return out
 
@@ -270,15 +261,6 @@ def _inwards(R: Rotation | None, six: Vector) -> Vector:
 
 def _numbers(gain: GainValue) -> Matrix:
     return np.asarray(gain.matrix(6), dtype=np.float64)
-
-
-def _turned(R: Rotation, C: Matrix) -> Matrix:
-    """(6, 6) of one set of axes in another, block by block."""
-    out = tm.zeros((6, 6))
-    for i in (0, 3):
-        for j in (0, 3):
-            out[i : i + 3, j : j + 3] = R @ C[i : i + 3, j : j + 3] @ R.T
-    return out
 
 
 def _check_pair(gain: GainValue, unit: str) -> None:

@@ -214,6 +214,12 @@ class Gain:
         self.name = name
         self.owner = owner
 
+    @property
+    def default(self) -> ArrayLike | None:
+        """The value where none is given; None where one must be given, or may be left out altogether."""
+        default: ArrayLike | None = self._default
+        return default
+
     @overload
     def __get__(self, obj: None, owner: type) -> Self: ...
     @overload

@@ -6,13 +6,16 @@ import functools
 from collections.abc import Callable
 from typing import Any, ClassVar, Final, Literal
 
+import numpy as np
+
 from taut.base import math as tm
-from taut.base.checks import one_of
-from taut.base.errors import UsageError
+from taut.base.checks import float_array, one_of
+from taut.base.errors import RangeError, UsageError
 from taut.base.linalg import factor_spd
 from taut.base.types import Vector
+from taut.control.along_constraint import along_constraint, felt_along, of_one_body
 from taut.control.command import Command, Terms, Torque
-from taut.control.compliance import check_sensor
+from taut.control.compliance import check_sensor, wrench_at
 from taut.control.constraint_checks import (
     check_constraint,
     check_forces,
@@ -20,14 +23,17 @@ from taut.control.constraint_checks import (
     check_place,
     check_surface,
 )
-from taut.control.constraint_estimate import NEVER, NormalEstimate, along_surface, turn_between, turned_rows
+from taut.control.constraint_estimate import NEVER, NormalEstimate, turn_between, turned_rows
 from taut.control.gains import Gain, Memory
-from taut.control.hybrid_motion import HybridMotion, hybrid_kind
+from taut.control.hybrid_motion import MOST_ROWS, HybridMotion, hybrid_kind
+from taut.control.integral import check_force_pole
 from taut.control.law import Law, MemoryView, call
 from taut.control.reference import Reference, Sample
 from taut.control.task_reference import TaskMotion
 from taut.maths.constrained import Constrained
-from taut.maths.constraint import Constraint, ConstraintRows
+from taut.maths.constraint import Constraint
+from taut.maths.constraint_rows import ConstraintRows
+from taut.maths.contact import choose
 from taut.maths.snapshot import Snapshot
 
 __all__ = ["HybridMotionForce"]
@@ -46,7 +52,15 @@ class HybridMotionForce(Law):
                   F_force  = A^T (lam_des + kfp lam_e + kfi int(lam_e) - kdamp (A V + phi_t))             eq. 10.38
                   F_curved = A^T S (A-dot V + ...), the term `curvature`, which the chapter leaves out
                   P = I - A^T S A Lambda^-1, S = (A Lambda^-1 A^T)^-1                                     eq. 10.44
-    Closed loop:  along the constraints that of `motion`, as far as they allow it: P Lambda of it;
+                  with A X_e = 0, A V_e = 0, A a_des = -(A-dot V + ...): what a reference of the tool asks against a
+                    constraint of the tool is taken out of it, where the tool is, before `motion` sees it
+    Closed loop:  along the constraints that of `motion`: V-dot is what it asks for along them, whatever Lambda is,
+                    and wherever the surface really is. A reference that keeps to the constraint is not changed, and
+                    on a flat one eq. 10.45 is as it stands; on a curved one it differs by what the reference asks
+                    against the tangent at the tool, in the measure of the error along it
+                    an inertia D of `motion` feels what is along the constraint of F_ext, and not the contact's force
+                    of a law of joints, or a constraint that is not one of the tool's link, P Lambda of what it asks:
+                    what is asked against the constraint comes out as motion along it as well
                     of a tool in a closed chain, in the directions that the chain leaves to it: the term `chain`
                   against them lam = F_force's, in a rigid contact: (1 + kfp) lam_e + kfi int(lam_e) = const, with the
                     pole -kfi / (1 + kfp), not the -kfi / kfp of eq. 10.36; the measured force is a tick old, so that
@@ -54,8 +68,10 @@ class HybridMotionForce(Law):
                   with curvature=False lam is off by S A-dot V: m v^2 / r on a surface of radius r
 
     lam_meas is (A A^T)^-1 A F_app of the wrist sensor: friction along a surface at the tool's origin does not count
-    as pressing. With feedback="joint_torque" it is eq. 10.42 with the measured torques; without kfp and kfi no force
-    is measured, and lam_des is fed forward, eq. 10.34. A one-sided row is never asked to pull.
+    as pressing. With feedback="joint_torque" it is eq. 10.42 with the measured torques, and what the model does not
+    know, such as a payload, counts as a force. Without kfp and kfi no force is measured, and lam_des is fed forward,
+    eq. 10.34. A one-sided row is never asked to pull. The integral rests where limits of the torque cut the force, or
+    a contact would be pulled at, and the error pushes further that way.
 
     Frames:
         The constraint is in world axes; what it says of the tool is said at the tool's origin.
@@ -72,7 +88,7 @@ class HybridMotionForce(Law):
         curvature: Whether the term of that name is in the law.
         tolerance: How far phi may be from zero where a run starts [m, rad].
         estimate: `taut.laws.NormalEstimate()` where it is not well known where the surface faces: the law is then
-            that of the constraint turned as force and motion show it, and the reference is followed along it.
+            that of the constraint turned as force and motion show it.
 
     Raises:
         UsageError: No constraint, or no law of motion that gives torques; an estimate of what is no surface.
@@ -119,6 +135,13 @@ class HybridMotionForce(Law):
                 )
             object.__setattr__(self, "constraint", Constraint(self.constraint))
         one_of("feedback", self.feedback, FEEDBACKS)
+        if not isinstance(self.curvature, bool):  # callers without a type checker
+            raise UsageError(f"curvature must be True or False; got {self.curvature!r}", name="curvature")
+        object.__setattr__(self, "tolerance", _tolerance(self.tolerance))
+        if self.rows > MOST_ROWS:
+            raise UsageError(
+                f"a hybrid law takes constraints of up to {MOST_ROWS} rows; these have {self.rows}", name="constraint"
+            )
         if not isinstance(self.motion, Law) or issubclass(self.motion.reference, HybridMotion):
             raise UsageError(
                 "motion holds a law such as taut.laws.TaskComputedTorque(kp=100.0, kd=20.0); got "
@@ -169,6 +192,12 @@ class HybridMotionForce(Law):
     def at_rest(self, x: Snapshot) -> Sample:
         return self.reference.at_rest(x, self.motion.controlled_frame)
 
+    def check_rate(self, rate: float) -> None:
+        """The slow mode of the force, -kfi / (1 + kfp), must be slower than the rate on any contact."""
+        if self.gives("kfi"):
+            k = self.rows
+            check_force_pole(self.kfp.matrix(k) if self.gives("kfp") else np.zeros((k, k)), self.kfi.matrix(k), rate)
+
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
         check_constraint(self.natural, x)
         if (self.measures and self.feedback == "wrench") or self.estimate is not None:
@@ -214,12 +243,11 @@ class HybridMotionForce(Law):
         return functools.reduce(lambda a, b: a & b, near)
 
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, object]]:
-        rows, follow, estimated = self.natural.at(x), ref.motion, None
+        rows, estimated = self.natural.at(x), None
         if isinstance(self.estimate, NormalEstimate):
             rows, estimated = self._estimated(self.estimate, x, rows, memory["estimate"], dt)
-            follow = along_surface(x, rows, follow, self.motion.controlled_frame)
         held = Constrained.of(rows, x.M_factors)
-        command, motion = call(self.motion, x, follow, memory["motion"], dt)
+        command, motion = call(self.motion, *self._along(x, rows, ref.motion), memory["motion"], dt)
         if not isinstance(command, Torque):
             raise UsageError(
                 f"motion holds a law that gives torques, and {type(self.motion).__name__} gives a {command.kind}",
@@ -254,6 +282,16 @@ class HybridMotionForce(Law):
         n = n / tm.sqrt(n @ n + NEVER)
         return turned_rows(self.natural, x, turn_between(n_0, n)), {"tilt": tilt, "normal": n}
 
+    def _along(self, x: Snapshot, rows: ConstraintRows, motion: Sample) -> tuple[Snapshot, Sample]:
+        """What the law of motion sees and follows: of a tool that is constrained, without what is against that."""
+        tool = self.motion.controlled_frame
+        if not isinstance(motion, TaskMotion) or not of_one_body(self.natural, x, tool):
+            return x, motion
+        assert self.natural.frame is not None
+        (frame,) = self.natural.frame
+        felt = felt_along(x, rows, frame) if of_one_body(self.natural, x, None) else x
+        return felt, along_constraint(x, rows, frame, motion, tool)
+
     def _chain(self, x: Snapshot, held: Constrained, tau: Vector) -> Vector:
         """(n,) torques with which a tool that is part of a closed chain moves as it would without the other part.
 
@@ -274,25 +312,41 @@ class HybridMotionForce(Law):
     ) -> tuple[Terms, Vector]:
         """(k,) the multipliers to apply, as terms; and the integral of their error after this tick."""
         wanted = self._wanted(rows, ref)
-        lam, e_int = Terms(force=wanted), memory.e_int + tm.zeros(rows.count)
+        lam, e, e_int = Terms(force=wanted), None, memory.e_int + tm.zeros(rows.count)
         if self.measures:
             e = wanted - self._measured(x, rows, held)
-            if self.gives("kfp"):
-                lam = lam + Terms(force_P=self.kfp @ e)
-            if self.gives("kfi"):
-                e_int = e_int + e * dt
-                if self.gives("e_int_max"):
-                    most = self.e_int_max.as_array()
-                    e_int = tm.clip(e_int, -most, most)
-                lam = lam + Terms(force_I=self.kfi @ e_int)
+        if self.gives("kfp"):
+            lam = lam + Terms(force_P=self.kfp @ e)
         if self.gives("kdamp"):
             lam = lam + Terms(force_D=-(self.kdamp @ rows.rate(x.v)))
+        if self.gives("kfi"):
+            e_int = self._integral(x, rows, held, (lam + Terms(force_I=self.kfi @ e_int)).total, e_int, e, dt)
+            lam = lam + Terms(force_I=self.kfi @ e_int)
         if any(rows.one_sided):
             total = tm.array(
                 [tm.minimum(y, 0.0) if side else y for y, side in zip(lam.total, rows.one_sided, strict=True)]
             )
             lam = lam.up_to(total, "one_sided")
         return lam, e_int
+
+    def _integral(
+        self, x: Snapshot, rows: ConstraintRows, held: Constrained, lam: Vector, e_int: Vector, e: Any, dt: Any
+    ) -> Vector:
+        """(k,) the integral after this tick.
+
+        It rests where limits cut the force, or a contact would be pulled at, and the error pushes further that way.
+        """
+        cut = held.felt(held.Minv_AT.T @ x.tau_cut)
+        grown: Vector = tm.where(cut * e > 0.0, e_int, e_int + e * dt)
+        if any(rows.one_sided):
+            pulls = [
+                (y > 0.0) & (z > 0.0) if side else False for y, z, side in zip(lam, e, rows.one_sided, strict=True)
+            ]
+            grown = tm.array([choose(pull, old, new) for pull, old, new in zip(pulls, e_int, grown, strict=True)])
+        if self.gives("e_int_max"):
+            most = self.e_int_max.as_array()
+            grown = tm.clip(grown, -most, most)
+        return grown
 
     def _wanted(self, rows: ConstraintRows, ref: Any) -> Vector:
         """(k,) the multipliers that are asked for."""
@@ -306,12 +360,18 @@ class HybridMotionForce(Law):
     def _measured(self, x: Snapshot, rows: ConstraintRows, held: Constrained) -> Vector:
         """(k,) the multipliers that are measured."""
         if self.feedback == "joint_torque":
-            return held.lam(x.tau_meas - x.h)
+            return held.lam(x.tau_meas - x.inverse_dynamics(np.zeros(x.n)))  # of all that acts on the links
         (frame,) = self.natural.frame or (None,)
-        F = x.F_ext
-        if frame is not None and frame != x.arm.tool:
-            F = tm.array([*F[:3], *(F[3:] + tm.cross(x.T().p - x.T(frame).p, F[:3]))])
-        return _of_wrench(rows, -F)
+        return _of_wrench(rows, -wrench_at(x, frame))
+
+
+def _tolerance(value: object) -> float:
+    number = float(float_array("tolerance", value, shape=()))  # type: ignore[arg-type]  # checked inside
+    if not number >= 0.0:
+        raise RangeError(
+            f"tolerance must be >= 0 [m, rad]; got {number!r}", name="tolerance", value=number, rule=">= 0"
+        )
+    return number
 
 
 def _of_wrench(rows: ConstraintRows, F_app: Vector) -> Vector:

@@ -8,11 +8,11 @@ import numpy as np
 
 from taut.base import math as tm
 from taut.base.errors import RangeError
-from taut.base.types import Vector
+from taut.base.types import Matrix, Vector
 from taut.control.gains import GainValue
 from taut.maths.snapshot import Snapshot
 
-__all__ = ["ANTI_WINDUP", "AntiWindup", "check_tracking", "integrated", "solved"]
+__all__ = ["ANTI_WINDUP", "AntiWindup", "check_force_pole", "check_tracking", "integrated", "solved"]
 
 AntiWindup = Literal["none", "clamping", "back-calculation"]
 ANTI_WINDUP: Final[tuple[AntiWindup, ...]] = ("none", "clamping", "back-calculation")
@@ -93,4 +93,23 @@ def check_tracking(scheme: AntiWindup, tracking: GainValue, rate: float) -> None
             f"tracking must be at most the rate, {rate:g} [1/s], or the integral would swing; got {largest:g}",
             name="tracking",
             value=largest,
+        )
+
+
+def check_force_pole(kfp: Matrix, kfi: Matrix, rate: float) -> None:
+    """The slow mode of a force that is fed back, -kfi / (1 + kfp), must be slower than the rate [Hz] on any contact.
+
+    Raises:
+        RangeError: It is not.
+    """
+    gains = [np.asarray(gain, dtype=np.float64) for gain in (kfp, kfi)]
+    fastest = np.linalg.solve(np.eye(len(gains[0])) + gains[0], gains[1])
+    pole = float(np.max(np.abs(np.linalg.eigvals(fastest))))
+    if pole >= 2.0 * rate:
+        raise RangeError(
+            f"kfi / (1 + kfp) must be below twice the rate, {2.0 * rate:g} [1/s], or the force swings on any "
+            f"contact; got {pole:g}; a pole of 1 to 20 1/s is usual",
+            name="kfi",
+            value=pole,
+            rule="kfi / (1 + kfp) < 2 rate",
         )

@@ -362,13 +362,17 @@ def _check_arguments(cls: type[Law]) -> None:
             named = ", ".join(f"{name}{f' [{units[name]}]' if name in units else ''}" for name in missing)
             raise UsageError(f"{cls.__name__} needs {named}", name=missing[0])
         generated(self, *args, **kwargs)
+        for name, value in kwargs.items():  # dataclasses.replace gives all that the law has, also what means nothing
+            gain = cls.__dict__.get(name)
+            if isinstance(gain, Gain) and isinstance(value, GainValue) and not gain.has_meaning(self):
+                object.__setattr__(self, name, gain.default)
         for own, given in self.gains().items():
             if cls.__dict__[own].pairs:
                 values = cls.__dict__[own].checked(given, name=own, entries=self.gain_size(own))
                 self.__dict__[own] = GainValue(values, own)
         for name in kwargs:
             gain = cls.__dict__.get(name)
-            if isinstance(gain, Gain) and not gain.has_meaning(self):
+            if isinstance(gain, Gain) and not isinstance(kwargs[name], GainValue) and not gain.has_meaning(self):
                 assert gain.where is not None
                 other, value = gain.where
                 words = value if isinstance(value, tuple) else (value,)

@@ -118,6 +118,7 @@ class SideBySide(Law):
 
 
 def _made(self: SideBySide, **laws: Law | tuple[Law, Sequence[str]]) -> None:
+    laws = _by_name(laws)
     if not laws:
         raise UsageError("SideBySide needs laws by name: SideBySide(left=law, right=law)", name="SideBySide")
     parts: dict[str, Law] = {}
@@ -139,6 +140,15 @@ def _made(self: SideBySide, **laws: Law | tuple[Law, Sequence[str]]) -> None:
     self.__dict__.update(parts=parts, joints=joints)
     kinds = tuple((name, law.reference, len(joints[name] or ())) for name, law in parts.items())
     object.__setattr__(self, "reference", _kind(_sized(kinds)))
+
+
+def _by_name(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Laws by name, also where dataclasses.replace gives those of another one as its fields."""
+    parts, joints = given.get("parts"), given.get("joints")
+    if not isinstance(parts, Mapping) or not isinstance(joints, Mapping):
+        return dict(given)
+    kept = {name: law if joints[name] is None else (law, joints[name]) for name, law in parts.items()}
+    return kept | {name: law for name, law in given.items() if name not in ("parts", "joints")}
 
 
 SideBySide.__init__ = _made  # type: ignore[assignment, method-assign]

@@ -18,7 +18,7 @@ from taut.base.pose import Pose
 from taut.base.types import Array, Matrix, Twist, Vector
 from taut.control.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
-from taut.maths.spatial import adjoint, pose_log, rotated, rotation_log
+from taut.maths.spatial import adjoint, moved, pose_log, rotated, rotation_log
 
 __all__ = ["ERRORS", "Coordinates", "ErrorKind", "TaskError", "check_coordinates", "dimensions", "task_error"]
 
@@ -208,14 +208,9 @@ def _short_way(angle: Any) -> Any:
     return angle - 2.0 * np.pi * tm.floor(angle / (2.0 * np.pi) + 0.5)
 
 
-def _moved(T: Pose, step: Twist) -> Pose:
-    """T after a small step of a world-aligned twist, to first order."""
-    return Pose.of(T.R + tm.skew(step[3:]) @ T.R, T.p + step[:3])
-
-
 def _with_rate(coordinates: Coordinates, T: Pose) -> tuple[Vector, Matrix]:
     """(k,) y and (k, 6) its rate per world-aligned twist."""
-    A = tm.jacobian(lambda step: coordinates.function(_moved(T, step)), np.zeros(6))
+    A = tm.jacobian(lambda step: coordinates.function(moved(T, step)), np.zeros(6))
     return tm.array(list(coordinates.function(T))), A
 
 
@@ -224,7 +219,7 @@ def _second(coordinates: Coordinates, T: Pose, V: Twist) -> Vector:
 
     def rate(time: Array) -> Vector:
         def along(more: Array) -> Array:
-            return tm.array(list(coordinates.function(_moved(_moved(T, time[0] * V), more[0] * V))))
+            return tm.array(list(coordinates.function(moved(moved(T, time[0] * V), more[0] * V))))
 
         out: Vector = tm.jacobian(along, np.zeros(1))[:, 0]
         return out

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from taut.base import math as tm
 from taut.base.linalg import LTDL, factor_spd
 from taut.base.types import Matrix, Vector
-from taut.maths.constraint import ConstraintRows
+from taut.maths.constraint_rows import ConstraintRows
 
 __all__ = ["Constrained", "force_projector"]
 

@@ -12,6 +12,7 @@ References:
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -67,6 +68,53 @@ def _loaded(model: Model, payload: PayloadValues | None) -> list[RigidBody]:
     return bodies
 
 
+Motion = tuple[Vector3, Vector3, Vector3, Matrix]
+
+
+def _swept(w: Vector3, dw: Vector3) -> Matrix:
+    """(3, 3) U with U r = dw x r + w x (w x r): the acceleration of a body's points by its turning."""
+    (x, y, z), (a, b, c) = w, dw
+    xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
+    return tm.array([[-(yy + zz), xy - c, xz + b], [xy + c, -(xx + zz), yz - a], [xz - b, yz + a, -(xx + yy)]])
+
+
+def _motions(
+    model: Model,
+    placed: Sequence[tuple[Matrix, Vector3]],
+    bodies: Iterable[int],
+    v: Vector | None,
+    a: Vector | None,
+    *,
+    gravity: bool,
+) -> dict[int, Motion]:
+    """Angular velocity and acceleration, acceleration of the origin and U of bodies, each after its parent.
+
+    In body axes; None stands for zeros. With gravity all falls upwards: the base is accelerated by -g.
+    """
+    zero = np.zeros(3)
+    out: dict[int, Motion] = {BASE: (zero, zero, -model.gravity_B if gravity else zero, np.zeros((3, 3)))}
+    for i in bodies:
+        joint, (R, p) = model.joints[i], placed[i]
+        w, dw, dv, U = out[joint.parent]
+        w_i = R.T @ w
+        dv_i = R.T @ (dv + U @ p)
+        dw_i = R.T @ dw
+        if joint.prismatic:
+            if v is not None:
+                dv_i = dv_i + 2.0 * v[i] * cross(w_i, Z)
+            if a is not None:
+                dv_i = dv_i + a[i] * Z
+        else:
+            if v is not None:
+                dw_i = dw_i + v[i] * cross(w_i, Z)
+                w_i = w_i + v[i] * Z
+            if a is not None:
+                dw_i = dw_i + a[i] * Z
+        out[i] = w_i, dw_i, dv_i, _swept(w_i, dw_i)
+    del out[BASE]
+    return out
+
+
 # -------------------------------------------------------------------- inverse dynamics
 
 
@@ -81,39 +129,12 @@ def inverse_dynamics(
 ) -> Vector:
     """(n,) joint torques M a + C v + g, by recursive Newton-Euler; None stands for zeros."""
     placed = _placed_all(model, q)
-    bodies = _loaded(model, payload)
-    zero = np.zeros(3)
-    omega: list[Vector3] = []
-    alpha: list[Vector3] = []
-    acc: list[Vector3] = []
     forces: list[Vector3] = []
     moments: list[Vector3] = []
-    for i, joint in enumerate(model.joints):
-        R, p = placed[i]
-        if joint.parent == BASE:
-            w, dw, dv = zero, zero, (-model.gravity_B if gravity else zero)
-        else:
-            w, dw, dv = omega[joint.parent], alpha[joint.parent], acc[joint.parent]
-        w_i = R.T @ w
-        dv_i = R.T @ (dv + cross(dw, p) + cross(w, cross(w, p)))
-        dw_i = R.T @ dw
-        if joint.prismatic:
-            if v is not None:
-                dv_i = dv_i + 2.0 * v[i] * cross(w_i, Z)
-            if a is not None:
-                dv_i = dv_i + a[i] * Z
-        else:
-            if v is not None:
-                dw_i = dw_i + v[i] * cross(w_i, Z)
-                w_i = w_i + v[i] * Z
-            if a is not None:
-                dw_i = dw_i + a[i] * Z
-        body = bodies[i]
-        omega.append(w_i)
-        alpha.append(dw_i)
-        acc.append(dv_i)
-        forces.append(body.m * dv_i + cross(dw_i, body.h) + cross(w_i, cross(w_i, body.h)))
-        moments.append(body.I @ dw_i + cross(w_i, body.I @ w_i) + cross(body.h, dv_i))
+    motions = _motions(model, placed, range(model.n), v, a, gravity=gravity)
+    for body, (w, dw, dv, U) in zip(_loaded(model, payload), motions.values(), strict=True):
+        forces.append(body.m * dv + U @ body.h)
+        moments.append(body.I @ dw + cross(w, body.I @ w) + cross(body.h, dv))
     tau: list[Any] = [0.0] * model.n
     for i in range(model.n - 1, -1, -1):
         joint = model.joints[i]
@@ -225,22 +246,37 @@ def jacobian(model: Model, q: Vector, frame: str | None = None, axes: str = "W")
     J = tm.zeros((6, model.n))
     if body == BASE:
         return J
-    links = link_poses(model, q)
-    R_W, p_W = links[body]
-    origin = R_W @ p_in_body + p_W
-    for i in model.arm.ancestors(body):
-        R_i, p_i = links[i]
+    if axes == "E":
+        seen = _seen_from(model, q, body, R_in_body, p_in_body)
+        moving = [(i, R, -p) for i, (R, p) in seen.items()]
+    else:
+        links = link_poses(model, q)
+        R_W, p_W = links[body]
+        origin = R_W @ p_in_body + p_W
+        moving = [(i, links[i][0], origin - links[i][1]) for i in model.arm.ancestors(body)]
+    for i, R_i, arm in moving:
         axis = R_i[:, 2]
         if model.joints[i].prismatic:
             J[:3, i] = axis
         else:
-            J[:3, i] = cross(axis, origin - p_i)
+            J[:3, i] = cross(axis, arm)
             J[3:, i] = axis
-    if axes == "W":
-        return J
-    R_E = R_W @ R_in_body
-    out = tm.zeros((6, model.n))
-    out[:3], out[3:] = R_E.T @ J[:3], R_E.T @ J[3:]
+    return J
+
+
+def _seen_from(
+    model: Model, q: Vector, body: int, R_in_body: Matrix, p_in_body: Vector3
+) -> dict[int, tuple[Matrix, Vector3]]:
+    """Orientation and origin of the links before a frame, in that frame's own axes and from its origin."""
+    R: Matrix = R_in_body.T
+    p: Vector3 = -(R_in_body.T @ p_in_body)
+    out: dict[int, tuple[Matrix, Vector3]] = {}
+    while body != BASE:
+        out[body] = R, p
+        R_in_parent, p_in_parent = _placed(model.joints[body], q[body])
+        R = R @ R_in_parent.T
+        p = p - R @ p_in_parent
+        body = model.joints[body].parent
     return out
 
 
@@ -259,19 +295,9 @@ def jacobian_rate_v(model: Model, q: Vector, v: Vector, frame: str | None = None
     body, R_in_body, p_in_body = model.placement(frame)
     if body == BASE:
         return tm.zeros(6)
-    zero = np.zeros(3)
-    w, dw, dp = zero, zero, zero  # angular velocity and acceleration, acceleration of the origin; body axes
-    for i in model.arm.ancestors(body):
-        joint = model.joints[i]
-        R, p = _placed(joint, q[i])
-        dp = R.T @ (dp + cross(dw, p) + cross(w, cross(w, p)))
-        w, dw = R.T @ w, R.T @ dw
-        if joint.prismatic:
-            dp = dp + 2.0 * v[i] * cross(w, Z)
-        else:
-            dw = dw + v[i] * cross(w, Z)
-            w = w + v[i] * Z
-    dp = dp + cross(dw, p_in_body) + cross(w, cross(w, p_in_body))
+    placed = _placed_all(model, q)
+    _, dw, dp, U = _motions(model, placed, model.arm.ancestors(body), v, None, gravity=False)[body]
+    dp = dp + U @ p_in_body
     if axes == "W":
         R_W = link_poses(model, q)[body][0]
         return tm.array([*(R_W @ dp), *(R_W @ dw)])

@@ -40,10 +40,17 @@ class RigidBody:
     def seen_from(self, R: Matrix, p: Vector3) -> RigidBody:
         """The same body in the frame in which this one has orientation R and origin p."""
         h = R @ self.h
-        S, H = tm.skew(p), tm.skew(h)
-        cross = S @ H
-        I = R @ self.I @ R.T - cross - cross.T - self.m * (S @ S)
-        return RigidBody(m=self.m, h=h + self.m * p, I=I)
+        # R I R^T - [p] [h] - [h] [p] - m [p] [p], six entries of it: with u = h + m p / 2 the rest is
+        # 2 (p . u) 1 - p u^T - u p^T.
+        half, rows = (R @ self.I).tolist(), R.tolist()
+        P = np.outer(p, h + (0.5 * self.m) * p).tolist()
+        I: list[list[Any]] = [[0.0] * 3 for _ in range(3)]
+        for i in range(3):
+            for j in range(i + 1):
+                turned = half[i][0] * rows[j][0] + half[i][1] * rows[j][1] + half[i][2] * rows[j][2]
+                moved = 2.0 * (P[i - 1][i - 1] + P[i - 2][i - 2]) if i == j else -(P[i][j] + P[j][i])
+                I[i][j] = I[j][i] = turned + moved
+        return RigidBody(m=self.m, h=h + self.m * p, I=tm.array(I))
 
 
 @dataclass(frozen=True, kw_only=True)

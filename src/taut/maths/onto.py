@@ -29,7 +29,7 @@ def onto(constraint: Constraint, arm: Arm, q: ArrayLike) -> Float64Array:
 
     Raises:
         RangeError: No state of the arm near there keeps to it.
-        UsageError: No constraint.
+        UsageError: No constraint, no arm.
 
     Example:
         >>> import taut
@@ -40,6 +40,8 @@ def onto(constraint: Constraint, arm: Arm, q: ArrayLike) -> Float64Array:
     """
     if not isinstance(constraint, Constraint):  # callers without a type checker
         raise UsageError(f"onto takes a taut.Constraint; got {type(constraint).__name__}", name="constraint")
+    if not isinstance(arm, Arm):
+        raise UsageError(f"onto takes an arm from taut.load_arm; got {type(arm).__name__}", name="arm")
     at = vector("q", q, arm.n, joints=arm.joint_names)
     for _ in range(STEPS):
         x = snapshot(arm, at)

@@ -30,6 +30,7 @@ TOP_SPEED: Final = 0.97  # of a joint's limit
 LEAST_ROOM: Final = 0.05  # of the effort: what is taken to be left where gravity takes all of it
 FULL: Final = 0.9  # of the border: where limits act in full
 STEEP: Final = 0.5  # of the border: where damping acts in full
+LEAST_CUT: Final = 1e-9  # of what is asked: what counts as cut
 TINY: Final = 1e-12  # keeps the pivots of what is to be inverted from zero
 ENDLESS: Final = 1.4  # [m] reach of an arm whose slides have no ends
 
@@ -112,17 +113,17 @@ def resolve(
         weight[3:] = size.length**2
     if wide:
         back, side = x.M_factors.solve(J.T), np.eye(k)
-        u = least_direction(J)
-        moved, r = J.T @ u, u / weight
+        u, square = least_direction(J)  # the square is not under that of the least singular value, whatever u is
+        r = u / weight
         r = r / (u @ r)
-        loose = TINY * _ramp(moved @ moved, size.border, STEEP)
+        loose = TINY * _ramp(square, size.border, STEEP)
         factors = factor_spd(J @ back + loose * tm.eye(k))
     else:
         back, side = np.eye(n), (weight[:, None] * J).T
         factors = factor_spd(side @ J + TINY * tm.eye(n))
-        u = r = factors.least_direction()
-        moved = J @ u
-    square = moved @ moved  # not under that of the least singular value, whatever u is
+        u, _ = factors.least_direction()
+        r, moved = u, J @ u
+        square = moved @ moved
     z = factors.solve(r)
     inside = r @ z
     scale = 1.0 / (inside * (square + TINY)) if wide else 1.0  # from the kinetic to the kinematic measure
@@ -170,7 +171,7 @@ def resolve(
         of=of,
         scale=1.0 - near * (1.0 - use),
         lost=1.0 - kept * (1.0 - given_up),
-        held=tm.where(tm.minimum(tm.minimum(rho, slow), use) < 1.0, near, 0.0),
+        held=near * tm.minimum((1.0 - tm.minimum(tm.minimum(rho, slow), use)) * (1.0 / LEAST_CUT), 1.0),
         project=project,
     )
 
@@ -184,10 +185,11 @@ def _ramp(square: Any, border: float, full: float) -> Any:
 def _within(part: Vector, other: Vector, scale: Any, velocity: Float64Array) -> tuple[Any, Any]:
     """The largest rho <= 1 that keeps |other + rho part| within limits, and the factor that brings the sum there."""
     joints = [i for i, top in enumerate(velocity) if np.isfinite(top)]
+    # (limit - other sign(part)) / |part|, without a jump where part changes its sign
     shares = [1.0]
     for i in joints:
-        room = scale * velocity[i] - tm.where(part[i] > 0.0, other[i], -other[i])
-        shares.append(room / (tm.abs(part[i]) + TINY))
+        room = scale * velocity[i] * tm.abs(part[i]) - other[i] * part[i]
+        shares.append((room + TINY) / (part[i] * part[i] + TINY * TINY))
     rho = tm.maximum(0.0, _folded(tm.minimum, shares))
     sizes = [tm.abs(other[i] + rho * part[i]) * (1.0 / velocity[i]) for i in joints]
     return rho, scale / _folded(tm.maximum, [scale, *sizes])

@@ -410,6 +410,14 @@ class Snapshot:
         }
         return twin
 
+    def feeling(self, change: Callable[[Wrench], Wrench]) -> Snapshot:
+        """The same snapshot, shared, with another F_ext where one is measured."""
+        twin = self.with_own_record()
+        twin.used = self.used
+        if "F_ext" in self._measured:
+            twin._measured = {**self._measured, "F_ext": change(self._measured["F_ext"])}
+        return twin
+
     def with_own_record(self) -> Snapshot:
         """The same snapshot, shared, with a record of its own of what is asked for."""
         twin = Snapshot.__new__(Snapshot)

@@ -20,10 +20,12 @@ __all__ = [
     "curve",
     "left_jacobian",
     "left_jacobian_inverse",
+    "moved",
     "pose_exp",
     "pose_log",
     "pose_log_rate",
     "rotated",
+    "rotated_matrix",
     "rotation_exp",
     "rotation_log",
     "rotation_log_and_curve",
@@ -36,6 +38,15 @@ SMALL: Final = 1e-4  # below this square of an angle [rad^2] a series is more ac
 def rotated(R: Rotation, six: Any) -> Twist:
     """(6,) a twist, wrench or acceleration given in the axes of B, in those of A: both parts turned by R_AB."""
     return tm.array([*(R @ six[:3]), *(R @ six[3:])])
+
+
+def rotated_matrix(R: Rotation, C: Matrix) -> Matrix:
+    """(6, 6) of one set of axes in another, block by block: an inertia, a stiffness, a mobility."""
+    out = tm.zeros((6, 6))
+    for i in (0, 3):
+        for j in (0, 3):
+            out[i : i + 3, j : j + 3] = R @ C[i : i + 3, j : j + 3] @ R.T
+    return out
 
 
 # -------------------------------------------------------------------- rotations
@@ -164,6 +175,11 @@ def pose_exp(xi: Twist) -> Pose:
     W = tm.skew(w)
     square = W @ W
     return Pose.of(tm.eye(3) + a * W + b * square, v + b * (W @ v) + c * (square @ v))
+
+
+def moved(T: Pose, step: Twist) -> Pose:
+    """T after a small step of a world-aligned twist, to first order: by it functions of poses are differentiated."""
+    return Pose.of(T.R + tm.skew(step[3:]) @ T.R, T.p + step[:3])
 
 
 def pose_log_rate(xi: Twist) -> Matrix:

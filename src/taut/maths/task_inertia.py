@@ -59,11 +59,11 @@ class TaskInertia:
         rows = [i for i in range(len(J)) if not _is_zero(J[i])]  # a planar arm never moves along the others
         part = J[rows]
         A = part @ W[:, rows] + TINY * tm.eye(len(rows))
-        u = least_direction(part)
+        u, _ = least_direction(part)
         shown, half = u @ factor_spd(A).solve(u), 0.5 * most
         over = tm.maximum(shown - half, 0.0)
         wanted = half + half * over / (half + over)  # tends to `most`, with the slope 1 at half of it
-        s = tm.where(shown > half, 1.0 / wanted - 1.0 / shown, 0.0)
+        s = 1.0 / wanted - 1.0 / tm.maximum(shown, half)
         inverse = factor_spd(A + s * np.outer(u, u)).inverse()
         Lambda = most * tm.eye(len(J))
         for i, row in enumerate(rows):
@@ -93,6 +93,7 @@ def _is_zero(row: Vector) -> bool:
     return all(isinstance(entry, float) and entry == 0.0 for entry in row.tolist())
 
 
-def least_direction(J: Matrix) -> Vector:
-    """(k,) the unit direction in which J (k, n) moves least; exact where it is nearly lost."""
-    return factor_spd(J @ J.T + TINY * tm.eye(len(J))).least_direction()
+def least_direction(J: Matrix) -> tuple[Vector, Any]:
+    """(k,) the unit direction u in which J (k, n) moves least, and |J^T u|^2; exact where it is nearly lost."""
+    u, square = factor_spd(J @ J.T + TINY * tm.eye(len(J))).least_direction()
+    return u, square - TINY

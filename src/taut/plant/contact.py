@@ -15,7 +15,8 @@ from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.quantity import Quantity, keep_quantities
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.control.constraint_checks import check_constraint
-from taut.maths.constraint import Constraint, Piece
+from taut.maths.constraint import Constraint
+from taut.maths.constraint_rows import Piece
 from taut.maths.contact import Touch
 from taut.maths.model import model_of
 from taut.maths.snapshot import Snapshot

@@ -23,6 +23,7 @@ from taut.plant import drive
 from taut.plant.actuation import Actuation
 from taut.plant.contact import Contacts
 from taut.plant.contact_step import ContactStep, contact_step
+from taut.plant.disturbance import WRENCH, joint_forces
 from taut.plant.drivetrain import Drivetrain, FrictionLimits
 from taut.plant.environment import Environment, touch
 from taut.plant.stiff_drive import aim
@@ -96,6 +97,17 @@ class Motion:
         before, numbers = subtree(memory, "environment"), subtree(parameters, "environment")
         return touch(self.environment, self.model, q, v, before, numbers, t, dt)
 
+    def _outside(
+        self, q: Vector, v: Vector, memory: Values, parameters: Values, t: Any, dt: Any
+    ) -> tuple[Array | None, Array | None, dict[str, Any]]:
+        """(6,) F_ext and the (n,) forces of joints from outside, None where there are none; the memory after it."""
+        wrench: Array | None = parameters.get(WRENCH)
+        touched: dict[str, Any] = {}
+        if self.environment is not None:
+            felt, touched = self.touch(q, v, memory, parameters, t, dt)
+            wrench = felt if wrench is None else felt + wrench
+        return wrench, joint_forces(self.model, q, wrench, parameters), touched
+
     @staticmethod
     def _touched(memory: Values, wrench: Array, touched: Values, t: Any) -> dict[str, Any]:
         """Memory of what touches the tool after a step; its work is added by who knows the way."""
@@ -107,12 +119,11 @@ class Motion:
         q, v = memory["q"], memory["v"]
         q_new, v_new = aim(takes, self.arm, memory["held"], q, v, parameters["actuation.bandwidth"], dt)
         a = (v_new - v) / dt
-        force: Any = np.zeros(self.arm.n)
-        out = dict(memory)
+        out, t = dict(memory), memory.get("t", 0.0)
+        wrench, outside, touched = self._outside(q, v, memory, parameters, t, dt)
+        force: Any = np.zeros(self.arm.n) if outside is None else outside
         if self.environment is not None:
-            t = memory.get("t", 0.0)
-            wrench, touched = self.touch(q, v, memory, parameters, t, dt)
-            force = dyn.jacobian(self.model, q).T @ wrench
+            assert wrench is not None
             out |= self._touched(memory, wrench, touched, t + dt)
             out[WORK_OF_IT] = memory[WORK_OF_IT] + 0.5 * dt * (force @ (v + v_new))
         tau = link = dyn.inverse_dynamics(self.link_model, q, v, a, payload_of(parameters)) - force
@@ -135,11 +146,11 @@ class Motion:
         added = self.compensation(q, v, parameters)
         given = drive.driven(self.actuation, self.arm, memory, q_m, v_m, parameters, dt, added)
         out = {**memory, **given.memory, "tau": given.tau}
-        tau, force = given.tau + added, None
+        tau = given.tau + added
+        wrench, force, touched = self._outside(q, v, memory, parameters, t, dt)
         if self.environment is not None:
-            wrench, touched = self.touch(q, v, memory, parameters, t, dt)
+            assert wrench is not None
             out |= self._touched(memory, wrench, touched, t + dt)
-            force = dyn.jacobian(self.model, q).T @ wrench
         if smooth:
             q_new, v_new, done = self._rk4(q, v, given.tau, memory, parameters, t, dt)
             moved = _Moved(q=q_new, v=v_new, f=np.zeros(self.arm.n), spring=tau)
@@ -151,7 +162,7 @@ class Motion:
                 out["t"] = t + dt
                 if "F_ext" in memory:
                     felt = moved.contact.wrench
-                    out["F_ext"] = felt if self.environment is None else out["F_ext"] + felt
+                    out["F_ext"] = felt if wrench is None else wrench + felt
         if WORK_OF_IT in memory:
             out[WORK_OF_IT] = memory[WORK_OF_IT] + done
         out |= {**moved.memory, "q": moved.q, "v": moved.v}
@@ -235,9 +246,8 @@ class Motion:
             force = tau + self.compensation(q, v, parameters)
             if "plant.friction.viscous" in parameters:
                 force = force - parameters["plant.friction.viscous"] * v
-            if self.environment is not None:
-                wrench, _ = self.touch(q, v, memory, parameters, t, dt)
-                outside = dyn.jacobian(self.model, q).T @ wrench
+            _, outside, _ = self._outside(q, v, memory, parameters, t, dt)
+            if outside is not None:
                 power, force = outside @ v, force + outside
             return v, dyn.forward_dynamics(self.link_model, q, v, force, payload, damping=rotor), power
 

@@ -14,7 +14,7 @@ from taut.record.felt import deviation_promised
 from taut.record.force import force_error
 from taut.record.metrics import MEASURES
 from taut.record.run import Run
-from taut.record.style import DASHED, INK, SMALL, WIDTH, colour, legend_above, line, prepared, short_name
+from taut.record.style import DASHED, INK, SMALL, WIDTH, colour, legend_above, line, prepared, short_name, wrapped
 from taut.record.task_plot import is_task_run
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ BARS: Final = ("rms_error", "peak_error", "effort", "chatter")
 TASK_BARS: Final = ("task_rms", "task_rms_rotation", "effort", "chatter")
 FORCE_BARS: Final = ("force_error_rms", "moment_error_rms", "effort", "chatter")
 MOST: Final = 8  # runs in one figure
+NAME: Final = 18  # letters of a run's name beside its bars, on each of two lines
 ROUNDING: Final = 1e-12  # below which an error is none
 FAR_APART: Final = 30.0  # ratio of errors above which their axis is logarithmic
 
@@ -67,7 +68,9 @@ def compare(
     rows = max(len(values) for values in bars.values())
     over_time = [2.1] if len(heads) == 1 else [1.6] * len(heads)
     over_time = over_time if joint is None else [1.9, 1.7]
-    heights = [0.5 + sum(over_time), rows * (0.3 + 0.22 * len(runs))]
+    labels = [wrapped(name, NAME) for name in runs]
+    bar = 0.36 if any("\n" in label for label in labels) else 0.22  # [in]
+    heights = [0.5 + sum(over_time), rows * (0.3 + bar * len(runs))]
     figure = Figure(figsize=(WIDTH, 0.3 + sum(heights)), dpi=150, layout="constrained")
     if title:
         figure.suptitle(title, fontsize=9.5, color=INK, x=0.01, ha="left")
@@ -76,7 +79,7 @@ def compare(
     if joint is not None:
         _one_joint(runs, joint, *norms)
     for ax, (words, unit) in zip(norms, heads, strict=True) if joint is None else ():
-        shown = "norm of the tracking error" if len(heads) == 1 else words
+        shown = "norm of the tracking error" if len(heads) == 1 and words.endswith(f"joints in {unit}") else words
         shown_errors = [parts.get((words, unit)) for parts in errors.values()]
         _norms(runs, shown_errors, prepared(ax, shown, f"[{unit}]"))
     promised = joint is None and _promised(runs, norms[0])
@@ -99,7 +102,7 @@ def compare(
             _bars(prepared(ax, f"{MEASURES[measure].title} [{unit}]"), numbers)
     for row in grid:
         first = next(ax for ax in row if ax.get_visible())
-        first.set_yticks(first.get_yticks(), [short_name(name, 18) for name in runs])
+        first.set_yticks(first.get_yticks(), labels)
     return figure
 
 

@@ -93,21 +93,23 @@ MEASURES: Final = {
     "task_peak_rotation": of_tool("rotation peak", "rad", "peak of the angle of the tool's rotation error"),
     "least_singular_value": of_tool("least singular", "1", "the smallest singular value of J in the run"),
     "least_force": of_tool("least force", "N", "the least norm of the environment's force"),
-    "force_rms": of_tool("RMS force", "N", "RMS of the norm of the environment's force"),
+    "force_rms": of_tool("force RMS", "N", "RMS of the norm of the environment's force"),
     "peak_force": of_tool("peak force", "N", "peak of the norm of the environment's force"),
     "peak_moment": of_tool("peak moment", "N m", "peak of the norm of the environment's moment"),
     "moment_rms": of_tool("moment RMS", "N m", "RMS of the norm of the environment's moment"),
-    "force_error_rms": of_tool("force RMS", "N", "RMS of the norm of the error of the force that the arm applies"),
-    "force_error_peak": of_tool("force peak", "N", "peak of the norm of that error"),
-    "moment_error_rms": of_tool(
-        "moment RMS", "N m", "RMS of the norm of the error of the moment that the arm applies"
+    "force_error_rms": of_tool(
+        "force error RMS", "N", "RMS of the norm of the error of the force that the arm applies"
     ),
-    "moment_error_peak": of_tool("moment peak", "N m", "peak of the norm of that error"),
-    "press_rms": of_tool("press RMS", "N", "RMS of the error of the force along the true normal"),
-    "press_peak": of_tool("press peak", "N", "peak of the error of the force along the true normal"),
+    "force_error_peak": of_tool("force error peak", "N", "peak of the norm of that error"),
+    "moment_error_rms": of_tool(
+        "moment error RMS", "N m", "RMS of the norm of the error of the moment that the arm applies"
+    ),
+    "moment_error_peak": of_tool("moment error peak", "N m", "peak of the norm of that error"),
+    "press_rms": of_tool("press error RMS", "N", "RMS of the error of the force along the true normal"),
+    "press_peak": of_tool("press error peak", "N", "peak of the error of the force along the true normal"),
     "largest_press": of_tool("largest press", "N", "peak of the force along the true normal"),
-    "surface_rms": of_tool("surface RMS", "m", "RMS of the tool's position error along the true surface"),
-    "surface_peak": of_tool("surface peak", "m", "peak of the tool's position error along the true surface"),
+    "surface_rms": of_tool("path error RMS", "m", "RMS of the tool's position error along the true surface"),
+    "surface_peak": of_tool("path error peak", "m", "peak of the tool's position error along the true surface"),
     "normal_error": of_tool("normal error", "deg", "angle between the normal of the law and the true one at the end"),
     "contact_lost_time": of_tool("contact lost", "s", "time in which the tool met less than was asked for"),
     "impedance_error": of_tool("against eq. 10.48", "%", "RMS difference to eq. 10.48 integrated, of its RMS"),

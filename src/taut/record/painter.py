@@ -40,6 +40,7 @@ def draw_all(folder: Path, out: IO[bytes]) -> None:
     out.write(READY)
     for k, qpos in enumerate(frames["qpos"]):
         data.qpos = qpos
+        data.mocap_pos, data.mocap_quat = frames["moving"][k, :, :3], frames["moving"][k, :, 3:]
         mujoco.mj_kinematics(model, data)
         mujoco.mj_camlight(model, data)
         renderer.update_scene(data, camera)

@@ -24,13 +24,15 @@ from taut.record.style import (
     SMALL,
     WIDTH,
     colour,
+    dashes,
     legend_above,
+    legend_rows,
     line,
     prepared,
     short,
     short_name,
 )
-from taut.record.task_plot import TASK_HEIGHT, is_task_run, is_touched, plot_task, plot_wrench
+from taut.record.task_plot import TASK_HEIGHT, is_touched, plot_task, plot_wrench, shows_tool
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,6 +46,7 @@ __all__ = ["compare", "plot"]
 MOST: Final = 8  # joints in one figure
 ACROSS: Final = 4  # small pictures side by side
 NEAR: Final = 0.5  # of a limit: a joint that gets there has its limit drawn
+LEGEND_LINE: Final = 0.19  # [in]
 LETTERS: Final = 96  # in one line of the title
 MOST_LINES: Final = 4  # of how the run ended, with its way out
 TIME: Final = "t [s]"
@@ -77,8 +80,11 @@ def plot(run: Run, *, joints: Iterable[str | int] | None = None) -> Figure:
     units = list(dict.fromkeys(run.units[i] for i in shown))
     overview_rows = 2 if len(shown) == 1 else len(units)
     term_rows = 0 if len(shown) == 1 or not run.terms else -(-len(shown) // ACROSS)
-    heights = [0.55 + 1.75 * overview_rows, 0.45 + 1.35 * term_rows][: 2 if term_rows else 1]
-    of_task = is_task_run(run)
+    heights = [0.55 + 1.75 * overview_rows]
+    if term_rows:
+        lines = legend_rows([str(key.get_label()) for key in _headed_term_keys(run)])
+        heights.append(0.25 + LEGEND_LINE * lines + 1.35 * term_rows)
+    of_task = shows_tool(run)
     touched = is_touched(run)
     heights = [TASK_HEIGHT] * (of_task + touched) + heights
     figure = Figure(figsize=(WIDTH, 0.5 + sum(heights)), dpi=150, layout="constrained")
@@ -132,6 +138,8 @@ def _title(run: Run, shown: Sequence[int]) -> str:
     arm, plant = str(run.info.get("arm", "")), str(run.info.get("plant", ""))
     place = plant if arm and arm in plant else f"{arm}, {plant}".strip(", ")
     law = _NUMBER.sub(lambda number: f"{float(number[0]):.4g}", str(run.info.get("law", "run")))
+    if PHASES in run.info:  # the laws of all phases have no room
+        law = ", ".join(run.info[PHASES])
     law = short(law, LETTERS - len(place) - 4)
     which = f"{len(shown)} of {run.n} joints; " if len(shown) < run.n else ""
     ended = textwrap.wrap(which + str(run.outcome), LETTERS, max_lines=MOST_LINES, placeholder="...")
@@ -169,8 +177,6 @@ def _overview(run: Run, shown: Sequence[int], units: Sequence[str], figure: SubF
 
 def _small_pictures(run: Run, shown: Sequence[int], figure: SubFigure, rows: int) -> None:
     """The terms of the command, a small picture for each joint."""
-    from matplotlib.lines import Line2D
-
     axes = figure.subplots(rows, ACROSS if rows > 1 else len(shown), squeeze=False, sharex=True)
     for i, ax in enumerate(axes.flat):
         if i >= len(shown):
@@ -183,8 +189,7 @@ def _small_pictures(run: Run, shown: Sequence[int], figure: SubFigure, rows: int
             ax.tick_params(labelbottom=True)
     for ax in axes[-1]:
         ax.set_xlabel(TIME, fontsize=SMALL, color=INK)
-    heading = Line2D([], [], linewidth=0.0, label=f"{TERMS[run.kind]}:")
-    legend_above(figure, [heading, *_term_keys(run)])
+    legend_above(figure, _headed_term_keys(run))
 
 
 def _positions(run: Run, joints: Sequence[int], unit: str, ax: Axes, places: Sequence[int] = (0,)) -> None:
@@ -237,7 +242,7 @@ def _limits(run: Run) -> Float64Array:
 
 def _terms(run: Run, joint: int, ax: Axes, first: int = 0) -> None:
     for i, name in enumerate(_busy_terms(run), start=first):
-        line(ax, run.t, run.terms[name][:, joint], colour(i))
+        line(ax, run.t, run.terms[name][:, joint], colour(i), style=dashes(i))
 
 
 def _busy_terms(run: Run) -> list[str]:
@@ -259,11 +264,21 @@ def _keys(run: Run, joints: Sequence[int], *torque_axes: Axes) -> list[Line2D]:
     return keys
 
 
+def _headed_term_keys(run: Run) -> list[Line2D]:
+    """The keys of the terms, with what they are of before them."""
+    from matplotlib.lines import Line2D
+
+    return [Line2D([], [], linewidth=0.0, label=f"{TERMS[run.kind]}:"), *_term_keys(run)]
+
+
 def _term_keys(run: Run, first: int = 0) -> list[Line2D]:
     """A key for each term, and one that names those that are zero all the time."""
     from matplotlib.lines import Line2D
 
     busy = _busy_terms(run)
-    keys = [Line2D([], [], color=colour(i), linewidth=1.5, label=name) for i, name in enumerate(busy, start=first)]
+    keys = [
+        Line2D([], [], color=colour(i), linewidth=1.5, linestyle=dashes(i), label=name)
+        for i, name in enumerate(busy, start=first)
+    ]
     idle = [name for name in run.terms if name not in busy]
     return [*keys, Line2D([], [], linewidth=0.0, label=f"zero: {', '.join(idle)}")] if idle else keys

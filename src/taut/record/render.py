@@ -39,6 +39,7 @@ class Frames:
     """What is drawn: the same numbers for every backend."""
 
     qpos: Float64Array  # (k, n) in the order of the model
+    moving: Float64Array  # (k, m, 7) position [m] and quaternion wxyz of the bodies that move by themselves
     tool: Float64Array  # (k, 3) [m] where the tool goes
     wanted: Float64Array  # (k, 3) [m] where it should, or (0, 3)
     camera: Float64Array  # (6,) centre [m], distance [m], azimuth [deg], elevation [deg]

@@ -211,9 +211,10 @@ class Run:
         arm: Arm | None = None,
         progress: bool | None = None,
     ) -> Path:
-        """A film of the arm: rendered by MuJoCo where OpenGL works, else a schematic drawing, with a warning.
+        """A film: rendered by MuJoCo where OpenGL works, else a schematic drawing of the arm, with a warning.
 
-        It shows the arm alone: not what else stands in a MuJoCo scene, nor an environment.
+        It shows the arm, the scene of a MujocoPlant with what moves in it, and the surfaces that a RigidPlant's
+        contacts and walls have near the tool; a warning says what of them has no shape to show. A log keeps them.
 
         Args:
             path: Where to: .gif, or .mp4 where ffmpeg is installed.

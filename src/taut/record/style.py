@@ -5,7 +5,9 @@ Nothing here touches matplotlib's global state: every size and colour is given w
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+import textwrap
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
 import numpy as np
 
@@ -21,15 +23,21 @@ __all__ = [
     "DASHED",
     "DOTTED",
     "INK",
+    "LETTER",
     "SMALL",
     "WIDTH",
     "colour",
+    "dashes",
     "legend_above",
+    "legend_rows",
     "line",
     "prepared",
     "short",
     "short_name",
+    "wrapped",
 ]
+
+LineStyle: TypeAlias = Literal["-"] | tuple[float, tuple[float, ...]]
 
 COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5B4A9E", "#7A7A7A")
 """After Okabe and Ito; their yellow, which a white page swallows, is a violet, and black is kept for references."""
@@ -40,6 +48,7 @@ SMALL: Final = 8.0  # [pt] of all letters but titles
 TITLE: Final = 8.5
 DASHED: Final = (0.0, (4.0, 3.0))
 DOTTED: Final = (0.0, (1.0, 1.5))
+BROKEN: Final = (0.0, (6.0, 1.0, 1.0, 1.0))
 LETTER: Final = 0.58  # width of a letter in parts of its size
 MOST_POINTS: Final = 4000  # of a line; more than any page can show
 
@@ -47,6 +56,11 @@ MOST_POINTS: Final = 4000  # of a line; more than any page can show
 def colour(i: int) -> str:
     """The i-th colour; they repeat after eight."""
     return COLOURS[i % len(COLOURS)]
+
+
+def dashes(i: int) -> LineStyle:
+    """The dashes of the i-th curve: none of the first eight, whose colours the next eight have again."""
+    return BROKEN if i // len(COLOURS) % 2 else "-"
 
 
 def short(text: str, most: int) -> str:
@@ -58,6 +72,11 @@ def short_name(text: str, most: int) -> str:
     """A name of at most so many characters, cut in its middle: names of joints often differ at their end."""
     half = (most - 3) // 2
     return text if len(text) <= most else f"{text[: most - 3 - half]}...{text[-half:]}"
+
+
+def wrapped(text: str, most: int) -> str:
+    """A text on two lines of at most so many characters, if it is longer than one."""
+    return "\n".join(textwrap.wrap(text, most, max_lines=2, placeholder=" ...")) or text
 
 
 def prepared(ax: Axes, title: str = "", ylabel: str = "", xlabel: str = "") -> Axes:
@@ -77,13 +96,15 @@ def prepared(ax: Axes, title: str = "", ylabel: str = "", xlabel: str = "") -> A
     return ax
 
 
-def line(ax: Axes, t: Float64Array, y: Float64Array, colour: str, *, reference: bool = False) -> None:
+def line(
+    ax: Axes, t: Float64Array, y: Float64Array, colour: str, *, reference: bool = False, style: LineStyle = "-"
+) -> None:
     """One curve; a reference is thin, dark and dashed, so that the curve shows beneath it."""
     t, y = thinned(t, y)
     if reference:
         ax.plot(t, y, color=INK, linewidth=0.9, linestyle=DASHED, zorder=3)
     else:
-        ax.plot(t, y, color=colour, linewidth=1.5, solid_joinstyle="round")
+        ax.plot(t, y, color=colour, linewidth=1.5, linestyle=style, solid_joinstyle="round")
 
 
 def thinned(t: Float64Array, y: Float64Array) -> tuple[Float64Array, Float64Array]:
@@ -99,15 +120,25 @@ def thinned(t: Float64Array, y: Float64Array) -> tuple[Float64Array, Float64Arra
     return t[picked], y[picked]
 
 
+def legend_rows(labels: Sequence[str]) -> int:
+    """How many lines a legend has that is as wide as the page allows."""
+    sizes = np.array([3.6 * SMALL + LETTER * SMALL * len(label) for label in labels])
+    rows = 1
+    while rows < len(sizes):
+        columns = np.array_split(sizes, -(-len(sizes) // rows))  # as matplotlib fills them
+        if sum(column.max() for column in columns) <= 72.0 * WIDTH:
+            break
+        rows += 1
+    return rows
+
+
 def legend_above(figure: FigureBase, handles: list[Line2D]) -> None:
     """A legend in the margin above the axes of a figure or a part of one, as wide as the page allows."""
-    sizes = [3.6 * SMALL + LETTER * SMALL * len(str(handle.get_label())) for handle in handles]
-    in_one_line = sum(sizes) <= 72.0 * WIDTH
-    columns = len(handles) if in_one_line else max(1, int(72.0 * WIDTH / max(sizes)))
+    columns = -(-len(handles) // legend_rows([str(handle.get_label()) for handle in handles]))
     figure.legend(
         handles=handles,
         loc="outside upper left",
-        ncols=min(columns, len(handles)),
+        ncols=columns,
         fontsize=SMALL,
         frameon=False,
         labelcolor=INK,

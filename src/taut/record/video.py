@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 import os
@@ -19,9 +20,11 @@ import numpy as np
 from taut.arm.description import Arm
 from taut.base.checks import positive_scalar
 from taut.base.errors import FileError, MatchError, RangeError, UsageError
+from taut.base.pose import Pose
 from taut.base.types import Float64Array
 from taut.control.task_reference import TaskMotion
 from taut.record import painter, render, scene, sketch
+from taut.record.around import Around, around_of, poses_of
 from taut.record.files import checked_target, written_aside
 from taut.record.progress import Progress
 from taut.record.skeleton import Skeleton, View, upright
@@ -29,7 +32,7 @@ from taut.record.skeleton import Skeleton, View, upright
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = ["film"]
+__all__ = ["film", "upright_poses"]
 
 Picture: TypeAlias = np.ndarray[Any, np.dtype[np.uint8]]
 Ticks: TypeAlias = np.ndarray[Any, np.dtype[np.intp]]
@@ -38,6 +41,7 @@ SUFFIXES: Final = (".gif", ".mp4")
 FASTEST: Final = {".gif": 50, ".mp4": 240}  # [1/s] a GIF counts in hundredths of a second
 SIZES: Final = (16, 4096)  # [pixel]
 SHADES: Final = 16  # of the trail, in a GIF
+LOOKS: Final = 7  # pictures in which the tool is to be seen
 FAR: Final = 1e6  # [rad | m] positions beyond this are not drawn: the run had diverged
 
 
@@ -60,8 +64,10 @@ def film(
     ticks = _ticks(run, positive_scalar("speed", speed) / fps)
     skeleton = Skeleton.of(shown, run.q[ticks])
     wanted = _wanted(run, shown, ticks)
+    around = around_of(run)
+    moving = upright_poses(poses_of(run, around, ticks), shown)
     with ExitStack() as stack, written_aside("video", target) as aside:
-        pictures, remark = _pictures(stack, run.q[ticks], skeleton, wanted, size)
+        pictures, remark = _pictures(stack, run.q[ticks], skeleton, wanted, size, around, moving)
         if remark:
             warnings.warn(f"video '{target}' {remark}", RuntimeWarning, stacklevel=3)
         bar = stack.enter_context(Progress(len(ticks), progress, "drawing"))
@@ -156,21 +162,46 @@ def _wanted(run: Run, arm: Arm, ticks: Ticks) -> Float64Array:
 # -------------------------------------------------------------------- pictures
 
 
+def upright_poses(poses: Float64Array, arm: Arm) -> Float64Array:
+    """(k, m, 7) poses in the arm's world as those in a world whose z axis points up."""
+    out, R = poses.copy(), upright(arm)
+    if np.array_equal(R, np.eye(3)):
+        return out
+    for row in out.reshape(-1, 7):
+        T = Pose(R=R) @ Pose(row[:3], wxyz=row[3:])
+        row[:] = [*T.p, *T.wxyz]
+    return out
+
+
 def _pictures(
-    stack: ExitStack, q: Float64Array, skeleton: Skeleton, wanted: Float64Array, size: tuple[int, int]
+    stack: ExitStack,
+    q: Float64Array,
+    skeleton: Skeleton,
+    wanted: Float64Array,
+    size: tuple[int, int],
+    around: Around,
+    moving: Float64Array,
 ) -> tuple[Iterator[Picture], str]:
     """Rendered pictures, else schematic ones, and what there is to say about them."""
     view = skeleton.view()
     folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="taut-video-"))
     try:
         render.check_mujoco()
-        model, places, problem = scene.scene(skeleton.arm, view, size)
-        frames = _frames(q, places, skeleton, wanted, view, size)
+        model, places, problem = scene.scene(skeleton.arm, view, size, around)
+        frames = _frames(q, places, skeleton, wanted, view, size, moving)
+        if around:
+            some = np.linspace(0, len(q) - 1, min(len(q), LOOKS)).astype(int)
+            shown = [(frames.qpos[k], moving[k], skeleton.tool[k]) for k in some]
+            view = scene.unhidden(model, view, size, shown)
+            frames = dataclasses.replace(frames, camera=_camera(view, size))
         renderer = stack.enter_context(render.opened(Path(folder), model, frames))
     except render.NoRendererError as cause:
-        reason = f"is a schematic drawing, because no OpenGL works here ({cause})"
+        alone = " of the arm alone" if around else ""
+        reason = f"is a schematic drawing{alone}, because no OpenGL works here ({cause})"
         return sketch.sketches(skeleton, wanted, view, size), reason
-    return renderer.pictures(), f"shows capsules in place of some visuals: {problem}" if problem else ""
+    remarks = [f"shows capsules in place of some visuals: {problem}"] if problem else []
+    remarks += [f"does not show {' and '.join(around.missing)}"] if around.missing else []
+    return renderer.pictures(), "; it ".join(remarks)
 
 
 def _frames(
@@ -180,11 +211,16 @@ def _frames(
     wanted: Float64Array,
     view: View,
     size: tuple[int, int],
+    moving: Float64Array,
 ) -> render.Frames:
     qpos = np.zeros_like(q)
     qpos[:, places] = q
-    camera = np.array([*view.centre, view.distance(*size), view.azimuth, view.elevation])
-    return render.Frames(qpos=qpos, tool=skeleton.tool, wanted=wanted, camera=camera, size=size)
+    camera = _camera(view, size)
+    return render.Frames(qpos=qpos, moving=moving, tool=skeleton.tool, wanted=wanted, camera=camera, size=size)
+
+
+def _camera(view: View, size: tuple[int, int]) -> Float64Array:
+    return np.array([*view.centre, view.distance(*size), view.azimuth, view.elevation])
 
 
 def _captioned(pictures: Iterator[Picture], times: Float64Array) -> Iterator[Any]:

@@ -18,6 +18,7 @@ from taut.controller import Controller, compile
 from taut.loop import Loop, ModelPlant, check_fit, require_no_reference, state_at_start
 from taut.record.progress import Progress
 from taut.record.run import Run
+from taut.runtime.around_info import around_info
 from taut.runtime.events import Event, sorted_events
 from taut.runtime.fused import FusedRun
 from taut.runtime.host import HostPlant
@@ -95,6 +96,7 @@ def run(
         "plant": target.name,
         "events": [event.json() for _, event in due],
         **tool_info(law, ctrl.side, q, ctrl.parameters),
+        **around_info(target, q, length),
     }
     going: FusedRun | HostedRun
     if isinstance(target, ModelPlant):

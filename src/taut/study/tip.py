@@ -14,7 +14,7 @@ from taut.maths.snapshot import snapshot
 from taut.study.limits import StiffnessCheck, StiffnessLimits, check_stiffness, checked_band
 from taut.study.sampled import SampledLoop, VelocityKind, square
 
-__all__ = ["check_stiffness_at", "safe_stiffness"]
+__all__ = ["check_stiffness_at", "direction_of", "safe_stiffness"]
 
 Frame = Literal["world", "tool"]
 FRAMES: Final[tuple[Frame, ...]] = ("world", "tool")
@@ -70,7 +70,7 @@ def safe_stiffness(
     References:
         Khatib, A unified approach for motion and force control (1987), for the mass. Colgate and Schenkel (1997).
     """
-    way = _direction(direction)
+    way = direction_of(direction)
     mobility, looseness = _mobilities(arm, q, tool, frame, damping)
     moved, lost = float(way @ mobility @ way), float(way @ looseness @ way)
     if moved <= REACH * float(np.abs(mobility).max()):
@@ -169,7 +169,12 @@ def _mobilities(
     return J @ np.linalg.solve(x.M, J.T), (J / joints) @ J.T
 
 
-def _direction(direction: ArrayLike) -> Float64Array:
+def direction_of(direction: ArrayLike) -> Float64Array:
+    """(6,) unit vector of a force or motion, (3,), or of a translation or rotation, (6,).
+
+    Raises:
+        ShapeError, RangeError: Another shape, both at once, or zero.
+    """
     given = finite_array("direction", direction)
     if given.shape not in ((3,), (6,)):
         raise ShapeError(f"direction must have shape (3,) or (6,); got shape {given.shape}", name="direction")

@@ -28,6 +28,8 @@ from taut.plant.numbers import PlantNumbers, require_torque_sensor
 from taut.plant.sensors import Sensors
 from taut.plant.stiff_drive import require_drives
 from taut.plant.transmission import require_rotors
+from taut.record.around import POSES, Around
+from taut.runtime.drivers.mujoco_around import SceneView
 from taut.runtime.drivers.mujoco_attach import Inertias, attached
 from taut.runtime.drivers.mujoco_drives import Compensation, Drives, Motors, cut_off
 from taut.runtime.drivers.mujoco_environment import EnvironmentStage
@@ -109,7 +111,8 @@ class MujocoPlant:
             work.environment [J] is what the environment did until the tick.
 
     Columns of a run:
-        F_ext (6,); with a scene contact.normal_force (3,), what of it is along the true normals of the contacts.
+        F_ext (6,); with a scene contact.normal_force (3,), what of it is along the true normals of the contacts;
+        scene.poses (m, 7), position [m] and quaternion wxyz of the scene's bodies that move and have shapes.
 
     Raises:
         UsageError: Options that do not go together.
@@ -212,6 +215,7 @@ class MujocoPlant:
         self._link, self._readings = LinkTorque(rig), SensorStage(arm, seen)
         self._take(rig, Motors(rig))
         self._normals = None if scene is None or touch is None else Normals(rig)
+        self._view = None if scene is None else SceneView(rig)
 
     @classmethod
     def attach(
@@ -261,6 +265,7 @@ class MujocoPlant:
         plant._stage = plant._touching = plant._normals = None
         plant._actuation, plant._sensors = Actuation(), Sensors()
         plant._take(rig, drives)
+        plant._view = SceneView(rig, tool=False)
         return plant
 
     def _take(self, rig: Rig, drives: Drives) -> None:
@@ -582,14 +587,20 @@ class MujocoPlant:
     def extra(self) -> dict[str, Any]:
         """(6,) F_ext of the last step; work of an environment until the tick; (n,) tau_cut of actuators or drives.
 
-        With a scene (3,) `contact.normal_force`, what of F_ext is along the normals of the contacts.
+        With a scene (3,) `contact.normal_force`, what of F_ext is along the normals of the contacts, and (m, 7)
+        `scene.poses` of its bodies that move.
         """
+        seen = {} if self._view is None or not self._view.moves else {POSES: self._view.poses(self._rig.data)}
         if self._settings is None:
-            return {"F_ext": self._F_ext, "tau_cut": self._cut}
+            return {"F_ext": self._F_ext, "tau_cut": self._cut, **seen}
         work = {} if self._touching is None else {WORK_OF_IT: np.asarray(self._work)}
         normal = {} if self._normals is None else {PRESSED: self._normals.of_contacts()}
         cut = {} if self._takes == "torque" else {"tau_cut": self._cut}
-        return {"F_ext": self._F_ext, **cut, **work, **normal, **self._saturated}
+        return {"F_ext": self._F_ext, **cut, **work, **normal, **self._saturated, **seen}
+
+    def around(self) -> Around:
+        """What stands around the arm, for films."""
+        return Around() if self._view is None else self._view.around
 
     def __repr__(self) -> str:
         return self.name

@@ -63,6 +63,7 @@ def built(arm: Arm, scene: Scene | None, options: ModelOptions, adds: Adds) -> R
     builder = _Builder(arm, options)
     shapes = Shapes(arm, builder.spec, builder.bodies, builder.tip or builder.payload)
     shapes.show(options.looks)
+    own = len(builder.spec.worldbody.geoms)
     if scene is not None:
         if options.touch is not None:
             shapes.touch(options.touch, options.tool_radius, options.tool_length, options.link_radius)
@@ -92,6 +93,7 @@ def built(arm: Arm, scene: Scene | None, options: ModelOptions, adds: Adds) -> R
         tool_body=payload,
         p_tool=np.zeros(3),
         adds=adds,
+        own_geoms=own,
     )
 
 

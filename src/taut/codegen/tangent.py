@@ -1,0 +1,224 @@
+"""A step with its derivative along one direction: compiled once, called for each direction.
+
+Both are one program, in which value and derivative share what they have in common. Its blocks are those of the step,
+and behind each of them the direction: how much each number grows.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Collection, Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from taut.base.array import traced_array
+from taut.base.derivative import tangents
+from taut.base.graph import Op
+from taut.base.scalar import Condition, active_graph, to_node, to_symbol
+from taut.base.types import Float64Array
+from taut.codegen.layout import Block
+from taut.codegen.llvm import declarations, kernel
+from taut.codegen.native import QUICK, available, compiled
+from taut.codegen.program import Function, Program, Values, trace
+from taut.codegen.text import Writer
+
+__all__ = ["TANGENT", "StepTangent", "tangent_block", "with_tangent"]
+
+TANGENT: Final = "tangent."  # begins the path of a derivative
+
+
+def tangent_block(block: Block, directed: Collection[str] | None = None) -> Block:
+    """The block, and behind it the direction of each field, or of those that are `directed`."""
+    some = block.shapes if directed is None else {p: s for p, s in block.shapes.items() if p in directed}
+    return Block.of({**block.shapes, **{f"{TANGENT}{path}": shape for path, shape in some.items()}})
+
+
+def with_tangent(function: Function, outputs: Collection[str]) -> Function:
+    """A function as its values and their derivatives along a direction, for tracing.
+
+    It takes blocks with a direction, see `tangent_block`, and gives all outputs, the derivatives of those in
+    `outputs`, and the new memory with its derivative.
+    """
+
+    def both(inputs: Values, parameters: Values, memory: Values) -> tuple[Values, Values]:
+        graph = active_graph()
+        assert graph is not None, "derivatives are taken of a trace"
+        seeds: dict[int, int] = {}
+        plain: list[dict[str, Any]] = []
+        for block in (inputs, parameters, memory):
+            plain.append({path: value for path, value in block.items() if not path.startswith(TANGENT)})
+            for path, value in plain[-1].items():
+                if TANGENT + path in block:
+                    ways = np.ravel(np.asarray(block[TANGENT + path], dtype=object))
+                    numbers = np.ravel(np.asarray(value, dtype=object))
+                    seeds |= {to_node(graph, x): to_node(graph, dx) for x, dx in zip(numbers, ways, strict=True)}
+        recorded, after = function(*plain)
+        moved = {f"out.{path}": recorded[path] for path in outputs} | {f"new.{path}": x for path, x in after.items()}
+        values = {path: np.asarray(value, dtype=object) for path, value in moved.items()}
+        nodes = [
+            to_node(graph, x.number() if isinstance(x, Condition) else x)
+            for value in values.values()
+            for x in value.flat
+        ]
+        found = iter(tangents(graph, nodes, seeds))
+        ways_out: dict[str, Any] = {}
+        for path, value in values.items():
+            symbols = [to_symbol(graph, next(found)) for _ in range(value.size)]
+            ways_out[path] = symbols[0] if value.ndim == 0 else traced_array(symbols).reshape(value.shape)
+        return (
+            {**recorded, **{f"{TANGENT}{path}": ways_out[f"out.{path}"] for path in outputs}},
+            {**after, **{f"{TANGENT}{path}": ways_out[f"new.{path}"] for path in after}},
+        )
+
+    return both
+
+
+class StepTangent:
+    """A step function and its substeps with their derivative along a direction.
+
+    Where llvmlite is missing, or with engine="float", the program is read node by node, for all directions at once.
+
+    Args:
+        step: (inputs, parameters, memory) -> (outputs, new memory).
+        substep: The same for each further part of a period; its outputs do not count.
+        repeats: How many of them.
+        inputs: Block of the step.
+        parameters: Likewise.
+        memory: Likewise.
+        directed: Paths of the parameters that a direction may have; inputs and memory always may.
+        outputs: Outputs whose derivative is wanted.
+        engine: "native" or "float".
+
+    Raises:
+        TraceError: A function that cannot be traced.
+    """
+
+    def __init__(
+        self,
+        step: Function,
+        substep: Function,
+        repeats: int,
+        inputs: Block,
+        parameters: Block,
+        memory: Block,
+        *,
+        directed: Collection[str],
+        outputs: Collection[str],
+        engine: str,
+    ) -> None:
+        blocks = (tangent_block(inputs), tangent_block(parameters, directed), tangent_block(memory))
+        self.inputs, self.parameters, self.memory = blocks
+        self._repeats = repeats
+        self._program = trace(with_tangent(step, outputs), *blocks)
+        self._inner = trace(with_tangent(substep, ()), *blocks) if repeats else None
+        self.outputs = self._program.outputs
+        self.operations = self._program.operations + (self._inner.operations * repeats if self._inner else 0)
+        self._native: Callable[..., None] | None = None
+        if engine == "native" and available():
+            inner = b"" if self._inner is None else self._inner.content + repeats.to_bytes(8, "little")
+            self._module = compiled(b"tangent" + self._program.content + inner, self._text, ("rows",), level=QUICK)
+            kinds = [ctypes.c_int64, *[ctypes.c_void_p] * 5]
+            self._native = ctypes.CFUNCTYPE(None, *kinds)(self._module["rows"])
+
+    def _text(self) -> str:
+        parts = [declarations(), kernel(self._program, "kernel")]
+        if self._inner is not None:
+            parts.append(kernel(self._inner, "substep"))
+        sizes = [block.size for block in (self.inputs, self.parameters, self.memory, self.outputs)]
+        return "\n".join([*parts, _rows_text(sizes, self._repeats)])
+
+    def rows(
+        self, inputs: Float64Array, parameters: Float64Array, memory: Float64Array
+    ) -> tuple[Float64Array, Float64Array]:
+        """(k, ...) outputs and memory after a period, for k rows of inputs, parameters and memory with directions."""
+        count = len(inputs)
+        given = [np.ascontiguousarray(block, dtype=np.float64) for block in (inputs, parameters, memory)]
+        if self._native is None:
+            return self._plain_rows(*given)
+        out, new = np.zeros((count, self.outputs.size)), np.zeros((count, self.memory.size))
+        self._native(count, *(array.ctypes.data for array in (*given, new, out)))
+        return out, new
+
+    def _plain_rows(
+        self, inputs: Float64Array, parameters: Float64Array, memory: Float64Array
+    ) -> tuple[Float64Array, Float64Array]:
+        out, new = _evaluated(self._program, inputs, parameters, memory)
+        for _ in range(self._repeats):
+            assert self._inner is not None
+            _, new = _evaluated(self._inner, inputs, parameters, new)
+        return out, new
+
+
+def _rows_text(sizes: list[int], repeats: int) -> str:
+    """LLVM text of `rows`: `kernel`, then `substep` `repeats` times, for each row of all four blocks."""
+    w = Writer()
+    w.line(
+        "entry:",
+        " %none = icmp sle i64 %count, 0",
+        " br i1 %none, label %end, label %head",
+        "head:",
+        " %k = phi i64 [0, %entry], [%next, %done]",
+    )
+    places = [("in", "inputs", sizes[0]), ("p", "parameters", sizes[1]), ("old", "memory", sizes[2])]
+    for name, block, size in [*places, ("new", "after", sizes[2]), ("out", "outputs", sizes[3])]:
+        w.line(f" %{name}_at = mul i64 %k, {size}", f" %{name} = getelementptr double, ptr %{block}, i64 %{name}_at")
+    w.line(" call void @kernel(ptr %in, ptr %p, ptr %old, ptr %new, ptr %out)")
+    if repeats:
+        w.line(
+            " br label %inner",
+            "inner:",
+            " %i = phi i64 [0, %head], [%i1, %inner]",
+            " call void @substep(ptr %in, ptr %p, ptr %new, ptr %new, ptr %out)",
+            " %i1 = add i64 %i, 1",
+            f" %again = icmp slt i64 %i1, {repeats}",
+            " br i1 %again, label %inner, label %done",
+        )
+    else:
+        w.line(" br label %done")
+    w.line(
+        "done:",
+        " %next = add i64 %k, 1",
+        " %last = icmp sge i64 %next, %count",
+        " br i1 %last, label %end, label %head",
+        "end:",
+        " ret void",
+    )
+    return w.function(
+        "void @rows(i64 %count, ptr %inputs, ptr %parameters, ptr %memory, ptr %after, ptr %outputs) nounwind"
+    )
+
+
+# -------------------------------------------------------------------- node by node
+
+_FUNCTIONS: Final[Mapping[int, Callable[..., Any]]] = {
+    int(Op.ADD): np.add, int(Op.SUB): np.subtract, int(Op.MUL): np.multiply, int(Op.DIV): np.divide,
+    int(Op.NEG): np.negative, int(Op.SQRT): np.sqrt, int(Op.SIN): np.sin, int(Op.COS): np.cos,
+    int(Op.ASIN): np.arcsin, int(Op.ACOS): np.arccos, int(Op.ATAN2): np.arctan2, int(Op.EXP): np.exp,
+    int(Op.LOG): np.log, int(Op.TANH): np.tanh, int(Op.ABS): np.abs, int(Op.FLOOR): np.floor,
+    int(Op.MIN): np.minimum, int(Op.MAX): np.maximum, int(Op.SELECT): np.where, int(Op.LT): np.less,
+    int(Op.LE): np.less_equal, int(Op.EQ): np.equal, int(Op.AND): np.logical_and, int(Op.OR): np.logical_or,
+    int(Op.NOT): np.logical_not,
+}  # fmt: skip
+
+
+def _evaluated(
+    program: Program, inputs: Float64Array, parameters: Float64Array, memory: Float64Array
+) -> tuple[Float64Array, Float64Array]:
+    """A program at many rows at once, each node an array of NumPy's."""
+    graph, columns = program.graph, np.concatenate([inputs, parameters, memory], axis=1)
+    values: dict[int, Any] = {}
+    with np.errstate(all="ignore"):
+        for i in program.live:
+            op = graph.ops[i]
+            if op == Op.CONST:
+                values[i] = graph.value[i]
+            elif op == Op.INPUT:
+                values[i] = columns[:, graph.a[i]]
+            else:
+                values[i] = _FUNCTIONS[op](*(values[x] for x in graph.operands(i)))
+    ends = [np.zeros((len(columns), len(nodes))) for nodes in (program.output_nodes, program.memory_nodes)]
+    for end, nodes in zip(ends, (program.output_nodes, program.memory_nodes), strict=True):
+        for k, i in enumerate(nodes):
+            end[:, k] = values[i]
+    return ends[0], ends[1]

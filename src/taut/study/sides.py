@@ -1,0 +1,143 @@
+"""On which side of its kinks a linear model stands: limits, joints that stick, contacts that hold."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from taut.base.paths import subtree
+from taut.base.types import Float64Array
+from taut.control.limiting import LIMIT_TERMS
+from taut.plant.rigid import RigidPlant
+from taut.study.equilibrium import Flags
+from taut.study.loop_map import Derivative, LoopMap, Point, beside
+
+__all__ = ["Slopes", "sides_of", "smooth"]
+
+NOTHING: Final = 1e-9  # of a limit's term, in units of the command
+RESTING: Final = 1e-9  # [rad/s | m/s]
+APART: Final = 1e-6  # of a state's size: how far to look on each side
+KINK: Final = 1e-2  # of the larger slope: by how much two sides differ
+FLAT: Final = 1e-6  # a slope below this is none
+MOST: Final = 6
+
+
+def sides_of(map_: LoopMap, at: Point, found: Derivative, slopes: Slopes) -> tuple[str, ...]:
+    """Sentences about what is not smooth at a point, and what was taken for it."""
+    record, memory = map_.recorded(found), map_.memory.views(at.memory)
+    out = [f"steps of {path} count by their mean slope" for path in map_.steps]
+    out += _limits(map_, record)
+    out += _sticking(map_, memory)
+    out += _flags(map_, record, memory)
+    return (*out, *_kinks(map_, found, slopes))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Slopes:
+    """How the memory follows some states upwards and downwards, a little way off: (k, k) each, row by state."""
+
+    states: list[int]
+    up: Float64Array
+    down: Float64Array
+    least: Float64Array  # (k,) a difference of slopes below it is rounding, for each that follows
+
+    @classmethod
+    def at(cls, map_: LoopMap, at: Point, found: Derivative, states: list[int]) -> Slopes:
+        """By differences on each side."""
+        coordinates = map_.state_coordinates
+        values = coordinates.read(at.memory, at.memory[np.newaxis])[0]
+        steps = APART * (1.0 + np.abs(values[states]))
+        ways = coordinates.basis(at.memory)[states] * steps[:, np.newaxis]
+        after = map_.after(at, at.memory + np.concatenate([ways, -ways]))
+        each = coordinates.read(found.memory, after - found.memory)[:, states] / np.tile(steps, 2)[:, np.newaxis]
+        up, down = each[: len(states)], -each[len(states) :]
+        # What an entry of the memory loses by rounding, over a step, is no kink.
+        scale = np.minimum(np.abs(up).max(axis=0), np.abs(down).max(axis=0))
+        return cls(states=states, up=up, down=down, least=KINK * scale + FLAT)
+
+    def differ(self, one: Float64Array, other: Float64Array) -> Flags:
+        """(k, k) where two kinds of slopes do."""
+        out: Flags = np.abs(one - other) > np.maximum(KINK * np.maximum(np.abs(one), np.abs(other)), self.least)
+        return out
+
+    def misses(self, found: Derivative) -> bool:
+        """Whether a derivative is not that of a motion beside it, which is smooth."""
+        A = found.A[np.ix_(self.states, self.states)].T
+        return bool((self.differ(A, self.up) & self.differ(A, self.down) & ~self.differ(self.up, self.down)).any())
+
+
+def smooth(map_: LoopMap, at: Point, found: Derivative, states: list[int]) -> tuple[Derivative, Slopes]:
+    """The derivative, as the mean of two points beside it where the point itself is a kink that only rounding sees.
+
+    So it is at rest where a law compares two energies that are both zero but for rounding.
+    """
+    slopes = Slopes.at(map_, at, found, states)
+    if not slopes.misses(found):
+        return found, slopes
+    mean = beside(map_, at, found, states)
+    return (found if slopes.misses(mean) else mean), slopes
+
+
+def _limits(map_: LoopMap, record: Mapping[str, Any]) -> list[str]:
+    names, units = map_.side.arm.joint_names, map_.side.arm.units
+    out = []
+    for term in LIMIT_TERMS:
+        cut = record.get(f"terms.{term}")
+        if cut is None:
+            continue
+        for i in np.flatnonzero(np.abs(cut) > NOTHING):
+            kind = map_.side.probe.kind
+            unit = ("N m" if units[i] == "rad" else "N") if kind == "torque" else f"{units[i]}/s"
+            out.append(f"joint '{names[i]}' is at its {term.replace('_', ' ')}, which takes {abs(cut[i]):.3g} {unit}")
+    return out
+
+
+def _sticking(map_: LoopMap, memory: Mapping[str, Any]) -> list[str]:
+    plant = map_.plant
+    if not isinstance(plant, RigidPlant) or not plant.drivetrain.dry or "plant.friction" not in memory:
+        return []
+    v = memory.get("plant.v_motor", memory["plant.v"])
+    names = plant.arm.joint_names
+    dry = sum(
+        np.broadcast_to(np.abs(np.asarray(value)), (plant.arm.n,))
+        for name, value in plant.drivetrain.parameters().items()
+        if name in ("coulomb", "static")
+    ) + np.zeros(plant.arm.n)
+    held = [names[i] for i in np.flatnonzero((np.abs(v) < RESTING) & (dry > 0.0))]
+    slipping = [names[i] for i in np.flatnonzero((np.abs(v) >= RESTING) & (dry > 0.0))]
+    out = [f"dry friction holds joint '{name}': a small push does not move it" for name in held]
+    return out + [f"joint '{name}' slides, with dry friction of one sign" for name in slipping]
+
+
+def _flags(map_: LoopMap, record: Mapping[str, Any], memory: Mapping[str, Any]) -> list[str]:
+    out = [f"sensor {name} is at its limit" for name, on in subtree(record, "saturated").items() if np.any(on > 0.5)]
+    on = memory.get("plant.contact.on")
+    if on is not None:
+        rows = [str(i) for i in np.flatnonzero(np.atleast_1d(on) > 0.5)]
+        free = [str(i) for i in np.flatnonzero(np.atleast_1d(on) <= 0.5)]
+        out += [f"contact rows {', '.join(rows)} hold, and do not open"] if rows else []
+        out += [f"contact rows {', '.join(free)} are open, and do not close"] if free else []
+    notices = map_.side.notices
+    return out + [notices[path] for path in notices if path in memory and np.any(np.asarray(memory[path]) != 0.0)]
+
+
+def _kinks(map_: LoopMap, found: Derivative, slopes: Slopes) -> list[str]:
+    """States whose slopes on the two sides differ, which is no derivative of the loop but of one of its sides."""
+    names = [map_.state_coordinates.names[i] for i in slopes.states]
+    A = found.A[np.ix_(slopes.states, slopes.states)].T
+    differ = slopes.differ(slopes.up, slopes.down)
+    if not differ.any() and slopes.misses(found):
+        return ["the loop has a kink here, and the model stands on neither side of it"]
+    out = []
+    for i in np.flatnonzero(differ.any(axis=1)):
+        apart = np.where(differ[i], np.abs(slopes.up[i] - slopes.down[i]), 0.0)
+        k = int(np.argmax(apart))
+        out.append(
+            f"the loop has a kink in {names[i]}: upwards {names[k]} follows with a slope of {slopes.up[i, k]:.3g}, "
+            f"downwards of {slopes.down[i, k]:.3g}; the model has {A[i, k]:.3g}"
+        )
+    more = len(out) - MOST
+    return out if more <= 0 else [*out[:MOST], f"and {more} kinks more"]

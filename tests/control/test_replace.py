@@ -1,0 +1,105 @@
+"""dataclasses.replace makes of every law one that differs in what was named, and in nothing else."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+import taut
+from taut.control.gains import GainValue
+
+laws = taut.laws
+JOINT = laws.ComputedTorque(kp=100.0, kd=20.0)
+TASK = laws.TaskComputedTorque(kp=(400.0, 100.0), kd=(40.0, 20.0))
+LAWS: dict[str, tuple[taut.Law, dict[str, Any]]] = {
+    "PID": (laws.PID(kp=1.0, kd=2.0), {"kp": 3.0}),
+    "FeedForward": (laws.FeedForward(), {}),
+    "ComputedTorque": (JOINT, {"kd": 30.0}),
+    "GravityPID": (laws.GravityPID(kp=1.0, kd=2.0, anti_windup="back-calculation", tracking=5.0), {"tracking": 6.0}),
+    "GravityCompensation": (laws.GravityCompensation(), {}),
+    "FrictionCompensation": (laws.FrictionCompensation(at="meas"), {}),
+    "Dither": (laws.Dither(amplitude=0.1, frequency=50.0), {"amplitude": 0.2}),
+    "RaisedGains": (
+        laws.RaisedGains(inner=laws.PID(kp=1.0, kd=2.0), factor=2.0),
+        {"inner": laws.PID(kp=2.0, kd=2.0)},
+    ),
+    "VelocityPI": (laws.VelocityPI(kp=1.0), {"kp": 2.0}),
+    "ViaJointSpace": (taut.via_joint_space(JOINT), {"inner": laws.PID(kp=2.0, kd=2.0)}),
+    "TaskComputedTorque": (TASK, {"kd": (50.0, 20.0)}),
+    "TaskVelocity": (laws.TaskVelocity(kp=5.0), {"kp": 6.0}),
+    "TaskPosition": (laws.TaskPosition(kp=5.0), {"lead": 0.1}),
+    "Impedance": (laws.Impedance(K=(800.0, 30.0), zeta=0.7), {"zeta": 1.0}),
+    "Stiffness": (laws.Stiffness(K=(800.0, 30.0)), {"kd": 2.0}),
+    "Admittance": (laws.Admittance(inner=TASK, D=(4.0, 0.1), K=(100.0, 5.0), zeta=1.0), {"zeta": 0.5}),
+    "HybridMotionForce": (
+        laws.HybridMotionForce(
+            constraint=lambda T: T.p[2] - 0.1, motion=TASK, kfi=3.0, estimate=laws.NormalEstimate()
+        ),
+        {"kfi": 5.0},
+    ),
+    "NormalEstimate": (laws.NormalEstimate(), {"rate": 4.0}),
+    "ForceControl": (laws.ForceControl(kfp=0.5, kfi=3.0), {"kfi": 4.0}),
+    "VirtualWall": (laws.VirtualWall(point=[0, 0, 0.1], normal=[0, 0, 1], K=1000.0), {"K": 500.0}),
+    "VirtualGroove": (
+        laws.VirtualGroove(point=[0, 0, 0.1], direction=[0, 0, 1], K=1000.0),
+        {"K": 500.0},
+    ),
+    "VirtualBall": (laws.VirtualBall(center=[0, 0, 0.1], radius=0.1, K=1000.0), {"K": 500.0}),
+    "Posture": (laws.Posture(), {"kp": 5.0}),
+    "LimitAvoidance": (laws.LimitAvoidance(), {}),
+    "Manipulability": (laws.Manipulability(), {}),
+    "Sum": (laws.GravityCompensation() + TASK, {}),
+    "SideBySide": (
+        laws.SideBySide(left=(JOINT, ["c"]), right=(JOINT, ["a", "b"])),
+        {"left": (laws.PID(kp=1.0, kd=2.0), ["c"])},
+    ),
+}
+
+
+def plain(value: Any) -> Any:
+    if isinstance(value, GainValue):
+        value = value.as_array()
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def shown(law: taut.Law) -> dict[str, Any]:
+    return {name: plain(value) for name, value in vars(law).items()}
+
+
+def test_no_law_is_left_out() -> None:
+    assert set(LAWS) == set(laws.__all__)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_law_is_replaced_in_what_was_named_and_in_nothing_else(name: str) -> None:
+    law, change = LAWS[name]
+    same, other = dataclasses.replace(law), dataclasses.replace(law, **change)  # type: ignore[type-var]
+    assert type(same) is type(other) is type(law)
+    assert repr(same) == repr(law)
+    assert shown(same) == shown(law)
+    assert same.reference is law.reference
+    assert same.ignores_reference == law.ignores_reference
+    assert list(same.parameters()) == list(law.parameters())
+    for field in change:
+        assert repr(same) != repr(other), field
+
+
+def test_a_gain_that_loses_its_meaning_goes_with_what_gave_it() -> None:
+    held = laws.GravityPID(kp=1.0, kd=2.0, ki=1.0, anti_windup="back-calculation", tracking=5.0)
+    clamped = dataclasses.replace(held, anti_windup="clamping")  # type: ignore[type-var]
+    assert "tracking" not in clamped.parameters()
+    again = dataclasses.replace(clamped, anti_windup="back-calculation")  # type: ignore[type-var]
+    assert again.parameters()["tracking"].item() == 10.0
+    with pytest.raises(taut.UsageError, match="tracking is for anti_windup='back-calculation'"):
+        dataclasses.replace(clamped, tracking=4.0)  # type: ignore[type-var]
+
+
+def test_a_replaced_law_computes_what_one_written_so_computes() -> None:
+    arm = taut.load_arm("planar2")
+    q, v, ref = np.array([0.1, 0.2]), np.zeros(2), taut.JointMotion(q=[0.3, 0.4])
+    replaced = dataclasses.replace(JOINT, kp=64.0)  # type: ignore[type-var]
+    one, other = (taut.compile(law, arm, engine="float") for law in (replaced, laws.ComputedTorque(kp=64.0, kd=20.0)))
+    assert np.array_equal(one.step(q, v, ref), other.step(q, v, ref))
