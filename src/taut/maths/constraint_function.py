@@ -115,11 +115,18 @@ def _result(function: Callable[..., Any], arguments: Sequence[Any]) -> Any:
             name="function",
         ) from cause
     try:
-        np.asarray(value, dtype=np.float64)
+        given = np.asarray(value)
+        np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError):
         raise ShapeError(
             f"a constraint function must give a number or (k,) numbers; got {type(value).__name__}", name="function"
         ) from None
+    if given.dtype == np.bool_:
+        raise UsageError(
+            "a constraint function must give phi, a number that is zero on the constraint, and this one is a "
+            "condition, True or False: for T.p[2] > 0.4 write lambda T: T.p[2] - 0.4, and one_sided=True",
+            name="function",
+        )
     return value
 
 
