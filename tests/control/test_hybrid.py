@@ -357,6 +357,14 @@ def squared(T: Pose) -> Any:
             taut.RangeError,
             r"of \[0, 3, -9, 0, 0, 0\] it can bear \[0, 0, -9, 0, 0, 0\], and not \[0, 3, 0, 0, 0, 0\]",
         ),
+        (  # a millionth of it is nothing to speak of
+            lambda: stepped(
+                Constraint.plane(point=[0.0, 0.0, 0.4], normal=[1e-6, 0.0, 1.0]),
+                taut.pressing(taut.TaskMotion(pose=floor_pose()), F_app=[0, 3.0, -9.0, 0, 0, 0]),
+            ),
+            taut.RangeError,
+            r"it can bear \[0, 0, -9, 0, 0, 0\], and not \[0, 3, 0, 0, 0, 0\]",
+        ),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), F_app=[0, 0, 9.0, 0, 0, 0])),
             taut.RangeError,

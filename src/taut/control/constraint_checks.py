@@ -21,6 +21,7 @@ __all__ = ["check_constraint", "check_forces", "check_motion", "check_place", "c
 
 DEPENDENT: Final = 3e-4  # of the largest singular value, rows of length 1; below it rounding is beyond 1e-9
 OUT_OF_RANGE: Final = 1e-6  # of the wrench
+SHOWN: Final = 1e-5  # of the wrench, in words
 LOOKS: Final = 64  # at a motion before it is followed
 
 
@@ -170,8 +171,8 @@ def _check_range(A: Float64Array, F: Float64Array, one_sided: Sequence[bool], wh
     rest = F - A.T @ lam
     if np.linalg.norm(rest) > OUT_OF_RANGE * size:
         raise RangeError(
-            f"F_app must lie in the range of A^T, for the constraint bears nothing else; of {_shown(F)} it can bear "
-            f"{_shown(F - rest)}{when}, and not {_shown(rest)}",
+            f"F_app must lie in the range of A^T, for the constraint bears nothing else; of {_shown(F, size)} it can "
+            f"bear {_shown(F - rest, size)}{when}, and not {_shown(rest, size)}",
             name="F_app",
         )
     _check_pressed(
@@ -179,7 +180,7 @@ def _check_range(A: Float64Array, F: Float64Array, one_sided: Sequence[bool], wh
         lam,
         "F_app",
         lambda row: (
-            f"F_app must press on a contact, and {_shown(F)} pulls at row {row}{when}, lam = {lam[row]:.4g}; "
+            f"F_app must press on a contact, and {_shown(F, size)} pulls at row {row}{when}, lam = {lam[row]:.4g}; "
             "turn its sign"
         ),
     )
@@ -192,8 +193,10 @@ def _check_pressed(one_sided: Sequence[bool], lam: Float64Array, name: str, sent
             raise RangeError(sentence(row), name=name, value=float(lam[row]), rule="lam <= 0")
 
 
-def _shown(F: Float64Array) -> str:
-    return f"[{', '.join(f'{x + 0.0:.4g}' for x in np.round(F, 9))}]"
+def _shown(F: Float64Array, size: float) -> str:
+    """A wrench without what is nothing beside its size."""
+    some = np.where(np.abs(F) > SHOWN * size, F, 0.0)
+    return f"[{', '.join(f'{x:.4g}' for x in some)}]"
 
 
 def check_motion(constraint: Constraint, x: Snapshot, ref: Reference, tool: str | None, tolerance: float) -> None:

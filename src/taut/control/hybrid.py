@@ -111,7 +111,7 @@ class HybridMotionForce(Law):
     needs_contact: ClassVar[bool] = True
     constraint: Constraint | Callable[..., Any]
     motion: Law
-    kfp: Gain = Gain(optional=True, size="rows")  # [-]
+    kfp: Gain = Gain(optional=True, size="rows")  # [1]
     kfi: Gain = Gain(optional=True, size="rows")  # [1/s]
     e_int_max: Gain = Gain(optional=True, size="rows")  # [N s, N m s]
     kdamp: Gain = Gain(optional=True, size="rows")  # [N s/m, N m s/rad]
