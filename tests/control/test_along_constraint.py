@@ -25,7 +25,7 @@ def constraints(T: Pose, V: Array) -> dict[str, Constraint]:
     return {
         "plane": Constraint.plane(point=p, normal=n),
         "face": Constraint.plane(point=p, normal=T.R[:, 2], face=[0.0, 0.0, -1.0]),
-        "line": Constraint.line(point=p, direction=n),
+        "line": Constraint.line(point=p, axis=n),
         "sphere": Constraint.sphere(center=p - 0.1 * n, radius=0.1),
         "moving": Constraint(lambda now, t: n @ (now.p - p) - 0.3 * t + 0.2 * t * t),
         "hinge": Constraint.hinge(point=p + np.array([0.1, 0.2, 0.0]), axis=[0.0, 0.0, 1.0], T=T),

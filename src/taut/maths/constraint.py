@@ -41,7 +41,7 @@ class Constraint:
         one_sided: Whether the environment can only push; one for all rows, or one for each.
 
     Raises:
-        UsageError: No function; one that is constant.
+        UsageError: No function; one that is constant, or a condition.
         ShapeError: One that gives something else than a number or up to 6 of them.
 
     Example:
@@ -268,9 +268,9 @@ class Constraint:
         return cls.of([of_poses(shapes.cylinder(point, axis, radius, inside=inside), (frame,), one_sided)])
 
     @classmethod
-    def line(cls, *, point: ArrayLike, direction: ArrayLike, frame: str | None = None) -> Self:
-        """The tool's origin on a straight line, its rotation free: two rows."""
-        return cls.of([of_poses(shapes.line(point, direction), (frame,), False)])
+    def line(cls, *, point: ArrayLike, axis: ArrayLike, frame: str | None = None) -> Self:
+        """The tool's origin on a straight line through a point, along an axis, its rotation free: two rows."""
+        return cls.of([of_poses(shapes.line(point, axis), (frame,), False)])
 
     @classmethod
     def hinge(cls, *, point: ArrayLike, axis: ArrayLike, T: Pose, frame: str | None = None) -> Self:
