@@ -115,18 +115,23 @@ def check_forces(constraint: Constraint, x: Snapshot, ref: Reference, *, later: 
         later: Whether that is somewhere else than at x: then what depends on the place is not looked at.
 
     Raises:
-        UsageError: press where there is no surface; multipliers of rows that there are not.
+        UsageError: press where there is no surface; more or fewer multipliers than rows.
         RangeError: A wrench outside the range of A^T, a pull at a contact.
     """
-    sample = _first(ref)
-    if not isinstance(sample, HybridMotion):
-        return
+    for sample in ref.samples if isinstance(ref, Chunk) else [_first(ref)]:
+        if isinstance(sample, HybridMotion):
+            presses = ref.presses if isinstance(ref, Pressing) else bool(np.any(sample.press))
+            _check_force(constraint, x, sample, presses, later=later or isinstance(ref, Chunk))
+
+
+def _check_force(constraint: Constraint, x: Snapshot, sample: HybridMotion, presses: bool, *, later: bool) -> None:
     rows = constraint.at(x)
     lam = np.asarray(sample.lam, dtype=np.float64)
-    if np.any(lam[rows.count :]):
+    given = int(np.asarray(sample.given)[0])
+    if given not in (0, rows.count):
         raise UsageError(
-            f"lam has {int(np.max(np.flatnonzero(lam))) + 1} entries, and the constraint has {rows.count} "
-            f"{'row' if rows.count == 1 else 'rows'}",
+            f"lam has {given} {'entry' if given == 1 else 'entries'}, and the constraint has {rows.count} "
+            f"{'row' if rows.count == 1 else 'rows'}; give one for each row",
             name="lam",
         )
     _check_pressed(
@@ -138,7 +143,7 @@ def check_forces(constraint: Constraint, x: Snapshot, ref: Reference, *, later: 
             "pressing is lam < 0, or press="
         ),
     )
-    presses, F = bool(np.any(sample.press)), np.asarray(sample.F_app, dtype=np.float64)
+    F = np.asarray(sample.F_app, dtype=np.float64)
     if rows.A is None:
         if presses or np.any(F):
             raise UsageError(
@@ -148,11 +153,11 @@ def check_forces(constraint: Constraint, x: Snapshot, ref: Reference, *, later: 
             )
         return
     A = np.asarray(rows.A, dtype=np.float64)
-    if presses and (np.linalg.norm(A[0, :3]) < 1e-9 or _of_velocities(constraint)):
-        what = "is one of velocities" if _of_velocities(constraint) else "holds rotations only"
+    what = "holds both ways" if not rows.one_sided[0] else "holds rotations only"
+    if presses and (np.linalg.norm(A[0, :3]) < 1e-9 or not rows.one_sided[0]):
         raise UsageError(
-            f"press is a force into a surface, and the first row of the constraint {what}; put the surface first, or "
-            "give lam=",
+            f"press is a force into a surface, and the first row of the constraint {what}; put the surface first, "
+            "with one_sided=True, or give lam=",
             name="press",
         )
     if not later:
@@ -203,6 +208,7 @@ def check_motion(constraint: Constraint, x: Snapshot, ref: Reference, tool: str 
     """A motion that is known before it is followed keeps to the constraint, which bears F_app all the way.
 
     It is a motion of the link that is constrained: of a chunk its samples are looked at, of a trajectory 64 instants.
+    Against a row of velocities, such as that of a wheel, what counts is how far it goes: the integral of A V.
 
     Raises:
         RangeError: It leaves the constraint, or goes into it; or F_app leaves the range of A^T.
@@ -211,7 +217,9 @@ def check_motion(constraint: Constraint, x: Snapshot, ref: Reference, tool: str 
         return
     assert constraint.frame is not None
     beyond = x.T(tool).inverse() @ x.T(*constraint.frame)
-    for t in _times(ref):
+    velocities = np.array([isinstance(piece, OfVelocity) for piece in constraint.pieces for _ in range(piece.count)])
+    times, slipped, last = _times(ref), np.zeros(constraint.count), (0.0, np.zeros(constraint.count))
+    for t in times:
         sample = _at(ref, t)
         if not isinstance(sample, HybridMotion) or not isinstance(sample.motion, TaskMotion):
             return
@@ -228,9 +236,34 @@ def check_motion(constraint: Constraint, x: Snapshot, ref: Reference, tool: str 
                 value=float(phi[row]),
                 rule=f"<= {tolerance:g}",
             )
-        F_app = np.asarray(sample.F_app, dtype=np.float64)
+        A, F_app = constraint.of_twist(pose, t)[0], np.asarray(sample.F_app, dtype=np.float64)
         if np.any(F_app):
-            _check_range(constraint.of_twist(pose, t)[0], F_app, constraint.one_sided, f" at t = {t:g} s")
+            _check_range(A, F_app, constraint.one_sided, f" at t = {t:g} s")
+        speed = np.where(velocities, A @ _moved_to(sample.motion, pose.p), 0.0)
+        slipped = slipped + (0.5 * (t - last[0]) * (speed + last[1]) if t > 0.0 else 0.0)
+        last = t, speed
+        slip, when = (slipped, f"until t = {t:g} s") if len(times) > 1 else (speed, "in 1 s")
+        _check_slip(slip, when, tolerance)
+
+
+def _check_slip(way: Float64Array, when: str, tolerance: float) -> None:
+    """A motion goes not far against rows of velocities: that of a trajectory, or in a second of what is held."""
+    row = int(np.argmax(np.abs(way)))
+    if abs(way[row]) > tolerance:
+        raise RangeError(
+            f"the motion must keep to the constraint, and {when} it goes {abs(way[row]):.4g} against row {row}, "
+            f"which is one of velocities, more than the tolerance of {tolerance:g}; give twists with A V = 0, as "
+            "along a blade",
+            name="ref",
+            value=float(way[row]),
+            rule=f"<= {tolerance:g}",
+        )
+
+
+def _moved_to(motion: TaskMotion, p: Float64Array) -> Float64Array:
+    """(6,) its twist at another point of the same body."""
+    twist = np.asarray(motion.twist, dtype=np.float64)
+    return np.concatenate([twist[:3] + np.cross(twist[3:], p - motion.p), twist[3:]])
 
 
 def _times(ref: Reference) -> list[float]:
