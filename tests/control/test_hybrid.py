@@ -180,7 +180,7 @@ def test_the_integral_is_bounded_and_a_contact_is_never_pulled() -> None:
     q, _ = on(BALL, arm)
     x = taut.snapshot(arm, q)
     n = (x.T().p - [0.4, 0.0, 0.1]) / 0.35
-    law = HybridMotionForce(constraint=BALL, motion=motion(), kfi=50.0, e_int_max=0.1)
+    law = HybridMotionForce(constraint=BALL, motion=motion(), kfi=50.0, e_int_max=0.1, kdamp=10.0)
     ctrl = taut.compile(law, arm)
     ref = taut.pressing(taut.TaskMotion(pose=x.T()), 10.0)
     for _ in range(400):
