@@ -33,7 +33,7 @@ CONSTRAINTS: dict[str, Constraint] = {
     "cylinder": Constraint.cylinder(point=CENTER, axis=U, radius=0.15),
     "sphere": Constraint.sphere(center=CENTER, radius=0.3),
     "hinge": Constraint.hinge(point=CENTER, axis=U, T=T0),
-    "line": Constraint.line(point=CENTER, direction=U),
+    "line": Constraint.line(point=CENTER, axis=U),
     "user": Constraint(tilted_ellipsoid),
 }
 
@@ -356,6 +356,12 @@ def test_onto_finds_the_nearest_state_and_says_when_there_is_none() -> None:
         (lambda: Constraint(0.3), taut.UsageError, "must be a function, such as lambda"),  # type: ignore[arg-type]
         (lambda: Constraint(lambda T: 0.3), taut.UsageError, "must change with the pose, and this one is constant"),
         (lambda: Constraint(lambda T: tm.array([T.p[2], 1.0])), taut.UsageError, "constant in its row 1"),
+        (
+            lambda: Constraint(lambda T: T.p[2] > 0.4),
+            taut.UsageError,
+            r"this one is a condition, True or False: for T\.p\[2\] > 0\.4 write lambda T: T\.p\[2\] - 0\.4",
+        ),
+        (lambda: Constraint(lambda T: [T.p[2] > 0.4, T.p[0] > 0.1]), taut.UsageError, "this one is a condition"),
         (lambda: Constraint(lambda T: None), taut.ShapeError, "must give a number or .*; got (None|NoneType)"),
         (lambda: Constraint(lambda T: T), taut.ShapeError, "must give a number or .k,. numbers; got Pose"),
         (

@@ -97,7 +97,7 @@ CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
         NO_POINT.format("it is of several frames"),
     ),
     (
-        lambda: rubbing(taut.Constraint.line(point=[0.0, 0.0, 0.0], direction=[1.0, 0.0, 0.0])),
+        lambda: rubbing(taut.Constraint.line(point=[0.0, 0.0, 0.0], axis=[1.0, 0.0, 0.0])),
         taut.UsageError,
         NO_POINT.format("it has 2 rows"),
     ),

@@ -14,9 +14,9 @@ import numpy as np
 from taut.base import math as tm
 from taut.base.errors import UsageError
 from taut.base.pose import Pose
-from taut.base.types import ArrayLike, Float64Array
+from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.maths import constraint_shapes as shapes
-from taut.maths.constraint_function import arguments, of_poses, of_velocity, rows_of, sides
+from taut.maths.constraint_function import arguments, of_moments, of_poses, of_velocity, rows_of, sides
 from taut.maths.constraint_rows import ConstraintRows, OfJoints, OfJointVelocity, OfPoses, OfVelocity, Piece, joined
 from taut.maths.snapshot import Snapshot
 
@@ -41,7 +41,7 @@ class Constraint:
         one_sided: Whether the environment can only push; one for all rows, or one for each.
 
     Raises:
-        UsageError: No function; one that is constant.
+        UsageError: No function; one that is constant, or a condition.
         ShapeError: One that gives something else than a number or up to 6 of them.
 
     Example:
@@ -84,6 +84,11 @@ class Constraint:
         return tuple(side for piece in self.pieces for side in piece.one_sided)
 
     @property
+    def moments(self) -> tuple[bool, ...]:
+        """(k,) whether each row holds rotations only, so that its multiplier is a moment."""
+        return tuple(moment for piece in self.pieces for moment in of_moments(piece))
+
+    @property
     def frame(self) -> tuple[str | None] | None:
         """The one frame that it is a function of, in a tuple; None where there are several, or joints."""
         frames = {piece.frames for piece in self.pieces}
@@ -114,8 +119,11 @@ class Constraint:
         """
         if self.frame is None:
             raise UsageError("a constraint of joints or of several frames has no phi of one pose", name="constraint")
-        rows = [p.phi([T], t) if isinstance(p, OfPoses) else np.zeros(p.count) for p in self.pieces]
-        return np.asarray(np.concatenate(rows), dtype=np.float64)
+        return np.asarray(self.phi_of(T, t), dtype=np.float64)
+
+    def phi_of(self, T: Pose, t: Any) -> Vector:
+        """The same of symbols, for laws."""
+        return joined(p.phi([T], t) if isinstance(p, OfPoses) else np.zeros(p.count) for p in self.pieces)
 
     def of_twist(self, T: Pose, t: float = 0.0) -> tuple[Float64Array, Float64Array]:
         """A (k, 6) per world-aligned twist of the one frame that it is a function of, at a pose; and dphi/dt (k,).
@@ -268,9 +276,9 @@ class Constraint:
         return cls.of([of_poses(shapes.cylinder(point, axis, radius, inside=inside), (frame,), one_sided)])
 
     @classmethod
-    def line(cls, *, point: ArrayLike, direction: ArrayLike, frame: str | None = None) -> Self:
-        """The tool's origin on a straight line, its rotation free: two rows."""
-        return cls.of([of_poses(shapes.line(point, direction), (frame,), False)])
+    def line(cls, *, point: ArrayLike, axis: ArrayLike, frame: str | None = None) -> Self:
+        """The tool's origin on a straight line through a point, along an axis, its rotation free: two rows."""
+        return cls.of([of_poses(shapes.line(point, axis), (frame,), False)])
 
     @classmethod
     def hinge(cls, *, point: ArrayLike, axis: ArrayLike, T: Pose, frame: str | None = None) -> Self:

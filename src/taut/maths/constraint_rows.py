@@ -88,7 +88,7 @@ class OfPoses:
     def at(self, x: Snapshot) -> ConstraintRows:
         """Its rows at a state."""
         poses, t, m = [x.T(frame) for frame in self.frames], x.t, len(self.frames)
-        A = self._A(poses, t)
+        A = self.slope(poses, t)
         twists = tm.array([entry for frame in self.frames for entry in x.twist(frame)])
 
         def along(times: Array) -> Vector:
@@ -113,7 +113,8 @@ class OfPoses:
             one_sided=self.one_sided,
         )
 
-    def _A(self, poses: Sequence[Pose], t: Any) -> Matrix:
+    def slope(self, poses: Sequence[Pose], t: Any) -> Matrix:
+        """(k, 6 m) A of the twists of all frames."""
         zero = np.zeros(6 * len(self.frames))
         out: Matrix = tm.jacobian(lambda step: self.phi(each_moved(poses, step), t), zero)
         return out
@@ -126,7 +127,7 @@ class OfPoses:
 
     def of_twist(self, T: Pose, t: Any) -> tuple[Matrix, Vector]:
         """A and dphi/dt at a pose of its one frame."""
-        return self._A([T], t), self._phi_t([T], t)
+        return self.slope([T], t), self._phi_t([T], t)
 
 
 def each_moved(poses: Sequence[Pose], steps: Array) -> list[Pose]:
@@ -220,6 +221,10 @@ class OfVelocity:
                 name="function",
             )
         return out
+
+    def slope(self, poses: Sequence[Pose], t: Any) -> Matrix:  # noqa: ARG002
+        """(k, 6) A of the one frame."""
+        return self._A(*poses)
 
     def of_twist(self, T: Pose, t: Any) -> tuple[Matrix, Vector]:  # noqa: ARG002
         return self._A(T), np.zeros(self.count)
