@@ -139,6 +139,9 @@ if TYPE_CHECKING:
     from taut.runtime.simulate import run as run
     from taut.study.admissible import Admissible as Admissible
     from taut.study.contact_modes import FrictionMargin as FrictionMargin
+    from taut.study.diagnosis import Diagnosis as Diagnosis
+    from taut.study.diagnosis import doctor as doctor
+    from taut.study.diagnosis_finding import Finding as Finding
     from taut.study.freedom_words import FreedomRow as FreedomRow
     from taut.study.freedoms import Freedoms as Freedoms
     from taut.study.freedoms import freedoms as freedoms
@@ -235,6 +238,8 @@ _HOME: Final = {
     "runtime.simulate": ("run",),
     "study.admissible": ("Admissible",),
     "study.contact_modes": ("FrictionMargin",),
+    "study.diagnosis": ("Diagnosis", "doctor"),
+    "study.diagnosis_finding": ("Finding",),
     "study.freedom_words": ("FreedomRow",),
     "study.freedoms": ("Freedoms", "freedoms"),
     "study.impedance": ("check_impedance",),
