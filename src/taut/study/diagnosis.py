@@ -12,6 +12,7 @@ import numpy as np
 from taut.arm.description import Arm
 from taut.base.errors import RangeError, UsageError
 from taut.base.types import Float64Array
+from taut.control.limiting import LIMIT_TERMS
 from taut.record.run import Run
 from taut.study.diagnosis_case import Case
 from taut.study.diagnosis_finding import FAULTS, Finding, Number
@@ -100,7 +101,7 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
     | stick-slip, backlash | such a line of constant size, with rests, or with a dwell without torque |
     | chatters | jitter above a twentieth of the rate, with more than 10 effort limits of variation per second |
     | gravity twice, or not | the part of g in the residual tau + J^T F_ext - (M a + h), and in the law's terms |
-    | wrong payload | four fifths of the residual are the regressor of a payload; its mass by least squares |
+    | wrong payload | the regressor of a payload explains all but 2 % of the residual; its mass by least squares |
     | sticks | a joint rests off its target, while its torque changes or is within its dry friction |
     | sags | a steady error at rest that feedback holds against a constant load |
     | winds up | the integral gains a tenth of the feedback while cut, and carries the joint beyond its target |
@@ -200,12 +201,26 @@ def _ordered(found: list[Finding]) -> tuple[Finding, ...]:
     by_share = sorted(found, key=lambda finding: -finding.share)
     out, follow = [], []
     for finding in by_share:
-        cause = next((other.name for other in by_share if finding.name in CAUSES.get(other.name, ())), None)
+        cause = next((other.name for other in by_share if _causes(other, finding)), None)
         if cause is None:
             out.append(finding)
         else:
             follow.append(dataclasses.replace(finding, follows=cause))
     return (*out, *follow)
+
+
+def _causes(one: Finding, other: Finding) -> bool:
+    """Whether a finding brings about another; what a limit feeds comes of the limit, and of I of winding up."""
+    limited = (one.name, other.name)
+    if limited == ("winds up", "oscillates"):
+        return other.term == "I"
+    if limited == ("oscillates", "winds up"):
+        return one.term != "I"
+    if limited == ("saturates", "oscillates"):
+        return other.term in LIMIT_TERMS
+    if limited == ("oscillates", "saturates"):
+        return one.term not in LIMIT_TERMS
+    return other.name in CAUSES.get(one.name, ())
 
 
 def _looked_at(case: Case) -> dict[str, Number]:

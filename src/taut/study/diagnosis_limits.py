@@ -122,19 +122,20 @@ def _winds_up(case: Case) -> Finding | None:
     best: tuple[float, int, float, float, int] | None = None
     for i in range(case.n):
         into = -np.sign(cut[1:, i])
-        gains = np.diff(integral[:, i]) * into
-        gained = float(np.sum(np.maximum(gains, 0.0)))
-        largest = float(np.abs(case.feedback[:, i]).max())
-        if gained < GAINED * largest or not gained:
+        gains = np.maximum(np.diff(integral[:, i]) * into, 0.0)
+        if not gains.any():
             continue
-        first = int(np.flatnonzero(gains > 0.0)[0])
+        first = int(np.flatnonzero(gains)[0])
         way = float(into[first])
         crossing = np.flatnonzero(case.error[first:, i] * way < 0.0)
         if not crossing.size:
             continue
         at = first + int(crossing[0])
+        gained = float(np.sum(gains[:at]))
         beyond = float(np.max(-way * case.error[at:, i]))
-        if way * integral[at, i] < 0.5 * gained or beyond <= case.tolerance[i]:
+        if gained < GAINED * float(np.abs(case.feedback[:, i]).max()) or beyond <= case.tolerance[i]:
+            continue
+        if way * integral[at, i] < 0.5 * gained:
             continue
         if best is None or gained / case.size[i] > best[0]:
             best = gained / case.size[i], i, gained, beyond, at

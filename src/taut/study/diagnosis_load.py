@@ -15,7 +15,7 @@ from taut.study.diagnosis_model import Fit
 
 __all__ = ["load_findings", "sign_findings"]
 
-MOST: Final = 0.8  # of what friction leaves of the residual, in squares, that a load has to explain
+MOST: Final = 0.98  # of what friction leaves of the residual, in squares, that a load has to explain: all but 2 %
 HALF: Final = 0.5  # of gravity: who gives more of it compensates it
 LEAST_LOAD: Final = 0.05  # of the largest gravity torque: a smaller payload is none
 LEAST_GRAVITY: Final = 0.01  # of the effort: arms with less have no gravity to speak of
@@ -115,7 +115,7 @@ def _load(case: Case, fit: Fit) -> Finding | None:
     """Gravity twice, gravity not at all, or another payload.
 
     tau + J^T F_ext - (M a + C v + g) is what acted beyond the model. It is fitted by part of -g (somebody else gives
-    gravity), by a payload, and by friction, see `ArmModel.fit`; a load has to explain four fifths of what friction
+    gravity), by a payload, and by friction, see `ArmModel.fit`; a load has to explain all but 2 % of what friction
     leaves. The law compensates gravity where its terms hold more than half of g.
     """
     model = case.model
@@ -252,26 +252,13 @@ def _sticks(case: Case, fit: Fit | None) -> Finding | None:
     is within the dry friction that its motion showed. On the way it rests for a tenth of the time in which its
     reference moves, off it.
     """
-    run, best = case.run, None
-    resting = np.abs(run.v) < RESTING
-    on_the_way = stuck(run)
-    for i in range(case.n):
-        rest = np.zeros(len(run))
-        if on_the_way is not None and not np.isnan(on_the_way[0, i]):
-            moving = np.abs(case.moving_reference[:, i]) > 0.0
-            held = (on_the_way[:, i] > 0.0) & (case.off[:, i] > 0.0)
-            if held.sum() >= STUCK * moving.sum():
-                rest = held.astype(np.float64)
-        if not rest.any() and _held_at_the_end(case, fit, i, resting[:, i]):
-            rest = np.cumprod(resting[::-1, i])[::-1].astype(np.float64)
-        part = np.zeros_like(run.q)
-        part[:, i] = case.feedback[:, i] * rest
-        share = case.share_of(part)
-        if rest.any() and (best is None or share > best[0]):
-            best = share, i, rest
-    if best is None or case.error is None:
+    run = case.run
+    at_rest = _sticking(case, fit)
+    if case.error is None or not at_rest.any():
         return None
-    share, i, rest = best
+    part = case.feedback * at_rest
+    i = int(np.argmax(np.sum((part / case.size) ** 2, axis=0)))
+    share, rest = case.share_of(part), at_rest[:, i]
     held = rest > 0.0
     joint, unit = run.joint_names[i], run.effort_units[i]
     most = float(np.abs(case.feedback[held, i]).max())
@@ -302,6 +289,23 @@ def _sticks(case: Case, fit: Fit | None) -> Finding | None:
     )
 
 
+def _sticking(case: Case, fit: Fit | None) -> Float64Array:
+    """(k, n) 1.0 where a joint sticks."""
+    run = case.run
+    resting = np.abs(run.v) < RESTING
+    on_the_way = stuck(run)
+    out = np.zeros_like(run.q)
+    for i in range(case.n):
+        if on_the_way is not None and not np.isnan(on_the_way[0, i]):
+            moving = np.abs(case.moving_reference[:, i]) > 0.0
+            held = (on_the_way[:, i] > 0.0) & (case.off[:, i] > 0.0)
+            if held.sum() >= STUCK * moving.sum():
+                out[:, i] = held
+        if _held_at_the_end(case, fit, i, resting[:, i]):
+            out[:, i] = np.maximum(out[:, i], np.cumprod(resting[::-1, i])[::-1])
+    return out
+
+
 def _held_at_the_end(case: Case, fit: Fit | None, i: int, resting: Array) -> bool:
     run, end = case.run, tail(case.run)
     if case.error is None or np.any(np.abs(case.moving_reference[end]) > 0.0) or not resting[end].all():
@@ -315,8 +319,9 @@ def _held_at_the_end(case: Case, fit: Fit | None, i: int, resting: Array) -> boo
         return True
     if fit is None or fit.coulomb[i] <= 0.0:
         return False
-    carried = float(case.feedback[end, i].mean()) - float(fit.load[-1, i])
-    return abs(carried) <= SLACK * float(fit.coulomb[i]) and abs(carried) > abs(float(fit.load[-1, i]))
+    load = float(fit.load[-1, i]) if fit.explained >= MOST else 0.0
+    carried = float(case.feedback[end, i].mean()) - load
+    return abs(load) < abs(carried) <= SLACK * float(fit.coulomb[i])
 
 
 def _sags(case: Case, fit: Fit | None) -> Finding | None:

@@ -33,6 +33,8 @@ SAME: Final = 1e-9  # of kinematics: what counts as the same arm
 MOST_TICKS: Final = 600  # that a fit looks at, evenly spread
 FLOOR: Final = 0.01  # of the largest gravity torque: what a model is not asked to explain
 ENOUGH: Final = 0.05  # of the ticks: fewer in motion say nothing of friction
+SMALL: Final = 1e-4  # [m] off the tool: its square, which a payload's inertia has, counts for nothing
+REACH: Final = 0.25  # of the arm's length: how far from the tool a payload may have its centre
 INDEPENDENT: Final = 100.0  # ticks of a run, neighbours of which are much alike, count as so many
 
 
@@ -188,12 +190,17 @@ class ArmModel:
 
     @cached_property
     def _payload_columns(self) -> Float64Array:
-        """(ticks, n, 4) torque of a payload of 1 kg at the tool, and of 1 kg m along each of its axes at rest."""
-        none, unit = np.zeros(6), np.eye(3)
-        mass = self._each(1.0, np.zeros(3), none, moving=True) - self._each(0.0, np.zeros(3), none, moving=True)
-        at = self._each(1.0, np.zeros(3), none, moving=False)
-        moments = [self._each(1.0, axis, none, moving=False) - at for axis in unit]
-        return np.stack([mass, *moments], axis=2)
+        """(ticks, n, 4) torque of a payload of 1 kg at the tool, and of 1 kg m along each of its axes."""
+        none = np.zeros(6)
+        at = self._each(1.0, np.zeros(3), none, moving=True)
+        moments = [(self._each(1.0, SMALL * axis, none, moving=True) - at) / SMALL for axis in np.eye(3)]
+        return np.stack([at - self._each(0.0, np.zeros(3), none, moving=True), *moments], axis=2)
+
+    @cached_property
+    def length(self) -> float:
+        """[m] from the first joint to the tool, were the arm stretched."""
+        chain = Chain.of(model_of(self.arm), None)
+        return float(sum(np.linalg.norm(p) for p in [*(link.p for link in chain.links[1:]), chain.p]))
 
     def inertia_felt(self, tick: int) -> Float64Array:
         """(n,) what each joint's torque moves with the others free: 1 / (M^-1)_ii [kg m^2 | kg]."""
@@ -207,8 +214,9 @@ class ArmModel:
         """What explains the residual: friction, gravity that somebody else gives, a payload, or nothing.
 
         Each hypothesis is fitted by least squares, alone and with friction of each joint, b v + c sign(v) with
-        b, c >= 0; the one with the least Bayesian information criterion is kept, in which what lies under 1 % of the
-        largest gravity torque counts as noise.
+        b, c >= 0, to the joints that move; where next to nothing does, to all. The one with the least Bayesian
+        information criterion is kept, in which what lies under 1 % of the largest gravity torque counts as noise. A
+        payload whose centre is further from the tool than a quarter of the arm is none: that is a wrong arm.
 
         Args:
             size: (n,) what the torques of each joint are weighed with.
@@ -216,7 +224,7 @@ class ArmModel:
         n, v = self.run.n, self.run.v[self.ticks]
         moving = np.abs(v) > MOVING
         dry = bool(moving.any(axis=1).mean() >= ENOUGH)
-        used = np.ones_like(moving)
+        used = moving if dry else np.ones_like(moving)  # what dry friction holds says nothing of a load
         d = (self.residual / size)[used]
         floor = FLOOR * float(np.abs(self.gravity / size).max())
         columns = {
@@ -232,15 +240,22 @@ class ArmModel:
         best: tuple[float, tuple[str, ...], Float64Array] = (math.inf, (), np.zeros(0))
         for names in sets:
             values, left = _bounded(d, [columns[name] / size[:, np.newaxis] for name in names], names, used)
+            if "moment" in names and np.linalg.norm(values[1:4]) > REACH * self.length * abs(float(values[0])):
+                continue
             variance = float(np.mean(left**2)) + floor**2 + np.finfo(np.float64).tiny
             used_up = np.count_nonzero(np.abs(values) > 0.0)
             cost = INDEPENDENT * math.log(variance) + used_up * math.log(INDEPENDENT)
             if cost < best[0]:
                 best = cost, names, values
-        return self._told(best[1], best[2], columns, size)
+        return self._told(best[1], best[2], columns, size, used)
 
     def _told(
-        self, names: tuple[str, ...], values: Float64Array, columns: dict[str, Float64Array], size: Float64Array
+        self,
+        names: tuple[str, ...],
+        values: Float64Array,
+        columns: dict[str, Float64Array],
+        size: Float64Array,
+        used: Any,
     ) -> Fit:
         n, at = self.run.n, 0
         found = {"gravity": np.zeros(1), "mass": np.zeros(1), "moment": np.zeros(3)}
@@ -255,10 +270,10 @@ class ArmModel:
                 rest = rest - part
             else:
                 load = load + part
-        before, after = float(np.sum((rest / size) ** 2)), float(np.sum(((rest - load) / size) ** 2))
+        before, after = (float(np.sum((x / size)[used] ** 2)) for x in (rest, rest - load))
         kind = "gravity" if "gravity" in names else "payload" if "mass" in names else "friction" if names else "none"
-        mass_column = columns["mass"][:, :, 0] / size
-        spread = math.sqrt(after / max(1, rest.size - len(values)))
+        mass_column = (columns["mass"][:, :, 0] / size)[used]
+        spread = math.sqrt(after / max(1, mass_column.size - len(values)))
         return Fit(
             kind=kind,
             load=load,

@@ -24,6 +24,7 @@ LINE: Final = 0.5  # of the variance of a joint's feedback that is one line
 RINGING: Final = 0.1  # damping ratio under which it takes more than six periods to the chapter's 2 %
 STEADY: Final = 0.01  # damping ratio within which an oscillation neither grows nor dies out
 LEAST_TORQUE: Final = 0.02  # of the effort: smaller oscillations count only by their error
+LEAST_SHARE: Final = 0.01  # of the feedback's effort in the run: less is not why a run is as it is
 HARMONICS: Final = 5.0  # of the reference's frequency: what the reference itself brings
 FED: Final = 0.05  # of the work that is done on it: a term that feeds it does more
 SAMPLED: Final = 0.3  # omega T from which the rate matters: a design stays below
@@ -54,8 +55,8 @@ def swing_findings(case: Case) -> Iterator[Finding]:
     * stick-slip where the joint rests (|v| < 1e-4) for a tenth of the window between its jumps;
     * backlash where it neither grows nor dies out, no limit acts, and what the motion needs of torque dwells at none
       three times as long as that of a sine would;
-    * else it is the loop's: the integral (I), the drives (delay), or the gains against the rate (P, D); where no
-      term feeds it, damping is missing (D).
+    * else it is the loop's: the integral (I), the drives (delay), a limit (its term), or the gains against the rate
+      (P, D); where no term feeds it, damping is missing (D).
     """
     if not case.of_torque:
         return
@@ -69,7 +70,7 @@ def swing_findings(case: Case) -> Iterator[Finding]:
             case,
             found,
             "stick-slip",
-            "I" if "I" in run.terms else "friction",
+            "I" if _integrates(case, i) else "friction",
             {"rests for": Number(100.0 * rest, "% of the time")},
             "the joint sticks, the feedback grows until it breaks away, and it overshoots",
             "add FrictionCompensation(at='ref') or a Dither; or lower ki, or stop the integral within the tolerance",
@@ -98,7 +99,6 @@ def _strongest(case: Case) -> _Swing | None:
     """The line that explains most of any joint's feedback, in the last half of the run or else in all of it."""
     run, count = case.run, len(case.run)
     for window in (slice(count // 2, count), slice(0, count)):
-        size = window.stop - window.start
         y = case.feedback[window] / case.size
         slow = _reference_speed(case, window)
         total = float(np.sum((y - y.mean(axis=0)) ** 2)) or 1.0
@@ -114,9 +114,11 @@ def _strongest(case: Case) -> _Swing | None:
             part = line.share * float(np.sum((y[:, i] - y[:, i].mean()) ** 2)) / total
             if best is None or part > best.share:
                 best = _Swing(joint=i, line=line, window=window, share=part)
-        if best is not None and size >= 1:
+        if best is not None:
             energy = float(np.sum((case.feedback[best.window] / case.size) ** 2)) / case.effort
-            return _Swing(joint=best.joint, line=best.line, window=best.window, share=min(1.0, best.share * energy))
+            share = min(1.0, best.share * energy)
+            if share >= LEAST_SHARE:
+                return _Swing(joint=best.joint, line=best.line, window=best.window, share=share)
     return None
 
 
@@ -143,6 +145,9 @@ def _works(case: Case, found: _Swing) -> dict[str, float]:
     steps = _ac(case.steps[window])
     works = {name: float(np.sum(_ac(value[window]) * steps)) for name, value in case.feedback_terms.items()}
     works["delay"] = float(np.sum(_ac(run.tau[window] - run.command[window]) * steps))
+    for name in LIMIT_TERMS:
+        if name in run.terms:
+            works[name] = float(np.sum(_ac(run.terms[name][window]) * steps))
     return works
 
 
@@ -154,6 +159,12 @@ def _resting(case: Case, found: _Swing) -> float | None:
     at = np.abs(case.run.v[found.window, found.joint]) < RESTING
     share = float(at.mean())
     return share if RESTS < share < 1.0 and found.line.omega * case.dt < SAMPLED else None
+
+
+def _integrates(case: Case, i: int) -> bool:
+    """Whether an integral has a part in a joint's feedback that counts."""
+    integral = case.feedback_terms.get("I", np.zeros_like(case.feedback))[:, i]
+    return float(np.sum(integral**2)) > LEAST_SHARE * float(np.sum(case.feedback[:, i] ** 2))
 
 
 def _dwell(case: Case, found: _Swing) -> float | None:
@@ -218,6 +229,8 @@ def _of_the_loop(case: Case, found: _Swing) -> Finding:
         remedy = _less_integral(case, found)
     elif feeds == "delay":
         remedy = _less_delay(case, found)
+    elif feeds in LIMIT_TERMS:
+        remedy = f"ask for less than the {feeds.replace('_', ' ')} gives: what it takes away comes late"
     else:
         remedy = _lower_gain(case, found, feeds)
     words = (
