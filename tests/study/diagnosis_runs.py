@@ -165,12 +165,16 @@ def windup(name: str, rng: np.random.Generator, kind: str) -> Planted:
     M = float(np.asarray(taut.snapshot(arm, arm.home, np.zeros(arm.n)).M)[0, 0])
     m = np.append(M, inertia(name)[1:])
     law = L.GravityPID(kp=100.0 * m, kd=20.0 * m, ki=150.0 * m * (np.arange(arm.n) == 0), anti_windup="none")
-    most = np.full(arm.n, np.inf)
-    most[0] = rng.uniform(0.35, 0.45) * 5.77 * 0.6 / 0.6**2 * M  # [N m] of the base, which carries no weight
     way = np.zeros(arm.n)
     way[0] = rng.choice([-0.6, 0.6])
     ref = taut.Quintic(q0=arm.home, q1=arm.home + way, duration=0.6)
-    ctrl = taut.compile(law, arm, limits=taut.Limits(tau=most))
+    ctrl = taut.compile(law, arm, limits=taut.Limits(tau=np.full(arm.n, np.inf)))
+    free = taut.run(ctrl, plant_of(arm, kind), ref, duration=0.6)
+    most = np.full(arm.n, np.inf)
+    most[0] = rng.uniform(0.35, 0.45) * float(
+        np.abs(free.command[:, 0]).max()
+    )  # of the base, which carries no weight
+    ctrl.parameters["limits.tau"] = most
     run = taut.run(ctrl, plant_of(arm, kind), ref, duration=3.0)
     return Planted(run=run, fault="winds up", term="I")
 
@@ -312,7 +316,7 @@ def stick_slip(name: str, rng: np.random.Generator, kind: str) -> Planted:
     omega = rng.uniform(35.0, 45.0)
     m = np.append(np.asarray(taut.snapshot(arm, arm.home, np.zeros(arm.n)).M)[0, 0], inertia(name)[1:])
     kp = omega**2 * m
-    law = L.GravityPID(kp=kp, kd=0.3 * omega * m)
+    law = L.GravityPID(kp=kp, kd=np.where(np.arange(arm.n) == 0, 0.1, 1.0) * omega * m)
     speed = rng.uniform(0.06, 0.08)
     static = np.zeros(arm.n)
     static[i] = 0.015 * kp[i]

@@ -149,7 +149,7 @@ def _winds_up(case: Case) -> Finding | None:
         name="winds up",
         term="I",
         joint=joint,
-        share=case.share_of(part),
+        share=min(1.0, float(np.sum((part / case.size) ** 2)) / case.effort),
         evidence={
             "gained while cut": Number(gained, run.effort_units[i]),
             "beyond the target": Number(beyond, run.units[i]),

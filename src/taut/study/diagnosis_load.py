@@ -25,6 +25,7 @@ EXACT: Final = 1e-9  # of P in squares that is no multiple of the error: roundin
 AWAY: Final = 3.0  # times as far from the target at the end as at the start
 SLACK: Final = 1.5  # times the friction fitted in motion: static friction, and what the fit misses
 TORQUE_CHANGE: Final = 0.01  # of the effort: a free joint would have moved
+UNSURE: Final = 0.1  # of the residual, in squares: where a fit leaves more, its friction is none to go by
 STUCK: Final = 0.1  # of the time in which its reference moves; a rest after each reversal is less
 
 
@@ -241,7 +242,8 @@ def _payload(case: Case, fit: Fit) -> Finding:
 def _stiffness(case: Case, i: int) -> float:
     """Steady feedback over steady error of a joint [N m/rad | N/m]."""
     at = tail(case.run)
-    return abs(float(case.feedback[at, i].mean())) / max(abs(float(case.steady_error[i])), 1e-300)
+    assert case.error is not None
+    return abs(float(case.feedback[at, i].mean())) / max(abs(float(case.error[at, i].mean())), 1e-300)
 
 
 def _sticks(case: Case, fit: Fit | None) -> Finding | None:
@@ -315,9 +317,11 @@ def _held_at_the_end(case: Case, fit: Fit | None, i: int, resting: Array) -> boo
     if resting.all():
         return True
     first = len(run) - int(np.cumprod(resting[::-1]).sum())
-    if np.ptp(case.feedback[first:, i]) > TORQUE_CHANGE * case.size[i]:
+    change = np.ptp(case.feedback[first:, i])
+    crept = _stiffness(case, i) * np.ptp(run.q[first:, i])  # what a spring says of a joint that still moves
+    if change > TORQUE_CHANGE * case.size[i] and crept < 0.5 * change:
         return True
-    if fit is None or fit.coulomb[i] <= 0.0:
+    if fit is None or fit.coulomb[i] <= 0.0 or fit.left > UNSURE:
         return False
     load = float(fit.load[-1, i]) if fit.explained >= MOST else 0.0
     carried = float(case.feedback[end, i].mean()) - load

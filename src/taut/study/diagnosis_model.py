@@ -120,6 +120,7 @@ class Fit:
     kind: str  # "none", "friction", "gravity" or "payload"
     load: Float64Array  # (k, n) the torque of it beyond friction, at the ticks that were looked at
     explained: float  # 0 to 1: of what friction leaves, in squares
+    left: float  # 0 to 1: of the residual, what nothing explains
     gravity: float  # part of g that somebody else gives
     mass: float  # [kg] beyond the declared payload
     mass_error: float  # [kg] its standard error
@@ -270,7 +271,7 @@ class ArmModel:
                 rest = rest - part
             else:
                 load = load + part
-        before, after = (float(np.sum((x / size)[used] ** 2)) for x in (rest, rest - load))
+        whole, before, after = (float(np.sum((x / size)[used] ** 2)) for x in (self.residual, rest, rest - load))
         kind = "gravity" if "gravity" in names else "payload" if "mass" in names else "friction" if names else "none"
         mass_column = (columns["mass"][:, :, 0] / size)[used]
         spread = math.sqrt(after / max(1, mass_column.size - len(values)))
@@ -278,6 +279,7 @@ class ArmModel:
             kind=kind,
             load=load,
             explained=1.0 - after / before if before > 0.0 else 0.0,
+            left=after / whole if whole > 0.0 else 0.0,
             gravity=float(found["gravity"][0]),
             mass=float(found["mass"][0]),
             mass_error=spread / max(float(np.linalg.norm(mass_column)), 1e-300),
