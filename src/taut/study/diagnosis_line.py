@@ -25,6 +25,7 @@ class Line:
     omega: float  # [rad/s]
     growth: float  # [1/s]
     amplitude: float  # in the middle of the window, in the signal's unit
+    last: float  # at its end
     share: float  # 0 to 1: of the signal's variance about its trend
 
     @property
@@ -86,6 +87,7 @@ def line_of(y: Float64Array, dt: float, above: float = 0.0) -> Line | None:
         omega=start + float(found.x[1]) * width,
         growth=float(found.x[0]) / half,
         amplitude=float(math.hypot(values[0], values[1])),
+        last=float(math.hypot(values[0], values[1]) * math.exp(found.x[0])),
         share=1.0 - float(np.sum(left(found.x) ** 2)) / power,
     )
 

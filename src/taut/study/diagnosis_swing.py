@@ -22,6 +22,8 @@ __all__ = ["chatter_findings", "swing_findings"]
 
 LINE: Final = 0.5  # of the variance of a joint's feedback that is one line
 RINGING: Final = 0.1  # damping ratio under which it takes more than six periods to the chapter's 2 %
+BOLTING: Final = 0.3  # what grows faster, sixfold in a period, is no oscillation but runs away
+CONSTANT: Final = 1e-3  # damping ratio that a loop has by chance only: half a per cent in a period
 STEADY: Final = 0.01  # damping ratio within which an oscillation neither grows nor dies out
 LEAST_TORQUE: Final = 0.02  # of the effort: smaller oscillations count only by their error
 LEAST_SHARE: Final = 0.01  # of the feedback's effort in the run: less is not why a run is as it is
@@ -48,13 +50,15 @@ def swing_findings(case: Case) -> Iterator[Finding]:
     """Oscillation: one line that makes up half of the variance of a joint's feedback, in four periods or more.
 
     The line is fitted by damped least squares in the last half, and else the whole, of the run. It counts where its
-    damping ratio is under 0.1 (more than six periods to 2 %), where it moves the joint by an error that counts or
-    its torque by 2 % of the effort, and where it is faster than five times what the reference moves at. It is fed
+    damping ratio is under 0.1 (more than six periods to 2 %) and above -0.3 (a joint that runs away), where it moves
+    the joint by an error that counts or its torque by 2 % of the effort (of one that grows, at its end), and where it
+    is faster than five times what the reference moves at. It is fed
     by the term that does positive work on it, sum tau_term dq over whole ticks, so that the hold counts:
 
     * stick-slip where the joint rests (|v| < 1e-4) for a tenth of the window between its jumps;
-    * backlash where it neither grows nor dies out, no limit acts, and what the motion needs of torque dwells at none
-      three times as long as that of a sine would;
+    * backlash where it neither grows nor dies out, no limit acts, and the link's acceleration dwells at none three
+      times as long as that of a sine would; or where its size is constant within half a per cent in a period though
+      one term feeds it and another brakes it: a linear loop would need luck for that;
     * else it is the loop's: the integral (I), the drives (delay), a limit (its term), or the gains against the rate
       (P, D); where no term feeds it, damping is missing (D).
     """
@@ -84,7 +88,7 @@ def swing_findings(case: Case) -> Iterator[Finding]:
             "backlash",
             "transmission",
             {"without torque for": Number(100.0 * dwell, "% of the time")},
-            "the link flies free between two teeth in each half of the cycle",
+            "a cycle of constant size that no limit holds: the link goes to and fro between two teeth",
             f"lower kp at '{run.joint_names[i]}' (the gain bound of backlash, 2 friction / backlash), measure at the "
             "motor, or preload the gear",
         )
@@ -105,11 +109,11 @@ def _strongest(case: Case) -> _Swing | None:
         best: _Swing | None = None
         for i in range(case.n):
             line = line_of(y[:, i], case.dt, HARMONICS * slow)
-            if line is None or line.share < LINE or line.zeta > RINGING:
+            if line is None or line.share < LINE or not -BOLTING < line.zeta < RINGING:
                 continue
             swing = line_of(run.q[window, i], case.dt, 0.5 * line.omega)
             moves = 0.0 if swing is None else swing.amplitude * math.sqrt(max(swing.share, 0.0))
-            if line.amplitude < LEAST_TORQUE and moves < case.tolerance[i]:
+            if max(line.amplitude, line.last * (line.growth > 0.0)) < LEAST_TORQUE and moves < case.tolerance[i]:
                 continue
             part = line.share * float(np.sum((y[:, i] - y[:, i].mean()) ** 2)) / total
             if best is None or part > best.share:
@@ -168,7 +172,7 @@ def _integrates(case: Case, i: int) -> bool:
 
 
 def _dwell(case: Case, found: _Swing) -> float | None:
-    """The part of the window in which the joint's motion needs next to no torque, if it is far above a sine's."""
+    """The part of the window in which the link has next to no acceleration, where play is what holds the cycle."""
     run, i, line = case.run, found.joint, found.line
     if case.cut[found.window].any() or abs(line.zeta) > STEADY or line.omega * case.dt > SAMPLED:
         return None
@@ -178,7 +182,12 @@ def _dwell(case: Case, found: _Swing) -> float | None:
         return None
     band = 0.1
     dwell = float(np.mean(np.abs(a) < band * peak))
-    return dwell if dwell > FREE * 2.0 / math.pi * math.asin(band) else None
+    works = _works(case, found)
+    done = sum(abs(work) for work in works.values()) or 1.0
+    balanced = max(works.values()) > FED * done and min(works.values()) < -FED * done
+    if dwell > FREE * 2.0 / math.pi * math.asin(band) or (abs(line.zeta) < CONSTANT and balanced):
+        return dwell
+    return None
 
 
 def _limit_cycle(
@@ -220,7 +229,8 @@ def _of_the_loop(case: Case, found: _Swing) -> Finding:
     run, i, line = case.run, found.joint, found.line
     works = _works(case, found)
     done = sum(abs(work) for work in works.values()) or 1.0
-    feeds = max(works, key=lambda name: works[name])
+    late = works["delay"] > FED * done  # then what a limit takes acts late too, and brakes
+    feeds = max((name for name in works if not (late and name in LIMIT_TERMS)), key=lambda name: works[name])
     fed = works[feeds] / done
     if fed < FED or (feeds == "P" and line.omega * case.dt < SAMPLED):
         feeds = "D"  # nothing feeds it: it lacks damping
