@@ -126,11 +126,11 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
     Example:
         >>> import taut
         >>> arm = taut.load_arm("panda")
-        >>> ctrl = taut.compile(taut.laws.GravityPID(kp=100.0, kd=20.0), arm)
-        >>> run = taut.run(ctrl, taut.RigidPlant(arm.with_payload(1.5)), duration=1.0)
+        >>> ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)
+        >>> run = taut.run(ctrl, taut.RigidPlant(arm.with_payload(1.5)), duration=0.5)
         >>> found = taut.doctor(run).findings[0]
         >>> found.name, found.term, round(found.evidence["beyond it"].value, 3)
-        ('wrong payload', 'gravity', 1.5)
+        ('wrong payload', 'nonlinear', 1.5)
 
     References:
         Astrom and Hagglund, PID Controllers (1995), section 3.5 (wind-up). Armstrong-Helouvry, Dupont and Canudas de

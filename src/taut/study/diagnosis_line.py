@@ -67,7 +67,7 @@ def line_of(y: Float64Array, dt: float, above: float = 0.0) -> Line | None:
     if power <= 0.0 or not spectrum.any():
         return None
     start = float(omegas[int(np.argmax(spectrum))])
-    half = 0.5 * k * dt
+    half = 0.5 * (k - 1) * dt
     tau = x * half
     width = 2.0 * math.pi / (k * dt)
 
