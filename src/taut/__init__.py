@@ -141,6 +141,9 @@ if TYPE_CHECKING:
     from taut.study.contact_modes import FrictionMargin as FrictionMargin
     from taut.study.coupling import Coupling as Coupling
     from taut.study.coupling import coupling as coupling
+    from taut.study.diagnosis import Diagnosis as Diagnosis
+    from taut.study.diagnosis import doctor as doctor
+    from taut.study.diagnosis_finding import Finding as Finding
     from taut.study.error_dynamics import ErrorDynamics as ErrorDynamics
     from taut.study.freedom_words import FreedomRow as FreedomRow
     from taut.study.freedoms import Freedoms as Freedoms
@@ -258,6 +261,8 @@ _HOME: Final = {
     "study.contact_modes": ("FrictionMargin",),
     "study.coupling": ("Coupling", "coupling"),
     "study.error_dynamics": ("ErrorDynamics",),
+    "study.diagnosis": ("Diagnosis", "doctor"),
+    "study.diagnosis_finding": ("Finding",),
     "study.freedom_words": ("FreedomRow",),
     "study.freedoms": ("Freedoms", "freedoms"),
     "study.impedance": ("check_impedance",),

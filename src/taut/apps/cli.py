@@ -38,6 +38,16 @@ The metrics are printed as a table; below it stands each file that was made.
 
 {STATUS}"""
 
+DOCTOR: Final = """examples:
+  taut doctor run.mcap
+  taut doctor run.mcap --arm my_arm.urdf --out findings
+
+exit status:
+  0  done, whatever was found
+  2  the request was wrong: no log, or one of a run that is too short, has gaps or ended in a fault, of which is
+     printed what can be said
+"""
+
 
 class _Help(argparse.RawDescriptionHelpFormatter):
     """Help with the names of the commands in one column."""
@@ -140,6 +150,11 @@ def _parser() -> argparse.ArgumentParser:
     add("laws", _laws, "List the laws with their equations and what they need measured.")
     check = add("check", _check, "Read a robot model and say what is in it and everything that is wrong with it.")
     check.add_argument("model", metavar="MODEL", help="a name, a .urdf or an MJCF .xml file")
+    patient = add("doctor", _doctor, "Say why a recorded run sags, oscillates, sticks, saturates, ...")
+    patient.epilog = DOCTOR
+    patient.add_argument("run", type=Path, metavar="RUN", help="a log (.mcap) of a run")
+    patient.add_argument("--arm", metavar="MODEL", help="the arm that the controller was compiled for")
+    patient.add_argument("--out", type=Path, metavar="DIR", help="folder for a picture of each finding")
     bench = add("bench", _bench, "Measure what a tick, a compile and a closed loop cost on this machine.")
     bench.add_argument("arm", nargs="?", default="planar3", metavar="ARM", help="name or file (default: planar3)")
     return parser
@@ -249,6 +264,19 @@ def _check(arguments: argparse.Namespace) -> int:
         _print_json(report.json())
     else:
         print(report.text())
+    return DONE if report.ok else WRONG
+
+
+def _doctor(arguments: argparse.Namespace) -> int:
+    from taut.apps.doctor import examine
+
+    report = examine(arguments.run, arguments.arm, arguments.out)
+    if arguments.json:
+        _print_json(report.json())
+    else:
+        print(report.text())
+    for problem in report.diagnosis.problems:
+        _tell(f"'{report.log}' is no whole run: {problem}")
     return DONE if report.ok else WRONG
 
 
