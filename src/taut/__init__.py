@@ -139,6 +139,7 @@ if TYPE_CHECKING:
     from taut.runtime.simulate import run as run
     from taut.study.admissible import Admissible as Admissible
     from taut.study.contact_modes import FrictionMargin as FrictionMargin
+    from taut.study.error_dynamics import ErrorDynamics as ErrorDynamics
     from taut.study.freedom_words import FreedomRow as FreedomRow
     from taut.study.freedoms import Freedoms as Freedoms
     from taut.study.freedoms import freedoms as freedoms
@@ -147,10 +148,18 @@ if TYPE_CHECKING:
     from taut.study.limits import StiffnessLimits as StiffnessLimits
     from taut.study.limits import check_stiffness as check_stiffness
     from taut.study.limits import stiffness_limits as stiffness_limits
+    from taut.study.locus import Locus as Locus
+    from taut.study.locus import locus as locus
+    from taut.study.routh import RouthTable as RouthTable
+    from taut.study.routh import routh as routh
     from taut.study.sampled import SampledLoop as SampledLoop
+    from taut.study.sampled_errors import SampledErrorDynamics as SampledErrorDynamics
+    from taut.study.second_order import second_order as second_order
     from taut.study.specification import Specification as Specification
     from taut.study.specification import check_specification as check_specification
     from taut.study.specification import possible_specifications as possible_specifications
+    from taut.study.stability_map import StabilityMap as StabilityMap
+    from taut.study.stability_map import stability_map as stability_map
     from taut.study.tip import check_stiffness_at as check_stiffness_at
     from taut.study.tip import safe_stiffness as safe_stiffness
     from taut.study.wrist import WristCalibration as WristCalibration
@@ -235,12 +244,18 @@ _HOME: Final = {
     "runtime.simulate": ("run",),
     "study.admissible": ("Admissible",),
     "study.contact_modes": ("FrictionMargin",),
+    "study.error_dynamics": ("ErrorDynamics",),
     "study.freedom_words": ("FreedomRow",),
     "study.freedoms": ("Freedoms", "freedoms"),
     "study.impedance": ("check_impedance",),
     "study.limits": ("StiffnessCheck", "StiffnessLimits", "check_stiffness", "stiffness_limits"),
+    "study.locus": ("Locus", "locus"),
+    "study.routh": ("RouthTable", "routh"),
     "study.sampled": ("SampledLoop",),
+    "study.sampled_errors": ("SampledErrorDynamics",),
+    "study.second_order": ("second_order",),
     "study.specification": ("Specification", "check_specification", "possible_specifications"),
+    "study.stability_map": ("StabilityMap", "stability_map"),
     "study.tip": ("check_stiffness_at", "safe_stiffness"),
     "study.wrist": ("WristCalibration", "calibrate_wrist"),
     "study.wrist_poses": ("calibration_poses",),

@@ -33,6 +33,8 @@ def spare_damping(loop: SampledLoop) -> float:
     A measured velocity has no such bound unless B is zero: its samples do not tell what the arm does in between, so
     that resonances of the environment far above the rate can beat any damping; then this is minus infinity.
 
+    With an integral it is minus infinity too: a slow enough motion gets more out of it than any damping takes.
+
     Returns:
         [N s/m]; negative where some passive environment makes the loop unstable.
 
@@ -41,7 +43,7 @@ def spare_damping(loop: SampledLoop) -> float:
         theorem 1. Its proof for a fraction of a period is ours: the aliases of the environment's response are discs,
         their weighted sum is one, and its centre moves with the fraction as its radius does not.
     """
-    if not loop.differenced and np.any(np.asarray(loop.B)):
+    if loop.integrates or (not loop.differenced and np.any(np.asarray(loop.B))):
         return -math.inf
     return _least(loop, lambda theta: _spare(loop, theta))
 
@@ -55,13 +57,20 @@ def spare_damping_in_band(loop: SampledLoop, band: float | None = None) -> float
     Args:
         loop: The loop.
         band: [Hz], at most half the rate, which it is if left out.
+
+    Returns:
+        [N s/m]; minus infinity with an integral, which gives energy to slow motions.
     """
+    if loop.integrates:
+        return -math.inf
     top = math.pi if band is None else min(2.0 * math.pi * band * loop.T, math.pi)
     return _least(loop, lambda theta: _harmonic(loop, theta), top)
 
 
 def largest_passive(loop: SampledLoop, band: float | None = None, *, everything: bool = True) -> float:
     """The factor on K up to which spare damping is not negative: for every environment, or for motion in a band."""
+    if loop.integrates:
+        return 0.0
     largest = float(np.abs(np.linalg.eigvalsh(np.asarray(loop.K))).max())
     spare = spare_damping if everything else lambda loop: spare_damping_in_band(loop, band)
     if largest == 0.0:

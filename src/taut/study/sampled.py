@@ -1,7 +1,7 @@
 """The sampled loop of a mass under a virtual spring and damper: its exact matrix, and when it is stable.
 
 A continuous arm meets a law that sees it once in a period and holds its force until the next. What follows is exact
-for the linear loop: hold, delay, differenced velocity and low-pass included.
+for the linear loop: hold, delay, differenced velocity, low-pass and integral included.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Final, Literal
 
 import numpy as np
@@ -82,14 +82,16 @@ class SampledLoop:
     """A mass with its own damper under a virtual spring and damper that see it once in a period.
 
     Model:        mass a + damping v = -u(t - delay) + F_ext
-    Law:          u_k = K x_k + B v_k, held for T = 1 / rate; v_k is measured in the tick, or (x_k - x_{k-1}) / T,
-                  each with a low-pass if there is one, made discrete like `taut.LowPass`
+    Law:          u_k = K x_k + B v_k + Ki s_k, held for T = 1 / rate; v_k is measured in the tick, or
+                  (x_k - x_{k-1}) / T, each with a low-pass if there is one, made discrete like `taut.LowPass`;
+                  s_k = s_{k-1} + T x_k, as the laws here integrate
 
     Args:
         mass: A number, (n,) or (n, n) [kg | kg m^2]: of an arm at its tool, Lambda.
         damping: Physical damping, likewise [N s/m | N m s/rad].
         K: Stiffness of the virtual spring, likewise [N/m | N m/rad].
         B: Damping of the virtual damper, likewise [N s/m | N m s/rad]; a negative one takes away.
+        Ki: Of the integral, likewise [N/(m s) | N m/(rad s)].
         rate: [Hz].
         delay: [s] from the tick to the force, beyond the hold; any number of periods, whole or not.
         velocity: "measured", "difference", `taut.LowPass(...)` of the measured, `taut.Difference(cutoff=...)`.
@@ -112,6 +114,7 @@ class SampledLoop:
     damping: ArrayLike = 0.0
     K: ArrayLike = 0.0
     B: ArrayLike = 0.0
+    Ki: ArrayLike = 0.0
     rate: float = 1000.0
     delay: float = 0.0
     velocity: VelocityKind = "measured"
@@ -119,12 +122,14 @@ class SampledLoop:
     substeps: int = 1
 
     def __post_init__(self) -> None:
-        numbers = {name: np.asarray(getattr(self, name)) for name in ("mass", "damping", "K", "B")}
+        numbers = {name: np.asarray(getattr(self, name)) for name in ("mass", "damping", "K", "B", "Ki")}
         sizes = [value.shape[0] for value in numbers.values() if value.ndim]
         n = max(sizes, default=1)
-        for name, unit in (("mass", "kg"), ("damping", "N s/m"), ("K", "N/m"), ("B", "N s/m")):
+        for name, unit in (
+            ("mass", "kg"), ("damping", "N s/m"), ("K", "N/m"), ("B", "N s/m"), ("Ki", "N/(m s)")
+        ):  # fmt: skip
             matrix = square(name, getattr(self, name), n, unit)
-            if name in ("damping", "K"):
+            if name in ("damping", "K", "Ki"):
                 symmetric_psd(name, matrix, unit=unit)
             object.__setattr__(self, name, matrix)
         smallest = float(np.linalg.eigvalsh(np.asarray(self.mass))[0])
@@ -187,8 +192,13 @@ class SampledLoop:
         return self.velocity == "difference" or isinstance(self.velocity, Difference)
 
     def with_stiffness(self, factor: float) -> SampledLoop:
-        """The same loop with `factor` times K."""
-        return dataclasses.replace(self, K=factor * np.asarray(self.K))
+        """The same loop with `factor` times K, and times Ki."""
+        return dataclasses.replace(self, K=factor * np.asarray(self.K), Ki=factor * np.asarray(self.Ki))
+
+    @property
+    def integrates(self) -> bool:
+        """Whether the law has an integral."""
+        return bool(np.any(np.asarray(self.Ki)))
 
     @cached_property
     def periods(self) -> tuple[int, float]:
@@ -221,10 +231,9 @@ class SampledLoop:
         mass, damping = np.asarray(self.mass), np.asarray(self.damping)
         eye, none = np.eye(n), np.zeros((n, n))
         if self.integrator == "exact":
-            rates = np.linalg.solve(mass, np.hstack([-damping, eye]))
-            A = np.block([[none, eye, none], [none, rates], [none, none, none]])
             part = self.periods[1]
-            before, after = expm(A * part * T), expm(A * (1.0 - part) * T)
+            before = _moved(mass.tobytes(), damping.tobytes(), part * T)
+            after = _moved(mass.tobytes(), damping.tobytes(), (1.0 - part) * T)
         else:
             h = T / self.substeps
             factor = np.linalg.inv(mass + h * damping)
@@ -244,13 +253,14 @@ class SampledLoop:
     def matrix(self, factor: float = 1.0) -> Float64Array:
         """(N, N) from one tick to the next: of the positions that the spring feels, the velocities, and all memory.
 
-        Directions without stiffness have no position in it, so that drifting along them counts for nothing.
+        Directions without stiffness and integral have no position in it, so that drifting along them counts for
+        nothing.
 
         Args:
-            factor: On K.
+            factor: On K and Ki.
         """
-        n, K, B, move = self.n, np.asarray(self.K), np.asarray(self.B), self._period
-        sizes, basis = np.linalg.eigh(K)
+        n, K, B, Ki, move = self.n, np.asarray(self.K), np.asarray(self.B), np.asarray(self.Ki), self._period
+        sizes, basis = np.linalg.eigh(_scaled(K) + _scaled(Ki))
         R = basis[:, sizes > RANK * max(float(sizes[-1]), 1e-300)]  # (n, r) what the spring feels
         whole, part = self.periods
         old = whole + (1 if part else 0)
@@ -259,11 +269,15 @@ class SampledLoop:
             coefficients = tuple(np.asarray(each) for each in tf2ss(*self._filter))  # type: ignore[assignment]
         a, b, c, d = (np.kron(each, np.eye(n)) for each in coefficients)
         widths = {"y": R.shape[1], "v": n, "dx": n if self.differenced else 0, "filter": len(a), "u": old * n}
+        widths["s"] = R.shape[1] if self.integrates else 0
         at = np.cumsum([0, *widths.values()])
         eye = np.eye(int(at[-1]))
         now = {name: eye[at[i] : at[i + 1]] for i, name in enumerate(widths)}
         raw = now["dx"] * self.rate if self.differenced else now["v"]
         u = factor * K @ R @ now["y"] + B @ (c @ now["filter"] + d @ raw)
+        if self.integrates:
+            now["s"] = now["s"] + self.T * now["y"]
+            u = u + factor * Ki @ R @ now["s"]
         line = [u, *(now["u"][i * n : (i + 1) * n] for i in range(old))]
         new_force, old_force = -line[whole], -line[old]
         dx = move["dx_v"] @ now["v"] + move["dx_new"] @ new_force
@@ -271,7 +285,7 @@ class SampledLoop:
         if part:
             dx, v = dx + move["dx_old"] @ old_force, v + move["v_old"] @ old_force
         then = [now["y"] + R.T @ dx, v, *([dx] if self.differenced else [])]
-        then += [a @ now["filter"] + b @ raw, *line[:old]]
+        then += [a @ now["filter"] + b @ raw, *line[:old], now["s"]]
         made: Float64Array = np.vstack(then)
         return made
 
@@ -291,22 +305,40 @@ class SampledLoop:
         return self.radius <= 1.0 + ROUNDING
 
     def largest_stable(self) -> float:
-        """The factor on K up to which it is stable; 0 if none is, infinite if K is zero.
+        """The factor on K and Ki up to which it is stable; 0 if none is, infinite if both are zero.
 
         The first border from below: a loop that is stable again above it is not counted.
         """
-        mass, K = np.asarray(self.mass), np.asarray(self.K)
+        mass, K = np.asarray(self.mass), np.asarray(self.K) + np.asarray(self.Ki) * self.T
         largest = float(np.abs(np.asarray(np.linalg.eigvals(np.linalg.solve(mass, K)))).max())
         if largest == 0.0:
             return math.inf if self.stable else 0.0
         without = self.matrix(0.0)
-        spring = self.matrix(1.0) - without  # K turns up once in every entry
+        spring = self.matrix(1.0) - without  # K and Ki turn up once in every entry
 
         def stable(factor: float) -> bool:
             return _radius(without + factor * spring) <= 1.0 + ROUNDING
 
         scale = self.rate**2 / largest  # at this factor the spring turns the mass round in a period
         return largest_factor(stable, 1e-7 * scale, 100.0 * scale)
+
+
+@lru_cache(maxsize=256)
+def _moved(mass: bytes, damping: bytes, time: float) -> Float64Array:
+    """(3n, 3n) what a time [s] makes of position, velocity and force; maps and loci over gains ask often for one."""
+    n = math.isqrt(len(mass) // 8)
+    M, b = (np.frombuffer(matrix, dtype=np.float64).reshape(n, n) for matrix in (mass, damping))
+    eye, none = np.eye(n), np.zeros((n, n))
+    rates = np.linalg.solve(M, np.hstack([-b, eye]))
+    made: Float64Array = expm(np.block([[none, eye, none], [none, rates], [none, none, none]]) * time)
+    made.flags.writeable = False
+    return made
+
+
+def _scaled(matrix: Float64Array) -> Float64Array:
+    """In parts of its largest entry."""
+    largest = float(np.abs(matrix).max())
+    return matrix / largest if largest else matrix
 
 
 def _radius(matrix: Float64Array) -> float:

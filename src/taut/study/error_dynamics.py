@@ -1,0 +1,590 @@
+"""Error dynamics as an object: how an error dies away, in numbers, from a polynomial, poles, a matrix or gains."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from taut.base.checks import finite_array, finite_scalar, one_of, positive_scalar
+from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.types import ArrayLike, Float64Array
+from taut.study.joint_gains import JointGains
+from taut.study.linear_response import NEVER, StepShape, step_shape
+from taut.study.poles import damping_ratios, sorted_poles
+from taut.study.routh import RouthTable, routh
+from taut.study.sampled import Integrator, VelocityKind
+from taut.study.second_order_response import shape, swing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from taut.study.sampled_errors import SampledErrorDynamics
+
+__all__ = ["CASES", "INPUTS", "Case", "ErrorDynamics", "Input"]
+
+Case = Literal["overdamped", "critically damped", "underdamped"]
+CASES: Final[tuple[Case, ...]] = ("overdamped", "critically damped", "underdamped")
+Input = Literal["step", "ramp", "parabola", "disturbance"]
+INPUTS: Final[tuple[Input, ...]] = ("step", "ramp", "parabola", "disturbance")
+CRITICAL: Final = 1e-14  # of zeta^2 about 1: what rounding leaves of a critically damped design
+EQUAL: Final = 1e-10  # of a coefficient: what conversions between kinds of systems leave of no difference
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ErrorDynamics:
+    """Linear error dynamics a_n e^(n) + ... + a_1 e_dot + a_0 e = 0: poles, response, and what the chapter reads off.
+
+    Print it for a report. `taut.second_order` makes it of gains and specifications; `from_poles`, `from_matrix` and
+    `of` of what else is at hand.
+
+    Law:          e^(k) stand with a_k; with `integral` the lowest stands with int(e), as ki does in eq. 10.12
+    Closed loop:  chi(s) E = reference(s) X_des + disturbance(s) Tau_dist,  chi the characteristic polynomial
+
+    Args:
+        coefficients: (n + 1,) of the characteristic polynomial, from the highest power of s down.
+        integral: Whether the lowest coefficient is that of the error's integral, which starts at zero.
+        reference: Numerator of the error over the desired position, from the highest power down; None if not known.
+        disturbance: Numerator of the error over a disturbance torque; None if not known.
+        joint: The gains it was made of; of second-order dynamics, or of third order with `integral`, those of
+            equation 10.19 if left out.
+
+    Raises:
+        ShapeError, RangeError: Coefficients that make no dynamics.
+
+    Example:
+        >>> import taut
+        >>> d = taut.ErrorDynamics(coefficients=[0.5, 2.1, 2.205])
+        >>> d.case, round(d.omega_n, 3), round(d.settling_time, 3), round(d.settling_by_rule, 3)
+        ('critically damped', 2.1, 2.778, 1.905)
+
+    References:
+        Chapter, section 10.2.1.1, equations 10.8 to 10.14.
+    """
+
+    coefficients: ArrayLike
+    integral: bool = False
+    reference: ArrayLike | None = None
+    disturbance: ArrayLike | None = None
+    joint: JointGains | None = None
+
+    def __post_init__(self) -> None:
+        given = finite_array("coefficients", self.coefficients)
+        routh(given)  # refuses what is no polynomial
+        object.__setattr__(self, "coefficients", given)
+        for name in ("reference", "disturbance"):
+            value = getattr(self, name)
+            if value is not None:
+                numerator = finite_array(name, value)
+                if numerator.ndim != 1 or not 0 < len(numerator) <= len(given):
+                    raise ShapeError(
+                        f"{name} must be a numerator of at most {len(given)} coefficients, as many as the "
+                        f"characteristic polynomial has; got shape {numerator.shape}",
+                        name=name,
+                    )
+                object.__setattr__(self, name, numerator)
+        if self.integral and self.order < 2:
+            raise UsageError("integral=True needs dynamics of the second order or higher", name="integral")
+
+    # ---------------------------------------------------------------- ways in
+
+    @classmethod
+    def of_gains(cls, joint: JointGains) -> ErrorDynamics:
+        """Of a joint under PID, or under feedback linearisation."""
+        return cls(
+            coefficients=joint.coefficients,
+            integral=joint.ki > 0.0,
+            reference=joint.reference,
+            disturbance=joint.disturbance,
+            joint=joint,
+        )
+
+    @classmethod
+    def from_poles(cls, poles: ArrayLike, *, integral: bool = False) -> ErrorDynamics:
+        """Of the roots of the characteristic equation: its kp, kd and ki are those of equation 10.19 that place them.
+
+        Args:
+            poles: (n,) real, or complex in conjugate pairs [1/s].
+            integral: Whether the lowest coefficient is that of the error's integral.
+
+        Example:
+            >>> d = ErrorDynamics.from_poles([-10.0 + 5.0j, -10.0 - 5.0j])
+            >>> d.kp, d.kd
+            (125.0, 20.0)
+        """
+        given = np.atleast_1d(np.asarray(poles))
+        if given.ndim != 1 or not given.size or given.dtype.kind not in "fiuc":
+            raise ShapeError(f"poles must be a list of numbers [1/s]; got {poles!r}", name="poles")
+        if not np.isfinite(given).all():
+            raise RangeError("poles must be finite [1/s]", name="poles", value=given)
+        made = np.poly(given)
+        if np.iscomplexobj(made) or not _paired(given):
+            raise RangeError("complex poles must come in conjugate pairs; give -a + jb and -a - jb", name="poles")
+        return cls(coefficients=made, integral=integral)
+
+    @classmethod
+    def from_matrix(cls, A: ArrayLike) -> ErrorDynamics:
+        """Of the state matrix of x_dot = A x, by its characteristic polynomial, which is computed exactly.
+
+        Polynomials of high order hold their roots badly: `taut.locus` and `taut.stability_map` take a large matrix
+        as it is.
+
+        Args:
+            A: (n, n) [1/s].
+
+        Example:
+            >>> ErrorDynamics.from_matrix([[0.0, 1.0], [-100.0, -20.0]]).case
+            'critically damped'
+        """
+        matrix = finite_array("A", A)
+        if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not matrix.size:
+            raise ShapeError(f"A must be a square matrix; got shape {matrix.shape}", name="A")
+        return cls(coefficients=_characteristic(matrix))
+
+    @classmethod
+    def of(cls, system: Any) -> ErrorDynamics:
+        """Of a system of python-control in continuous time: a closed loop from desired to actual position.
+
+        Its error is that of the desired position less the actual one, 1 - T(s).
+
+        Args:
+            system: `control.TransferFunction` or `control.StateSpace`, one input and one output.
+
+        Raises:
+            MissingExtraError: python-control is not installed.
+            UsageError: Not such a system, in discrete time, or with several inputs or outputs.
+        """
+        from taut.study.control_systems import read
+
+        numerator, denominator = read(system)
+        numerator = np.concatenate([np.zeros(len(denominator) - len(numerator)), numerator])
+        difference = denominator - numerator
+        difference[np.abs(difference) <= EQUAL * np.abs(denominator)] = 0.0
+        return cls(coefficients=denominator, reference=difference)
+
+    # ---------------------------------------------------------------- the polynomial and its roots
+
+    @property
+    def order(self) -> int:
+        """Of the characteristic polynomial."""
+        return len(self._a) - 1
+
+    @property
+    def _a(self) -> Float64Array:
+        made: Float64Array = np.asarray(self.coefficients)
+        return made
+
+    @cached_property
+    def poles(self) -> Complex:
+        """(n,) the roots of the characteristic equation [1/s], the slowest first.
+
+        Of the second order by the formula of section 10.2.1.1, whose discriminant is exact.
+        """
+        if self.order != 2:
+            return sorted_poles(np.roots(self._a))
+        sigma, excess = self._sigma, self._excess
+        if excess < 0.0:
+            pair = [complex(-sigma, math.sqrt(-excess)), complex(-sigma, -math.sqrt(-excess))]
+        elif excess == 0.0:
+            pair = [complex(-sigma), complex(-sigma)]
+        else:
+            far = -(sigma + math.copysign(math.sqrt(excess), sigma))
+            pair = [complex(far), complex(float(self._a[2] / self._a[0]) / far)]
+        return sorted_poles(np.array(pair))
+
+    @cached_property
+    def routh(self) -> RouthTable:
+        """Routh's table; print it."""
+        return routh(self._a)
+
+    @property
+    def stable(self) -> bool:
+        """Whether every error dies away, by Routh's table."""
+        return self.routh.stable
+
+    @property
+    def dt(self) -> None:
+        """None: in continuous time."""
+        return
+
+    @property
+    def damping_ratios(self) -> Float64Array:
+        """(n,) -Re(s) / |s| of each pole."""
+        return damping_ratios(self.poles)
+
+    @property
+    def natural_frequencies(self) -> Float64Array:
+        """(n,) |s| of each pole [rad/s]."""
+        made: Float64Array = np.abs(self.poles)
+        return made
+
+    @property
+    def time_constants(self) -> Float64Array:
+        """(n,) -1 / Re(s) of each pole [s], the slowest first; infinite on the imaginary axis, negative beyond it."""
+        rates = -self.poles.real
+        made: Float64Array = np.divide(1.0, rates, out=np.full(len(rates), np.inf), where=rates != 0.0)
+        return made
+
+    @property
+    def time_constant(self) -> float:
+        """Of the slowest pole [s]; infinite if an error does not die away."""
+        return float(self.time_constants[0]) if self.stable else math.inf
+
+    # ---------------------------------------------------------------- second order
+
+    def _second(self, what: str) -> None:
+        if self.order != 2:
+            raise UsageError(
+                f"{what} is a number of second-order error dynamics, and these are of order {self.order}; "
+                "damping_ratios and natural_frequencies have one for each pole",
+                name=what,
+            )
+
+    @cached_property
+    def _sigma(self) -> float:
+        return float(self._a[1] / (2.0 * self._a[0]))
+
+    @cached_property
+    def _excess(self) -> float:
+        """zeta^2 omega_n^2 - omega_n^2 [1/s^2], rounded once; zero within rounding of a critically damped design."""
+        a2, a1, a0 = (Fraction(float(a)) for a in self._a)
+        excess = float((a1 * a1 - 4 * a2 * a0) / (4 * a2 * a2))
+        return 0.0 if abs(excess) <= CRITICAL * self._sigma**2 else excess
+
+    @property
+    def zeta(self) -> float:
+        """Damping ratio, of the second order: eq. 10.9; NaN without a restoring term."""
+        self._second("zeta")
+        a2, a1, a0 = self._a.tolist()
+        return a1 / (2.0 * math.copysign(math.sqrt(a0 * a2), a2)) if a0 * a2 > 0.0 else math.nan
+
+    @property
+    def omega_n(self) -> float:
+        """Natural frequency [rad/s], of the second order: eq. 10.9; NaN without a restoring term."""
+        self._second("omega_n")
+        ratio = float(self._a[2] / self._a[0])
+        return math.sqrt(ratio) if ratio > 0.0 else math.nan
+
+    @property
+    def omega_d(self) -> float:
+        """Damped natural frequency [rad/s], of the second order; 0 where nothing swings."""
+        self._second("omega_d")
+        return math.sqrt(max(-self._excess, 0.0))
+
+    @property
+    def case(self) -> Case:
+        """Which of the chapter's three solutions: by the roots, which are unequal, equal or complex."""
+        self._second("case")
+        excess = self._excess
+        return "overdamped" if excess > 0.0 else "underdamped" if excess < 0.0 else "critically damped"
+
+    # ---------------------------------------------------------------- gains
+
+    @cached_property
+    def gains(self) -> JointGains:
+        """The joint and the gains: those it was made of, else those of equation 10.19.
+
+        Raises:
+            UsageError: Not of the second order, nor of the third with an integral.
+            RangeError: A gain would be negative.
+        """
+        if self.joint is not None:
+            return self.joint
+        if self.order != 2 + self.integral:
+            raise UsageError(
+                "dynamics of the second order, or of the third with integral=True, have the gains kp, kd and ki; "
+                f"these are of order {self.order}",
+                name="gains",
+            )
+        kd, kp, *ki = (self._a[1:] / self._a[0]).tolist()
+        return JointGains(kp=kp, kd=kd, ki=ki[0] if ki else 0.0)
+
+    @property
+    def kp(self) -> float:
+        """Proportional gain: [N m/rad], or [1/s^2] where no inertia was given."""
+        return self.gains.kp
+
+    @property
+    def kd(self) -> float:
+        """Derivative gain: [N m s/rad], or [1/s]."""
+        return self.gains.kd
+
+    @property
+    def ki(self) -> float:
+        """Integral gain: [N m/(rad s)], or [1/s^3]."""
+        return self.gains.ki
+
+    @property
+    def largest_ki(self) -> float:
+        """(b + kd) kp / M, which ki must be below (figure 10.7)."""
+        return self.gains.largest_ki
+
+    def replaced(self, **numbers: float) -> ErrorDynamics:
+        """The same joint with other numbers: M, b, kp, kd, ki.
+
+        Example:
+            >>> import taut
+            >>> taut.second_order(M=0.5, b=0.1, kd=2.0, zeta=1.0).replaced(ki=10.0).stable
+            False
+        """
+        unknown = sorted(set(numbers) - {"M", "b", "kp", "kd", "ki"})
+        if unknown:
+            raise UsageError(
+                f"replaced() takes M, b, kp, kd and ki; got {', '.join(repr(name) for name in unknown)}",
+                name=unknown[0],
+            )
+        changed: dict[str, Any] = dict(numbers)
+        return ErrorDynamics.of_gains(replace(self.gains, **changed))
+
+    # ---------------------------------------------------------------- response
+
+    def response(self, t: ArrayLike, e0: float = 1.0, v0: float | None = None) -> tuple[Float64Array, Float64Array]:
+        """Error and its rate after a start, exactly.
+
+        Of the second order in the closed form of section 10.2.1.1, one formula for all three cases; of others by the
+        matrix exponential. Higher derivatives and the integral start at zero, but for those that follow.
+
+        Args:
+            t: (k,) or a number [s], from the start.
+            e0: Error at the start [rad | m].
+            v0: Its rate at the start [rad/s | m/s]; zero if left out.
+
+        Returns:
+            e and v, of the shape of t.
+
+        Example:
+            >>> e, v = ErrorDynamics(coefficients=[1.0, 2.0, 1.0]).response(1.0)
+            >>> float(e), float(v)  # 2 / exp(1), -1 / exp(1)
+            (0.73575888..., -0.36787944...)
+        """
+        times = finite_array("t", t, unit="s")
+        e0 = finite_scalar("e0", e0, unit="rad")
+        if v0 is not None and self.order - self.integral < 2:
+            raise UsageError("first-order dynamics start at any e0, and v0 follows from it; leave v0 out", name="v0")
+        v0 = 0.0 if v0 is None else finite_scalar("v0", v0, unit="rad/s")
+        flat = np.ravel(times)
+        if self.order == 2 and not self.integral:
+            e, v = swing(self._sigma, float(self._a[2] / self._a[0]), self._excess, e0, v0, flat)
+        else:
+            A, scale = self._chain
+            o = int(self.integral)
+            start = np.zeros(self.order)
+            start[o] = e0
+            if self.order - o > 1:
+                start[o + 1] = v0 / scale
+            states = np.array([expm(A * each) @ start for each in flat]).reshape(-1, self.order)
+            e, v = states[:, o], states @ A[o]
+        return e.reshape(times.shape), v.reshape(times.shape)
+
+    @cached_property
+    def _chain(self) -> tuple[Float64Array, float]:
+        """Companion matrix of e^(k) / w^k, and w: the size of the poles, so that its entries are of one size."""
+        sizes = np.abs(self.poles)
+        w = float(np.exp(np.mean(np.log(sizes[sizes > 0.0])))) if (sizes > 0.0).any() else 1.0
+        n = self.order
+        A = np.diag(np.full(n - 1, w), 1)
+        A[-1] = -self._a[:0:-1] / self._a[0] * w ** (np.arange(n) - n + 1.0)
+        return A, w
+
+    @cached_property
+    def step(self) -> StepShape:
+        """Overshoot, settling, rise and peak of the error after a step: e(0) = 1, v(0) = 0, integral zero."""
+        if not self.stable:
+            return NEVER
+        if self.order == 2 and not self.integral:
+            zeta = self.zeta if self._excess else 1.0
+            overshoot, settling, rise, peak = shape(zeta)
+            w = self.omega_n
+            return StepShape(overshoot=overshoot, settling_time=settling / w, rise_time=rise / w, peak_time=peak / w)
+        A, _ = self._chain
+        at = np.eye(self.order)[int(self.integral)]
+        return step_shape(A, at, at)
+
+    @property
+    def overshoot(self) -> float:
+        """[%] of the step, below figure 10.4; NaN if it does not settle."""
+        return self.step.overshoot
+
+    @property
+    def settling_time(self) -> float:
+        """[s] exact: from then on the error stays within 2 % of the step; infinite if it does not settle."""
+        return self.step.settling_time
+
+    @property
+    def settling_by_rule(self) -> float:
+        """[s] the chapter's rule of thumb, four of the slowest time constants."""
+        return 4.0 * self.time_constant
+
+    @property
+    def rise_time(self) -> float:
+        """[s] from 90 % to 10 % of the error."""
+        return self.step.rise_time
+
+    @property
+    def peak_time(self) -> float:
+        """[s] of the largest overshoot; NaN if there is none."""
+        return self.step.peak_time
+
+    # ---------------------------------------------------------------- steady state
+
+    def steady_state_error(self, to: Input = "step", size: float = 1.0) -> float | None:
+        """What is left of the error in the end, by the final value theorem.
+
+        Args:
+            to: A "step", "ramp" or "parabola" (size t^2 / 2) of the desired position, or a constant "disturbance".
+            size: Of it [rad, rad/s, rad/s^2 | N m].
+
+        Returns:
+            [rad | m]; infinite if the error grows for ever, None if it does not settle because the loop is unstable.
+
+        Raises:
+            UsageError: Not one of these, or its numerator is not known.
+
+        Example:
+            >>> import taut
+            >>> pd = taut.second_order(M=0.5, b=0.1, kp=2.205, kd=2.0)
+            >>> pd.steady_state_error("disturbance", 0.981), pd.replaced(ki=1.0).steady_state_error("disturbance")
+            (0.444..., 0.0)
+        """
+        one_of("to", to, INPUTS)
+        size = finite_scalar("size", size)
+        numerator = self._numerator("disturbance" if to == "disturbance" else "reference")
+        if not self.stable:
+            return None
+        powers = {"step": 0, "ramp": 1, "parabola": 2, "disturbance": 0}[to]
+        low = numerator[::-1]  # from s^0 up
+        if not low.any() or size == 0.0:
+            return 0.0
+        first = int(np.flatnonzero(low)[0])
+        if first < powers:
+            return math.copysign(math.inf, low[first] * self._a[-1] * size)
+        return float(size * low[powers] / self._a[-1]) if first == powers else 0.0
+
+    def sine_error(self, frequency: float, of: Literal["reference", "disturbance"] = "reference") -> float | None:
+        """Amplitude of the error, once it has settled, over that of a sine that is followed or that disturbs.
+
+        An integral takes away what a constant disturbance leaves, but not this.
+
+        Args:
+            frequency: [Hz].
+            of: Whose sine.
+
+        Returns:
+            [rad/rad | rad/(N m)]; None if the loop is unstable.
+        """
+        omega = 2.0 * math.pi * positive_scalar("frequency", frequency, unit="Hz")
+        one_of("of", of, ("reference", "disturbance"))
+        return abs(complex(self.error_response(np.array([omega]), of)[0])) if self.stable else None
+
+    def error_response(self, omega: ArrayLike, of: Literal["reference", "disturbance"] = "reference") -> Complex:
+        """(k,) the error over the desired position, or over a disturbance, at angular frequencies.
+
+        Args:
+            omega: (k,) [rad/s].
+            of: Over which.
+        """
+        s = 1j * finite_array("omega", omega, unit="rad/s")
+        made: Complex = np.polyval(self._numerator(of), s) / np.polyval(self._a, s)
+        return made
+
+    def _numerator(self, name: str) -> Float64Array:
+        value = getattr(self, name)
+        if value is None:
+            raise UsageError(
+                f"a characteristic polynomial alone does not tell what a {name} does; give {name}=, the numerator of "
+                "the error over it, or make the dynamics with taut.second_order",
+                name=name,
+            )
+        made: Float64Array = np.asarray(value)
+        return made
+
+    # ---------------------------------------------------------------- sampled, and ways out
+
+    def sampled(
+        self,
+        *,
+        rate: float,
+        delay: float = 0.0,
+        velocity: VelocityKind = "measured",
+        integrator: Integrator = "exact",
+        substeps: int = 1,
+    ) -> SampledErrorDynamics:
+        """The same gains at a servo rate: what the joint does that sees its law once in a period.
+
+        Args:
+            rate: [Hz].
+            delay: [s] from the tick to the torque, beyond the hold.
+            velocity: "measured", "difference", `taut.LowPass(...)`, `taut.Difference(cutoff=...)`.
+            integrator: "exact" for a continuous joint, "semi-implicit-euler" as `RigidPlant` steps it.
+            substeps: Of that integrator in a period.
+
+        Raises:
+            UsageError, RangeError, ShapeError: No gains, or a number that has no meaning, by name.
+
+        Example:
+            >>> import taut
+            >>> d = taut.second_order(M=0.5, b=0.1, kd=120.0, zeta=1.0)
+            >>> d.stable, d.sampled(rate=100.0).stable, round(d.sampled(rate=100.0).lowest_stable_rate)
+            (True, False, 120)
+        """
+        from taut.study.sampled_errors import SampledErrorDynamics
+
+        return SampledErrorDynamics(
+            continuous=self, rate=rate, delay=delay, velocity=velocity, integrator=integrator, substeps=substeps
+        )
+
+    def to_control(self, of: Literal["setpoint", "reference", "disturbance"] = "setpoint") -> Any:
+        """A `control.TransferFunction`, of which python-control makes anything else.
+
+        Args:
+            of: "setpoint": the actual over the desired position where its steps have no velocity, so that
+                `control.step_info` gives the chapter's numbers; "reference" or "disturbance": the error over these.
+
+        Raises:
+            MissingExtraError: python-control is not installed.
+        """
+        from taut.study.control_systems import transfer_function
+
+        one_of("of", of, ("setpoint", "reference", "disturbance"))
+        numerator = self._a[-1 - int(self.integral) :] if of == "setpoint" else self._numerator(of)
+        return transfer_function(numerator, self._a)
+
+    def report(self) -> str:
+        """Everything of it in a few lines; `print(d)` is the same."""
+        from taut.study.error_words import of_continuous
+
+        return of_continuous(self)
+
+    def __str__(self) -> str:
+        return self.report()
+
+    def plot(self) -> Figure:
+        """Its response to a step, with the exact settling time and the rule's, beside its poles."""
+        from taut.study.error_plots import of_continuous
+
+        return of_continuous(self)
+
+
+def _characteristic(matrix: Float64Array) -> Float64Array:
+    """det(s I - A), by Faddeev and Leverrier in fractions: double roots stay double."""
+    n = len(matrix)
+    A = [[Fraction(float(entry)) for entry in row] for row in matrix]
+    made, N = [Fraction(1)], [[Fraction(int(i == j)) for j in range(n)] for i in range(n)]
+    for k in range(1, n + 1):
+        AN = [[sum((A[i][m] * N[m][j] for m in range(n)), Fraction(0)) for j in range(n)] for i in range(n)]
+        made.append(-sum((AN[i][i] for i in range(n)), Fraction(0)) / k)
+        N = [[AN[i][j] + (made[k] if i == j else 0) for j in range(n)] for i in range(n)]
+    return np.array([float(a) for a in made])
+
+
+def _paired(poles: NDArray[Any]) -> bool:
+    upper = np.sort_complex(poles[poles.imag > 0.0])
+    lower = np.sort_complex(np.conj(poles[poles.imag < 0.0]))
+    return len(upper) == len(lower) and bool(np.allclose(upper, lower, rtol=1e-12, atol=0.0))
