@@ -39,6 +39,15 @@ The metrics are printed as a table; below it stands each file that was made.
 {STATUS}"""
 
 
+BOOK: Final = f"""examples:
+  taut book
+  taut book fig-10.6 eq-10.14 --out results
+
+A row that is farther from what is expected than it may be is marked (!), and the exit status is 1.
+
+{STATUS}"""
+
+
 class _Help(argparse.RawDescriptionHelpFormatter):
     """Help with the names of the commands in one column."""
 
@@ -142,6 +151,10 @@ def _parser() -> argparse.ArgumentParser:
     check.add_argument("model", metavar="MODEL", help="a name, a .urdf or an MJCF .xml file")
     bench = add("bench", _bench, "Measure what a tick, a compile and a closed loop cost on this machine.")
     bench.add_argument("arm", nargs="?", default="planar3", metavar="ARM", help="name or file (default: planar3)")
+    book = add("book", _book, "Compute the chapter's equations and figures, beside what they should be.")
+    book.epilog = BOOK
+    book.add_argument("ids", nargs="*", metavar="ID", help="eq-10.6, fig-10.6, sec-10.2.1.5; all if left out")
+    book.add_argument("--out", type=Path, metavar="FOLDER", help="folder for pictures and tables (default: out/book)")
     return parser
 
 
@@ -261,3 +274,28 @@ def _bench(arguments: argparse.Namespace) -> int:
         for what, figure in rows:
             print(f"{what:22} {figure}")
     return DONE
+
+
+def _book(arguments: argparse.Namespace) -> int:
+    from taut.apps.book import contents
+
+    def say(text: str) -> None:
+        if not arguments.json and sys.stderr.isatty():
+            print(text, file=sys.stderr)
+
+    pages = contents.made(contents.chosen(arguments.ids), say)
+    written = contents.write(pages, arguments.out or Path("out") / "book")
+    rows = [pair for page in pages for pair in page.rows]
+    if arguments.json:
+        _print_json([each.json(name) for name, each in rows])
+    else:
+        _console(whole=200).print(contents.table(pages))
+        for page in pages:
+            if page.page.note:
+                print(f"{page.entry.id}: {page.page.note}")
+        for name, path in written.items():
+            print(f"{name:20} {path}")
+        for name, each in rows:
+            if not each.ok:
+                print(f"missed: {name}: {each.quantity}: {each.computed:.6g}, and {each.expected:.6g} is expected")
+    return DONE if all(each.ok for _, each in rows) else FAILED
