@@ -12,7 +12,22 @@ from typing import Any, Final
 
 from rich.table import Table
 
-from taut.apps.book import error_dynamics, feedforward, friction, gearing, integral, overview, single_joint
+from taut.apps.book import (
+    constraints,
+    display,
+    error_dynamics,
+    feedforward,
+    force,
+    friction,
+    gearing,
+    hybrid,
+    impedance,
+    integral,
+    multi_joint,
+    overview,
+    single_joint,
+    task_space,
+)
 from taut.apps.book.page import Entry, Page, Row
 from taut.base.errors import FileError, NumericalError, unknown_name
 
@@ -26,6 +41,13 @@ CONTENTS: Final[tuple[Entry, ...]] = (
     *feedforward.ENTRIES,
     *friction.ENTRIES,
     *gearing.ENTRIES,
+    *multi_joint.ENTRIES,
+    *task_space.ENTRIES,
+    *force.ENTRIES,
+    *constraints.ENTRIES,
+    *hybrid.ENTRIES,
+    *display.ENTRIES,
+    *impedance.ENTRIES,
 )
 """In the order of the chapter."""
 DPI: Final = 150
