@@ -129,13 +129,22 @@ def board() -> Any:
     patch([[-0.3, -0.5, 0.0], [2.1, -0.5, 0.0], [2.1, 1.0, 0.0], [-0.3, 1.0, 0.0]], "#E9F0EA")
     b = Pose([1.25, 0.3, 0.12], rpy=[0.0, 0.0, 0.3])
     half = np.array([0.28, 0.14, 0.12])
-    corners = np.array([[sx, sy, sz] for sx in (-1, 1) for sy in (-1, 1) for sz in (-1, 1)]) * half
-    solid = np.asarray(b.p) + corners @ np.asarray(b.R).T
-    for face, fill in (((0, 4, 5, 1), "#C8B89A"), ((4, 6, 7, 5), "#D6C8AC"), ((1, 5, 7, 3), "#E4D9C2")):
-        patch(solid[list(face)], fill)
+    for k, sign, fill in (
+        (0, 1.0, "#C8B89A"),
+        (0, -1.0, "#C8B89A"),
+        (1, 1.0, "#D6C8AC"),
+        (1, -1.0, "#D6C8AC"),
+        (2, 1.0, "#E4D9C2"),
+    ):
+        outwards = sign * np.asarray(b.R)[:, k]
+        if (view @ outwards)[2] > 0.0:  # towards who looks
+            i, j = (axis for axis in range(3) if axis != k)
+            face = np.zeros((4, 3))
+            face[:, k], face[:, i], face[:, j] = sign, [-1.0, 1.0, 1.0, -1.0], [-1.0, -1.0, 1.0, 1.0]
+            patch(np.asarray(b.p) + (face * half) @ np.asarray(b.R).T, fill)
     axes_at(Pose([0.0, 0.0, 0.0]), "s")
     axes_at(b, "b")
-    words(ax, 7.0, 0.35, "chalkboard", size=SMALL)
+    words(ax, 5.6, 1.15, "chalkboard", size=SMALL)
     return figure
 
 
