@@ -16,7 +16,7 @@ from typing import Any, Final, NoReturn
 from rich.console import Console
 from rich.table import Table
 
-from taut.base.errors import ModelError, TautError, UsageError
+from taut.base.errors import FileError, ModelError, TautError, UsageError
 
 __all__ = ["main"]
 
@@ -283,19 +283,27 @@ def _book(arguments: argparse.Namespace) -> int:
         if not arguments.json and sys.stderr.isatty():
             print(text, file=sys.stderr)
 
-    pages = contents.made(contents.chosen(arguments.ids), say)
-    written = contents.write(pages, arguments.out or Path("out") / "book")
+    entries = contents.chosen(arguments.ids)
+    folder = contents.prepared_folder(arguments.out or Path("out") / "book")
+    pages = contents.made(entries, say)
     rows = [pair for page in pages for pair in page.rows]
     if arguments.json:
         _print_json([each.json(name) for name, each in rows])
     else:
-        _console(whole=200).print(contents.table(pages))
+        console = _console(whole=200)
+        console.print(contents.table(pages, console.width))
+    try:
+        written = contents.write(pages, folder)
+    except FileError as wrong:
+        _tell(str(wrong))
+        return FAILED
+    missed = [f"{name}: {each.quantity}" for name, each in rows if not each.ok]
+    if not arguments.json:
         for page in pages:
             if page.page.note:
                 print(f"{page.entry.id}: {page.page.note}")
         for name, path in written.items():
             print(f"{name:20} {path}")
-        for name, each in rows:
-            if not each.ok:
-                print(f"missed: {name}: {each.quantity}: {each.computed:.6g}, and {each.expected:.6g} is expected")
-    return DONE if all(each.ok for _, each in rows) else FAILED
+        for text in missed:
+            print(f"missed: {text}")
+    return FAILED if missed else DONE

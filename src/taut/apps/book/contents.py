@@ -31,7 +31,7 @@ from taut.apps.book import (
 from taut.apps.book.page import Entry, Page, Row
 from taut.base.errors import FileError, NumericalError, unknown_name
 
-__all__ = ["CONTENTS", "Made", "chosen", "made", "table", "write"]
+__all__ = ["CONTENTS", "Made", "chosen", "made", "prepared_folder", "table", "write"]
 
 CONTENTS: Final[tuple[Entry, ...]] = (
     *overview.ENTRIES,
@@ -51,6 +51,7 @@ CONTENTS: Final[tuple[Entry, ...]] = (
 )
 """In the order of the chapter."""
 DPI: Final = 150
+WIDE: Final = 130  # columns of a terminal that shows the whole table
 HEAD: Final = ("id", "quantity", "unit", "states", "computed", "expected", "difference", "within", "source")
 
 
@@ -104,24 +105,21 @@ def made(entries: Iterable[Entry], say: Callable[[str], None] = lambda _: None) 
 # -------------------------------------------------------------------- to look at
 
 
-def table(pages: Iterable[Made]) -> Table:
-    """All rows, for a terminal."""
-    out = Table("id", "quantity", "unit", "chapter", title="the chapter, computed")
+def table(pages: Iterable[Made], width: int = WIDE) -> Table:
+    """All rows, for a terminal of so many columns; a narrow one does not say what is expected, nor the chapter."""
+    wide = width >= WIDE
+    out = Table("id", "quantity", "unit", title="the chapter, computed")
+    if wide:
+        out.add_column("chapter")
     for head in ("computed", "expected", "difference"):
         out.add_column(head, justify="right", no_wrap=True)
-    out.add_column("expected is")
+    if wide:
+        out.add_column("expected is")
     for page in pages:
         for k, (name, each) in enumerate(page.rows):
-            out.add_row(
-                name if not k else "",
-                each.quantity,
-                each.unit,
-                each.states,
-                number(each.computed),
-                number(each.expected),
-                difference(each),
-                each.source,
-            )
+            cells = [name if not k else "", each.quantity, each.unit, *([each.states] if wide else [])]
+            cells += [number(each.computed), number(each.expected), difference(each)]
+            out.add_row(*cells, *([each.source] if wide else []))
         out.add_section()
     return out
 
@@ -146,15 +144,27 @@ def difference(each: Row) -> str:
 # -------------------------------------------------------------------- to keep
 
 
+def prepared_folder(folder: Path) -> Path:
+    """The folder, made if it was not there.
+
+    Raises:
+        FileError: It cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as wrong:
+        raise FileError(f"folder '{folder}' cannot be made: {wrong.strerror or wrong}; give another --out") from wrong
+    return folder
+
+
 def write(pages: Sequence[Made], folder: Path) -> dict[str, Path]:
     """The files of the book: a picture for each figure, book.csv and book.md; what each is, and where.
 
     Raises:
-        FileError: The folder cannot be made, or written into.
+        FileError: A file cannot be written.
     """
+    written = {}
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        written = {}
         for each in pages:
             if each.page.figure is not None:
                 path = folder / f"{each.entry.name}.png"

@@ -207,7 +207,7 @@ def fig_10_5() -> Page:
             PID(kp=d.kp, kd=STIFF_KD), plant=link(gravity=False), ref=JointMotion(q=[1.0]), duration=6.0, q0=[0.0]
         )  # fmt: skip
         T = settling(zeta) / d.omega_n
-        states = "unaffected beyond critical damping (slip)" if zeta < 1.0 else ""
+        states = "slip: unaffected beyond critical damping" if zeta < 1.0 else ""
         rows.append(
             row(
                 f'"{k + 1}": 2 % settling time of a run',

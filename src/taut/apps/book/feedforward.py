@@ -111,12 +111,12 @@ def fed_forward(number: int, plant_model: float = WRONG_R) -> tuple[Run, Solved]
     return run, solved(tau, lambda t: desired(number, t)[0], times=run.t, q0=start)
 
 
-def of_run(name: str, run: Run, written: Solved) -> list[Row]:
+def of_run(name: str, run: Run, written: Solved, states: str = "") -> list[Row]:
     """Errors and effort of a run beside those by SciPy."""
     assert run.error is not None
     e = run.error[:, 0]
     return [
-        row(f"{name}: RMS error", "rad", rms(e), rms(written.e), ODE, rel=SAMPLED),
+        row(f"{name}: RMS error", "rad", rms(e), rms(written.e), ODE, rel=SAMPLED, states=states),
         row(f"{name}: largest error", "rad", np.abs(e).max(), np.abs(written.e).max(), ODE, rel=SAMPLED),
         row(f"{name}: integral of tau^2", "(N m)^2 s", run.metrics.effort[0], written.effort[-1], ODE, rel=2e-3),
     ]
@@ -211,7 +211,7 @@ def fig_10_12() -> Page:
         run = simulated(each.law, model=link(r=WRONG_R), plant=link(), ref=task(2), duration=math.pi, q0=[start])
         written = solved(each.tau, lambda t: desired(2, t)[0], times=run.t, q0=start)
         runs[name] = run, written
-        rows += of_run(name, run, written)
+        rows += of_run(name, run, written, "slip: gains are taken from figure 10.6" if "gains" in name else "")
         assert run.error is not None
         axes[0].plot(run.t, run.q[:, 0], color=colour(k), linewidth=1.3)
         axes[1].plot(run.t, run.error[:, 0], color=colour(k), linewidth=1.3, label=name)

@@ -148,7 +148,7 @@ def eq_10_37() -> Page:
             rel=0.01,
             states=f"slip: -Kfi / Kfp = {-KFI / KFP:g}",
         ),
-        row("error of force after 3 s", "N", e[-1], 0.0, "the chapter: converges to zero", near=0.02),
+        row("error of force after 3 s", "N", e[-1], 0.0, "the chapter: converges to zero", near=0.01),
     )
     figure, (ax,) = panels(1, 2.5)
     prepared(ax, "error of the vertical force", "|F_e| [N]", "t [s]")

@@ -150,7 +150,8 @@ def eq_10_47() -> Page:
                 np.angle(told[k]),
                 np.angle(wanted[k]),
                 "m s^2 + b s + k",
-                near=0.02,
+                rel=0.01,
+                near=1e-3,
             )
         )
     rows += [
