@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from taut.apps import textbook as textbook
     from taut.arm.description import Arm as Arm
     from taut.arm.description import Friction as Friction
     from taut.arm.description import Payload as Payload
@@ -282,7 +283,12 @@ _HOME: Final = {
     "study.wrist": ("WristCalibration", "calibrate_wrist"),
     "study.wrist_poses": ("calibration_poses",),
 }
-_MODULES: Final = {"dynamics": "maths.dynamics", "laws": "control.laws", "math": "base.math"}
+_MODULES: Final = {
+    "dynamics": "maths.dynamics",
+    "laws": "control.laws",
+    "math": "base.math",
+    "textbook": "apps.textbook",
+}
 _WHERE: Final = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = sorted([*_WHERE, *_MODULES])

@@ -16,7 +16,7 @@ from typing import Any, Final, NoReturn
 from rich.console import Console
 from rich.table import Table
 
-from taut.base.errors import ModelError, TautError, UsageError
+from taut.base.errors import FileError, ModelError, TautError, UsageError
 
 __all__ = ["main"]
 
@@ -47,6 +47,15 @@ exit status:
   2  the request was wrong: no log, or one of a run that is too short, has gaps or ended in a fault, of which is
      printed what can be said
 """
+
+
+BOOK: Final = f"""examples:
+  taut book
+  taut book fig-10.6 eq-10.14 --out results
+
+A row that is farther from what is expected than it may be is marked (!), and the exit status is 1.
+
+{STATUS}"""
 
 
 class _Help(argparse.RawDescriptionHelpFormatter):
@@ -157,6 +166,10 @@ def _parser() -> argparse.ArgumentParser:
     patient.add_argument("--out", type=Path, metavar="DIR", help="folder for a picture of each finding")
     bench = add("bench", _bench, "Measure what a tick, a compile and a closed loop cost on this machine.")
     bench.add_argument("arm", nargs="?", default="planar3", metavar="ARM", help="name or file (default: planar3)")
+    book = add("book", _book, "Compute the chapter's equations and figures, beside what they should be.")
+    book.epilog = BOOK
+    book.add_argument("ids", nargs="*", metavar="ID", help="eq-10.6, fig-10.6, sec-10.2.1.5; all if left out")
+    book.add_argument("--out", type=Path, metavar="FOLDER", help="folder for pictures and tables (default: out/book)")
     return parser
 
 
@@ -291,3 +304,36 @@ def _bench(arguments: argparse.Namespace) -> int:
         for what, figure in rows:
             print(f"{what:22} {figure}")
     return DONE
+
+
+def _book(arguments: argparse.Namespace) -> int:
+    from taut.apps.book import contents
+
+    def say(text: str) -> None:
+        if not arguments.json and sys.stderr.isatty():
+            print(text, file=sys.stderr)
+
+    entries = contents.chosen(arguments.ids)
+    folder = contents.prepared_folder(arguments.out or Path("out") / "book")
+    pages = contents.made(entries, say)
+    rows = [pair for page in pages for pair in page.rows]
+    if arguments.json:
+        _print_json([each.json(name) for name, each in rows])
+    else:
+        console = _console(whole=200)
+        console.print(contents.table(pages, console.width))
+    try:
+        written = contents.write(pages, folder)
+    except FileError as wrong:
+        _tell(str(wrong))
+        return FAILED
+    missed = [f"{name}: {each.quantity}" for name, each in rows if not each.ok]
+    if not arguments.json:
+        for page in pages:
+            if page.page.note:
+                print(f"{page.entry.id}: {page.page.note}")
+        for name, path in written.items():
+            print(f"{name:20} {path}")
+        for text in missed:
+            print(f"missed: {text}")
+    return FAILED if missed else DONE
