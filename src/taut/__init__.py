@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any, Final
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from taut.apps.compare import compare as compare
+    from taut.apps.compare import grade as grade
     from taut.arm.description import Arm as Arm
     from taut.arm.description import Friction as Friction
     from taut.arm.description import Payload as Payload
@@ -138,6 +140,9 @@ if TYPE_CHECKING:
     from taut.runtime.events import Event as Event
     from taut.runtime.simulate import run as run
     from taut.study.admissible import Admissible as Admissible
+    from taut.study.compare import Comparison as Comparison
+    from taut.study.compare_grade import Grade as Grade
+    from taut.study.compare_truth import WrongModel as WrongModel
     from taut.study.contact_modes import FrictionMargin as FrictionMargin
     from taut.study.error_dynamics import ErrorDynamics as ErrorDynamics
     from taut.study.freedom_words import FreedomRow as FreedomRow
@@ -174,6 +179,7 @@ if TYPE_CHECKING:
     from taut.study.wrist_poses import calibration_poses as calibration_poses
 
 _HOME: Final = {
+    "apps.compare": ("compare", "grade"),
     "arm.description": ("Arm", "Friction", "Payload"),
     "arm.gears": ("matched_ratio", "reflected_inertia"),
     "arm.load": ("load_arm",),
@@ -251,6 +257,9 @@ _HOME: Final = {
     "runtime.events": ("Event",),
     "runtime.simulate": ("run",),
     "study.admissible": ("Admissible",),
+    "study.compare": ("Comparison",),
+    "study.compare_grade": ("Grade",),
+    "study.compare_truth": ("WrongModel",),
     "study.contact_modes": ("FrictionMargin",),
     "study.error_dynamics": ("ErrorDynamics",),
     "study.freedom_words": ("FreedomRow",),
