@@ -17,6 +17,8 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from taut.apps import textbook as textbook
+    from taut.apps.compare import compare as compare
+    from taut.apps.compare import grade as grade
     from taut.arm.description import Arm as Arm
     from taut.arm.description import Friction as Friction
     from taut.arm.description import Payload as Payload
@@ -139,6 +141,9 @@ if TYPE_CHECKING:
     from taut.runtime.events import Event as Event
     from taut.runtime.simulate import run as run
     from taut.study.admissible import Admissible as Admissible
+    from taut.study.compare import Comparison as Comparison
+    from taut.study.compare_grade import Grade as Grade
+    from taut.study.compare_truth import WrongModel as WrongModel
     from taut.study.contact_modes import FrictionMargin as FrictionMargin
     from taut.study.coupling import Coupling as Coupling
     from taut.study.coupling import coupling as coupling
@@ -182,6 +187,7 @@ if TYPE_CHECKING:
     from taut.study.wrist_poses import calibration_poses as calibration_poses
 
 _HOME: Final = {
+    "apps.compare": ("compare", "grade"),
     "arm.description": ("Arm", "Friction", "Payload"),
     "arm.gears": ("matched_ratio", "reflected_inertia"),
     "arm.load": ("load_arm",),
@@ -259,6 +265,9 @@ _HOME: Final = {
     "runtime.events": ("Event",),
     "runtime.simulate": ("run",),
     "study.admissible": ("Admissible",),
+    "study.compare": ("Comparison",),
+    "study.compare_grade": ("Grade",),
+    "study.compare_truth": ("WrongModel",),
     "study.contact_modes": ("FrictionMargin",),
     "study.coupling": ("Coupling", "coupling"),
     "study.error_dynamics": ("ErrorDynamics",),

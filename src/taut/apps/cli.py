@@ -17,6 +17,8 @@ from rich.console import Console
 from rich.table import Table
 
 from taut.base.errors import FileError, ModelError, TautError, UsageError
+from taut.apps.compare_command import COMPARE, add_compare, compare_from
+from taut.base.errors import ModelError, TautError, UsageError
 
 __all__ = ["main"]
 
@@ -154,6 +156,9 @@ def _parser() -> argparse.ArgumentParser:
         default="auto",
         help="native: machine code; float: plain Python, slow; auto: the first that is there (default)",
     )
+    comparison = add("compare", _compare, "Compare laws on a scenario, or grade a law against a reference law.")
+    comparison.epilog = f"{COMPARE}\n{STATUS}"
+    add_compare(comparison, ENGINES)
     add("scenarios", _scenarios, "List the built-in scenarios.")
     add("arms", _arms, "List the arms that taut knows by name.")
     add("laws", _laws, "List the laws with their equations and what they need measured.")
@@ -183,6 +188,16 @@ def _console(whole: int = 140) -> Console:
     return console if console.is_terminal or "COLUMNS" in os.environ else Console(width=whole)
 
 
+def _say(arguments: argparse.Namespace) -> Callable[[str], None]:
+    """Lines of progress, for people at a terminal."""
+
+    def say(text: str) -> None:
+        if not arguments.json and sys.stderr.isatty():
+            print(text, file=sys.stderr)
+
+    return say
+
+
 # -------------------------------------------------------------------- commands
 
 
@@ -198,11 +213,7 @@ def _run(arguments: argparse.Namespace) -> int:
     scenario = load_scenario(arguments.scenario, own)
     folder = arguments.out or Path("out") / scenario.name
 
-    def say(text: str) -> None:
-        if not arguments.json and sys.stderr.isatty():
-            print(text, file=sys.stderr)
-
-    result = run_scenario(scenario, folder, say=say, engine=arguments.engine)
+    result = run_scenario(scenario, folder, say=_say(arguments), engine=arguments.engine)
     if arguments.json:
         _print_json(result.json())
     else:
@@ -220,6 +231,17 @@ def _run(arguments: argparse.Namespace) -> int:
         if result.figures:
             print(f"reached: {result.figures - len(result.missed)} of {result.figures} pass figures")
     return DONE if result.ok else FAILED
+
+
+def _compare(arguments: argparse.Namespace) -> int:
+    done = compare_from(arguments, _say(arguments))
+    if arguments.json:
+        _print_json(done.json())
+        return DONE if done.ok else FAILED
+    print(done.report())
+    if arguments.plot is not None:
+        print(f"plot     {arguments.plot}")
+    return DONE if done.ok else FAILED
 
 
 def _scenarios(arguments: argparse.Namespace) -> int:
