@@ -16,9 +16,8 @@ from typing import Any, Final, NoReturn
 from rich.console import Console
 from rich.table import Table
 
-from taut.base.errors import FileError, ModelError, TautError, UsageError
 from taut.apps.compare_command import COMPARE, add_compare, compare_from
-from taut.base.errors import ModelError, TautError, UsageError
+from taut.base.errors import FileError, ModelError, TautError, UsageError
 
 __all__ = ["main"]
 

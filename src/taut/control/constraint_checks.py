@@ -249,9 +249,8 @@ def check_motion(
                 value=float(phi[row]),
                 rule=f"<= {tolerance:g}",
             )
-        A, F_app = constraint.of_twist(pose, t)[0], np.asarray(sample.F_app, dtype=np.float64)
+        A, F_app = constraint.of_twist(pose, now)[0], np.asarray(sample.F_app, dtype=np.float64)
         if np.any(F_app):
-            _check_range(constraint.of_twist(pose, now)[0], F_app, constraint.one_sided, f" at t = {t:g} s")
             _check_range(A, F_app, constraint.one_sided, f" at t = {t:g} s")
         speed = np.where(velocities, A @ _moved_to(sample.motion, pose.p), 0.0)
         slipped = slipped + (0.5 * (t - last[0]) * (speed + last[1]) if t > 0.0 else 0.0)
