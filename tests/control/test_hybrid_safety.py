@@ -220,3 +220,31 @@ def test_a_force_that_turns_round_each_tick_is_told(faded: taut.Controller) -> N
             told.append(float(faded.memory["law.swings"]))
         assert told[-1] == swings
         assert sum(told[:4]) == 0.0
+
+
+# -------------------------------------------------------------------- rows that become dependent
+
+
+def test_rows_that_become_dependent_are_told_and_left_out() -> None:
+    """A plane and a saddle z = 10 x y meet along x = 0, and at y = 0 they touch: their gradients are one."""
+    centre = T.p + np.array([0.0, 0.05, 0.0])
+
+    def meeting(now: Pose) -> Any:
+        d = now.p - centre
+        return taut.math.array([d[2], d[2] - 10.0 * d[0] * d[1]])
+
+    both = Constraint(meeting)
+    ctrl = taut.compile(HybridMotionForce(constraint=both, motion=motion()), ARM)
+    way = taut.pressing(taut.Line(T0=T, T1=Pose(centre, R=T.R), duration=0.3))
+    out = run(ctrl, way, contact=both, duration=0.5)
+    assert "rows of the constraint said the same as later ones, and were left out (index 0) in" in out.outcome.message
+    gone = out.extra["law.dependent"]
+    assert gone[0].tolist() == [0.0, 0.0]
+    assert gone[-1].tolist() == [1.0, 0.0]
+    assert np.abs(out.command).max() < 1.2 * np.abs(out.command[0]).max()
+    assert np.abs(out.task.p[-1] - centre).max() < 1e-3
+    # exactly there, with a motion that both rows cannot have
+    ctrl.step(ARM.home, np.zeros(ARM.n), taut.pressing(STAY))
+    x = taut.snapshot(ARM, taut.onto(BOARD, ARM, out.q[-1]), np.full(ARM.n, 0.1))
+    tau = ctrl.step(x.q, x.v, taut.pressing(taut.TaskMotion(pose=x.T())))
+    assert np.abs(tau).max() < 100.0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from taut.base import math as tm
-from taut.base.linalg import factor_spd
 from taut.base.pose import Pose
 from taut.base.types import Vector, Vector3, Wrench
 from taut.control.compliance import wrench_moved
@@ -53,7 +52,7 @@ def along_constraint(
     A, T = rows.A, x.T(frame)
     assert A is not None
     d, asked = _lever(x, frame, tool), at_frame(x, frame, ref, tool)
-    factors = factor_spd(A @ A.T)
+    factors = rows.factors
 
     def against(six: Vector) -> Vector:
         out: Vector = A.T @ factors.solve(A @ six)
@@ -97,7 +96,7 @@ def felt_along(x: Snapshot, rows: ConstraintRows, frame: str | None) -> Snapshot
     """
     A = rows.A
     assert A is not None
-    factors = factor_spd(A @ A.T)
+    factors = rows.factors
 
     def along(F: Wrench) -> Wrench:
         r = x.T().p - x.T(frame).p

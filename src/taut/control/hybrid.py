@@ -143,9 +143,19 @@ class HybridMotionForce(Law):
     turned: Memory = Memory(0.0)  # ticks in which it turned round, one after the other
     swings: Memory = Memory(0.0)  # 1 where those are many
     astray: Memory = Memory(0.0)  # 1 where the motion is off the constraint
+    dependent: Memory = Memory(0.0)  # (k,) 1 where a row is dependent on later ones
     unborne: Memory = Memory(0.0)  # 1 where the constraint does not bear what is asked for
 
-    recorded: ClassVar[tuple[str, ...]] = ("lam", "phi", "lost", "bounded", "swings", "astray", "unborne")
+    recorded: ClassVar[tuple[str, ...]] = (
+        "lam",
+        "phi",
+        "lost",
+        "bounded",
+        "swings",
+        "astray",
+        "unborne",
+        "dependent",
+    )
     notices: ClassVar[tuple[tuple[str, str], ...]] = (
         ("lost", "the tool met less than was asked for, contact was lost"),
         ("bounded", "the integral of the force error was at its bound e_int_max"),
@@ -154,6 +164,7 @@ class HybridMotionForce(Law):
             "the force error turned round, as it does where kfp + kfi dt / 2 is not under 1 at a rigid contact,",
         ),
         ("astray", "the motion asked for, off the constraint by more than the tolerance, was followed only along it"),
+        ("dependent", "rows of the constraint said the same as later ones, and were left out"),
         ("unborne", "a part of the force asked for, which the constraint does not bear, was left out"),
     )
 
@@ -311,6 +322,7 @@ class HybridMotionForce(Law):
         told = lam.total if self.curvature else lam.total + curved
         after: dict[str, object] = {"motion": motion, "lam": told, "phi": rows.phi, **of_force}
         after["astray"] = self._astray(x, ref.motion)
+        after["dependent"] = tm.array([tm.where(gone, 1.0, 0.0) for gone in held.mobility.dropped])
         if estimated is not None:
             after["estimate"] = estimated
         return Torque(tau), after

@@ -7,7 +7,6 @@ from typing import Any, Final
 import numpy as np
 
 from taut.base import math as tm
-from taut.base.linalg import factor_spd
 from taut.base.types import Float64Array, Vector
 from taut.control.contact_loss import misses
 from taut.control.hybrid_motion import HybridMotion
@@ -31,7 +30,7 @@ def per_row(constraint: Constraint, pair: tuple[float, float]) -> Float64Array:
 def of_wrench(rows: ConstraintRows, F_app: Vector) -> Vector:
     """(k,) the multipliers of a wrench of the arm on the environment: (A A^T)^-1 A F_app."""
     assert rows.A is not None
-    out: Vector = factor_spd(rows.A @ rows.A.T).solve(rows.A @ F_app)
+    out: Vector = rows.factors.solve(rows.A @ F_app)
     return out
 
 
@@ -48,7 +47,7 @@ def asked_multipliers(rows: ConstraintRows, ref: HybridMotion) -> tuple[Vector, 
         unborne = unborne | (ref.press[0] > 0.0) | (F @ F > 0.0)
     else:
         along = rows.A @ F
-        held = factor_spd(rows.A @ rows.A.T).solve(along)
+        held = rows.factors.solve(along)
         unborne = unborne | (along @ held < (1.0 - UNBORNE * UNBORNE) * (F @ F))
         lam = lam + held
         if rows.one_sided[0]:

@@ -8,7 +8,7 @@ from typing import Final
 from taut.base import math as tm
 from taut.base.linalg import LTDL, factor_spd
 from taut.base.types import Matrix, Vector
-from taut.maths.constraint_rows import ConstraintRows
+from taut.maths.constraint_rows import DEPENDENT, ConstraintRows
 from taut.maths.snapshot import Snapshot
 
 __all__ = ["Constrained", "force_projector"]
@@ -26,13 +26,13 @@ class Constrained:
 
     rows: ConstraintRows
     Minv_AT: Matrix  # (n, k)
-    mobility: LTDL  # factors of A_q M^-1 A_q^T, which is A Lambda^-1 A^T
+    mobility: LTDL  # factors of A_q M^-1 A_q^T, which is A Lambda^-1 A^T, without rows that depend on later ones
 
     @classmethod
     def of(cls, rows: ConstraintRows, M_factors: LTDL) -> Constrained:
         """That of rows at a state whose mass matrix has these factors."""
         W = M_factors.solve(rows.A_q.T)
-        return cls(rows=rows, Minv_AT=W, mobility=factor_spd(rows.A_q @ W))
+        return cls(rows=rows, Minv_AT=W, mobility=factor_spd(rows.A_q @ W, DEPENDENT))
 
     def against(self, tau: Vector) -> Vector:
         """(n,) the part of torques that pushes against the constraints, (I - P) tau."""

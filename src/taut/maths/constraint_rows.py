@@ -4,18 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 
 from taut.base import math as tm
 from taut.base.errors import ShapeError
+from taut.base.linalg import LTDL, factor_spd
 from taut.base.pose import Pose
 from taut.base.types import Array, Matrix, Twist, Vector
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import moved
 
-__all__ = ["ConstraintRows", "OfJointVelocity", "OfJoints", "OfPoses", "OfVelocity", "Piece", "each_moved", "joined"]
+__all__ = [
+    "DEPENDENT",
+    "ConstraintRows",
+    "OfJointVelocity",
+    "OfJoints",
+    "OfPoses",
+    "OfVelocity",
+    "Piece",
+    "each_moved",
+    "joined",
+]
+
+
+DEPENDENT: Final = 1e-7  # of a row's square, what it has that later rows have not: below it, it is left out
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,6 +48,12 @@ class ConstraintRows:
     def count(self) -> int:
         """Number of rows."""
         return len(self.one_sided)
+
+    @property
+    def factors(self) -> LTDL:
+        """Of A A^T, without rows that depend on later ones."""
+        assert self.A is not None
+        return factor_spd(self.A @ self.A.T, DEPENDENT)
 
     @property
     def rate(self) -> Callable[[Vector], Vector]:
