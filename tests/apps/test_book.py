@@ -26,6 +26,7 @@ SLIPS = {  # MATHS section 1, by where the book has them
     "eq-10.36", "eq-10.37", "eq-10.10", "eq-10.27", "fig-10.5", "sec-10.2.3", "eq-10.42", "eq-10.44", "eq-10.49",
     "eq-10.31", "fig-10.14", "fig-10.12",
 }  # fmt: skip
+pytestmark = pytest.mark.xdist_group("book")  # one computation serves all
 NO_PICTURE = {"fig-10.8", "fig-10.9", "fig-10.13"}  # pseudocode
 
 

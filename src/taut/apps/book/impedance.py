@@ -50,12 +50,12 @@ FAST: Final = 10000.0  # [Hz]
 
 @dataclass(frozen=True, kw_only=True)
 class Pushed:
-    """A force on the tool's origin along one axis of the world: constant, or a sine.
+    """A force on the tool's origin along one axis of the world: force cos(w t).
 
     Args:
         axis: 0, 1 or 2.
-        force: Of it, or its amplitude [N].
-        w: Of a sine [rad/s]; constant if zero.
+        force: Its amplitude [N].
+        w: [rad/s]; constant if zero.
     """
 
     axis: int = 0
@@ -63,7 +63,7 @@ class Pushed:
     w: float = 0.0
 
     def parameters(self) -> dict[str, Float64Array]:
-        return {}
+        return {"force": np.array(self.force), "w": np.array(self.w)}
 
     def start(self, T_WE: Pose) -> dict[str, Any]:  # noqa: ARG002
         return {}
@@ -71,7 +71,7 @@ class Pushed:
     def wrench(
         self, T_WE: Pose, twist: Any, t: Any, memory: Values, parameters: Values, dt: Any  # noqa: ARG002
     ) -> tuple[Any, dict[str, Any]]:  # fmt: skip
-        push = self.force * tm.sin(self.w * t) if self.w else self.force
+        push = parameters["force"] * tm.cos(parameters["w"] * t)
         return tm.array([push if k == self.axis else 0.0 for k in range(6)]), {}
 
 
@@ -123,7 +123,7 @@ def impedance_at(w: float) -> complex:
     out = displayed(Pushed(w=w), 2.0 + 2.0 * turn)
     last = out.between(out.t[-1] - turn, out.t[-1] - 1.0 / out.rate)
     wave = np.exp(-1j * w * last.t)
-    return complex(np.mean(10.0 * np.sin(w * last.t) * wave) / np.mean(last.q[:, 0] * wave))
+    return complex(np.mean(10.0 * np.cos(w * last.t) * wave) / np.mean(last.q[:, 0] * wave))
 
 
 def eq_10_47() -> Page:
@@ -185,7 +185,7 @@ def eq_10_47() -> Page:
     ax.loglog(fine, D * fine**2, color=colour(1), linewidth=0.9, linestyle=DASHED, label="m w²")
     ax.set_ylim(50.0, 4e4)
     ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
-    return Page(rows=tuple(rows), figure=figure, note="Numbers of equation 10.46; the push is a sine of 10 N.")
+    return Page(rows=tuple(rows), figure=figure, note="Numbers of equation 10.46; the push is a cosine of 10 N.")
 
 
 def eq_10_48() -> Page:
