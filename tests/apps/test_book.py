@@ -321,6 +321,15 @@ class TestTheCommand:
         assert float(rows[0]["difference"]) == pytest.approx(float(rows[0]["computed"]) - float(rows[0]["expected"]))
         assert "![the link in gravity](fig-10.2.png)" in (folder / "book.md").read_text(encoding="utf-8")
 
+    def test_a_narrow_terminal_has_the_slips_too(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setenv("COLUMNS", "100")
+        assert main(["book", "eq-10.10", "--out", str(tmp_path)]) == 0
+        said = capsys.readouterr().out
+        assert max(len(line) for line in said.split("eq-10.10: ")[0].splitlines()) <= 100
+        assert "(chapter: slip: -zeta" in said
+
     def test_a_number_that_is_off_is_told_and_fails(
         self, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
     ) -> None:

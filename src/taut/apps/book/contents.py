@@ -106,7 +106,7 @@ def made(entries: Iterable[Entry], say: Callable[[str], None] = lambda _: None) 
 
 
 def table(pages: Iterable[Made], width: int = WIDE) -> Table:
-    """All rows, for a terminal of so many columns; a narrow one does not say what is expected, nor the chapter."""
+    """All rows, for a terminal of so many columns; a narrow one does not say by which way it is expected."""
     wide = width >= WIDE
     out = Table("id", "quantity", "unit", title="the chapter, computed")
     if wide:
@@ -117,7 +117,8 @@ def table(pages: Iterable[Made], width: int = WIDE) -> Table:
         out.add_column("expected is")
     for page in pages:
         for k, (name, each) in enumerate(page.rows):
-            cells = [name if not k else "", each.quantity, each.unit, *([each.states] if wide else [])]
+            quantity = each.quantity if wide or not each.states else f"{each.quantity}\n(chapter: {each.states})"
+            cells = [name if not k else "", quantity, each.unit, *([each.states] if wide else [])]
             cells += [number(each.computed), number(each.expected), difference(each)]
             out.add_row(*cells, *([each.source] if wide else []))
         out.add_section()

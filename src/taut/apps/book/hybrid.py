@@ -131,7 +131,9 @@ def pressed() -> tuple[Run, Float64Array]:
     q0 = on_board()
     T0 = snapshot(panda(), q0).T()
     stroke = Line(T0=T0, T1=Pose(np.asarray(T0.p) + np.array([0.0, 0.1, 0.0]), R=T0.R), duration=0.5)
-    law = HybridMotionForce(constraint=constraint, motion=TaskComputedTorque(kp=400.0, kd=40.0), kfp=0.3, kfi=10.0)
+    law = HybridMotionForce(
+        constraint=constraint, motion=TaskComputedTorque(kp=400.0, kd=40.0, singularity="plain"), kfp=0.3, kfi=10.0
+    )
     plant = RigidPlant(panda(), friction=None, contact=RigidContact(constraint=constraint))
     return run(compile(law, panda()), plant, pressing(stroke, 10.0), q0=q0, duration=0.6, progress=False), q0
 

@@ -120,7 +120,7 @@ def eq_10_46() -> Page:
 def impedance_at(w: float) -> complex:
     """F / X of the displayed environment at a frequency, from a run [N/m]."""
     turn = 2.0 * math.pi / w
-    out = displayed(Pushed(w=w), 2.0 + 2.0 * turn)
+    out = displayed(Pushed(w=w), 1.5 + turn)
     last = out.between(out.t[-1] - turn, out.t[-1] - 1.0 / out.rate)
     wave = np.exp(-1j * w * last.t)
     return complex(np.mean(10.0 * np.cos(w * last.t) * wave) / np.mean(last.q[:, 0] * wave))
@@ -128,10 +128,10 @@ def impedance_at(w: float) -> complex:
 
 def eq_10_47() -> Page:
     rows: list[Row] = []
-    ws = np.geomspace(1.5, 90.0, 7)
+    ws = np.geomspace(1.5, 90.0, 5)
     told = np.array([impedance_at(float(w)) for w in ws])
     wanted = D * (1j * ws) ** 2 + B * 1j * ws + K
-    for k, states in ((0, "dominated by the spring"), (3, ""), (6, "dominated by the mass")):
+    for k, states in ((0, "dominated by the spring"), (2, ""), (4, "dominated by the mass")):
         rows.append(
             row(
                 f"|Z| at {ws[k]:.3g} rad/s",
@@ -167,8 +167,8 @@ def eq_10_47() -> Page:
         row(
             "|Z| at 90 rad/s over m w^2",
             "",
-            abs(told[6]) / (D * ws[6] ** 2),
-            abs(wanted[6]) / (D * ws[6] ** 2),
+            abs(told[4]) / (D * ws[4] ** 2),
+            abs(wanted[4]) / (D * ws[4] ** 2),
             "m s^2 + b s + k",
             rel=0.01,
             states="near 1",
@@ -311,7 +311,8 @@ def accepted(factor: float) -> bool:
 
 def eq_10_50() -> Page:
     law = Admittance(
-        inner=TaskComputedTorque(kp=2500.0, kd=100.0), D=(D, ANGULAR[0]), B=(B, ANGULAR[1]), K=(K, ANGULAR[2])
+        inner=TaskComputedTorque(kp=2500.0, kd=100.0, singularity="plain"),
+        D=(D, ANGULAR[0]), B=(B, ANGULAR[1]), K=(K, ANGULAR[2]),
     )  # fmt: skip
     arm = panda()
     pose = snapshot(arm, arm.home).T()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -16,12 +16,14 @@ from taut.control.reference import JointMotion
 from taut.control.trajectory import Sine
 from taut.record.style import COLOURS, INK, SMALL, colour, prepared
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 __all__ = ["ENTRIES"]
 
 RATES: Final = (100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0)  # [Hz]
 KP, KD = 400.0, 40.0  # [1/s^2], [1/s]
 SIZE, PACE, LONG = 0.8, 4.0, math.pi  # [rad], [rad/s], [s] of the sine that is followed
-WAYS: Final = {"feedforward": "motion ahead", "P": "feedback", "I": "feedback", "D": "feedback", "nonlinear": "model"}
 
 
 def fig_10_1() -> Page:
@@ -45,10 +47,7 @@ def fig_10_1() -> Page:
     return Page(rows=rows, figure=figure, note="In the controller stand the terms of taut.laws.ComputedTorque.")
 
 
-def _whole(ax: object, y: float, terms: list[str]) -> None:
-    from matplotlib.axes import Axes
-
-    assert isinstance(ax, Axes)
+def _whole(ax: Axes, y: float, terms: list[str]) -> None:
     names = ("amplifiers", "actuators and\ntransmissions", "arm and\nenvironment")
     box(ax, 2.35, y, 2.3, 1.3)
     words(ax, 2.35, y + 0.48, "controller", zorder=3)
@@ -72,10 +71,7 @@ def _whole(ax: object, y: float, terms: list[str]) -> None:
     words(ax, 7.9, y - 0.76, "motions and forces", size=SMALL - 1.0)
 
 
-def _simplified(ax: object, y: float) -> None:
-    from matplotlib.axes import Axes
-
-    assert isinstance(ax, Axes)
+def _simplified(ax: Axes, y: float) -> None:
     block(ax, 2.35, y, "controller", width=2.3, height=0.7)
     block(ax, 7.0, y, "dynamics of arm and environment", width=2.9, height=0.7)
     arrow(ax, (0.2, y), (1.2, y))

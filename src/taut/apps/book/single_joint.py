@@ -203,7 +203,7 @@ def fig_10_2() -> Page:
     ax.fill(*outline.T, facecolor="#E4EBF2", edgecolor=INK, linewidth=1.0)
     ax.plot(0.0, 0.0, "o", color=INK, markersize=7.0)
     ax.plot(*centre, "o", color=colour(3), markersize=6.0)
-    for place, letter in ((centre - 0.03 * across + 0.03 * along, "m"), (0.5 * centre + 0.03 * across, "r")):
+    for place, letter in ((centre + 0.012 * across - 0.014 * along, "m"), (0.5 * centre + 0.03 * across, "r")):
         words(ax, float(place[0]), float(place[1]), letter, size=SMALL + 1.0)
     ax.plot([0.0, 0.24], [0.0, 0.0], color=INK, linewidth=0.6, linestyle="--")
     turn = np.linspace(0.0, theta, 30)

@@ -242,7 +242,7 @@ def transported() -> Page:
     figure, (ax,) = panels(1, 2.6)
     prepared(ax, "error about the tool's x axis, at a target that spins", "error [mrad]", "t [s]")
     laws: dict[str, tuple[Law, complex]] = {
-        "transported": (TaskComputedTorque(kp=KP, kd=KD, error="body", null=None), KD),
+        "transported": (TaskComputedTorque(kp=KP, kd=KD, error="body", null=None, singularity="plain"), KD),
         "fed as it is": (AsWritten(kp=KP, kd=KD), KD + 1j * SPIN),
     }
     for k, (name, (law, kd)) in enumerate(laws.items()):
