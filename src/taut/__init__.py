@@ -16,6 +16,9 @@ from typing import TYPE_CHECKING, Any, Final
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from taut.apps import textbook as textbook
+    from taut.apps.compare import compare as compare
+    from taut.apps.compare import grade as grade
     from taut.arm.description import Arm as Arm
     from taut.arm.description import Friction as Friction
     from taut.arm.description import Payload as Payload
@@ -138,9 +141,15 @@ if TYPE_CHECKING:
     from taut.runtime.events import Event as Event
     from taut.runtime.simulate import run as run
     from taut.study.admissible import Admissible as Admissible
+    from taut.study.compare import Comparison as Comparison
+    from taut.study.compare_grade import Grade as Grade
+    from taut.study.compare_truth import WrongModel as WrongModel
     from taut.study.contact_modes import FrictionMargin as FrictionMargin
     from taut.study.coupling import Coupling as Coupling
     from taut.study.coupling import coupling as coupling
+    from taut.study.diagnosis import Diagnosis as Diagnosis
+    from taut.study.diagnosis import doctor as doctor
+    from taut.study.diagnosis_finding import Finding as Finding
     from taut.study.error_dynamics import ErrorDynamics as ErrorDynamics
     from taut.study.freedom_words import FreedomRow as FreedomRow
     from taut.study.freedoms import Freedoms as Freedoms
@@ -178,6 +187,7 @@ if TYPE_CHECKING:
     from taut.study.wrist_poses import calibration_poses as calibration_poses
 
 _HOME: Final = {
+    "apps.compare": ("compare", "grade"),
     "arm.description": ("Arm", "Friction", "Payload"),
     "arm.gears": ("matched_ratio", "reflected_inertia"),
     "arm.load": ("load_arm",),
@@ -255,9 +265,14 @@ _HOME: Final = {
     "runtime.events": ("Event",),
     "runtime.simulate": ("run",),
     "study.admissible": ("Admissible",),
+    "study.compare": ("Comparison",),
+    "study.compare_grade": ("Grade",),
+    "study.compare_truth": ("WrongModel",),
     "study.contact_modes": ("FrictionMargin",),
     "study.coupling": ("Coupling", "coupling"),
     "study.error_dynamics": ("ErrorDynamics",),
+    "study.diagnosis": ("Diagnosis", "doctor"),
+    "study.diagnosis_finding": ("Finding",),
     "study.freedom_words": ("FreedomRow",),
     "study.freedoms": ("Freedoms", "freedoms"),
     "study.impedance": ("check_impedance",),
@@ -277,7 +292,12 @@ _HOME: Final = {
     "study.wrist": ("WristCalibration", "calibrate_wrist"),
     "study.wrist_poses": ("calibration_poses",),
 }
-_MODULES: Final = {"dynamics": "maths.dynamics", "laws": "control.laws", "math": "base.math"}
+_MODULES: Final = {
+    "dynamics": "maths.dynamics",
+    "laws": "control.laws",
+    "math": "base.math",
+    "textbook": "apps.textbook",
+}
 _WHERE: Final = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = sorted([*_WHERE, *_MODULES])

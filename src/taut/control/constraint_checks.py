@@ -21,6 +21,7 @@ __all__ = ["check_constraint", "check_forces", "check_motion", "check_place", "c
 
 DEPENDENT: Final = 3e-4  # of the largest singular value, rows of length 1; below it rounding is beyond 1e-9
 OUT_OF_RANGE: Final = 1e-6  # of the wrench
+ELSEWHEN: Final = 0.1234567  # [s]
 SHOWN: Final = 1e-5  # of the wrench, in words
 LOOKS: Final = 64  # at a motion before it is followed
 
@@ -204,11 +205,21 @@ def _shown(F: Float64Array, size: float) -> str:
     return f"[{', '.join(f'{x:.4g}' for x in some)}]"
 
 
-def check_motion(constraint: Constraint, x: Snapshot, ref: Reference, tool: str | None, tolerance: float) -> None:
+def check_motion(
+    constraint: Constraint, x: Snapshot, ref: Reference, tool: str | None, tolerance: float, *, later: bool = False
+) -> None:
     """A motion that is known before it is followed keeps to the constraint, which bears F_app all the way.
 
     It is a motion of the link that is constrained: of a chunk its samples are looked at, of a trajectory 64 instants.
     Against a row of velocities, such as that of a wheel, what counts is how far it goes: the integral of A V.
+
+    Args:
+        constraint: The constraint.
+        x: Where and when it is followed from.
+        ref: The motion.
+        tool: The frame that moves; None for the arm's tool.
+        tolerance: Largest phi [m, rad].
+        later: Whether it is followed from a later time on that is not known: then not against what moves by itself.
 
     Raises:
         RangeError: It leaves the constraint, or goes into it; or F_app leaves the range of A^T.
@@ -223,8 +234,10 @@ def check_motion(constraint: Constraint, x: Snapshot, ref: Reference, tool: str 
         sample = _at(ref, t)
         if not isinstance(sample, HybridMotion) or not isinstance(sample.motion, TaskMotion):
             return
-        pose = sample.motion.pose @ beyond
-        phi = constraint.of_pose(pose, t)
+        pose, now = sample.motion.pose @ beyond, float(x.t) + t
+        phi = constraint.of_pose(pose, now)
+        if later and np.any(phi != constraint.of_pose(pose, now + ELSEWHEN)):
+            return
         row = int(np.argmax(np.abs(phi)))
         if abs(phi[row]) > tolerance:
             which = "" if len(phi) == 1 else f" in row {row}"
@@ -236,7 +249,7 @@ def check_motion(constraint: Constraint, x: Snapshot, ref: Reference, tool: str 
                 value=float(phi[row]),
                 rule=f"<= {tolerance:g}",
             )
-        A, F_app = constraint.of_twist(pose, t)[0], np.asarray(sample.F_app, dtype=np.float64)
+        A, F_app = constraint.of_twist(pose, now)[0], np.asarray(sample.F_app, dtype=np.float64)
         if np.any(F_app):
             _check_range(A, F_app, constraint.one_sided, f" at t = {t:g} s")
         speed = np.where(velocities, A @ _moved_to(sample.motion, pose.p), 0.0)

@@ -270,7 +270,7 @@ class HybridMotionForce(Law):
         """
         check_place(self.natural, x, self.tolerance)
         check_forces(self.natural, x, ref)
-        check_motion(self.natural, x, ref, self.motion.controlled_frame, self.tolerance)
+        self._check_motion(x, ref)
 
     def check_reference_later(self, x: Snapshot, ref: Reference, rate: float) -> None:  # noqa: ARG002
         """The same of a phase that begins elsewhere, as far as it is known: the motion keeps to the constraint.
@@ -279,7 +279,12 @@ class HybridMotionForce(Law):
             RangeError: A motion off the constraint, a force that the contact cannot bear at any place.
         """
         check_forces(self.natural, x, ref, later=True)
-        check_motion(self.natural, x, ref, self.motion.controlled_frame, self.tolerance)
+        self._check_motion(x, ref, later=True)
+
+    def _check_motion(self, x: Snapshot, ref: Reference, *, later: bool = False) -> None:
+        """Not of a law that estimates the surface: it goes along that, whatever the motion asks for against it."""
+        if self.estimate is None:
+            check_motion(self.natural, x, ref, self.motion.controlled_frame, self.tolerance, later=later)
 
     def touches(self, x: Snapshot) -> Any:
         """Whether the arm keeps to the constraint: phi within the tolerance, and a force on it where one is measured.
