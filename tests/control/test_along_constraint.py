@@ -207,3 +207,14 @@ def test_the_reference_of_a_law_of_joints_is_left_as_it_is() -> None:
     S = np.linalg.inv(A @ np.linalg.solve(x.M, A.T))
     along = x.M @ (KP * e) - A.T @ (S @ (A @ (KP * e)))
     assert np.abs(ctrl.terms["P"] - along).max() < 1e-9
+
+
+def test_a_frame_that_is_turned_against_the_tool_changes_nothing_in_what_is_asked() -> None:
+    """The flange stands at 45 degrees to the tool; a motion that keeps to its hinge stays as it is."""
+    x = taut.snapshot(ARM, ARM.home)
+    T, frame = x.T(), "panda_link8"
+    assert np.abs(x.T(frame).R - T.R).max() > 0.2
+    hinge = Constraint.hinge(point=T.p + np.array([0.0, 0.2, 0.1]), axis=[1.0, 0.0, 0.0], T=x.T(frame), frame=frame)
+    made = along_constraint(x, hinge.at(x), frame, taut.TaskMotion(pose=T), None)
+    np.testing.assert_allclose(made.p, T.p, atol=1e-9)
+    np.testing.assert_allclose(made.R, T.R, atol=1e-9)

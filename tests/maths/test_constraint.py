@@ -239,6 +239,28 @@ def test_several_constraints_are_stacked() -> None:
     assert both.one_sided == (True, False, False)
 
 
+def test_the_tool_and_its_name_are_one_frame() -> None:
+    arm = taut.load_arm("panda")
+    named = Constraint.line(point=CENTER, axis=U, frame="panda_hand_tcp")
+    for both in (CONSTRAINTS["plane"] + named, named + CONSTRAINTS["plane"]):
+        assert both.frame == ("panda_hand_tcp",)
+        x = taut.snapshot(arm, arm.home)
+        rows = both.at(x)
+        assert rows.A is not None
+        np.testing.assert_allclose(rows.A @ x.J(), rows.A_q, atol=1e-12)
+        assert both.of_pose(x.T()).tolist() == pytest.approx(list(rows.phi))
+    elsewhere = CONSTRAINTS["plane"] + Constraint.line(point=CENTER, axis=U, frame="panda_link5")
+    with pytest.raises(
+        taut.UsageError, match=r"the arm's tool, which is 'panda_hand_tcp', and another of 'panda_link5'; say"
+    ):
+        elsewhere.at(taut.snapshot(arm, arm.home))
+    several = Constraint.line(point=CENTER, axis=U, frame="panda_hand_tcp") + Constraint.line(
+        point=CENTER, axis=U, frame="panda_link5"
+    )
+    assert several.frame is None
+    assert several.at(taut.snapshot(arm, arm.home)).A is None
+
+
 def test_a_constraint_of_joints_is_differentiated_along_the_joints() -> None:
     arm = taut.load_arm("planar2")
     constraint = Constraint.of_joints(lambda q: q[0] * q[1] - 0.5)

@@ -11,6 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from taut.arm.description import Arm
 from taut.base import math as tm
 from taut.base.errors import UsageError
 from taut.base.pose import Pose
@@ -90,13 +91,25 @@ class Constraint:
 
     @property
     def frame(self) -> tuple[str | None] | None:
-        """The one frame that it is a function of, in a tuple; None where there are several, or joints."""
-        frames = {piece.frames for piece in self.pieces}
-        only = frames.pop() if len(frames) == 1 else ()
-        return (only[0],) if len(only) == 1 else None
+        """The one frame that it is a function of, in a tuple; None where there are several, or joints.
+
+        Parts of the arm's tool, which is not named, and of a named frame count as one: it must be the tool's.
+        """
+        if any(len(piece.frames) != 1 for piece in self.pieces):
+            return None
+        names = {piece.frames[0] for piece in self.pieces}
+        if len(names) > 1:
+            names.discard(None)
+        return (names.pop(),) if len(names) == 1 else None
 
     def at(self, x: Snapshot) -> ConstraintRows:
-        """Its rows at the state, and the time, of a snapshot."""
+        """Its rows at the state, and the time, of a snapshot.
+
+        Raises:
+            UsageError: Parts of the arm's tool beside parts of a named frame, which is another one.
+        """
+        if self.frame not in (None, (None,)) and any(piece.frames == (None,) for piece in self.pieces):
+            self._check_tool(x.arm)
         parts = [piece.at(x) for piece in self.pieces]
         if len(parts) == 1:
             return parts[0]
@@ -110,6 +123,15 @@ class Constraint:
             curvature=joined(part.curvature for part in parts),
             one_sided=self.one_sided,
         )
+
+    def _check_tool(self, arm: Arm) -> None:
+        assert self.frame is not None
+        if self.frame[0] != arm.tool:
+            raise UsageError(
+                f"a part of the constraint is of the arm's tool, which is '{arm.tool}', and another of "
+                f"'{self.frame[0]}'; say frame='{arm.tool}' where the tool is meant",
+                name="frame",
+            )
 
     def of_pose(self, T: Pose, t: float = 0.0) -> Float64Array:
         """(k,) phi of a pose of the one frame that it is a function of; zero for constraints of velocities.
