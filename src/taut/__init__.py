@@ -139,6 +139,8 @@ if TYPE_CHECKING:
     from taut.runtime.simulate import run as run
     from taut.study.admissible import Admissible as Admissible
     from taut.study.contact_modes import FrictionMargin as FrictionMargin
+    from taut.study.design import Design as Design
+    from taut.study.design import design as design
     from taut.study.error_dynamics import ErrorDynamics as ErrorDynamics
     from taut.study.freedom_words import FreedomRow as FreedomRow
     from taut.study.freedoms import Freedoms as Freedoms
@@ -252,6 +254,7 @@ _HOME: Final = {
     "runtime.simulate": ("run",),
     "study.admissible": ("Admissible",),
     "study.contact_modes": ("FrictionMargin",),
+    "study.design": ("Design", "design"),
     "study.error_dynamics": ("ErrorDynamics",),
     "study.freedom_words": ("FreedomRow",),
     "study.freedoms": ("Freedoms", "freedoms"),

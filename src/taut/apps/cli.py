@@ -97,6 +97,7 @@ def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
 
 def _parser() -> argparse.ArgumentParser:
     from taut import __version__
+    from taut.apps import design_command
 
     parser = _Parser(
         prog="taut",
@@ -140,6 +141,9 @@ def _parser() -> argparse.ArgumentParser:
     add("laws", _laws, "List the laws with their equations and what they need measured.")
     check = add("check", _check, "Read a robot model and say what is in it and everything that is wrong with it.")
     check.add_argument("model", metavar="MODEL", help="a name, a .urdf or an MJCF .xml file")
+    gains = add("design", _design, "Find the gains of a law from a specification, and what they run into.")
+    gains.epilog = f"{design_command.EXAMPLES}{STATUS}"
+    design_command.add_arguments(gains)
     bench = add("bench", _bench, "Measure what a tick, a compile and a closed loop cost on this machine.")
     bench.add_argument("arm", nargs="?", default="planar3", metavar="ARM", help="name or file (default: planar3)")
     return parser
@@ -250,6 +254,17 @@ def _check(arguments: argparse.Namespace) -> int:
     else:
         print(report.text())
     return DONE if report.ok else WRONG
+
+
+def _design(arguments: argparse.Namespace) -> int:
+    from taut.apps.design_command import design_of
+
+    found = design_of(arguments)
+    if arguments.json:
+        _print_json(found.json())
+    else:
+        print(found.report())
+    return DONE
 
 
 def _bench(arguments: argparse.Namespace) -> int:
