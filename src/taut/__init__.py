@@ -147,6 +147,8 @@ if TYPE_CHECKING:
     from taut.study.contact_modes import FrictionMargin as FrictionMargin
     from taut.study.coupling import Coupling as Coupling
     from taut.study.coupling import coupling as coupling
+    from taut.study.design import Design as Design
+    from taut.study.design import design as design
     from taut.study.diagnosis import Diagnosis as Diagnosis
     from taut.study.diagnosis import doctor as doctor
     from taut.study.diagnosis_finding import Finding as Finding
@@ -270,6 +272,7 @@ _HOME: Final = {
     "study.compare_truth": ("WrongModel",),
     "study.contact_modes": ("FrictionMargin",),
     "study.coupling": ("Coupling", "coupling"),
+    "study.design": ("Design", "design"),
     "study.error_dynamics": ("ErrorDynamics",),
     "study.diagnosis": ("Diagnosis", "doctor"),
     "study.diagnosis_finding": ("Finding",),

@@ -382,3 +382,11 @@ def test_a_posture_in_degrees_is_told() -> None:
 def test_a_pose_in_degrees_is_told() -> None:
     with pytest.raises(taut.RangeError, match=r"rpy\[0\] must be an angle in rad; got 180, which looks like degrees"):
         taut.Pose([0.0, 0.0, 0.0], rpy=[180.0, 0.0, 90.0])
+
+
+def test_a_planar_arm_feels_at_its_tool_what_it_can_move() -> None:
+    """It lacks directions, of which the rest must not know."""
+    arm = taut.load_arm("planar2")
+    ctrl = taut.compile(taut.laws.Impedance(K=(400.0, 20.0), zeta=0.7), arm)
+    run = taut.run(ctrl, taut.RigidPlant(arm, friction=None), q0=[0.3, 0.8], duration=0.05)
+    assert run.outcome.ok

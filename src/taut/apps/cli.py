@@ -117,6 +117,7 @@ def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
 
 def _parser() -> argparse.ArgumentParser:
     from taut import __version__
+    from taut.apps import design_command
 
     parser = _Parser(
         prog="taut",
@@ -168,6 +169,9 @@ def _parser() -> argparse.ArgumentParser:
     patient.add_argument("run", type=Path, metavar="RUN", help="a log (.mcap) of a run")
     patient.add_argument("--arm", metavar="MODEL", help="the arm that the controller was compiled for")
     patient.add_argument("--out", type=Path, metavar="DIR", help="folder for a picture of each finding")
+    gains = add("design", _design, "Find the gains of a law from a specification, and what they run into.")
+    gains.epilog = f"{design_command.EXAMPLES}{STATUS}"
+    design_command.add_arguments(gains)
     bench = add("bench", _bench, "Measure what a tick, a compile and a closed loop cost on this machine.")
     bench.add_argument("arm", nargs="?", default="planar3", metavar="ARM", help="name or file (default: planar3)")
     book = add("book", _book, "Compute the chapter's equations and figures, beside what they should be.")
@@ -312,6 +316,17 @@ def _doctor(arguments: argparse.Namespace) -> int:
     for problem in report.diagnosis.problems:
         _tell(f"'{report.log}' is no whole run: {problem}")
     return DONE if report.ok else WRONG
+
+
+def _design(arguments: argparse.Namespace) -> int:
+    from taut.apps.design_command import design_of
+
+    found = design_of(arguments)
+    if arguments.json:
+        _print_json(found.json())
+    else:
+        print(found.report())
+    return DONE
 
 
 def _bench(arguments: argparse.Namespace) -> int:

@@ -17,7 +17,6 @@ from taut.control.impedance import Impedance
 from taut.control.law import Law
 from taut.control.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
-from taut.maths.task_inertia import TaskInertia
 
 __all__ = ["FeltImpedance", "felt_impedance"]
 
@@ -92,7 +91,8 @@ def _felt(
     if D is not None:
         inertia = D.matrix(6)
     else:
-        inertia = axes.matrix_inwards(TaskInertia.of(axes.error.J, x.M_factors).Lambda)
+        assert isinstance(law, Impedance)  # the other one always has D
+        inertia = axes.matrix_inwards(law.inertia_of(x, axes.error.J).Lambda)
     if B is not None:
         damping = B.matrix(6)
     else:

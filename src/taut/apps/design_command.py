@@ -1,0 +1,118 @@
+"""taut design: prints what `taut.design` finds."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from taut.control.law import Law
+    from taut.study.design import Design
+
+__all__ = ["EXAMPLES", "add_arguments", "design_of"]
+
+EXAMPLES: Final = """examples:
+  taut design PID --arm one_joint --zeta 1 --omega_n 10
+  taut design Impedance --arm panda --K 800,30 --zeta 0.7 --rate 1000
+  taut design GravityPID --arm ur10 --overshoot 5 --settling 0.5 --coupled --json
+  taut design ForceControl --arm panda --force 5 --zeta 0.7 --contact 10000,200
+
+"""
+NUMBERS: Final = {
+    "zeta": "damping ratio; 1 for critical damping",
+    "overshoot": "of a step [%%], in place of zeta",
+    "omega_n": "natural frequency [rad/s]",
+    "settling": "exact 2 %% settling time of a step [s]",
+    "bandwidth": "where the arm follows 3 dB less than at rest [rad/s]",
+    "K": "stiffness: linear,angular [N/m, N m/rad], or of the joints",
+    "D": "inertia to be felt at the tool: linear,angular [kg, kg m^2]",
+    "contact": "stiffness of what is pressed on: linear,angular",
+    "step": "step that is to keep within the torque limits [rad | m]",
+}
+SINGLE: Final = {
+    "force": "pole of the force [1/s]",
+    "integral": "ki as a share of the largest",
+    "rate": "servo rate [Hz] (default: 1000)",
+    "delay": "from the tick to the torque [s], whole periods",
+}
+
+
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """The arguments of `taut design`."""
+    command.add_argument("law", metavar="LAW", help="a law that `taut laws` lists")
+    command.add_argument("--arm", default="panda", metavar="ARM", help="name or file (default: panda)")
+    command.add_argument(
+        "--at",
+        action="append",
+        metavar="Q",
+        help="a pose, such as 0,0.5,-1 [rad | m]; once for each, the worst is designed for (default: home)",
+    )
+    for name, text in NUMBERS.items():
+        command.add_argument(f"--{name}", metavar="X", help=text)
+    for name, text in SINGLE.items():
+        command.add_argument(f"--{name}", metavar="X", help=text)
+    command.add_argument("--coupled", action="store_true", help="matrices for gains of PID and GravityPID")
+    command.add_argument("--friction", action="store_true", help="the arm's own viscous friction counts as damping")
+    command.add_argument("--velocity", choices=("measured", "difference"), default="measured", help="how it is got")
+
+
+def design_of(arguments: argparse.Namespace) -> Design:
+    """The design that a command line asks for.
+
+    Raises:
+        UsageError, UnknownNameError, RangeError: What `taut.design` refuses, and texts that are no numbers.
+    """
+    from taut.arm.load import load_arm
+    from taut.study.design import design
+
+    given: dict[str, Any] = {}
+    for name in (*NUMBERS, *SINGLE):
+        text = getattr(arguments, name)
+        if text is not None:
+            given[name] = _numbers(name, text)
+    if arguments.at:
+        poses = [_numbers("at", text) for text in arguments.at]
+        given["at"] = poses if len(poses) > 1 else poses[0]
+    if arguments.friction:
+        given["friction"] = "arm"
+    return design(
+        _law(arguments.law), load_arm(arguments.arm), coupled=arguments.coupled, velocity=arguments.velocity, **given
+    )
+
+
+def _law(name: str) -> type[Law] | Law:
+    """A law by name; of those that hold others, with the ones that are usual."""
+    from taut.base.errors import UsageError, unknown_name
+    from taut.control import laws
+    from taut.study.design_gains import RECIPES
+
+    known = [kind.__name__ for kind in RECIPES if kind not in (laws.Sum, laws.HybridMotionForce)]
+    if name not in laws.__all__:
+        raise unknown_name("taut design", "law", name, known)
+    if name == "ViaJointSpace":
+        return laws.ViaJointSpace(inner=laws.ComputedTorque(kp=1.0, kd=1.0))
+    if name == "HybridMotionForce":
+        raise UsageError(
+            "HybridMotionForce needs its constraint, which no command line can give; call taut.design from Python",
+            name="law",
+        )
+    found: type[Law] = getattr(laws, name)
+    return found
+
+
+def _numbers(name: str, text: str) -> Any:
+    """A number, or numbers with commas between them, in brackets or not."""
+    inside = text.strip()
+    if not inside.startswith("["):
+        inside = f"[{inside}]"
+    try:
+        flat = [float(value) for value in json.loads(inside)]
+    except (ValueError, TypeError):
+        from taut.base.errors import UsageError
+
+        raise UsageError(
+            f"--{name} takes a number, or numbers with commas between them, such as --{name} 800,30; got '{text}'",
+            name=name,
+        ) from None
+    return flat[0] if len(flat) == 1 and name != "at" else flat

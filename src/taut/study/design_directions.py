@@ -1,0 +1,235 @@
+"""The directions in which a law's error dynamics stand each by itself at a pose, and what they are in each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from scipy.linalg import eigh
+
+from taut.base.types import Float64Array
+from taut.control import laws
+from taut.control.law import Law
+from taut.maths.snapshot import Snapshot
+from taut.study.design_place import AtTool, at_tool
+from taut.study.error_dynamics import ErrorDynamics
+from taut.study.joint_gains import JointGains
+
+__all__ = ["Direction", "designed_part", "directions_of"]
+
+FREE: Final = 1e-9  # of the largest stiffness over inertia: a motion that no spring draws back
+ALIKE: Final = 1e-9  # of stiffnesses over inertias
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Direction:
+    """One of them.
+
+    Args:
+        name: The joint, the direction of the tool, or the mode.
+        unit: Of its coordinate, rad or m.
+        row: (n,) how far a motion of the joints goes along it.
+        column: (n,) the motion of the joints that goes along it by 1, and along no other one.
+        dynamics: Its error dynamics in continuous time, by the gains and the inertia there.
+        per_unit: What a motion by 1 makes of `unit`: the stiffness of a contact, where that is a force.
+    """
+
+    name: str
+    unit: str
+    row: Float64Array
+    column: Float64Array
+    dynamics: ErrorDynamics
+    per_unit: float = 1.0
+
+
+def designed_part(law: Law) -> Law:
+    """The law in a law whose gains are designed."""
+    if isinstance(law, laws.ViaJointSpace):
+        return designed_part(law.inner)
+    if isinstance(law, laws.HybridMotionForce):
+        return designed_part(law.motion)
+    if isinstance(law, laws.Sum):
+        return next(part for part in law.children().values() if type(part) in DIRECTIONS)
+    return law
+
+
+def directions_of(law: Law, x: Snapshot, b: Float64Array) -> tuple[Direction, ...]:
+    """Those of a law at the state of a snapshot; b (n,) is the friction that counts.
+
+    None where there is no error that dies away: of laws of force, and of those that draw the arm nowhere.
+    """
+    part: Any = designed_part(law)
+    return DIRECTIONS[type(part)](part, x, b)
+
+
+def _second(M: float, kp: float, kd: float, ki: float, b: float = 0.0) -> ErrorDynamics:
+    return ErrorDynamics.of_gains(JointGains(M=M, b=b, kp=kp, kd=kd, ki=ki))
+
+
+def _matrix(gain: Any, n: int) -> Float64Array:
+    return np.asarray(gain.matrix(n), dtype=np.float64)
+
+
+def _joints(x: Snapshot, dynamics: Callable[[int], ErrorDynamics]) -> tuple[Direction, ...]:
+    eye = np.eye(x.n)
+    return tuple(
+        Direction(name=name, unit=x.arm.units[i], row=eye[i], column=eye[i], dynamics=dynamics(i))
+        for i, name in enumerate(x.arm.joint_names)
+    )
+
+
+def _of_accelerations(law: Any, x: Snapshot, b: Float64Array) -> tuple[Direction, ...]:
+    kp, kd, ki = (np.diag(_matrix(gain, x.n)) for gain in (law.kp, law.kd, law.ki))
+    M = np.diag(np.asarray(x.M))
+    return _joints(x, lambda i: _second(1.0, kp[i], kd[i], ki[i], float(b[i] / M[i])))
+
+
+def _of_torques(law: Any, x: Snapshot, b: Float64Array) -> tuple[Direction, ...]:
+    """The modes of kp and M, which joints share; the joints where all modes are alike."""
+    M = np.asarray(x.M)
+    kp, kd, ki = (_matrix(gain, x.n) for gain in (law.kp, law.kd, law.ki))
+    squares, modes = eigh(kp, M)  # modes^T M modes = 1
+    if squares[-1] - squares[0] <= ALIKE * squares[-1]:
+        w, damping = float(squares[0]), eigh(kd + np.diag(b), M, eigvals_only=True)
+        if damping[-1] - damping[0] <= ALIKE * max(damping[-1], 1e-300):
+            integral = float(eigh(ki, M, eigvals_only=True)[-1])
+            return _joints(x, lambda _: _second(1.0, w, float(damping[0]), integral))
+    found = []
+    for square, mode in zip(squares, modes.T, strict=True):
+        shares = np.abs(mode * (M @ mode))
+        i = int(np.argmax(shares))
+        kd_, ki_, b_ = (float(mode @ C @ mode) for C in (kd, ki, np.diag(b)))
+        scaled = mode / mode[i]
+        found.append(
+            Direction(
+                name=x.arm.joint_names[i] if x.n == 1 else f"mode of {x.arm.joint_names[i]}",
+                unit=x.arm.units[i],
+                row=M @ mode * mode[i],
+                column=scaled,
+                dynamics=_second(1.0, float(square), kd_, ki_, b_),
+            )
+        )
+    return tuple(found)
+
+
+def _of_velocities(law: Any, x: Snapshot, b: Float64Array) -> tuple[Direction, ...]:  # noqa: ARG001
+    kp, ki = (np.diag(_matrix(gain, x.n)) for gain in (law.kp, law.ki))
+
+    def dynamics(i: int) -> ErrorDynamics:
+        tail = [ki[i]] if ki[i] else []
+        return ErrorDynamics(coefficients=[1.0, kp[i], *tail], integral=bool(tail))
+
+    return _joints(x, dynamics)
+
+
+def _of_tool_velocities(law: Any, x: Snapshot, b: Float64Array) -> tuple[Direction, ...]:  # noqa: ARG001
+    place = at_tool(law, x)
+    kp = place.inside(_matrix(law.kp, len(place.U)))
+    return _at_tool(place, np.eye(len(kp)), lambda k: ErrorDynamics(coefficients=[1.0, float(kp[k, k])]))
+
+
+def _of_task(law: Any, x: Snapshot, b: Float64Array) -> tuple[Direction, ...]:
+    place = at_tool(law, x)
+    kp, kd, ki = (place.inside(_matrix(gain, len(place.U))) for gain in (law.kp, law.kd, law.ki))
+    rubbed = np.linalg.solve(np.asarray(x.M), np.diag(b)) @ place.back
+    ways = eigh(kp)[1]
+    kp, kd, ki, own = (np.diag(ways.T @ C @ ways) for C in (kp, kd, ki, place.rows @ rubbed))
+    return _at_tool(place, ways, lambda k: _second(1.0, kp[k], kd[k], ki[k], max(float(own[k]), 0.0)))
+
+
+def _at_tool(
+    place: AtTool, ways: Float64Array, dynamics: Callable[[int], ErrorDynamics], inertia: Float64Array | None = None
+) -> tuple[Direction, ...]:
+    """Motions (r,) of the tool in the columns of `ways`; modes of an inertia, or orthogonal ones."""
+    back = place.back
+    across = ways if inertia is None else inertia @ ways  # across^T ways = 1
+    found: list[Direction] = []
+    for k, way in enumerate(ways.T):
+        i = int(np.argmax(np.abs(place.U @ way)))
+        scale = float((place.U @ way)[i])
+        linear = len(place.names) != 6 or i < 3
+        name = place.names[i]
+        same = sum(each.name.startswith(name) for each in found)
+        found.append(
+            Direction(
+                name=f"{name} ({same + 1})" if same else name,
+                unit="m" if linear else "rad",
+                row=place.rows.T @ across[:, k] * scale,
+                column=back @ way / scale,
+                dynamics=dynamics(k),
+            )
+        )
+    return tuple(found)
+
+
+def _of_felt(law: Any, x: Snapshot, b: Float64Array) -> tuple[Direction, ...]:
+    """The modes of what the tool feels like: D, or the arm's own inertia, and K."""
+    place, size = at_tool(law, x), len(_spread(law))
+    K = place.inside(law.K.matrix(size))
+    D = place.inside(law.D.matrix(size)) if law.gives("D") else place.Lambda
+    squares, modes = eigh(K, D)
+    held = squares > FREE * max(float(squares[-1]), 1e-300)
+    ways, squares = modes[:, held], squares[held]
+    if law.gives("zeta"):
+        damping = 2.0 * float(law.zeta.as_array()) * np.sqrt(squares)
+    else:
+        B = place.inside(law.B.matrix(size))
+        damping = np.diag(ways.T @ B @ ways)
+    own = np.zeros((len(squares), len(squares)))
+    if not law.gives("D"):
+        rubbed = place.back.T @ np.diag(b) @ place.back
+        own = ways.T @ rubbed @ ways
+    return _at_tool(
+        place, ways, lambda k: _second(1.0, float(squares[k]), float(damping[k]), 0.0, float(own[k, k])), D
+    )
+
+
+def _spread(law: Any) -> range:
+    return range(getattr(law, "dimensions", 6))
+
+
+def _of_spring(law: Any, x: Snapshot, b: Float64Array) -> tuple[Direction, ...]:
+    """The modes of J^T K J and M, of joints that a spring at the tool draws back."""
+    place, M = at_tool(law, x), np.asarray(x.M)
+    J, kd = place.J, _matrix(law.kd, x.n)
+    squares, modes = eigh(J.T @ law.K.matrix(law.dimensions) @ J, M)
+    found: list[Direction] = []
+    for square, mode in zip(squares, modes.T, strict=True):
+        if square <= FREE * squares[-1]:
+            continue
+        moved = J @ mode
+        i = int(np.argmax(np.abs(moved)))
+        name = place.names[i]
+        same = sum(each.name.startswith(name) for each in found)
+        found.append(
+            Direction(
+                name=f"{name} ({same + 1})" if same else name,
+                unit="m" if len(place.names) != 6 or i < 3 else "rad",
+                row=M @ mode * float(moved[i]),
+                column=mode / float(moved[i]),
+                dynamics=_second(1.0, float(square), float(mode @ kd @ mode), 0.0, float(mode @ np.diag(b) @ mode)),
+            )
+        )
+    return tuple(found)
+
+
+def _none(law: Any, x: Snapshot, b: Float64Array) -> tuple[Direction, ...]:  # noqa: ARG001
+    return ()
+
+
+DIRECTIONS: Final[dict[type[Law], Callable[[Any, Snapshot, Float64Array], tuple[Direction, ...]]]] = {
+    laws.PID: _of_torques,
+    laws.GravityPID: _of_torques,
+    laws.ComputedTorque: _of_accelerations,
+    laws.GravityCompensation: _none,
+    laws.VelocityPI: _of_velocities,
+    laws.TaskVelocity: _of_tool_velocities,
+    laws.TaskPosition: _of_tool_velocities,
+    laws.TaskComputedTorque: _of_task,
+    laws.Impedance: _of_felt,
+    laws.Stiffness: _of_spring,
+    laws.Admittance: _of_felt,
+    laws.ForceControl: _none,
+}

@@ -1,0 +1,400 @@
+"""What a design runs into: torque, rate and speed of a step, the servo rate, delay, encoders, ki, gears, coupling."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from taut.arm.description import Arm
+from taut.base.types import Float64Array
+from taut.control import laws
+from taut.control.limits import RATE_PER_EFFORT
+from taut.maths.snapshot import Snapshot
+from taut.plant.rigid import RigidPlant
+from taut.study.design_directions import Direction
+from taut.study.design_trial import Bench, Numbers, Response
+from taut.study.impedance import check_impedance
+from taut.study.linear_loop import LinearLoop
+
+__all__ = ["DesignLimit", "Tried", "limits_of", "steps_of", "torque_limits"]
+
+KEPT: Final = 0.1  # of the damping ratio: what sampling may take or add
+COUNT: Final = 0.01  # of the effort limit: a torque that an encoder's step may make
+SOFT: Final = 0.5  # of a flexible joint's frequency with its motor held: what a design should stay below
+STEP_JOINT: Final = {"rad": 0.1, "m": 0.05}
+PRESS: Final = {"N": 10.0, "N m": 1.0}
+EVERY: Final = 1e-12
+LASTING: Final = 1e-6  # [1/s] a pole that is slower is one that stays
+
+
+@dataclass(frozen=True, kw_only=True)
+class DesignLimit:
+    """One limit, and how near the design is.
+
+    Args:
+        name: Of what: "torque", "torque rate", "speed", "damping", "rate", "delay", "gain margin", "encoder", "ki",
+            "weight", "coupling", "stiffness", "backlash", "elastic joint", "drive".
+        value: What the design has or needs.
+        limit: What there is; infinite for none.
+        unit: Of both.
+        ok: Whether the design keeps to it.
+        sentence: That in words.
+    """
+
+    name: str
+    value: float
+    limit: float
+    unit: str
+    ok: bool
+    sentence: str
+
+
+def steps_of(directions: tuple[Direction, ...], step: Float64Array | None) -> Float64Array:
+    """(k,) the step in each direction: what was asked for, or 0.1 rad and 0.05 m; of a force 10 N and 1 N m.
+
+    Of a force it is the motion that the contact makes of it.
+    """
+    if step is None:
+        return np.array([PRESS[d.unit] / d.per_unit if d.unit in PRESS else STEP_JOINT[d.unit] for d in directions])
+    if step.ndim == 0:
+        return np.full(len(directions), float(step))
+    return np.array([float(step[0 if d.unit in ("m", "N") else 1]) / d.per_unit for d in directions])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tried:
+    """What the limits are read off, at the pose that is designed for.
+
+    Args:
+        bench: The law in the plant that the design is for.
+        arm: With its weight.
+        x: At rest at the pose.
+        lin: The linear model there.
+        directions: Of the error.
+        designed: In each, by the book.
+        predicted: In each, a step of the sampled loop.
+        steps: (k,) the steps that limits are told for.
+        plant: The user's own, if there is one.
+    """
+
+    bench: Bench
+    arm: Arm
+    x: Snapshot
+    lin: LinearLoop
+    directions: tuple[Direction, ...]
+    designed: tuple[Numbers, ...]
+    predicted: tuple[Response, ...]
+    steps: Float64Array
+    plant: RigidPlant | None
+
+
+def limits_of(tried: Tried) -> tuple[DesignLimit, ...]:
+    """All that have a meaning for the law and the arm."""
+    found: list[DesignLimit] = []
+    if tried.bench.kind == "torque":
+        found += torque_limits(tried)
+    if tried.directions:
+        found += [*_speed(tried), *_damping(tried), *_rate_and_delay(tried)]
+    found += [
+        *_slow(tried),
+        *_margins(tried),
+        *_encoder(tried),
+        *_integral(tried),
+        *_weight(tried),
+        *_coupling(tried),
+    ]
+    return (*found, *_stiffness(tried), *_gears(tried))
+
+
+def _holding(tried: Tried) -> Float64Array:
+    """(n,) torques at rest, of the arm with its weight."""
+    return np.asarray(tried.x.g) if not tried.bench.weightless else np.zeros(tried.x.n)
+
+
+def torque_limits(tried: Tried) -> Iterator[DesignLimit]:
+    """Of the torque and of its rate, for the stated steps."""
+    arm, hold = tried.arm, _holding(tried)
+    if not np.isfinite(arm.effort).any():
+        yield DesignLimit(
+            name="torque", value=0.0, limit=math.inf, unit="N m", ok=True,
+            sentence=f"'{arm.name}' states no torque limits",
+        )  # fmt: skip
+        return
+    if not tried.directions:
+        return
+    found = [_room(tried, hold, k) for k in range(len(tried.directions))]
+    k = min(range(len(found)), key=lambda i: found[i][0] / float(tried.steps[i]))
+    (most, joint), d, size = found[k], tried.directions[k], float(tried.steps[k])
+    ok = most >= size
+    yield DesignLimit(
+        name="torque", value=size * d.per_unit, limit=most * d.per_unit, unit=d.unit, ok=ok,
+        sentence=(
+            f"a step of {size * d.per_unit:.3g} {d.unit} along {d.name} "
+            f"{'keeps within the limits' if ok else 'saturates'}; one of {most * d.per_unit:.3g} {d.unit} takes all "
+            f"that joint '{arm.joint_names[joint]}' has"
+        ),
+    )  # fmt: skip
+    times = [_ramp(tried, k) for k in range(len(tried.directions))]
+    k = max(range(len(times)), key=lambda i: times[i][0])
+    (seconds, joint), d, size = times[k], tried.directions[k], float(tried.steps[k])
+    ok = seconds <= tried.lin.dt
+    yield DesignLimit(
+        name="torque rate", value=seconds, limit=tried.lin.dt, unit="s", ok=ok,
+        sentence=(
+            f"a step of {size * d.per_unit:.3g} {d.unit} along {d.name} jumps at joint '{arm.joint_names[joint]}' by "
+            f"what a limit of {RATE_PER_EFFORT:g} times the effort per second lets through in {seconds:.2g} s"
+            f"{'' if ok else '; follow a trajectory instead'}"
+        ),
+    )  # fmt: skip
+
+
+def _room(tried: Tried, hold: Float64Array, k: int) -> tuple[float, int]:
+    """The largest step of a direction within the torque limits, and the joint that has no more."""
+    effort, command = tried.arm.effort, tried.predicted[k].command
+    left = np.where(command > 0.0, effort - hold, effort + hold)
+    room = np.divide(left, np.abs(command), out=np.full(command.shape, np.inf), where=np.abs(command) > EVERY)
+    return float(room.min()), int(np.argmin(room.min(axis=0)))
+
+
+def _ramp(tried: Tried, k: int) -> tuple[float, int]:
+    """How long a limit of the torque rate takes for the largest change in a tick, and the joint."""
+    command = tried.predicted[k].command * tried.steps[k]
+    change = np.abs(np.diff(command, axis=0, prepend=np.zeros((1, tried.x.n)))).max(axis=0)
+    seconds = change / (RATE_PER_EFFORT * tried.arm.effort)
+    return float(seconds.max()), int(np.argmax(seconds))
+
+
+def _speed(tried: Tried) -> Iterator[DesignLimit]:
+    arm = tried.arm
+    worst, joint, step = 0.0, 0, ""
+    for d, response, size in zip(tried.directions, tried.predicted, tried.steps, strict=True):
+        use = np.abs(response.v).max(axis=0) * size / arm.velocity
+        if use.max() > worst:
+            worst, joint = float(use.max()), int(np.argmax(use))
+            step = f"{size * d.per_unit:.3g} {d.unit} along {d.name}"
+    if worst > 0.0:
+        yield DesignLimit(
+            name="speed", value=worst * float(arm.velocity[joint]), limit=float(arm.velocity[joint]),
+            unit=f"{arm.units[joint]}/s", ok=worst <= 1.0,
+            sentence=(
+                f"a step of {step} takes {100.0 * worst:.3g} % of the speed that joint "
+                f"'{arm.joint_names[joint]}' has"
+            ),
+        )  # fmt: skip
+
+
+def _damping(tried: Tried) -> Iterator[DesignLimit]:
+    """What the servo rate makes of the damping."""
+    damping = [response.numbers.zeta for response in tried.predicted]
+    off = [abs(seen - book.zeta) for seen, book in zip(damping, tried.designed, strict=True)]
+    at = int(np.argmax(off))
+    worst, book, seen = off[at], tried.designed[at].zeta, damping[at]
+    yield DesignLimit(
+        name="damping", value=seen, limit=book, unit="", ok=worst <= KEPT * max(book, KEPT),
+        sentence=(
+            f"at {tried.bench.ctrl.rate:g} Hz zeta is {seen:.4g} along {tried.directions[at].name}, where the book "
+            f"has {book:.4g}"
+        ),
+    )  # fmt: skip
+
+
+def _rate_and_delay(tried: Tried) -> Iterator[DesignLimit]:
+    """Of the direction with the most damping for its inertia, at a servo rate."""
+    bench = tried.bench
+    law: Any = bench.law
+    if isinstance(law, (laws.ForceControl, laws.Admittance)) or bench.kind != "torque":
+        return  # their loop goes through the force, and through the law that follows it
+    if isinstance(law, laws.Impedance) and law.has("D"):
+        return
+    delay = float(bench.plant.actuation.delay)
+    velocity: Any = bench.ctrl.side.sensing.velocity
+    quick = max(tried.directions, key=lambda d: float(np.abs(d.dynamics.poles).max()))
+    sampled = quick.dynamics.sampled(rate=bench.ctrl.rate, delay=delay, velocity=velocity)
+    least, most, rate = sampled.lowest_stable_rate, sampled.largest_stable_delay, bench.ctrl.rate
+    yield DesignLimit(
+        name="rate", value=rate, limit=least, unit="Hz", ok=rate >= least,
+        sentence=f"stable from {least:.4g} Hz on ({quick.name}); the rate is {rate:g} Hz",
+    )  # fmt: skip
+    yield DesignLimit(
+        name="delay", value=delay, limit=most, unit="s", ok=delay < most,
+        sentence=(
+            f"stable up to {1e3 * most:.4g} ms from tick to torque ({quick.name}), where there are "
+            f"{1e3 * delay:.4g} ms"
+        ),
+    )  # fmt: skip
+
+
+def _slow(tried: Tried) -> Iterator[DesignLimit]:
+    """Of a law of force, the pole with which its integral takes the rest of an error away; of one that lets float."""
+    law = tried.bench.law
+    if isinstance(law, laws.GravityCompensation):
+        rates = [mode.s.real for mode in tried.lin.modes if abs(mode.s) > LASTING]
+        if rates:
+            yield DesignLimit(
+                name="decay", value=-max(rates), limit=0.0, unit="1/s", ok=True,
+                sentence=f"the speed that a push leaves dies away with {-max(rates):.4g} 1/s or faster, M coupled",
+            )  # fmt: skip
+    if not isinstance(law, laws.ForceControl) or not tried.directions:
+        return
+    book = min(float(np.abs(d.dynamics.poles).min()) for d in tried.directions)
+    seen = min(float(np.abs(p.poles).min()) for p in tried.predicted)
+    yield DesignLimit(
+        name="force pole", value=seen, limit=book, unit="1/s", ok=abs(seen / book - 1.0) < KEPT,
+        sentence=f"an error of the force dies away with {seen:.4g} 1/s on this contact, {book:.4g} 1/s by the book",
+    )  # fmt: skip
+
+
+def _margins(tried: Tried) -> Iterator[DesignLimit]:
+    """Of the whole loop, broken at all commands at once."""
+    if tried.bench.kind != "torque" or not tried.directions:
+        return
+    disk = tried.lin.margins.disk
+    low, high = disk.gain
+    yield DesignLimit(
+        name="gain margin", value=high, limit=1.0, unit="", ok=high > 1.0,
+        sentence=(
+            f"all torques at once may be {low:.3g} to {high:.3g} times what is commanded, or {disk.phase:.3g} deg "
+            "late, each in another way"
+        ),
+    )  # fmt: skip
+
+
+def _encoder(tried: Tried) -> Iterator[DesignLimit]:
+    """What one count of an encoder makes of the torque, where the law sees it first."""
+    if tried.bench.kind != "torque":
+        return
+    lin, arm = tried.lin, tried.arm
+    columns = [lin.states.index(f"plant.q[{i}]") for i in range(arm.n)]
+    slope = np.abs(lin.C[np.ix_(list(lin.rows("command")), columns)])  # (n, n) [N m/rad]
+    share = slope / arm.effort[:, np.newaxis]
+    if not np.isfinite(share).all() or not share.any():
+        return
+    i, j = np.unravel_index(int(np.argmax(share)), share.shape)
+    fine = COUNT / float(share[i, j])
+    given = None if tried.plant is None else tried.plant.sensors.position.resolution
+    if given is None:
+        yield DesignLimit(
+            name="encoder", value=0.0, limit=fine, unit=arm.units[j], ok=True,
+            sentence=(
+                f"an encoder with steps of {fine:.2g} {arm.units[j]} at '{arm.joint_names[j]}' would move the torque "
+                f"of '{arm.joint_names[i]}' by 1 % of its limit with each"
+            ),
+        )  # fmt: skip
+        return
+    at_motor = tried.plant is not None and tried.plant.sensors.position.side == "motor"
+    steps = np.broadcast_to(np.asarray(given), (arm.n,)) / (arm.gear if at_motor else 1.0)
+    flicker = slope * steps
+    i, j = np.unravel_index(int(np.argmax(flicker / arm.effort[:, np.newaxis])), share.shape)
+    part = float(flicker[i, j] / arm.effort[i])
+    yield DesignLimit(
+        name="encoder", value=float(steps[j]), limit=COUNT / part * float(steps[j]), unit=arm.units[j],
+        ok=part <= COUNT,
+        sentence=(
+            f"one count of '{arm.joint_names[j]}', {steps[j]:.2g} {arm.units[j]}, moves the torque of "
+            f"'{arm.joint_names[i]}' by {flicker[i, j]:.2g}, {100.0 * part:.2g} % of its limit"
+        ),
+    )  # fmt: skip
+
+
+def _integral(tried: Tried) -> Iterator[DesignLimit]:
+    """0 <= ki < (b + kd) kp / M."""
+    gains = [(d, d.dynamics.joint) for d in tried.directions if d.dynamics.joint is not None]
+    if not gains or not any(hasattr(part, "ki") for part in _laws(tried)):
+        return
+    d, joint = max(gains, key=lambda pair: pair[1].ki / pair[1].largest_ki if pair[1].largest_ki else math.inf)
+    most = joint.largest_ki
+    yield DesignLimit(
+        name="ki", value=joint.ki, limit=most, unit="per unit of inertia", ok=joint.ki < most,
+        sentence=(
+            f"ki is {joint.ki:.4g} per unit of inertia, of {most:.4g} that (b + kd) kp / M allows ({d.name})"
+            if joint.ki
+            else "ki = 0; integral=1 is the bound (b + kd) kp / M, which swings for ever; 0.05 to 0.2 are usual"
+        ),
+    )  # fmt: skip
+
+
+def _laws(tried: Tried) -> list[Any]:
+    law = tried.bench.law
+    return [*law.children().values()] if isinstance(law, laws.Sum) else [law]
+
+
+def _weight(tried: Tried) -> Iterator[DesignLimit]:
+    """How far a law without gravity compensation sags."""
+    part: Any = tried.bench.law
+    if not tried.bench.weightless or not isinstance(part, laws.PID):
+        return
+    g = np.asarray(tried.x.g)
+    sag = np.abs(np.linalg.solve(part.kp.matrix(tried.x.n), g))
+    i, arm = int(np.argmax(sag)), tried.arm
+    held = bool(np.any(part.ki.as_array()))
+    yield DesignLimit(
+        name="weight", value=float(sag[i]), limit=0.0, unit=arm.units[i], ok=held,
+        sentence=(
+            f"the weight of {g[i]:.3g} at '{arm.joint_names[i]}' makes it sag by {sag[i]:.3g} {arm.units[i]}"
+            f"{' until the integral has it' if held else '; GravityPID, FeedForward() + PID or integral= help'}"
+        ),
+    )  # fmt: skip
+
+
+def _coupling(tried: Tried) -> Iterator[DesignLimit]:
+    """How far apart the modes of joints are that a decentralised law takes for alike."""
+    parts = [part for part in _laws(tried) if isinstance(part, (laws.PID, laws.GravityPID))]
+    if not parts or len(tried.designed) < 2:
+        return
+    low, high = (pick(each.zeta for each in tried.designed) for pick in (min, max))
+    if high - low < KEPT:
+        return
+    yield DesignLimit(
+        name="coupling", value=low, limit=high, unit="", ok=False,
+        sentence=(
+            f"M couples the joints: their modes have zeta from {low:.3g} to {high:.3g} where each by itself has the "
+            "one that was asked for; coupled=True makes gains with which they are alike"
+        ),
+    )  # fmt: skip
+
+
+def _stiffness(tried: Tried) -> Iterator[DesignLimit]:
+    law: Any = tried.bench.law
+    if not isinstance(law, (laws.Impedance, laws.Stiffness)) or (isinstance(law, laws.Impedance) and law.has("D")):
+        return
+    check = check_impedance(tried.bench.ctrl, tried.x.q, delay=float(tried.bench.plant.actuation.delay))
+    yield DesignLimit(
+        name="stiffness", value=1.0, limit=check.stable_up_to, unit="K", ok=check.stable,
+        sentence=f"{check.sentences[0]}; {check.sentences[2]}",
+    )  # fmt: skip
+
+
+def _gears(tried: Tried) -> Iterator[DesignLimit]:
+    """Play and elasticity of the plant's transmissions."""
+    gear = None if tried.plant is None else tried.plant.actuation.transmission
+    if gear is None or tried.plant is None:
+        return
+    arm, n = tried.plant.arm, tried.x.n
+    if gear.has_play:
+        play = np.broadcast_to(np.asarray(gear.backlash), (n,))
+        i = int(np.argmax(play))
+        yield DesignLimit(
+            name="backlash", value=float(play[i]), limit=0.0, unit=arm.units[i], ok=False,
+            sentence=(
+                f"'{arm.joint_names[i]}' has {play[i]:.2g} {arm.units[i]} of play, within which no gain holds it: it "
+                "swings about there where the encoder is at the link, and stays off where it is at the motor"
+            ),
+        )  # fmt: skip
+    soft = gear.compliant(n)
+    if not soft:
+        return
+    link = np.diag(np.asarray(tried.x.M)) - tried.arm.rotor_inertia
+    held = np.array([np.sqrt(float(np.broadcast_to(np.asarray(gear.stiffness), (n,))[i]) / link[i]) for i in soft])
+    fastest = max((each.omega_n for each in tried.designed), default=0.0)
+    i = int(np.argmin(held))
+    yield DesignLimit(
+        name="elastic joint", value=fastest, limit=SOFT * float(held[i]), unit="rad/s", ok=fastest <= SOFT * held[i],
+        sentence=(
+            f"'{arm.joint_names[soft[i]]}' swings at {held[i]:.4g} rad/s with its motor held; a design up to half of "
+            f"that, {SOFT * held[i]:.4g} rad/s, does not feel it much, and this one has {fastest:.4g} rad/s"
+        ),
+    )  # fmt: skip

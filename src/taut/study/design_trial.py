@@ -1,0 +1,328 @@
+"""A design tried: steps of the sampled loop in each direction, by its linear model and simulated in full."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from taut.arm.description import Arm
+from taut.base.pose import Pose
+from taut.base.types import ArrayLike, Float64Array
+from taut.control.law import Law
+from taut.control.reference import Hold, JointMotion, Sample, as_reference
+from taut.control.sensing import Sensing
+from taut.control.task_force import TaskForce
+from taut.control.task_reference import TaskMotion
+from taut.controller import Controller, compile
+from taut.loop import Loop
+from taut.maths.snapshot import Snapshot
+from taut.maths.spatial import rotation_exp
+from taut.plant.actuation import Actuation
+from taut.plant.environment_push import Push
+from taut.plant.environment_springs import Spring
+from taut.plant.rigid import RigidPlant
+from taut.record.run import Run
+from taut.record.step import step_response
+from taut.runtime.simulate import run as simulate
+from taut.study.design_asked import six_by_six
+from taut.study.design_directions import Direction, designed_part
+from taut.study.error_dynamics import ErrorDynamics
+from taut.study.linear_loop import LinearLoop
+from taut.study.linearise import linearise
+from taut.study.sampled import VelocityKind
+from taut.study.second_order_response import zeta_of_overshoot
+
+__all__ = ["Bench", "Numbers", "Response", "numbers_of_poles", "zeta_seen"]
+
+SMALL: Final = 1e-4  # [m | rad] a step for which a loop is as good as linear
+DRIVE: Final = 1e4  # [rad/s] of drives that are as good as ideal
+LONGER: Final = 2.5  # times the settling time that was designed for
+SHORTEST, LONGEST = 30, 40_000  # ticks
+HELD: Final = 1e-9  # of the step: below it an error is rounding
+SEEN: Final = 0.1  # [%] of overshoot that tells a damping ratio
+NOTHING: Final = np.zeros(6)
+REFERENCES: Final[dict[type[Sample], tuple[str, ...]]] = {JointMotion: ("ref.q",), TaskForce: ("ref.F_world",)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Numbers:
+    """How an error dies away; NaN where that has no meaning, infinite where it does not.
+
+    Args:
+        zeta: Damping ratio, of the slowest pair; 1 for a single pole.
+        omega_n: Natural frequency of that pair, or the pole [rad/s].
+        overshoot: Of a step [%].
+        settling: Exact 2 % settling time of a step [s].
+    """
+
+    zeta: float
+    omega_n: float
+    overshoot: float
+    settling: float
+
+    @classmethod
+    def designed(cls, dynamics: ErrorDynamics) -> Numbers:
+        """In continuous time, by the book."""
+        zeta, omega_n = numbers_of_poles(dynamics.poles)
+        return cls(zeta=zeta, omega_n=omega_n, overshoot=dynamics.overshoot, settling=dynamics.settling_time)
+
+
+def numbers_of_poles(s: Any) -> tuple[float, float]:
+    """Damping ratio and natural frequency of the slowest two poles, complex ones first; of one, 1 and its rate."""
+    s = np.asarray(s, dtype=np.complex128)
+    s = s[np.argsort(-s.real)]
+    swinging = s[np.abs(s.imag) > 1e-9 * np.abs(s)]
+    if len(swinging):
+        pole = complex(swinging[0])
+        return float(-pole.real / abs(pole)), abs(pole)
+    if len(s) == 1:
+        return 1.0, float(abs(s[0]))
+    product = float((s[0] * s[1]).real)
+    if product <= 0.0:
+        return math.nan, math.nan
+    return float(-(s[0] + s[1]).real / (2.0 * math.sqrt(product))), math.sqrt(product)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Response:
+    """What a step of the reference in one direction does.
+
+    Args:
+        t: (k,) [s].
+        e: (k,) the error along it, of a step of 1.
+        e_dot: (k,) its rate.
+        q: (k, n) the joints, for a step of 1.
+        v: (k, n) their speeds, likewise.
+        command: (k, n) what is commanded, less what holds the arm, likewise.
+        integral: Whether the law integrates the error.
+        second: Whether the rate of the error is a state.
+    """
+
+    t: Float64Array
+    e: Float64Array
+    e_dot: Float64Array
+    q: Float64Array
+    v: Float64Array
+    command: Float64Array
+    integral: bool
+    second: bool
+
+    @property
+    def numbers(self) -> Numbers:
+        """What fits it."""
+        zeta, omega_n = numbers_of_poles(self.poles) if np.isfinite(self.e).all() else (math.nan, math.nan)
+        step = step_response(self.t, self.e)
+        return Numbers(zeta=zeta, omega_n=omega_n, overshoot=step.overshoot, settling=step.settling_time)
+
+    @property
+    def poles(self) -> Any:
+        """[1/s] of the map from tick to tick that fits error, rate and integral, by least squares."""
+        dt = float(self.t[1])
+        states = [self.e]
+        if self.second:
+            states.append(self.e_dot * dt)
+        if self.integral:
+            states.append(np.concatenate([[0.0], np.cumsum(self.e)[:-1]]))
+        X = np.column_stack(states)
+        live = int(np.flatnonzero(np.abs(self.e) > HELD)[-1]) + 1 if np.any(np.abs(self.e) > HELD) else len(X)
+        X = X[: max(min(live, len(X)), len(states) + 3)]
+        scale = np.abs(X).max(axis=0)
+        X = X / np.where(scale > 0.0, scale, 1.0)
+        A, *_ = np.linalg.lstsq(X[:-1], X[1:], rcond=None)
+        if len(A) == 2:
+            return _pair(float(np.trace(A)), float(np.linalg.det(A)), dt)
+        z = np.linalg.eigvals(A).astype(np.complex128)
+        with np.errstate(divide="ignore"):
+            return np.log(z) / dt
+
+
+def _pair(trace: float, det: float, dt: float) -> Any:
+    """log(z) / dt of z^2 - trace z + det, well conditioned where the two meet."""
+    if det <= 0.0:
+        with np.errstate(divide="ignore"):
+            return np.log(np.roots([1.0, -trace, det]).astype(np.complex128)) / dt
+    cosine = 0.5 * trace / math.sqrt(det)
+    sigma = -0.5 * math.log(det) / dt
+    turn = np.arccos(complex(cosine)) / dt
+    return np.array([-sigma + 1j * turn, -sigma - 1j * turn])
+
+
+class Bench:
+    """A law on its arm, to be tried: compiled once, in the plant that the design is for.
+
+    A law that leaves the weight to others, as PID does, is tried on a weightless arm: its error dynamics are those
+    about where it rests, and how far it sags is another number of the design.
+
+    Args:
+        law: With its gains.
+        arm: The arm.
+        rate: [Hz].
+        delay: [s] whole periods from the tick to the torque.
+        velocity: How velocity is measured.
+        friction: "arm" or None.
+        contact: Stiffness of a spring that holds the tool where it starts, for laws of force.
+    """
+
+    def __init__(
+        self,
+        law: Law,
+        arm: Arm,
+        *,
+        rate: float,
+        delay: float,
+        velocity: VelocityKind,
+        friction: Literal["arm"] | None,
+        contact: ArrayLike | None = None,
+    ) -> None:
+        self.law = designed_part(law) if _alone(law) else law
+        sensing = Sensing() if velocity == "measured" else Sensing(velocity=velocity)
+        self._rate, self._sensing = rate, sensing
+        self.ctrl: Controller = compile(self.law, arm, rate=rate, sensing=sensing)
+        probe = self.ctrl.side.probe
+        self.weightless = probe.kind == "torque" and "gravity" not in probe.used and bool(np.any(arm.gravity))
+        self.arm = arm.with_gravity(np.zeros(3)) if self.weightless else arm
+        if self.weightless:
+            self.ctrl = compile(self.law, self.arm, rate=rate, sensing=sensing)
+        self.kind = probe.kind
+        drives = Actuation(delay=delay, bandwidth=None if probe.kind == "torque" else DRIVE)
+        self.contact = None if contact is None else six_by_six("contact", contact)
+        felt: Any = Push(peak=NOTHING, duration=1.0) if "F_ext" in self.ctrl.needs else None
+        if self.contact is not None:
+            felt = Spring(stiffness=self.contact)
+        self.plant = RigidPlant(
+            self.arm,
+            friction=friction if probe.kind == "torque" else "arm",
+            takes=probe.kind,  # type: ignore[arg-type]  # the kinds of commands are those of plants
+            actuation=drives,
+            environment=felt,
+        )
+        self.loop = Loop(self.ctrl, self.plant, duration=1.0)
+        self.integral = any(
+            np.any(value) for path, value in self.law.parameters().items() if path.rpartition(".")[2] in ("ki", "kfi")
+        )
+
+    def for_plant(self, arm: Arm, plant: RigidPlant) -> Controller:
+        """The same controller for a plant of its own, its weight included."""
+        return compile(self.law, arm, rate=self._rate, sensing=self._sensing, adds=plant.adds)
+
+    def set_gains(self, law: Law) -> None:
+        """The same law with other gains of the same shapes."""
+        self.law = designed_part(law) if _alone(law) else law
+        for path, value in self.law.parameters().items():
+            self.loop.parameters[f"law.{path}"] = value
+
+    def linear(self, q: Float64Array) -> LinearLoop:
+        """The linear model about a pose."""
+        self.loop.ref, self.loop.duration = Hold(), 1.0
+        return linearise(self.loop, at=q)
+
+    def ticks(self, directions: tuple[Direction, ...]) -> int:
+        """How many ticks show all of them settle."""
+        longest = max((d.dynamics.settling_time for d in directions), default=0.0)
+        wanted = LONGER * longest * self.ctrl.rate if math.isfinite(longest) else 1000.0
+        return int(np.clip(wanted, SHORTEST, LONGEST))
+
+    def predicted(self, lin: LinearLoop, x: Snapshot, directions: tuple[Direction, ...]) -> tuple[Response, ...]:
+        """Steps of the linear model."""
+        if not directions:
+            return ()
+        ticks, n = self.ticks(directions), x.n
+        B, D = self._of_reference(lin)
+        U = np.array([self._moved(x, d) for d in directions]).T  # (m, directions)
+        state = np.zeros((len(lin.states), len(directions)))
+        places = {name: list(lin.rows(name)) for name in ("q", "v", "command")}
+        out = {name: np.zeros((ticks + 1, n, len(directions))) for name in places}
+        for k in range(ticks + 1):
+            y = lin.C @ state + D @ U
+            for name, rows in places.items():
+                out[name][k] = y[rows]
+            state = lin.A @ state + B @ U
+        t = np.linspace(0.0, ticks * lin.dt, ticks + 1)
+        return tuple(
+            self._response(d, t, out["q"][:, :, i], out["v"][:, :, i], out["command"][:, :, i])
+            for i, d in enumerate(directions)
+        )
+
+    def simulated(self, x: Snapshot, directions: tuple[Direction, ...]) -> tuple[Response, ...]:
+        """Small steps of the whole nonlinear loop."""
+        ticks = self.ticks(directions)
+        found = []
+        for d in directions:
+            run = self.step(self.loop, x, d, SMALL, ticks)
+            rest = self._holding(x)
+            found.append(self._response(d, run.t, (run.q - x.q) / SMALL, run.v / SMALL, (run.command - rest) / SMALL))
+        return tuple(found)
+
+    def _holding(self, x: Snapshot) -> Float64Array:
+        """(1, n) the command that holds the arm at rest."""
+        if self.kind == "position":
+            return np.array(x.q)[np.newaxis]
+        if self.kind != "torque" or self.weightless:
+            return np.zeros((1, x.n))
+        return np.asarray(x.g)[np.newaxis]
+
+    def step(self, loop: Loop, x: Snapshot, direction: Direction, size: float, ticks: int) -> Run:
+        """A step of the reference, from rest at a pose."""
+        loop.ref = as_reference(self._target(x, direction, size))
+        loop.duration = ticks / self.ctrl.rate
+        return simulate(loop, q0=x.q, progress=False)
+
+    def _response(
+        self, d: Direction, t: Float64Array, q: Float64Array, v: Float64Array, command: Float64Array
+    ) -> Response:
+        return Response(
+            t=t, e=1.0 - q @ d.row, e_dot=-(v @ d.row), q=q, v=v, command=command, integral=self.integral,
+            second=self.kind == "torque",
+        )  # fmt: skip
+
+    def _of_reference(self, lin: LinearLoop) -> tuple[Float64Array, Float64Array]:
+        names: tuple[str, ...] = ("ref.p", "ref.rotation")
+        if self.law.reference in REFERENCES:
+            names = REFERENCES[self.law.reference]
+        columns = [i for name in names for i in lin.columns(name)]
+        return lin.B[:, columns], lin.D[:, columns]
+
+    def _moved(self, x: Snapshot, d: Direction) -> Float64Array:
+        """How the reference goes along a direction: joints, or the tool in world axes."""
+        if self.law.reference is JointMotion:
+            return d.column
+        if self.law.reference is TaskForce:
+            return self._pressed(x, d)
+        return np.asarray(x.J(self.law.controlled_frame) @ d.column)
+
+    def _pressed(self, x: Snapshot, d: Direction) -> Float64Array:
+        """(6,) the wrench that holds the contact's spring where a motion of 1 along a direction takes it."""
+        way = np.asarray(x.J(self.law.controlled_frame) @ d.column)
+        assert self.contact is not None
+        return np.asarray(self.contact @ way)
+
+    def _target(self, x: Snapshot, d: Direction, size: float) -> Sample:
+        moved = size * self._moved(x, d)
+        if self.law.reference is TaskForce:
+            return TaskForce(F_app=moved)
+        if self.law.reference is JointMotion:
+            return JointMotion(q=x.q + moved)
+        T = x.T(self.law.controlled_frame)
+        turn = np.asarray(rotation_exp(moved[3:]), dtype=np.float64)
+        return TaskMotion(pose=Pose.of(turn @ np.asarray(T.R), np.asarray(T.p) + moved[:3]))
+
+
+def zeta_seen(run: Run, x: Snapshot, d: Direction, size: float) -> Numbers:
+    """What a step did on a plant with whatever is wrong with it: damping by its overshoot, where it has one."""
+    e = 1.0 - (run.q - x.q) @ d.row / size
+    if not run.outcome.ok or not np.isfinite(e).all():
+        return Numbers(zeta=math.nan, omega_n=math.nan, overshoot=math.nan, settling=math.inf)
+    seen = step_response(run.t, e)
+    zeta = zeta_of_overshoot(seen.overshoot) if SEEN < seen.overshoot < 100.0 else math.nan
+    return Numbers(zeta=zeta, omega_n=math.nan, overshoot=seen.overshoot, settling=seen.settling_time)
+
+
+def _alone(law: Law) -> bool:
+    """Whether the part that is designed is tried without what holds it."""
+    part = designed_part(law)
+    return (
+        part is not law and len(law.children()) != 0 and type(law).__name__ in ("ViaJointSpace", "HybridMotionForce")
+    )

@@ -1,0 +1,169 @@
+"""A design in words and as plain values."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import textwrap
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from taut.study.design_trial import Numbers
+
+if TYPE_CHECKING:
+    from taut.study.design import Design
+
+__all__ = ["as_json", "report"]
+
+WIDTH: Final = 110
+COLUMNS: Final = {
+    "zeta": "zeta",
+    "omega_n": "omega_n [rad/s]",
+    "overshoot": "overshoot [%]",
+    "settling": "settling [s]",
+}
+GAINS: Final = ("kp", "kd", "ki", "K", "B", "D", "zeta", "kfp", "kfi", "kdamp")
+NOTHING: Final = 1e-6  # of a number that is shown: what rounding leaves of none
+MOST: Final = 6  # of the poses that are listed
+
+
+def report(d: Design) -> str:
+    """Gains, the table of numbers, the limits."""
+    asked = ", ".join(f"{name} = {_short(value)}" for name, value in d.asked.items())
+    lines = [f"{type(d.law).__name__} on {d.arm.name} at {d.rate:g} Hz, for {asked}", ""]
+    for name, values in d.law.parameters().items():
+        *held, last = name.split(".")
+        if np.any(values) and last in GAINS and "null" not in held:
+            lines += _gain(name, np.asarray(values), d.arm.n)
+    where = "worst of the poses" if len(d.poses) > 1 else "pose"
+    lines += ["", f"at the {where}, q = {np.round(d.q, 4).tolist()}"]
+    if d.alone:
+        lines.append(f"tried as {d.alone} alone, which {type(d.law).__name__} holds")
+    if d.weightless:
+        lines.append("tried without gravity, which this law leaves to others")
+    if d.achieved:
+        lines += ["", *_table(d)]
+    else:
+        lines += ["", "nothing draws the arm anywhere, so that a step has no answer to show"]
+    if len(d.poses) > 1:
+        lines += ["", *_poses(d)]
+    lines.append("")
+    for each in d.limits:
+        mark = "  " if each.ok else "!!"
+        head = f"{mark} {each.name:<13} "
+        lines += textwrap.wrap(each.sentence, WIDTH, initial_indent=head, subsequent_indent=" " * len(head))
+    return "\n".join(lines)
+
+
+def _gain(name: str, values: Any, n: int) -> list[str]:
+    if values.ndim == 2 and not np.any(values - np.diag(np.diag(values))):
+        values = np.diag(values)
+    if values.ndim < 2:
+        distinct = np.unique(values)
+        text = f"{distinct[0]:.6g}" if distinct.size == 1 else ", ".join(f"{x:.6g}" for x in values)
+        return textwrap.wrap(f"   {name} = {text}", WIDTH, subsequent_indent=" " * (len(name) + 6))
+    del n
+    head = f"   {name} = "
+    rows = ["  ".join(f"{x:9.4g}" for x in row) for row in values]
+    return [(head if i == 0 else " " * len(head)) + row for i, row in enumerate(rows)]
+
+
+def _table(d: Design) -> list[str]:
+    """Each direction, one line: designed, predicted, simulated, on the plant."""
+    sources = ["designed", "predicted", "simulated"] + ["on plant"] * (d.achieved[0].on_plant is not None)
+    width = max(len(each.direction) for each in d.achieved)
+    lines = []
+    for name, title in COLUMNS.items():
+        rows = []
+        for each in d.achieved:
+            given = [each.designed, each.predicted, each.simulated, *([each.on_plant] if each.on_plant else [])]
+            rows.append([_number(getattr(numbers, name)) for numbers in given])
+        lines.append(f"   {title:<{max(width, 16)}}" + "".join(f"{source:>13}" for source in sources))
+        names = [each.direction for each in d.achieved]
+        if len(rows) > 1 and all(row == rows[0] for row in rows):
+            names, rows = ["in each direction"], rows[:1]
+        lines += [
+            f"   {direction:<{max(width, 16)}}" + "".join(f"{cell:>13}" for cell in row)
+            for direction, row in zip(names, rows, strict=True)
+        ]
+        lines.append("")
+    return lines[:-1]
+
+
+def _poses(d: Design) -> list[str]:
+    zetas = [pose.zeta for pose in d.poses]
+    lines = [
+        f"over {len(d.poses)} poses zeta is {min(z[0] for z in zetas):.4g} to {max(z[1] for z in zetas):.4g}, and "
+        f"the longest settling time {_number(max(pose.settling for pose in d.poses))} s"
+    ]
+    return lines + [
+        f"   q = {np.round(pose.q, 3).tolist()}: zeta {pose.zeta[0]:.4g} to {pose.zeta[1]:.4g}"
+        for pose in d.poses[:MOST]
+    ]
+
+
+def _number(value: float) -> str:
+    if math.isnan(value):
+        return "-"
+    if math.isinf(value):
+        return "never"
+    return "0" if abs(value) < NOTHING else f"{value:.4g}"
+
+
+def _short(value: object) -> str:
+    array = np.asarray(value, dtype=np.float64)
+    if array.ndim == 0:
+        return f"{float(array):g}"
+    return f"({', '.join(f'{x:g}' for x in array)})" if array.ndim == 1 else "a matrix"
+
+
+def as_json(d: Design) -> dict[str, Any]:
+    """Everything of it but the pictures."""
+    return {
+        "law": type(d.law).__name__,
+        "arm": d.arm.name,
+        "rate": d.rate,
+        "asked": {name: np.asarray(value).tolist() for name, value in d.asked.items()},
+        "gains": {name: np.asarray(value).tolist() for name, value in d.law.parameters().items()},
+        "q": d.q.tolist(),
+        "achieved": [
+            {
+                "direction": each.direction,
+                "unit": each.unit,
+                **{
+                    name: None if numbers is None else _plain(numbers)
+                    for name, numbers in (
+                        ("designed", each.designed),
+                        ("predicted", each.predicted),
+                        ("simulated", each.simulated),
+                        ("on_plant", each.on_plant),
+                    )
+                },
+            }
+            for each in d.achieved
+        ],
+        "poses": [
+            {
+                "q": pose.q.tolist(),
+                "zeta": [_finite(z) for z in pose.zeta],
+                "settling": _finite(pose.settling),
+                "stable": pose.stable,
+            }
+            for pose in d.poses
+        ],
+        "limits": [
+            {**dataclasses.asdict(each), "value": _finite(each.value), "limit": _finite(each.limit)}
+            for each in d.limits
+        ],
+        "weightless": d.weightless,
+        "alone": d.alone,
+    }
+
+
+def _plain(numbers: Numbers) -> dict[str, float | None]:
+    return {name: _finite(value) for name, value in dataclasses.asdict(numbers).items()}
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

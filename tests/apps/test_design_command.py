@@ -1,0 +1,51 @@
+"""taut design: the command prints what the function finds, and refuses in one sentence."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+import taut
+from taut.apps.cli import main
+
+
+def test_the_command_prints_the_report(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["design", "PID", "--arm", "one_joint", "--zeta", "1", "--omega_n", "10"]) == 0
+    d = taut.design(taut.laws.PID, taut.load_arm("one_joint"), zeta=1.0, omega_n=10.0)
+    assert capsys.readouterr().out == f"{d}\n"
+
+
+def test_json_has_gains_and_numbers_of_each_pose(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["design", "Impedance", "--arm", "planar2", "--K", "400,20", "--zeta", "0.7", "--json"]
+    assert main([*words, "--at", "0.3,0.8", "--at", "[0.3, 1.2]"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["gains"]["K"] == [400.0] * 3 + [20.0] * 3
+    assert [pose["q"] for pose in found["poses"]] == [[0.3, 0.8], [0.3, 1.2]]
+    assert {each["name"] for each in found["limits"]} >= {"torque", "rate", "delay", "stiffness"}
+    assert found["achieved"][0]["simulated"]["zeta"] == pytest.approx(0.7, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["PIDD", "--zeta", "1"], "taut design has no law 'PIDD'; did you mean 'PID'?"),
+        (
+            ["PID", "--zeta", "one"],
+            "--zeta takes a number, or numbers with commas between them, such as --zeta 800,30",
+        ),
+        (["PID", "--arm", "one_joint", "--zeta", "1"], "PID needs its speed: omega_n, settling or bandwidth"),
+        (
+            ["HybridMotionForce", "--zeta", "1"],
+            "HybridMotionForce needs its constraint, which no command line can give",
+        ),
+        (["PID", "--zeta", "1", "--omega_n", "5", "--at", "0,0"], "at must be one pose (7,) or several (k, 7)"),
+    ],
+)
+def test_a_wrong_request_is_one_sentence_and_status_2(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["design", *words]) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert len(err.strip().splitlines()) == 1
