@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import Bar
 from scipy.linalg import eigh
 
 import taut
 from taut.control.law import Law
-from tests.conftest import Bar
 
 control = pytest.importorskip("control")
 laws = taut.laws
