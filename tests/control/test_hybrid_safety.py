@@ -248,3 +248,14 @@ def test_rows_that_become_dependent_are_told_and_left_out() -> None:
     x = taut.snapshot(ARM, taut.onto(BOARD, ARM, out.q[-1]), np.full(ARM.n, 0.1))
     tau = ctrl.step(x.q, x.v, taut.pressing(taut.TaskMotion(pose=x.T())))
     assert np.abs(tau).max() < 100.0
+
+
+def test_a_law_that_estimates_the_surface_does_not_tell_of_a_motion_off_the_stated_one() -> None:
+    told = []
+    for estimate in (None, taut.laws.NormalEstimate()):
+        ctrl = taut.compile(law(estimate=estimate), ARM, engine="float")
+        ctrl.step(ARM.home, np.zeros(ARM.n), taut.pressing(STAY), F_ext=np.zeros(6))
+        above = taut.TaskMotion(pose=Pose(T.p + np.array([0.0, 0.0, 0.05]), R=T.R))
+        ctrl.step(ARM.home, np.zeros(ARM.n), taut.pressing(above), F_ext=np.zeros(6))
+        told.append(float(ctrl.memory["law.astray"]))
+    assert told == [1.0, 0.0]

@@ -353,9 +353,12 @@ class HybridMotionForce(Law):
         return felt, along_constraint(x, rows, frame, motion, tool)
 
     def _astray(self, x: Snapshot, motion: Sample) -> Any:
-        """1 where the motion asks for a pose that is off the constraint by more than the tolerance, else 0."""
+        """1 where the motion asks for a pose that is off the constraint by more than the tolerance, else 0.
+
+        Not of a law that estimates the surface: it goes along that, whatever the motion asks for against it.
+        """
         tool = self.motion.controlled_frame
-        if not isinstance(motion, TaskMotion) or not of_one_body(self.natural, x, tool):
+        if self.estimate is not None or not isinstance(motion, TaskMotion) or not of_one_body(self.natural, x, tool):
             return 0.0
         assert self.natural.frame is not None
         phi = self.natural.phi_of(asked_pose(x, *self.natural.frame, motion, tool), x.t)
