@@ -135,6 +135,7 @@ if TYPE_CHECKING:
     from taut.record.metrics import Metrics as Metrics
     from taut.record.outcome import Outcome as Outcome
     from taut.record.read_log import load_run as load_run
+    from taut.record.report import report as report
     from taut.record.run import Run as Run
     from taut.runtime.drivers.mujoco import MujocoPlant as MujocoPlant
     from taut.runtime.drivers.mujoco_tip import SpringTip as SpringTip
@@ -261,6 +262,7 @@ _HOME: Final = {
     "record.metrics": ("Metrics",),
     "record.outcome": ("Outcome",),
     "record.read_log": ("load_run",),
+    "record.report": ("report",),
     "record.run": ("Run",),
     "runtime.drivers.mujoco": ("MujocoPlant",),
     "runtime.drivers.mujoco_tip": ("SpringTip",),

@@ -85,6 +85,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     try:
         arguments = _parser().parse_args(argv)
+        arguments.words = list(sys.argv[1:] if argv is None else argv)
         command: Callable[[argparse.Namespace], int] = arguments.command
         with warnings.catch_warnings():
             warnings.showwarning = _show_warning
@@ -159,6 +160,12 @@ def _parser() -> argparse.ArgumentParser:
     comparison = add("compare", _compare, "Compare laws on a scenario, or grade a law against a reference law.")
     comparison.epilog = f"{COMPARE}\n{STATUS}"
     add_compare(comparison, ENGINES)
+    document = add("report", _report, "Write a report of a recorded run: one HTML file with everything in it.")
+    document.add_argument("run", metavar="RUN.mcap", help="a log that taut run or run.save wrote")
+    document.add_argument(
+        "-o", "--out", type=Path, default=Path("report.html"), metavar="FILE.html", help="(default: report.html)"
+    )
+    document.add_argument("--title", default="", metavar="TEXT", help="a title, instead of the usual one")
     add("scenarios", _scenarios, "List the built-in scenarios.")
     add("arms", _arms, "List the arms that taut knows by name.")
     add("laws", _laws, "List the laws with their equations and what they need measured.")
@@ -242,9 +249,29 @@ def _compare(arguments: argparse.Namespace) -> int:
         _print_json(done.json())
         return DONE if done.ok else FAILED
     print(done.report())
-    if arguments.plot is not None:
-        print(f"plot     {arguments.plot}")
+    for kind in ("plot", "report"):
+        path = getattr(arguments, kind)
+        if path is not None:
+            print(f"{kind:8} {path}")
     return DONE if done.ok else FAILED
+
+
+def _report(arguments: argparse.Namespace) -> int:
+    from taut.record.files import checked_target
+    from taut.record.read_log import load_run
+    from taut.record.report import report
+
+    checked_target("report", arguments.out, (".html", ".htm"))
+    run = load_run(arguments.run)
+    report(run, arguments.out, title=arguments.title, log=Path(arguments.run).name)
+    if arguments.json:
+        _print_json({"report": str(arguments.out), "outcome": run.outcome.json()})
+    else:
+        print(f"report   {arguments.out}")
+    if not run.outcome.ok:
+        _tell(f"the run did not go to its end, and the report is of what came before: {run.outcome}")
+        return FAILED
+    return DONE
 
 
 def _scenarios(arguments: argparse.Namespace) -> int:

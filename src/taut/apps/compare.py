@@ -14,6 +14,7 @@ from taut.control.describe import title
 from taut.control.law import Law
 from taut.control.reference import as_reference
 from taut.loop import Loop
+from taut.record.report_run import law_in_python
 from taut.record.run import Run
 from taut.study.compare import Comparison, compare_laws
 from taut.study.compare_grade import TOLERANCE, Grade, grade_law
@@ -40,6 +41,7 @@ def compare(
     seed: int | None = None,
     engine: str = "auto",
     say: Callable[[str], None] | None = None,
+    repeat: str = "",
 ) -> Comparison:
     """Laws side by side on one experiment, in the figures of figure 10.12.
 
@@ -65,6 +67,7 @@ def compare(
         seed: Of the noise; the scenario's if left out.
         engine: Of the controllers.
         say: Takes a line of progress.
+        repeat: How to make it again, for a report, such as a command.
 
     Raises:
         UsageError: Two laws of one name, more than eight, nothing to compare; a run that ended early, is too short
@@ -110,6 +113,8 @@ def compare(
         noise=noise,
         model=model,
         say=say,
+        repeat=repeat
+        or _again("compare", given, on, case=case, by=by, noise=noise, model=model, parameters=parameters, seed=seed),
     )
 
 
@@ -124,6 +129,7 @@ def grade(
     parameters: Mapping[str, ArrayLike] | None = None,
     engine: str = "auto",
     say: Callable[[str], None] | None = None,
+    repeat: str = "",
 ) -> Grade:
     """A law against a reference law: each figure with pass or fail, and where their commands differ, in which term.
 
@@ -141,6 +147,7 @@ def grade(
         parameters: As of `taut.compare`.
         engine: As of `taut.compare`.
         say: As of `taut.compare`.
+        repeat: As of `taut.compare`.
 
     Raises:
         UsageError: A law that cannot be compiled or does not fit; a reference law whose own run fails.
@@ -168,7 +175,41 @@ def grade(
     assert isinstance(student, Law)
     assert isinstance(wanted, Law)
     mine = mine if mine != other else f"{mine} (graded)"
-    return grade_law((mine, student), (other, wanted), setting, tolerance=tolerance, say=say or (lambda _: None))
+    both = {mine: student, other: wanted}
+    return grade_law(
+        (mine, student),
+        (other, wanted),
+        setting,
+        tolerance=tolerance,
+        say=say or (lambda _: None),
+        repeat=repeat or _again("grade", both, on, case=case, tolerance=tolerance, parameters=parameters, seed=seed),
+    )
+
+
+def _again(verb: str, laws: Mapping[str, Law | Run], on: Where | None, **options: object) -> str:
+    """The lines of Python that do it again, with what the reader has to fill in named."""
+    where = repr(on) if isinstance(on, str) else "None" if on is None else "on"
+    lines = ["import taut", ""]
+    if where == "on":
+        lines.append("on = ...   # the taut.Loop or scenario of the settings above")
+    names = []
+    for i, (name, law) in enumerate(laws.items()):
+        names.append((name, f"law_{i + 1}"))
+        lines.append(
+            f"law_{i + 1} = {law_in_python(repr(law)) if isinstance(law, Law) else '...   # the recorded run'}"
+        )
+    given = (
+        "{" + ", ".join(f"{name!r}: {word}" for name, word in names) + "}"
+        if verb == "compare"
+        else ", ".join(w for _, w in names)
+    )
+    stated = "".join(f", {name}={_option(value)}" for name, value in options.items() if value not in (None, (), {}))
+    lines.append(f"print(taut.{verb}({given}, {where}{stated}))")
+    return "\n".join(lines)
+
+
+def _option(value: object) -> str:
+    return f"taut.{value!r}" if isinstance(value, WrongModel) else repr(value)
 
 
 def _with_reference(setting: Setting, name: str, references: Mapping[str, object] | None) -> Setting:
@@ -223,6 +264,7 @@ def _setting(scenario: Scenario, case: str | None) -> Setting:
         v0=scenario.v0,
         seed=scenario.seed,
         events=scenario.events,
+        texts={"Scenario": scenario.text},
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -75,6 +76,7 @@ def add_compare(command: argparse.ArgumentParser, engines: Sequence[str]) -> Non
     )
     command.add_argument("--seed", type=int, metavar="N", help="of the noise (default: the scenario's)")
     command.add_argument("--plot", type=Path, metavar="FILE", help="a picture: .png, .pdf or .svg")
+    command.add_argument("--report", type=Path, metavar="FILE.html", help="a report, one file")
     command.add_argument("--engine", choices=engines, default="auto", help="as of taut run")
 
 
@@ -91,11 +93,13 @@ def compare_from(arguments: argparse.Namespace, say: Callable[[str], None]) -> C
         TautError: A request that is wrong; nothing has run then.
     """
     from taut.apps.compare import compare, grade
-    from taut.record.files import checked_target, written_aside
+    from taut.record.files import checked_target
     from taut.study.compare_grade import TOLERANCE
 
     if arguments.plot is not None:
         checked_target("picture", arguments.plot, PICTURES)
+    if arguments.report is not None:
+        checked_target("report", arguments.report, (".html", ".htm"))
     given = _given(arguments)
     common: dict[str, Any] = {
         "case": arguments.case,
@@ -103,6 +107,7 @@ def compare_from(arguments: argparse.Namespace, say: Callable[[str], None]) -> C
         "seed": arguments.seed,
         "engine": arguments.engine,
         "say": say,
+        "repeat": shlex.join(["taut", *arguments.words]),
     }
     if arguments.reference is None:
         if arguments.tolerance is not None:
@@ -115,15 +120,28 @@ def compare_from(arguments: argparse.Namespace, say: Callable[[str], None]) -> C
             model=_model(arguments.model),
             **common,
         )
-        if arguments.plot is not None:
-            say(f"writing {arguments.plot} ...")
-            with written_aside("picture", arguments.plot) as aside:
-                table.plot().savefig(aside, dpi=150)
+        _write(table, arguments, say)
         return table
     _refuse_beside_grade(arguments, given)
     tolerance = TOLERANCE if arguments.tolerance is None else arguments.tolerance
     law = next(iter(given.values()))
-    return grade(law, arguments.reference, arguments.scenario, tolerance=tolerance, **common)
+    told = grade(law, arguments.reference, arguments.scenario, tolerance=tolerance, **common)
+    _write(told, arguments, say)
+    return told
+
+
+def _write(done: Comparison | Grade, arguments: argparse.Namespace, say: Callable[[str], None]) -> None:
+    """The picture and the report, where they are asked for."""
+    from taut.record.files import written_aside
+    from taut.record.report import report
+
+    if arguments.plot is not None:
+        say(f"writing {arguments.plot} ...")
+        with written_aside("picture", arguments.plot) as aside:
+            done.plot().savefig(aside, dpi=150)
+    if arguments.report is not None:
+        say(f"writing {arguments.report} ...")
+        report(done, arguments.report)
 
 
 def _refuse_beside_grade(arguments: argparse.Namespace, given: Mapping[str, object]) -> None:
@@ -132,7 +150,7 @@ def _refuse_beside_grade(arguments: argparse.Namespace, given: Mapping[str, obje
         raise UsageError(f"--reference grades one law: --law FILE.py:CLASS, or --laws 'PID(...)'; got {len(given)}")
     if arguments.scenario is None:
         raise UsageError("--reference grades a law on a scenario; name one that `taut scenarios` lists")
-    for name in ("by", "noise", "model", "plot"):
+    for name in ("by", "noise", "model"):
         if getattr(arguments, name):
             raise UsageError(f"--{name} is for a comparison; leave it out beside --reference")
 

@@ -14,6 +14,7 @@ from taut.base.types import ArrayLike
 from taut.control.law import Law
 from taut.controller import Controller
 from taut.plant.sensors import SENSORS
+from taut.record.report_page import stated
 from taut.record.run import Run
 from taut.study.compare_numbers import FIGURES, Numbers, main_error, of_model, of_noise, of_run
 from taut.study.compare_setting import Plant, Setting, blamed
@@ -23,7 +24,9 @@ from taut.study.compare_words import comparison_text
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Comparison", "Entry", "compare_laws", "require_runs"]
+    from taut.record.report_page import Page
+
+__all__ = ["Comparison", "Entry", "compare_laws", "require_runs", "settings_of"]
 
 MOST: Final = 8  # laws in one table
 FEWEST_TICKS: Final = 10  # of a run whose last fifth is to say anything
@@ -75,6 +78,7 @@ class Comparison:
         notes: What the table says of noise and model.
         repeat: How to make it again.
         settings: What is known of the experiment, as text by name.
+        texts: Longer texts by their title, such as the scenario's.
     """
 
     title: str
@@ -83,6 +87,7 @@ class Comparison:
     notes: tuple[str, ...] = ()
     repeat: str = ""
     settings: Mapping[str, str]
+    texts: Mapping[str, str]
 
     @property
     def runs(self) -> dict[str, Run]:
@@ -112,6 +117,12 @@ class Comparison:
     def report(self) -> str:
         """The table as text, with what it says of noise, model and ranking below."""
         return comparison_text(self)
+
+    def report_page(self) -> Page:
+        """What `taut.report` makes of it."""
+        from taut.study.compare_report import page_of_comparison
+
+        return page_of_comparison(self)
 
     def json(self) -> dict[str, Any]:
         """As plain values."""
@@ -185,7 +196,8 @@ def compare_laws(
         by=tuple(by),
         notes=() if first is None else first.notes,
         repeat=repeat,
-        settings={} if first is None else _settings(first.setting),
+        settings={} if first is None else settings_of(first.setting),
+        texts={} if first is None else first.setting.texts,
     )
 
 
@@ -271,7 +283,7 @@ def _has(setting: Setting, sensor: str) -> bool:
     return getattr(setting.sensors, sensor) is not None
 
 
-def _settings(setting: Setting) -> dict[str, str]:
+def settings_of(setting: Setting) -> dict[str, str]:
     """What is known of an experiment, as text by name."""
     noisy = [name for name in SENSORS if is_noisy(setting.sensors, name)]
     return {
@@ -280,11 +292,11 @@ def _settings(setting: Setting) -> dict[str, str]:
         "rate": f"{setting.rate:g} Hz",
         "duration": f"{setting.duration:g} s",
         "reference": type(setting.reference).__name__,
-        "limits": "none" if setting.limits is None else repr(setting.limits),
-        "sensing": repr(setting.sensing),
+        "limits": "none" if setting.limits is None else stated(setting.limits),
+        "sensing": stated(setting.sensing),
         "noise of": ", ".join(noisy) or "nothing",
         "seed": str(setting.seed),
-        "events": "; ".join(repr(event) for event in setting.events) or "none",
+        "events": "; ".join(f"at {event.t:g} s {dict(event.set)}" for event in setting.events) or "none",
         **{path: str(np.asarray(value).tolist()) for path, value in setting.parameters.items()},
     }
 

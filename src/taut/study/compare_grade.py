@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -17,9 +17,15 @@ from taut.control.law import Law
 from taut.controller import compile
 from taut.record.run import Run
 from taut.record.table import number_text
+from taut.study.compare import settings_of
 from taut.study.compare_numbers import FIGURES, Numbers, of_run
 from taut.study.compare_setting import Setting, blamed
 from taut.study.compare_words import aligned
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from taut.record.report_page import Page
 
 __all__ = ["Difference", "Grade", "Mark", "grade_law"]
 
@@ -92,6 +98,9 @@ class Grade:
         run: The law's run.
         reference_run: The reference's run.
         tolerance: A share.
+        repeat: How to grade it again.
+        settings: What is known of the experiment, as text by name.
+        texts: Longer texts by their title, such as the scenario's.
     """
 
     name: str
@@ -105,6 +114,9 @@ class Grade:
     run: Run
     reference_run: Run
     tolerance: float
+    repeat: str
+    settings: Mapping[str, str]
+    texts: Mapping[str, str]
 
     @property
     def same_command(self) -> bool:
@@ -149,6 +161,18 @@ class Grade:
         lines += ["", f"{'passed' if self.ok else 'failed'}, with a tolerance of {100.0 * self.tolerance:g} %"]
         return "\n".join(lines)
 
+    def plot(self) -> Figure:
+        """Errors and torques of both over time, as a matplotlib Figure."""
+        from taut.study.compare_plot import plot_runs
+
+        return plot_runs({self.name: self.run, self.reference: self.reference_run}, self.title)
+
+    def report_page(self) -> Page:
+        """What `taut.report` makes of it."""
+        from taut.study.compare_report import page_of_grade
+
+        return page_of_grade(self)
+
     def json(self) -> dict[str, Any]:
         """As plain values."""
         return {
@@ -187,6 +211,7 @@ def grade_law(
     *,
     tolerance: float = TOLERANCE,
     say: Callable[[str], None] = lambda _: None,
+    repeat: str = "",
 ) -> Grade:
     """A law against a reference law on an experiment.
 
@@ -199,6 +224,7 @@ def grade_law(
         setting: The experiment.
         tolerance: A share: of the reference's figures, and of its largest command.
         say: Takes a line of progress.
+        repeat: How to grade it again.
 
     Raises:
         UsageError: A law that cannot be compiled or does not fit; a reference law whose run fails.
@@ -232,6 +258,9 @@ def grade_law(
         run=runs[mine],
         reference_run=wanted,
         tolerance=tolerance,
+        repeat=repeat,
+        settings=settings_of(setting),
+        texts=setting.texts,
     )
 
 

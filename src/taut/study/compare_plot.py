@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from taut.study.compare import Comparison, Entry
 
-__all__ = ["plot"]
+__all__ = ["plot", "plot_runs"]
 
 NAME: Final = 16  # letters of a name beside its bars, on each of two lines
 BARS: Final = ("effort", "chatter", "noise_chatter")
@@ -32,13 +32,26 @@ Head = tuple[str, str]
 
 def plot(comparison: Comparison) -> Figure:
     """Errors on the left and torques on the right, a row for each kind of error and each unit of torque."""
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-
     entries = {name.replace("$", r"\$"): entry for name, entry in comparison.entries.items() if len(entry.run)}
     runs = {name: entry.run for name, entry in entries.items()}
     if not runs:
         raise UsageError("there is nothing to plot: no law got through its first tick", name="plot")
+    return _figure(runs, entries, comparison.title)
+
+
+def plot_runs(runs: Mapping[str, Run], title: str) -> Figure:
+    """Errors on the left and torques on the right of runs alone, with the first error and what they spend as bars."""
+    from taut.study.compare import Entry
+
+    shown = {name.replace("$", r"\$"): run for name, run in runs.items() if len(run)}
+    entries = {name: Entry(name=name, law="", run=run, numbers=of_run(run)) for name, run in shown.items()}
+    return _figure(shown, entries, title)
+
+
+def _figure(runs: Mapping[str, Run], entries: Mapping[str, Entry], title: str) -> Figure:
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
     errors = [error_norms(run) if _has_error(run) else {} for run in runs.values()]
     torques = [_torque_norms(run) for run in runs.values()]
     left, right = _heads(errors), _heads(torques)
@@ -46,7 +59,7 @@ def plot(comparison: Comparison) -> Figure:
     rows, below = max(len(left), len(right)), math.ceil(len(bars) / 3)
     heights = [0.5 + 1.9 * rows, below * (0.4 + 0.36 * len(runs))]
     figure = Figure(figsize=(WIDTH, 0.3 + sum(heights)), dpi=150, layout="constrained")
-    figure.suptitle(short_name(comparison.title, 110), fontsize=9.0, color=INK, x=0.01, ha="left")
+    figure.suptitle(short_name(title, 110), fontsize=9.0, color=INK, x=0.01, ha="left")
     top, bottom = figure.subfigures(2, 1, height_ratios=heights, squeeze=False)[:, 0]
     grid = top.subplots(rows, 2, squeeze=False, sharex=True)
     for column, heads, parts in ((0, left, errors), (1, right, torques)):

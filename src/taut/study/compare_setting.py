@@ -55,6 +55,7 @@ class Setting:
         events: Parameters that change on the way.
         parameters: Values by path that the loops get before they run.
         engine: Of the controllers.
+        texts: What tells more of it, by title, such as the text of a scenario.
     """
 
     name: str
@@ -72,6 +73,7 @@ class Setting:
     events: tuple[Event, ...] = ()
     parameters: Mapping[str, ArrayLike] = field(default_factory=dict)
     engine: str = "auto"
+    texts: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def noisy(self) -> bool:
