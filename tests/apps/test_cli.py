@@ -276,7 +276,7 @@ def test_every_command_that_prints_a_result_takes_json() -> None:
     actions = [action for action in _parser()._actions if isinstance(action.choices, dict)]
     commands = actions[0].choices
     assert set(commands) == {
-        "run", "scenarios", "arms", "laws", "check", "doctor", "design", "compare", "bench", "book",
+        "run", "scenarios", "arms", "laws", "check", "doctor", "design", "compare", "report", "bench", "book",
     }  # fmt: skip
     assert all("--json" in command._option_string_actions for command in commands.values())
 
