@@ -11,11 +11,10 @@ from scipy.optimize import least_squares
 
 from taut.base.types import Float64Array
 
-__all__ = ["Line", "band_share", "line_of"]
+__all__ = ["Line", "line_of"]
 
 PERIODS: Final = 4.0  # in a window: fewer are no oscillation that lasts
 LEAST: Final = 32  # ticks of a window
-BESIDE: Final = 2  # bins of a Hann window's main lobe on either side
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,13 +89,3 @@ def line_of(y: Float64Array, dt: float, above: float = 0.0) -> Line | None:
         last=float(math.hypot(values[0], values[1]) * math.exp(found.x[0])),
         share=1.0 - float(np.sum(left(found.x) ** 2)) / power,
     )
-
-
-def band_share(y: Float64Array, dt: float, omega: float) -> float:
-    """How much of a signal's variance lies at a frequency, within a window's resolution."""
-    ac = y - y.mean()
-    power = np.abs(np.fft.rfft(ac * np.hanning(len(y)))) ** 2
-    omegas = 2.0 * math.pi * np.fft.rfftfreq(len(y), dt)
-    near = np.abs(omegas - omega) <= (BESIDE + 0.5) * omegas[1]
-    total = float(power.sum())
-    return float(power[near].sum()) / total if total > 0.0 else 0.0

@@ -72,9 +72,15 @@ def _by_name(run: Run, name: Any) -> Arm | None:
         return None
     chain = run.info[TOOL]
     try:
-        return load_arm(name, T_WB=Pose(p=chain["p_WB"], R=chain["R_WB"]))
+        return _mounted(name, tuple(chain["p_WB"]), tuple(map(tuple, chain["R_WB"])))
     except TautError:  # its package is not installed
         return None
+
+
+@functools.lru_cache(maxsize=16)
+def _mounted(name: str, p: tuple[float, ...], R: tuple[tuple[float, ...], ...]) -> Arm:
+    """An arm that taut knows, at a place: the same object each time, so that its torques are compiled once."""
+    return load_arm(name, T_WB=Pose(p=p, R=R))
 
 
 def _same_kinematics(run: Run, arm: Arm) -> bool:
@@ -307,5 +313,6 @@ def _bounded(
     if np.isinf(low).all():
         values = np.linalg.lstsq(X / scale, d, rcond=None)[0] / scale
     else:
-        values = lsq_linear(X / scale, d, bounds=(low, np.inf)).x / scale
+        Q, R = np.linalg.qr(X / scale)  # the same problem in as many rows as numbers
+        values = lsq_linear(R, Q.T @ d, bounds=(low, np.inf)).x / scale
     return values, d - X @ values
