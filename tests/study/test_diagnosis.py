@@ -208,6 +208,21 @@ def test_what_is_no_run_is_refused() -> None:
         taut.doctor(heavy(), arm=taut.load_arm("ur10"))
 
 
+def test_a_task_is_looked_at_phase_by_phase() -> None:
+    arm, law = taut.load_arm("one_joint"), taut.laws.PID(kp=20.0, kd=6.0)
+    goals = {"near": 0.1, "far": 0.2}
+    task = [
+        taut.Phase(law, taut.JointMotion(q=[q]), until=lambda x: x.elapsed > 0.5, name=name)
+        for name, q in goals.items()
+    ]
+    run = taut.run(taut.compile(task, arm), taut.RigidPlant(arm), duration=1.2, progress=False)
+    with pytest.raises(
+        taut.UsageError, match=r"changes from phase to phase \(near, far, stop\); look at one of them"
+    ):
+        taut.doctor(run)
+    assert str(taut.doctor(run.phase("near")))
+
+
 def test_the_command_reads_a_log_and_draws_what_it_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = heavy().save(tmp_path / "run.mcap")
     assert main(["doctor", str(log), "--json", "--out", str(tmp_path / "found")]) == 0

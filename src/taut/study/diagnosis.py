@@ -13,6 +13,7 @@ from taut.arm.description import Arm
 from taut.base.errors import RangeError, UsageError
 from taut.base.types import Float64Array
 from taut.control.limiting import LIMIT_TERMS
+from taut.record.phases import PHASES
 from taut.record.run import Run
 from taut.study.diagnosis_case import Case
 from taut.study.diagnosis_finding import FAULTS, Finding, Number
@@ -119,7 +120,7 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
         The diagnosis; `str()` of it is a report.
 
     Raises:
-        UsageError: No run, or an arm that is none.
+        UsageError: No run, one of a task of phases, or an arm that is none.
         MatchError: An arm with other joints.
         RangeError: A run of fewer than 16 ticks, of which nothing can be said.
 
@@ -139,6 +140,13 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
     """
     if not isinstance(run, Run):
         raise UsageError(f"doctor takes a Run from taut.run or taut.load_run; got {type(run).__name__}", name="run")
+    if PHASES in run.info:
+        names = ", ".join(dict.fromkeys(window.name for window in run.phases))
+        raise UsageError(
+            f"the run is one of a task, whose law changes from phase to phase ({names}); look at one of them: "
+            "taut.doctor(run.phase(name))",
+            name="run",
+        )
     if len(run) < FEWEST:
         raise RangeError(
             f"a run of {FEWEST} ticks at least is needed to say anything; got {len(run)}; record it for longer",
