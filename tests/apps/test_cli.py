@@ -275,7 +275,7 @@ def test_every_command_that_prints_a_result_takes_json() -> None:
     """As DESIGN says; what `run` gives is looked at with the scenarios."""
     actions = [action for action in _parser()._actions if isinstance(action.choices, dict)]
     commands = actions[0].choices
-    assert set(commands) == {"run", "scenarios", "arms", "laws", "check", "bench"}
+    assert set(commands) == {"run", "compare", "report", "scenarios", "arms", "laws", "check", "bench"}
     assert all("--json" in command._option_string_actions for command in commands.values())
 
 
