@@ -291,8 +291,9 @@ def _case_of(scenario: Scenario, case: str | None) -> Scenario:
 
 def _setting(scenario: Scenario, case: str | None) -> Setting:
     """The experiment of a scenario."""
+    named = scenario.source.endswith(f": case '{case}'")  # those of a spread are not
     return Setting(
-        name=scenario.source if case is None else f"{scenario.source}, case '{case}'",
+        name=scenario.source if case is None or named else f"{scenario.source}: case '{case}'",
         arm=scenario.arm,
         rate=scenario.rate,
         sensing=scenario.sensing,
