@@ -163,7 +163,11 @@ def test_comparisons_and_grades_have_reports(
     assert "Failed, with a tolerance of 5 %." in words_of(text)
     told = taut.compare({"a": "PID(kp=2, kd=2)"}, "one_joint_pid", model=None, noise={})
     assert "law_1 = taut.laws.PID(kp=2.0, kd=2.0, ki=0.0)" in told.repeat
-    assert told.repeat.endswith("print(taut.compare({'a': law_1}, 'one_joint_pid'))")
+    assert told.repeat.endswith("print(taut.compare({'a': law_1}, 'one_joint_pid', noise={}, model=None))")
+    known: dict[str, object] = {}
+    capsys.readouterr()
+    exec(told.repeat, known)  # what a reader would do with it
+    assert capsys.readouterr().out.strip() == told.report()
 
 
 def test_anything_that_prints_and_plots_has_a_report(tmp_path: Path) -> None:

@@ -41,9 +41,7 @@ def table(planar: taut.Loop) -> taut.Comparison:
         "exact": "ComputedTorque(kp=100, kd=20)",
         "no C": NoCoriolis(kp=100.0, kd=20.0),
     }
-    return taut.compare(
-        laws, planar, by="rms_error", model=taut.WrongModel(mass=0.3, friction=0.0, payload=1.0, trials=3, seed=7)
-    )
+    return taut.compare(laws, planar, by="rms_error", model=taut.WrongModel(mass=0.3, payload=1.0, trials=3, seed=7))
 
 
 def test_the_figures_are_those_of_the_recorded_arrays(table: taut.Comparison) -> None:
@@ -127,6 +125,13 @@ def test_changed_parameters_of_a_loop_hold_for_every_law(planar: taut.Loop) -> N
     assert not np.array_equal(
         set_here.runs["same"].q, taut.compare({"same": planar.side.law}, planar, noise={}, model=None).runs["same"].q
     )
+
+
+def test_every_run_starts_where_it_is_told_to(planar: taut.Loop) -> None:
+    told = taut.compare({"same": planar.side.law}, planar, noise={}, model=None, q0=[0.3, 0.1], v0=[0.2, 0.0])
+    assert told.runs["same"].q[0].tolist() == [0.3, 0.1]
+    graded = taut.grade("PID(kp=200)", "PID(kp=200, kd=1)", planar, q0=[0.3, 0.1], v0=[0.2, 0.0])
+    assert graded.reference_run.v[0].tolist() == graded.run.v[0].tolist() == [0.2, 0.0]
 
 
 def test_a_law_that_fails_has_no_figures_and_comes_last(planar: taut.Loop) -> None:
@@ -312,10 +317,10 @@ def test_what_cannot_be_compared_is_one_sentence(table: taut.Comparison, planar:
     [
         ({"mass": -0.1}, "mass must be between 0 and 1; got -0.1"),
         ({"payload": -1.0}, r"payload must be >= 0 \[kg\]; got -1.0"),
-        ({"trials": 0}, "trials must be a whole number >= 1; got 0"),
-        ({"seed": 0.5}, "seed must be a whole number >= 0; got 0.5"),
-        ({"trials": 1001}, "trials must be <= 1000; got 1001"),
-        ({"mass": 0.0, "friction": 0.0}, "a wrong model needs one of mass, com, inertia, friction and payload"),
+        ({"mass": 0.1, "trials": 0}, "trials must be a whole number >= 1; got 0"),
+        ({"mass": 0.1, "seed": 0.5}, "seed must be a whole number >= 0; got 0.5"),
+        ({"mass": 0.1, "trials": 1001}, "trials must be <= 1000; got 1001"),
+        ({"mass": 0.0, "trials": 3}, "a wrong model needs one of mass, com, inertia, friction and payload"),
     ],
 )
 def test_a_wrong_model_says_what_it_takes(numbers: dict[str, float], words: str) -> None:

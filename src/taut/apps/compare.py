@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final, TypeAlias
 
+import numpy as np
+
 from taut.apps.compare_laws import law_of_text
 from taut.apps.scenario import Scenario, load_scenario
 from taut.base.errors import UsageError, quoted_list, unknown_name
@@ -21,11 +23,11 @@ from taut.study.compare_grade import TOLERANCE, Grade, grade_law
 from taut.study.compare_setting import Setting, setting_of
 from taut.study.compare_truth import WrongModel
 
-__all__ = ["compare", "grade"]
+__all__ = ["USUAL", "compare", "grade"]
 
 Given: TypeAlias = Law | Run | str
 Where: TypeAlias = str | Loop | Scenario | Setting
-USUAL: Final = WrongModel()
+USUAL: Final = WrongModel(mass=0.2, friction=0.2)
 
 
 def compare(
@@ -38,6 +40,8 @@ def compare(
     model: WrongModel | None = USUAL,
     references: Mapping[str, object] | None = None,
     parameters: Mapping[str, ArrayLike] | None = None,
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
     seed: int | None = None,
     engine: str = "auto",
     say: Callable[[str], None] | None = None,
@@ -61,9 +65,11 @@ def compare(
         noise: Standard deviation by sensor, {"position": 1e-5}, to compare with the plant as it is; where it is left
             out the plant's own noise against none, or where that has none, 1e-5 rad of positions and 1e-3 rad/s of
             velocities. {} leaves these rows out.
-        model: By how much the true arm may differ; None leaves these rows out.
+        model: By how much the true arm may differ; 20 % in masses and friction if left out; None leaves the rows out.
         references: References of laws that follow another kind, by the law's name.
         parameters: Values by path that every loop gets, such as {"plant.payload.mass": 1.0}.
+        q0: (n,) where every run starts [rad | m]; the scenario's, or of a loop the arm's home, if left out.
+        v0: (n,) with which velocity; likewise.
         seed: Of the noise; the scenario's if left out.
         engine: Of the controllers.
         say: Takes a line of progress.
@@ -92,12 +98,7 @@ def compare(
     of_law = {name: value for name, value in given.items() if isinstance(value, Law)}
     recorded = {name: value for name, value in given.items() if isinstance(value, Run)}
     if setting is not None:
-        setting = dataclasses.replace(
-            setting,
-            parameters={**setting.parameters, **(parameters or {})},
-            seed=setting.seed if seed is None else seed,
-            engine=engine,
-        )
+        setting = _changed(setting, parameters, q0, v0, seed, engine)
     elif of_law:
         raise UsageError(
             "laws are compared on a scenario or a taut.Loop: taut.compare(laws, 'one_joint_pid')", name="on"
@@ -114,7 +115,22 @@ def compare(
         model=model,
         say=say,
         repeat=repeat
-        or _again("compare", given, on, case=case, by=by, noise=noise, model=model, parameters=parameters, seed=seed),
+        or _again(
+            "compare",
+            given,
+            on,
+            {
+                "case": case,
+                "by": by or None,
+                "noise": noise,
+                "model": model,
+                "references": references,
+                "parameters": parameters,
+                "q0": q0,
+                "v0": v0,
+                "seed": seed,
+            },
+        ),
     )
 
 
@@ -125,8 +141,10 @@ def grade(
     *,
     case: str | None = None,
     tolerance: float = TOLERANCE,
-    seed: int | None = None,
     parameters: Mapping[str, ArrayLike] | None = None,
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    seed: int | None = None,
     engine: str = "auto",
     say: Callable[[str], None] | None = None,
     repeat: str = "",
@@ -143,8 +161,10 @@ def grade(
         on: As of `taut.compare`.
         case: As of `taut.compare`.
         tolerance: A share; 5 % if left out.
-        seed: As of `taut.compare`.
         parameters: As of `taut.compare`.
+        q0: As of `taut.compare`.
+        v0: As of `taut.compare`.
+        seed: As of `taut.compare`.
         engine: As of `taut.compare`.
         say: As of `taut.compare`.
         repeat: As of `taut.compare`.
@@ -161,12 +181,7 @@ def grade(
     setting, own = _where(on, case)
     if setting is None:
         raise UsageError("a law is graded on a scenario or a taut.Loop; got none", name="on")
-    setting = dataclasses.replace(
-        setting,
-        parameters={**setting.parameters, **(parameters or {})},
-        seed=setting.seed if seed is None else seed,
-        engine=engine,
-    )
+    setting = _changed(setting, parameters, q0, v0, seed, engine)
     named = [next(iter(_named([one], own).items())) for one in (law, reference)]
     (mine, student), (other, wanted) = named
     for name, value in named:
@@ -182,34 +197,60 @@ def grade(
         setting,
         tolerance=tolerance,
         say=say or (lambda _: None),
-        repeat=repeat or _again("grade", both, on, case=case, tolerance=tolerance, parameters=parameters, seed=seed),
+        repeat=repeat
+        or _again(
+            "grade",
+            both,
+            on,
+            {"case": case, "tolerance": tolerance, "parameters": parameters, "q0": q0, "v0": v0, "seed": seed},
+        ),
     )
 
 
-def _again(verb: str, laws: Mapping[str, Law | Run], on: Where | None, **options: object) -> str:
-    """The lines of Python that do it again, with what the reader has to fill in named."""
-    where = repr(on) if isinstance(on, str) else "None" if on is None else "on"
+def _again(verb: str, laws: Mapping[str, Law | Run], on: Where | None, options: Mapping[str, object]) -> str:
+    """The lines of Python that do it again; what the reader has to fill in stands as dots."""
     lines = ["import taut", ""]
-    if where == "on":
+    if on is not None and not isinstance(on, str):
         lines.append("on = ...   # the taut.Loop or scenario of the settings above")
-    names = []
-    for i, (name, law) in enumerate(laws.items()):
-        names.append((name, f"law_{i + 1}"))
-        lines.append(
-            f"law_{i + 1} = {law_in_python(repr(law)) if isinstance(law, Law) else '...   # the recorded run'}"
-        )
-    given = (
-        "{" + ", ".join(f"{name!r}: {word}" for name, word in names) + "}"
-        if verb == "compare"
-        else ", ".join(w for _, w in names)
-    )
-    stated = "".join(f", {name}={_option(value)}" for name, value in options.items() if value not in (None, (), {}))
-    lines.append(f"print(taut.{verb}({given}, {where}{stated}))")
-    return "\n".join(lines)
+    names = {name: f"law_{i}" for i, name in enumerate(laws, start=1)}
+    for name, law in laws.items():
+        made = law_in_python(repr(law)) if isinstance(law, Law) else "...   # the recorded run"
+        lines.append(f"{names[name]} = {made}")
+    by_name = ", ".join(f"{name!r}: {word}" for name, word in names.items())
+    given = f"{{{by_name}}}" if verb == "compare" else ", ".join(names.values())
+    where = "on" if on is not None and not isinstance(on, str) else repr(on)
+    usual = {"model": USUAL, "tolerance": TOLERANCE}
+    changed = {name: value for name, value in options.items() if value is not usual.get(name)}
+    stated = "".join(f", {name}={_option(value)}" for name, value in changed.items())
+    return "\n".join([*lines, f"print(taut.{verb}({given}, {where}{stated}))"])
 
 
 def _option(value: object) -> str:
-    return f"taut.{value!r}" if isinstance(value, WrongModel) else repr(value)
+    """An option as Python writes it, arrays as lists."""
+    if isinstance(value, WrongModel):
+        return f"taut.{value!r}"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{name!r}: {_option(one)}" for name, one in value.items()) + "}"
+    return repr(value.tolist() if isinstance(value, np.ndarray) else value)
+
+
+def _changed(
+    setting: Setting,
+    parameters: Mapping[str, ArrayLike] | None,
+    q0: ArrayLike | None,
+    v0: ArrayLike | None,
+    seed: int | None,
+    engine: str,
+) -> Setting:
+    """The experiment with what was asked to be different in it."""
+    return dataclasses.replace(
+        setting,
+        parameters={**setting.parameters, **(parameters or {})},
+        q0=setting.q0 if q0 is None else q0,
+        v0=setting.v0 if v0 is None else v0,
+        seed=setting.seed if seed is None else seed,
+        engine=engine,
+    )
 
 
 def _with_reference(setting: Setting, name: str, references: Mapping[str, object] | None) -> Setting:
@@ -250,8 +291,9 @@ def _case_of(scenario: Scenario, case: str | None) -> Scenario:
 
 def _setting(scenario: Scenario, case: str | None) -> Setting:
     """The experiment of a scenario."""
+    named = scenario.source.endswith(f": case '{case}'")  # those of a spread are not
     return Setting(
-        name=scenario.source if case is None else f"{scenario.source}, case '{case}'",
+        name=scenario.source if case is None or named else f"{scenario.source}: case '{case}'",
         arm=scenario.arm,
         rate=scenario.rate,
         sensing=scenario.sensing,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import shlex
 from collections.abc import Callable, Mapping, Sequence
@@ -69,7 +70,7 @@ def add_compare(command: argparse.ArgumentParser, engines: Sequence[str]) -> Non
     command.add_argument(
         "--model",
         metavar="NAME=VALUE,...",
-        help="spreads of the true arm: mass=0.2,friction=0.2,payload=1,trials=5,seed=0; 'none' leaves it out",
+        help="spreads of the true arm: mass=0.2,friction=0.2 (default), payload=1,trials=5,seed=0; or none",
     )
     command.add_argument(
         "--set", action="append", default=[], metavar="PATH=VALUE", help="a parameter of every loop, by its path"
@@ -209,10 +210,11 @@ def _noise(texts: Sequence[str]) -> dict[str, Any] | None:
 
 def _model(text: str | None) -> WrongModel | None:
     """By how much the true arm may differ."""
+    from taut.apps.compare import USUAL
     from taut.study.compare_truth import WrongModel
 
     if text is None:
-        return WrongModel()
+        return USUAL
     if text == "none":
         return None
     numbers = _values(text.split(","), "--model", "mass=0.2,friction=0.2,trials=5")
@@ -220,4 +222,4 @@ def _model(text: str | None) -> WrongModel | None:
         if name not in OF_MODEL:
             raise unknown_name("a wrong model", "number", name, OF_MODEL)
     stated = {"mass", "com", "inertia", "friction", "payload"} & numbers.keys()
-    return WrongModel(**({"mass": 0.0, "friction": 0.0} | numbers if stated else numbers))
+    return WrongModel(**numbers) if stated else dataclasses.replace(USUAL, **numbers)

@@ -109,10 +109,10 @@ def stated(x: object) -> str:
 
 
 def without_folders(text: str) -> str:
-    r"""A text whose files have their names alone: where they lie is nobody's business.
+    """A text whose files have their names alone: where they lie is nobody's business.
 
     Example:
-        >>> without_folders("stopped at /home/anna/laws/mine.py:12 after 3 m/s, 1/2 of C:\work\a.toml")
+        >>> without_folders("stopped at /home/anna/laws/mine.py:12 after 3 m/s, 1/2 of ~/work/a.toml")
         'stopped at mine.py:12 after 3 m/s, 1/2 of a.toml'
     """
     return FOLDERS.sub("", text)

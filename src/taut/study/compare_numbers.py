@@ -20,6 +20,7 @@ ERRORS: Final = {
     "error": ("rms_error", "peak_error"),
     "task": ("task_rms", "task_peak"),
     "rotation": ("task_rms_rotation", "task_peak_rotation"),
+    "press": ("press_rms", "press_peak"),
     "force_error": ("force_error_rms", "force_error_peak"),
     "moment_error": ("moment_error_rms", "moment_error_peak"),
 }

@@ -40,16 +40,17 @@ class WrongModel:
 
     Raises:
         RangeError: A spread outside 0 to 1, a negative payload, no trial.
+        UsageError: Nothing differs.
 
     Example:
         >>> WrongModel(mass=0.1).text()
-        'masses by 10 %, friction by 20 %, seeds 0 to 4'
+        'masses by 10 %, seeds 0 to 4'
     """
 
-    mass: float = 0.2
+    mass: float = 0.0
     com: float = 0.0
     inertia: float = 0.0
-    friction: float = 0.2
+    friction: float = 0.0
     payload: float = 0.0
     trials: int = 5
     seed: int = 0
