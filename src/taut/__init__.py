@@ -185,6 +185,10 @@ if TYPE_CHECKING:
     from taut.study.tip_response import TipResponse as TipResponse
     from taut.study.tip_response import rank_tips as rank_tips
     from taut.study.tip_response import tip_impedance as tip_impedance
+    from taut.study.tune import Tick as Tick
+    from taut.study.tune import Trial as Trial
+    from taut.study.tune import Tuned as Tuned
+    from taut.study.tune import tune as tune
     from taut.study.wrist import WristCalibration as WristCalibration
     from taut.study.wrist import calibrate_wrist as calibrate_wrist
     from taut.study.wrist_poses import calibration_poses as calibration_poses
@@ -294,6 +298,7 @@ _HOME: Final = {
     "study.stability_map": ("StabilityMap", "stability_map"),
     "study.tip": ("check_stiffness_at", "safe_stiffness"),
     "study.tip_response": ("TipMeasurement", "TipRanking", "TipResponse", "rank_tips", "tip_impedance"),
+    "study.tune": ("Tick", "Trial", "Tuned", "tune"),
     "study.wrist": ("WristCalibration", "calibrate_wrist"),
     "study.wrist_poses": ("calibration_poses",),
 }

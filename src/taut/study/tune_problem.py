@@ -1,0 +1,364 @@
+"""The problem that tuning solves: cost, constraints and, where wanted, their gradients, for a point of a box."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from taut.base.errors import NumericalError, RangeError, UsageError
+from taut.base.types import ArrayLike, Float64Array
+from taut.control.limits import Limits
+from taut.control.reference import Hold
+from taut.loop import Loop, state_at_start
+from taut.record.run import Run
+from taut.runtime.simulate import run as simulate
+from taut.study.linearise import linearise
+from taut.study.tune_costs import largest, named_costs, of_run, stage_of
+from taut.study.tune_gradient import TangentLoop
+from taut.study.tune_result import Measured, Trial
+from taut.study.tune_space import Space
+
+__all__ = ["Answer", "Problem", "Stopped"]
+
+SHIFT: Final = 1e-5  # of a bound's width, for the gradient of a margin
+
+
+class Stopped(Exception):  # noqa: N818  # no error: what ends an optimiser
+    """Enough: by the callback, or because the trials are used up."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Answer:
+    """What a point has.
+
+    Args:
+        cost: Over that of the start; infinite where a run diverges, NaN where the cost is.
+        slacks: (c,) what is left of each constraint, in parts of it.
+        gradient: (m,) of the cost; None where none is wanted.
+        slack_gradients: (c, m).
+    """
+
+    cost: float
+    slacks: Float64Array
+    gradient: Float64Array | None = None
+    slack_gradients: Float64Array | None = None
+
+
+class Problem:
+    """Cost and constraints of loops that share parameters.
+
+    Raises:
+        UsageError, RangeError, ShapeError, UnknownNameError: What has no meaning, by name; a start without a cost.
+    """
+
+    def __init__(
+        self,
+        loops: dict[str, Loop],
+        paths: Sequence[str],
+        *,
+        cost: str | Mapping[str, float] | Callable[[Any], Any],
+        gradient: bool,
+        bounds: Mapping[str, tuple[ArrayLike, ArrayLike]] | None,
+        limits: Limits | None,
+        chatter: float | None,
+        margin: float | None,
+        q0: ArrayLike | None,
+        seeds: tuple[int, ...],
+        evaluations: int,
+        progress: Callable[[Trial], bool | None] | None,
+    ) -> None:
+        self.loops, self.seeds, self.limits, self.chatter, self.margin = loops, seeds, limits, chatter, margin
+        first = next(iter(loops.values()))
+        self.space = Space(first, paths, bounds)
+        self._firsts = {
+            name: {path: np.array(loop.parameters[path]) for path in self.space.paths} for name, loop in loops.items()
+        }
+        self.weights = None if callable(cost) else named_costs(first, cost)
+        self._cost = cost
+        self._q0 = q0
+        self._evaluations, self._progress = evaluations, progress
+        self.history: list[Trial] = []
+        self.notices: dict[str, tuple[int, str]] = {}
+        self._known: dict[bytes, Answer] = {}
+        self._tangents: dict[str, TangentLoop] = {}
+        if gradient:
+            stages = {
+                name: stage_of(loop, cost if callable(cost) else self.weights or {}) for name, loop in loops.items()
+            }
+            self._tangents = {name: TangentLoop(loop, self.space.paths, stages[name]) for name, loop in loops.items()}
+        self.scales: dict[str, tuple[float, float]] = {}  # cost and chatter of each loop at the start
+        self._measure_start()
+
+    # ---------------------------------------------------------------- the start
+
+    def _measure_start(self) -> None:
+        for name, loop in self.loops.items():
+            self._set(loop, self.space.first)
+            each = self.measured(name, loop, held_out=False)
+            if not math.isfinite(each.cost) or each.cost <= 0.0:
+                raise RangeError(
+                    f"the cost of '{name}' at the start is {each.cost:g}, so that there is nothing to compare with; "
+                    "it must be a finite number above 0: begin with parameters that are stable, or change the cost",
+                    name="cost",
+                    value=each.cost,
+                )
+            self.scales[name] = each.cost, each.chatter
+
+    def at_start(self, loop: Loop) -> tuple[Float64Array, Float64Array]:
+        """Where runs of a loop start: where its reference does, if that is one of joints."""
+        if self._q0 is not None or not hasattr(loop.ref, "at"):
+            return state_at_start(loop.plant.arm, self._q0, None)
+        sample = loop.ref.at(0.0)
+        q = getattr(sample, "q", None)
+        return state_at_start(loop.plant.arm, q, None)
+
+    def _set(self, loop: Loop, values: Mapping[str, Float64Array]) -> None:
+        for path, value in values.items():
+            loop.parameters[path] = value
+
+    def restore(self) -> None:
+        """Give the loops their own parameters again."""
+        for name, loop in self.loops.items():
+            self._set(loop, self._firsts[name])
+
+    # ---------------------------------------------------------------- runs
+
+    def _run(self, loop: Loop, seed: int) -> Run:
+        q, v = self.at_start(loop)
+        return simulate(loop, q0=q, v0=v, seed=seed, progress=False)
+
+    def _cost_of(self, run: Run, loop: Loop) -> float:
+        if self.weights is not None:
+            return of_run(run, self.weights)
+        assert callable(self._cost)
+        if self._tangents:
+            return self._mean_stage(run, loop)
+        try:
+            return float(self._cost(run))
+        except (TypeError, ValueError) as wrong:
+            raise UsageError(f"the cost of a run must be one number; {wrong}", name="cost") from wrong
+
+    def _mean_stage(self, run: Run, loop: Loop) -> float:
+        """A cost of ticks, on the numbers of a run."""
+        assert callable(self._cost)
+        stage, kind = stage_of(loop, self._cost), loop.side.law.reference
+        rows = {name: np.asarray(getattr(run.reference, name)) for name in kind.fields(run.n)}
+        total = 0.0
+        for k, t in enumerate(run.t):
+            inputs = {"t": t, **{f"ref.{name}": row[k] for name, row in rows.items()}}
+            record = {"q": run.q[k], "v": run.v[k], "tau": run.tau[k], "command": run.command[k]}
+            total += float(stage(inputs, record))
+        return total / len(run.t)
+
+    def measured(self, name: str, loop: Loop, *, held_out: bool) -> Measured:
+        """What a loop does with the parameters that it has, mean over the seeds; of torque and rate the largest."""
+        with np.errstate(over="ignore", invalid="ignore"):  # a run that grows may hold huge numbers
+            table = np.array([self._numbers(self._run(loop, seed), loop) for seed in self.seeds])
+            means = table.mean(axis=0)
+        return Measured(
+            name=name, held_out=held_out, cost=float(means[0]), rms_error=float(means[1]), effort=float(means[2]),
+            torque=float(table[:, 3].max()), rate=float(table[:, 4].max()), chatter=float(means[5]),
+        )  # fmt: skip
+
+    def _numbers(self, run: Run, loop: Loop) -> list[float]:
+        """Cost, RMS error, effort, shares of torque and rate, chatter of one run; no cost where it diverges."""
+        if not run.outcome.ok:
+            return [math.inf] + [math.nan] * 5
+        error = run.error if run.error is not None else run.task.position_error if _of_tool(run) else None
+        rms = math.nan if error is None else float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+        effort, chatter = (float(getattr(run.metrics, name).sum()) for name in ("effort", "chatter"))
+        return [self._cost_of(run, loop), rms, effort, *self._shares(run.tau, loop), chatter]
+
+    def _shares(self, tau: Float64Array, loop: Loop) -> tuple[float, float]:
+        """Of the limits of torque and of its rate; NaN where there are none."""
+        if self.limits is None:
+            return math.nan, math.nan
+        n = loop.plant.arm.n
+        most, rate = (
+            None if each is None else np.broadcast_to(np.asarray(each, dtype=np.float64), (n,))
+            for each in (self.limits.tau, self.limits.tau_dot)
+        )
+        return (
+            math.nan if most is None else largest(tau, most),
+            math.nan if rate is None else largest(np.diff(tau, axis=0) / loop.dt, rate),
+        )
+
+    # ---------------------------------------------------------------- a point
+
+    def answer(self, x: Float64Array) -> Answer:
+        """Cost and constraints at a point between 0 and 1.
+
+        Raises:
+            Stopped: The callback says so, or the trials are used up.
+        """
+        x = np.clip(np.asarray(x, dtype=np.float64), 0.0, 1.0)
+        key = x.tobytes()
+        if key in self._known:
+            return self._known[key]
+        if len(self.history) >= self._evaluations:
+            raise Stopped(f"ended after {self._evaluations} trials, which evaluations= allows")
+        parameters = self.space.by_path(x)
+        try:
+            found = self._with_gradients(x) if self._tangents else self._plain(x)
+        except (RangeError, NumericalError) as wrong:  # a rate that a gain does not fit, a run that diverges
+            found = self._without(str(wrong), parameters)
+        if math.isnan(found.cost):
+            self._notice("the cost was NaN", parameters)
+        self._known[key] = found
+        slack = float(found.slacks.min(initial=1.0))
+        trial = Trial(parameters=parameters, cost=found.cost, slack=slack)
+        self.history.append(trial)
+        if self._progress is not None and self._progress(trial):
+            raise Stopped(f"ended by progress after {len(self.history)} trials")
+        return found
+
+    def _notice(self, what: str, parameters: Mapping[str, Float64Array]) -> None:
+        count, first = self.notices.get(what, (0, ""))
+        where = first or ", ".join(
+            f"{path} = {np.array2string(np.asarray(v), precision=5)}" for path, v in parameters.items()
+        )
+        self.notices[what] = count + 1, where
+
+    def _without(self, why: str, parameters: Mapping[str, Float64Array]) -> Answer:
+        self._notice(why.split(";")[0][:120], parameters)
+        count = len(self._names())
+        m = self.space.size
+        wanted = bool(self._tangents)
+        return Answer(
+            cost=math.inf,
+            slacks=np.full(count, -1.0),
+            gradient=np.zeros(m) if wanted else None,
+            slack_gradients=np.zeros((count, m)) if wanted else None,
+        )
+
+    def _names(self) -> list[str]:
+        """Of the constraints."""
+        each = []
+        if self.limits is not None:
+            each += ["torque"] * (self.limits.tau is not None) + ["rate"] * (self.limits.tau_dot is not None)
+        each += ["chatter"] * (self.chatter is not None) + ["margin"] * (self.margin is not None)
+        return [f"{name} of {loop}" for loop in self.loops for name in each]
+
+    def _plain(self, x: Float64Array) -> Answer:
+        values, costs, slacks = self.space.by_path(x), [], []
+        for name, loop in self.loops.items():
+            self._set(loop, values)
+            found = self.measured(name, loop, held_out=False)
+            if math.isinf(found.cost):
+                return self._without("a run diverged", values)
+            costs.append(found.cost / self.scales[name][0])
+            if self.limits is not None:
+                slacks += [1.0 - share for share in (found.torque, found.rate) if not math.isnan(share)]
+            if self.chatter is not None:
+                slacks.append(1.0 - found.chatter / (self.chatter * self.scales[name][1]))
+            if self.margin is not None:
+                slacks.append(self._margin(loop) - self.margin)
+        return Answer(cost=float(np.mean(costs)), slacks=np.array(slacks))
+
+    def _margin(self, loop: Loop) -> float:
+        """The disk margin where the run starts, held there."""
+        kept, q = loop.ref, self.at_start(loop)[0]
+        try:
+            loop.ref = Hold()
+            return float(linearise(loop, at=q).margins.disk.alpha)
+        finally:
+            loop.ref = kept
+
+    # ---------------------------------------------------------------- gradients
+
+    def _with_gradients(self, x: Float64Array) -> Answer:
+        values, ways, m = self.space.by_path(x), self.space.ways(x), self.space.size
+        costs, gradients = [], []
+        slacks: list[float] = []
+        slack_ways: list[Float64Array] = []
+        for name, loop in self.loops.items():
+            self._set(loop, values)
+            q, v = self.at_start(loop)
+            cost, way, chatter, chatter_way = 0.0, np.zeros(m), 0.0, np.zeros(m)
+            torque, rate = (-math.inf, np.zeros(m)), (-math.inf, np.zeros(m))
+            for seed in self.seeds:
+                along = self._tangents[name].along(ways, q, v, seed)
+                cost += float(along.stage.mean())
+                way = way + along.stage_ways.mean(axis=1)
+                steps, step_ways = np.diff(along.tau, axis=0), np.diff(along.tau_ways, axis=1)
+                seconds = len(steps) * loop.dt
+                chatter += float(np.abs(steps).sum()) / seconds
+                chatter_way = chatter_way + (np.sign(steps) * step_ways).sum(axis=(1, 2)) / seconds
+                if self.limits is not None:
+                    torque = _worse(torque, along.tau, along.tau_ways, self.limits.tau)
+                    rate = _worse(rate, steps / loop.dt, step_ways / loop.dt, self.limits.tau_dot)
+            count, (first, chattered) = len(self.seeds), self.scales[name]
+            costs.append(cost / count / first)
+            gradients.append(way / count / first)
+            for share, share_way in (torque, rate):
+                if share > -math.inf:
+                    slacks.append(1.0 - share)
+                    slack_ways.append(-share_way)
+            if self.chatter is not None:
+                slacks.append(1.0 - chatter / count / (self.chatter * chattered))
+                slack_ways.append(-chatter_way / count / (self.chatter * chattered))
+            if self.margin is not None:
+                slacks.append(self._margin(loop) - self.margin)
+                slack_ways.append(self._margin_way(loop, x))
+                self._set(loop, values)
+        return Answer(
+            cost=float(np.mean(costs)),
+            slacks=np.array(slacks),
+            gradient=np.mean(gradients, axis=0),
+            slack_gradients=np.array(slack_ways).reshape(len(slacks), m),
+        )
+
+    def _margin_way(self, loop: Loop, x: Float64Array) -> Float64Array:
+        """(m,) by central differences: a margin is a number of the linear model, which is quick."""
+        out = np.zeros(len(x))
+        for i in range(len(x)):
+            sides = []
+            for shift in (SHIFT, -SHIFT):
+                moved = x.copy()
+                moved[i] = np.clip(moved[i] + shift, 0.0, 1.0)
+                self._set(loop, self.space.by_path(moved))
+                sides.append((moved[i], self._margin(loop)))
+            out[i] = (sides[0][1] - sides[1][1]) / (sides[0][0] - sides[1][0])
+        return out
+
+    # ---------------------------------------------------------------- the best
+
+    @property
+    def constraints(self) -> int:
+        """Number of constraints."""
+        return len(self._names())
+
+    @property
+    def best(self) -> Trial | None:
+        """The least cost of those that keep to the constraints."""
+        kept = [trial for trial in self.history if trial.ok]
+        return min(kept, key=lambda trial: trial.cost, default=None)
+
+    def sentences(self) -> list[str]:
+        """What happened on the way."""
+        return [
+            f"{what}, {count} {'time' if count == 1 else 'times'}, first at {where}"
+            for what, (count, where) in self.notices.items()
+        ]
+
+
+def _of_tool(run: Run) -> bool:
+    return hasattr(run.reference.motion, "pose")
+
+
+def _worse(
+    before: tuple[float, Float64Array], rows: Float64Array, ways: Float64Array, limits: ArrayLike | None
+) -> tuple[float, Float64Array]:
+    """The larger of two shares of a limit, each with its derivative where it is largest."""
+    if limits is None:
+        return before
+    most = np.broadcast_to(np.asarray(limits, dtype=np.float64), rows.shape[1:])
+    share = np.abs(rows) / most
+    k, i = np.unravel_index(int(np.argmax(share)), share.shape)
+    if share[k, i] <= before[0]:
+        return before
+    return float(share[k, i]), np.sign(rows[k, i]) * ways[:, k, i] / most[i]
