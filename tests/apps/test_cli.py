@@ -278,7 +278,6 @@ def test_every_command_that_prints_a_result_takes_json() -> None:
     assert set(commands) == {
         "run", "scenarios", "arms", "laws", "check", "doctor", "design", "compare", "report", "bench", "book",
     }  # fmt: skip
-    assert set(commands) == {"run", "compare", "report", "scenarios", "arms", "laws", "check", "bench"}
     assert all("--json" in command._option_string_actions for command in commands.values())
 
 

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Bar
 from scipy.linalg import eigh
 
 import taut
 from taut.control.law import Law
+
+Bar = Callable[[str, object], None]
 
 control = pytest.importorskip("control")
 laws = taut.laws
