@@ -18,7 +18,10 @@ Bar = Callable[[str, object], None]
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Compiled code goes into a folder of this test session, so that every law is compiled and verified anew."""
-    folder = tmp_path_factory.getbasetemp().parent / "compiled"
+    base = (
+        tmp_path_factory.getbasetemp()
+    )  # of a process of its own in a folder of the session, where there are several
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "compiled"
     folder.mkdir(mode=0o700, exist_ok=True)
     os.environ["TAUT_CACHE_DIR"] = str(folder)
     return folder

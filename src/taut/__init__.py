@@ -16,6 +16,9 @@ from typing import TYPE_CHECKING, Any, Final
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from taut.apps import textbook as textbook
+    from taut.apps.compare import compare as compare
+    from taut.apps.compare import grade as grade
     from taut.arm.description import Arm as Arm
     from taut.arm.description import Friction as Friction
     from taut.arm.description import Payload as Payload
@@ -132,15 +135,24 @@ if TYPE_CHECKING:
     from taut.record.metrics import Metrics as Metrics
     from taut.record.outcome import Outcome as Outcome
     from taut.record.read_log import load_run as load_run
+    from taut.record.report import report as report
     from taut.record.run import Run as Run
     from taut.runtime.drivers.mujoco import MujocoPlant as MujocoPlant
     from taut.runtime.drivers.mujoco_tip import SpringTip as SpringTip
     from taut.runtime.events import Event as Event
     from taut.runtime.simulate import run as run
     from taut.study.admissible import Admissible as Admissible
+    from taut.study.compare import Comparison as Comparison
+    from taut.study.compare_grade import Grade as Grade
+    from taut.study.compare_truth import WrongModel as WrongModel
     from taut.study.contact_modes import FrictionMargin as FrictionMargin
+    from taut.study.coupling import Coupling as Coupling
+    from taut.study.coupling import coupling as coupling
     from taut.study.design import Design as Design
     from taut.study.design import design as design
+    from taut.study.diagnosis import Diagnosis as Diagnosis
+    from taut.study.diagnosis import doctor as doctor
+    from taut.study.diagnosis_finding import Finding as Finding
     from taut.study.error_dynamics import ErrorDynamics as ErrorDynamics
     from taut.study.freedom_words import FreedomRow as FreedomRow
     from taut.study.freedoms import Freedoms as Freedoms
@@ -154,6 +166,8 @@ if TYPE_CHECKING:
     from taut.study.linearise import linearise as linearise
     from taut.study.locus import Locus as Locus
     from taut.study.locus import locus as locus
+    from taut.study.lyapunov import Lyapunov as Lyapunov
+    from taut.study.lyapunov import lyapunov as lyapunov
     from taut.study.routh import RouthTable as RouthTable
     from taut.study.routh import routh as routh
     from taut.study.sampled import SampledLoop as SampledLoop
@@ -180,6 +194,7 @@ if TYPE_CHECKING:
     from taut.study.wrist_poses import calibration_poses as calibration_poses
 
 _HOME: Final = {
+    "apps.compare": ("compare", "grade"),
     "arm.description": ("Arm", "Friction", "Payload"),
     "arm.gears": ("matched_ratio", "reflected_inertia"),
     "arm.load": ("load_arm",),
@@ -251,15 +266,22 @@ _HOME: Final = {
     "record.metrics": ("Metrics",),
     "record.outcome": ("Outcome",),
     "record.read_log": ("load_run",),
+    "record.report": ("report",),
     "record.run": ("Run",),
     "runtime.drivers.mujoco": ("MujocoPlant",),
     "runtime.drivers.mujoco_tip": ("SpringTip",),
     "runtime.events": ("Event",),
     "runtime.simulate": ("run",),
     "study.admissible": ("Admissible",),
+    "study.compare": ("Comparison",),
+    "study.compare_grade": ("Grade",),
+    "study.compare_truth": ("WrongModel",),
     "study.contact_modes": ("FrictionMargin",),
+    "study.coupling": ("Coupling", "coupling"),
     "study.design": ("Design", "design"),
     "study.error_dynamics": ("ErrorDynamics",),
+    "study.diagnosis": ("Diagnosis", "doctor"),
+    "study.diagnosis_finding": ("Finding",),
     "study.freedom_words": ("FreedomRow",),
     "study.freedoms": ("Freedoms", "freedoms"),
     "study.impedance": ("check_impedance",),
@@ -268,6 +290,7 @@ _HOME: Final = {
     "study.routh": ("RouthTable", "routh"),
     "study.linear_loop": ("LinearLoop",),
     "study.linearise": ("linearise",),
+    "study.lyapunov": ("Lyapunov", "lyapunov"),
     "study.sampled": ("SampledLoop",),
     "study.sampled_errors": ("SampledErrorDynamics",),
     "study.second_order": ("second_order",),
@@ -279,7 +302,12 @@ _HOME: Final = {
     "study.wrist": ("WristCalibration", "calibrate_wrist"),
     "study.wrist_poses": ("calibration_poses",),
 }
-_MODULES: Final = {"dynamics": "maths.dynamics", "laws": "control.laws", "math": "base.math"}
+_MODULES: Final = {
+    "dynamics": "maths.dynamics",
+    "laws": "control.laws",
+    "math": "base.math",
+    "textbook": "apps.textbook",
+}
 _WHERE: Final = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = sorted([*_WHERE, *_MODULES])

@@ -138,11 +138,12 @@ class Controller:
             self._task = TaskSteps(side, side.law, self._memory, self._kernel.blocks.inputs[first:end])
             vars(self)["step"] = self._task.around(self._kernel.step, self._slow)
 
-    def recording_kernel(self, sensed: tuple[str, ...] = ()) -> Kernel:
+    def recording_kernel(self, sensed: tuple[str, ...] = (), ticks: int | None = None) -> Kernel:
         """A kernel of the same law with blocks of its own, that gives every term in every tick: for simulations.
 
         Args:
             sensed: Measurements that it gives too, as the law sees them.
+            ticks: How often it is called, any number if left out: for few it is compiled quickly.
         """
         kernel: Kernel
 
@@ -154,7 +155,14 @@ class Controller:
             raise _not_finite(self.side, kernel)
 
         kernel = _kernel_of(
-            self.side, self._kernel.engine, slow=None, first=first, failed=failed, record=True, sensed=sensed
+            self.side,
+            self._kernel.engine,
+            slow=None,
+            first=first,
+            failed=failed,
+            record=True,
+            sensed=sensed,
+            level=native.level_for(ticks),
         )
         kernel.blocks.parameters[:] = self._kernel.blocks.parameters
         return kernel
@@ -573,6 +581,7 @@ def _kernel_of(
     failed: Callable[[], Any],
     record: bool = False,
     sensed: tuple[str, ...] = (),
+    level: int = native.LEVEL,
 ) -> Kernel:
     """A law side as a kernel with blocks of its own; without `slow` it is for `tick` alone."""
     n, probe = side.arm.n, _probed(side)
@@ -616,6 +625,7 @@ def _kernel_of(
         first=first,
         failed=failed,
         verify=verified(type(side.law).__name__, functions.tick, program, lambda: _random_samples(side, blocks)),
+        level=level,
     )
 
 

@@ -275,7 +275,9 @@ def test_every_command_that_prints_a_result_takes_json() -> None:
     """As DESIGN says; what `run` gives is looked at with the scenarios."""
     actions = [action for action in _parser()._actions if isinstance(action.choices, dict)]
     commands = actions[0].choices
-    assert set(commands) == {"run", "scenarios", "arms", "laws", "check", "bench", "design"}
+    assert set(commands) == {
+        "run", "scenarios", "arms", "laws", "check", "doctor", "design", "compare", "report", "bench", "book",
+    }  # fmt: skip
     assert all("--json" in command._option_string_actions for command in commands.values())
 
 

@@ -266,3 +266,18 @@ def test_what_cannot_be_solved_is_told(name: str) -> None:
     with pytest.raises(kind) as caught:
         call()
     assert re.fullmatch(message, str(caught.value)) if "singular" in name else str(caught.value) == message
+
+
+def test_a_row_that_depends_on_later_ones_is_left_out_of_the_factors() -> None:
+    """A = B B^T whose first row of B is the second: what is left is solved as if that row were not there."""
+    from taut.base.linalg import factor_spd
+
+    B = np.array([[1.0, 2.0, 0.5], [1.0, 2.0, 0.5], [0.3, -1.0, 2.0]])
+    b = np.array([4.0, 4.0, -1.0])
+    factors = factor_spd(B @ B.T, 1e-7)
+    assert [bool(gone) for gone in factors.dropped] == [True, False, False]
+    rest = np.linalg.solve(B[1:] @ B[1:].T, b[1:])
+    np.testing.assert_allclose(factors.solve(b), [0.0, *rest], rtol=1e-12)
+    whole = factor_spd(B[1:] @ B[1:].T, 1e-7)
+    assert not any(whole.dropped)
+    np.testing.assert_allclose(whole.solve(b[1:]), rest, rtol=1e-12)

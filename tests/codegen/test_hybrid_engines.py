@@ -44,7 +44,8 @@ def test_native_code_gives_what_plain_python_gives(name: str, share: Callable[[i
             q, v = np.array(arm.home) + rng.uniform(-0.8, 0.8, arm.n), rng.uniform(-2.0, 2.0, arm.n)
             T = taut.snapshot(arm, q).T()
             motion = taut.TaskMotion(pose=Pose(T.p + 0.01 * rng.normal(size=3), R=T.R), twist=rng.normal(size=6))
-            ref, F = taut.pressing(motion, 10.0), 10.0 * rng.normal(size=6)
+            forces = {"press": 10.0} if constraint.one_sided[0] else {"lam": 5.0 * rng.normal(size=constraint.count)}
+            ref, F = taut.pressing(motion, **forces), 10.0 * rng.normal(size=6)  # type: ignore[arg-type]
             wanted, got = plain.step(q, v, ref, F_ext=F), native.step(q, v, ref, F_ext=F)
             error, largest = max(error, float(np.abs(got - wanted).max())), max(largest, float(np.abs(wanted).max()))
             ticks += 1

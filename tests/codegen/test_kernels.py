@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -154,6 +155,45 @@ def test_lengths_are_fused_and_roots_of_differences_are_not() -> None:
     assert exact(lambda x: tm.sqrt(x @ x - x[0])) > 0
     assert exact(lambda x: tm.sqrt(x[0] * x[1])) > 0
     assert exact(lambda x: tm.where(x @ x > 1.0, 1.0, 0.0)) > 0
+
+
+def everything(inputs: Any, parameters: Any, memory: Any) -> Any:
+    """Operations of each kind, products and sums among them in every order."""
+    x, y, z = inputs["x"]
+    a, b = memory["a"]
+    k = parameters["k"]
+    mixed = [x * y + z, x - y * z, x * y - z, x * y + y * z, x * y - z * a, tm.sin(x * y + b), tm.exp(x) * tm.cos(y)]
+    more = [tm.sqrt(x * x + y * y), tm.maximum(x * k, y) / (1.0 + z * z), tm.atan2(x, y), tm.where(x * y > z, a, b)]
+    return {"y": tm.array([*mixed, *more])}, {"a": tm.array([0.9 * a + 0.1 * tm.sin(b + x), b - k * a * y])}
+
+
+def test_code_gives_the_same_numbers_to_the_last_bit_at_each_level(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TAUT_CACHE_DIR", str(tmp_path))
+    blocks = Block.of({"x": (3,)}), Block.of({"k": ()}), Block.of({"a": (2,)})
+    example = np.full(3, 0.5), np.ones(1), np.full(2, 0.25)
+    rows, runs = np.random.default_rng(0).standard_normal((500, 3)), []
+    for ticks in (1, None):
+        loop = NativeLoop(everything, everything, 0, *blocks, example=example, ticks=ticks)
+        memory, outputs = np.array([0.3, -0.2]), np.zeros((500, loop.outputs.size))
+        assert loop.run(rows, np.array([0.01]), memory, outputs) == 500
+        runs.append((loop.module.code_bytes, memory, outputs))
+    assert runs[0][0] != runs[1][0]  # other code
+    assert np.array_equal(runs[0][1], runs[1][1])
+    assert np.array_equal(runs[0][2], runs[1][2])
+
+
+def test_a_loop_is_compiled_well_once_it_has_run_for_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TAUT_CACHE_DIR", str(tmp_path))
+    loop = NativeLoop(swap, double, 0, *BLOCKS, example=(np.ones(2), np.ones(1), np.ones(4)), ticks=10)
+    first = loop.module
+    loop.expect(10_000)
+    assert loop.module is first
+    loop.expect(100_000)
+    assert loop.module is not first
+    memory, outputs = np.ones(4), np.zeros((3, loop.outputs.size))
+    assert loop.run(np.ones((3, 2)), np.ones(1), memory, outputs) == 3
 
 
 # -------------------------------------------------------------------- memory

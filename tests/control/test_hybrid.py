@@ -180,7 +180,7 @@ def test_the_integral_is_bounded_and_a_contact_is_never_pulled() -> None:
     q, _ = on(BALL, arm)
     x = taut.snapshot(arm, q)
     n = (x.T().p - [0.4, 0.0, 0.1]) / 0.35
-    law = HybridMotionForce(constraint=BALL, motion=motion(), kfi=50.0, e_int_max=0.1)
+    law = HybridMotionForce(constraint=BALL, motion=motion(), kfi=50.0, e_int_max=0.1, kdamp=10.0)
     ctrl = taut.compile(law, arm)
     ref = taut.pressing(taut.TaskMotion(pose=x.T()), 10.0)
     for _ in range(400):
@@ -295,6 +295,12 @@ def stepped(constraint: Any, ref: Any, q: Array | None = None, **more: Any) -> A
     return ctrl.step(taut.onto(FLOOR, ARM, ARM.home) if q is None else q, np.zeros(7), ref, **given)
 
 
+def checked(constraint: Any, ref: Any) -> None:
+    """What a run looks at before it starts."""
+    x = taut.snapshot(ARM, taut.onto(FLOOR, ARM, ARM.home))
+    HybridMotionForce(constraint=constraint, motion=motion()).check_reference(x, ref, 1000.0)
+
+
 def floor_pose() -> Pose:
     return taut.snapshot(ARM, taut.onto(FLOOR, ARM, ARM.home)).T()
 
@@ -303,6 +309,9 @@ FLOOR_REF = taut.pressing(taut.TaskMotion(pose=floor_pose()))
 
 
 FLOOR_PRESS = taut.pressing(taut.TaskMotion(pose=floor_pose()), 10.0)
+
+
+HINGE = Constraint.hinge(point=floor_pose().p + np.array([0.0, 0.3, 0.0]), axis=[0.0, 0.0, 1.0], T=floor_pose())
 
 
 def squared(T: Pose) -> Any:
@@ -357,6 +366,14 @@ def squared(T: Pose) -> Any:
             taut.RangeError,
             r"of \[0, 3, -9, 0, 0, 0\] it can bear \[0, 0, -9, 0, 0, 0\], and not \[0, 3, 0, 0, 0, 0\]",
         ),
+        (  # a millionth of it is nothing to speak of
+            lambda: stepped(
+                Constraint.plane(point=[0.0, 0.0, 0.4], normal=[1e-6, 0.0, 1.0]),
+                taut.pressing(taut.TaskMotion(pose=floor_pose()), F_app=[0, 3.0, -9.0, 0, 0, 0]),
+            ),
+            taut.RangeError,
+            r"it can bear \[0, 0, -9, 0, 0, 0\], and not \[0, 3, 0, 0, 0, 0\]",
+        ),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), F_app=[0, 0, 9.0, 0, 0, 0])),
             taut.RangeError,
@@ -370,7 +387,32 @@ def squared(T: Pose) -> Any:
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), lam=[-4.0, 1.0])),
             taut.UsageError,
-            "lam has 2 entries, and the constraint has 1 row",
+            "lam has 2 entries, and the constraint has 1 row; give one for each row",
+        ),
+        (
+            lambda: stepped(HINGE, taut.pressing(taut.TaskMotion(pose=floor_pose()), lam=[0.0, 1.0, 2.0])),
+            taut.UsageError,
+            "lam has 3 entries, and the constraint has 5 rows; give one for each row",
+        ),
+        (
+            lambda: stepped(HINGE, taut.pressing(taut.TaskMotion(pose=floor_pose()), lam=[0.0, 0.0])),
+            taut.UsageError,
+            "lam has 2 entries, and the constraint has 5 rows",
+        ),
+        (
+            lambda: stepped(HINGE, FLOOR_PRESS),
+            taut.UsageError,
+            "press is a force into a surface, and the first row of the constraint holds both ways; put the surface",
+        ),
+        (
+            lambda: checked(HINGE, taut.pressing(taut.TaskMotion(pose=floor_pose()), lambda t: 5.0 * t)),
+            taut.UsageError,
+            "press is a force into a surface, and the first row of the constraint holds both ways",
+        ),
+        (
+            lambda: checked(HINGE, taut.chunk([0.0, 1.0], [FLOOR_REF, FLOOR_PRESS])),  # type: ignore[list-item]
+            taut.UsageError,
+            "press is a force into a surface, and the first row of the constraint holds both ways",
         ),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=Pose(floor_pose().p - [0, 0, 0.05])), 5.0)),
@@ -413,7 +455,7 @@ def squared(T: Pose) -> Any:
         (
             lambda: stepped(Constraint.knife_edge(sideways=[0.0, 1.0, 0.0]) + FLOOR, FLOOR_PRESS),
             taut.UsageError,
-            "press is a force into a surface, and the first row of the constraint is one of velocities; put the surface",
+            "press is a force into a surface, and the first row of the constraint holds both ways; put the surface",
         ),
         (lambda: taut.pressing(3.0), taut.UsageError, "pressing takes a motion such as"),  # type: ignore[arg-type]
         (lambda: taut.pressing(taut.hold()), taut.UsageError, "got a hold without its sample"),
@@ -454,6 +496,39 @@ def test_a_motion_is_looked_at_whichever_way_its_frame_is_named_and_of_a_chunk_e
             law.check_reference(x, ref, 1000.0)
 
 
+def test_a_wheel_is_not_asked_to_go_sideways() -> None:
+    """Against rows of velocities it counts how far a motion goes; steering on the way is no offence."""
+    x = taut.snapshot(ARM, taut.onto(FLOOR, ARM, ARM.home))
+    T, flange = x.T(), "panda_link8"
+    aside = np.array([*T.R[:2, 1], 0.0]) / np.linalg.norm(T.R[:2, 1])
+    ahead = np.cross(aside, [0.0, 0.0, 1.0])
+    wheel = FLOOR + Constraint.knife_edge(sideways=T.R.T @ aside)
+    law = HybridMotionForce(constraint=wheel, motion=motion())
+    for way, fine in ((0.1 * ahead, True), (0.1 * aside, False), (0.1 * ahead + 0.005 * aside, True)):
+        line = taut.pressing(taut.Line(T0=T, T1=Pose(T.p + way, R=T.R), duration=1.0), 5.0)
+        if fine:
+            law.check_reference(x, line, 1000.0)
+        else:
+            with pytest.raises(
+                taut.RangeError, match=r"until t = 0\.\d+ s it goes 0\.01\d+ against row 1, which is one"
+            ):
+                law.check_reference(x, line, 1000.0)
+    turning = taut.Circle(
+        T0=T, centre=T.p + 0.1 * aside, axis=[0.0, 0.0, 1.0], angle=0.8, orientation="turn", duration=1.0
+    )
+    law.check_reference(x, taut.pressing(turning, 5.0), 1000.0)
+    spin = taut.TaskMotion(pose=T, twist=[*(0.3 * ahead), 0.0, 0.0, 1.0])
+    law.check_reference(x, taut.pressing(spin, 5.0), 1000.0)
+    with pytest.raises(taut.RangeError, match=r"in 1 s it goes 0\.2 against row 1"):
+        law.check_reference(x, taut.pressing(taut.TaskMotion(pose=T, twist=[*(0.2 * aside), 0, 0, 0]), 5.0), 1000.0)
+    # of another frame of the link: it is the wheel that must not slip, and not where the motion is told
+    at_flange = HybridMotionForce(constraint=wheel, motion=motion(tool=flange))
+    arm = taut.snapshot(ARM, x.q)
+    r = arm.T(flange).p - T.p
+    rolled = np.array([*(0.2 * ahead + np.cross(ahead, r)), *ahead])
+    at_flange.check_reference(x, taut.pressing(taut.TaskMotion(pose=arm.T(flange), twist=rolled), 5.0), 1000.0)
+
+
 def test_a_wrench_must_lie_in_the_range_of_a_all_the_way() -> None:
     """On a sphere what presses at the start is askew later."""
     q, _ = on(BALL, ARM)
@@ -475,7 +550,7 @@ def test_a_wrench_must_lie_in_the_range_of_a_all_the_way() -> None:
 
 
 def test_a_user_writes_a_constraint_as_a_function() -> None:
-    law = HybridMotionForce(constraint=lambda T: T.p[2] - 0.4, motion=motion())
+    law = HybridMotionForce(constraint=Constraint(lambda T: T.p[2] - 0.4, one_sided=True), motion=motion())
     same = HybridMotionForce(constraint=FLOOR, motion=motion())
     q = taut.onto(FLOOR, ARM, ARM.home)
     ref = taut.pressing(taut.TaskMotion(pose=floor_pose()), 7.0)

@@ -211,6 +211,23 @@ def test_a_given_sample_of_another_size_is_refused_in_a_phase_too() -> None:
         ctrl.step(REST, np.zeros(3), taut.JointMotion(q=REST))
 
 
+def test_a_given_sample_is_followed_in_its_own_tick_whatever_the_way_of_the_call() -> None:
+    other = taut.laws.TaskComputedTorque(kp=100.0, kd=20.0)  # so that the sample of the task has two parts
+    ctrl = taut.compile([taut.Phase(PD, taut.stream(period=0.01), name="a"), taut.Phase(other)], PLANAR)
+    alone, zero = taut.compile(PD, PLANAR), np.zeros(3)
+    for k in range(6):
+        ref = taut.JointMotion(q=REST + 0.1 * k)
+        expected = alone.step(REST, zero, ref)
+        got = ctrl.step(REST, zero, ref) if k % 2 else ctrl.step(REST.tolist(), zero, ref=ref)
+        np.testing.assert_allclose(got, expected, rtol=1e-12)
+        got = ctrl.step(REST.tolist(), zero, ref) if k % 2 else ctrl.step(REST, zero, ref)
+        np.testing.assert_allclose(got, expected, rtol=1e-12)
+        with pytest.raises(taut.UsageError, match="phase 'a' follows a stream: step needs ref"):
+            ctrl.step(REST, zero)
+        with pytest.raises(taut.RangeError, match=r"q\[0\] \(joint 'joint1'\) must be finite"):
+            ctrl.step(REST, zero, taut.JointMotion.of({"q": np.full(3, np.nan), "v": zero, "a": zero}))
+
+
 def calls(function: Callable[[], object]) -> int:
     """How many Python functions a call runs, builtins not counted."""
     count = 0

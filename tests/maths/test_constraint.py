@@ -33,7 +33,7 @@ CONSTRAINTS: dict[str, Constraint] = {
     "cylinder": Constraint.cylinder(point=CENTER, axis=U, radius=0.15),
     "sphere": Constraint.sphere(center=CENTER, radius=0.3),
     "hinge": Constraint.hinge(point=CENTER, axis=U, T=T0),
-    "line": Constraint.line(point=CENTER, direction=U),
+    "line": Constraint.line(point=CENTER, axis=U),
     "user": Constraint(tilted_ellipsoid),
 }
 
@@ -239,6 +239,28 @@ def test_several_constraints_are_stacked() -> None:
     assert both.one_sided == (True, False, False)
 
 
+def test_the_tool_and_its_name_are_one_frame() -> None:
+    arm = taut.load_arm("panda")
+    named = Constraint.line(point=CENTER, axis=U, frame="panda_hand_tcp")
+    for both in (CONSTRAINTS["plane"] + named, named + CONSTRAINTS["plane"]):
+        assert both.frame == ("panda_hand_tcp",)
+        x = taut.snapshot(arm, arm.home)
+        rows = both.at(x)
+        assert rows.A is not None
+        np.testing.assert_allclose(rows.A @ x.J(), rows.A_q, atol=1e-12)
+        assert both.of_pose(x.T()).tolist() == pytest.approx(list(rows.phi))
+    elsewhere = CONSTRAINTS["plane"] + Constraint.line(point=CENTER, axis=U, frame="panda_link5")
+    with pytest.raises(
+        taut.UsageError, match=r"the arm's tool, which is 'panda_hand_tcp', and another of 'panda_link5'; say"
+    ):
+        elsewhere.at(taut.snapshot(arm, arm.home))
+    several = Constraint.line(point=CENTER, axis=U, frame="panda_hand_tcp") + Constraint.line(
+        point=CENTER, axis=U, frame="panda_link5"
+    )
+    assert several.frame is None
+    assert several.at(taut.snapshot(arm, arm.home)).A is None
+
+
 def test_a_constraint_of_joints_is_differentiated_along_the_joints() -> None:
     arm = taut.load_arm("planar2")
     constraint = Constraint.of_joints(lambda q: q[0] * q[1] - 0.5)
@@ -356,6 +378,12 @@ def test_onto_finds_the_nearest_state_and_says_when_there_is_none() -> None:
         (lambda: Constraint(0.3), taut.UsageError, "must be a function, such as lambda"),  # type: ignore[arg-type]
         (lambda: Constraint(lambda T: 0.3), taut.UsageError, "must change with the pose, and this one is constant"),
         (lambda: Constraint(lambda T: tm.array([T.p[2], 1.0])), taut.UsageError, "constant in its row 1"),
+        (
+            lambda: Constraint(lambda T: T.p[2] > 0.4),
+            taut.UsageError,
+            r"this one is a condition, True or False: for T\.p\[2\] > 0\.4 write lambda T: T\.p\[2\] - 0\.4",
+        ),
+        (lambda: Constraint(lambda T: [T.p[2] > 0.4, T.p[0] > 0.1]), taut.UsageError, "this one is a condition"),
         (lambda: Constraint(lambda T: None), taut.ShapeError, "must give a number or .*; got (None|NoneType)"),
         (lambda: Constraint(lambda T: T), taut.ShapeError, "must give a number or .k,. numbers; got Pose"),
         (

@@ -76,6 +76,17 @@ CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
         "the arm has no frame 'gantry'",
     ),
     (
+        lambda: contact(torsion=0.02),
+        taut.UsageError,
+        "contact.torsion is the radius of a moment of friction, and this contact has none; give friction= too, or "
+        "leave it out",
+    ),
+    (
+        lambda: contact(friction=0.3, torsion=-0.02),
+        taut.RangeError,
+        "contact.torsion must be >= 0 [m]; got -0.02",
+    ),
+    (
         lambda: rubbing(taut.Constraint.of_joints(lambda q: q[0], one_sided=True)),
         taut.UsageError,
         NO_POINT.format("it is of joints"),
@@ -86,7 +97,7 @@ CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
         NO_POINT.format("it is of several frames"),
     ),
     (
-        lambda: rubbing(taut.Constraint.line(point=[0.0, 0.0, 0.0], direction=[1.0, 0.0, 0.0])),
+        lambda: rubbing(taut.Constraint.line(point=[0.0, 0.0, 0.0], axis=[1.0, 0.0, 0.0])),
         taut.UsageError,
         NO_POINT.format("it has 2 rows"),
     ),

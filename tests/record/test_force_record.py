@@ -96,3 +96,22 @@ def test_plots_show_what_was_wanted_and_comparisons_the_errors_of_force(run: tau
         taut.UsageError, match="run 'a' has errors of force and run 'b' of motion; compare them apart"
     ):
         compare({"a": run, "b": of_motion})
+
+
+def test_a_press_may_be_asked_for_as_a_wrench_and_as_multipliers_it_is_not_known(make_run: Any) -> None:
+    """0 N, 10 N askew, 4 N: what F_app asks for into the surface is 10 N all the time, 4 N of it sideways no press."""
+    t, n = np.arange(3) * 1e-3, np.array([0.0, 0.6, 0.8])
+    felt = np.outer([0.0, 10.0, 4.0], n)
+    asked = [*(4.0 * np.array([0.0, 0.8, -0.6]) - 10.0 * n), 0.0, 0.0, 0.0]
+    told = {}
+    for name, forces in {"F_app": {"F_app": asked}, "press": {"press": 10.0}, "lam": {"lam": [-10.0]}}.items():
+        sample = taut.pressing(taut.JointMotion(q=[0.0]), **forces)  # type: ignore[arg-type]
+        rows = {field: np.tile(getattr(sample, field), (3, 1)) for field in type(sample).fields(1)}
+        told[name] = make_run(
+            t, np.zeros(3), reference=type(sample).of(rows), extra={"contact.normal_force": felt}
+        ).metrics
+    for name in ("F_app", "press"):
+        assert told[name].press_rms == pytest.approx(np.sqrt((10.0**2 + 0.0 + 6.0**2) / 3.0)), name
+        assert told[name].press_peak == pytest.approx(10.0), name
+    assert np.isnan([told["lam"].press_rms, told["lam"].press_peak]).all()
+    assert told["lam"].largest_press == pytest.approx(10.0)

@@ -223,7 +223,7 @@ def test_what_a_later_phase_follows_is_looked_at_before_the_run_or_where_it_begi
     board = taut.Constraint.plane(point=T.p, normal=[0.0, 0.0, 1.0])
     move = taut.laws.TaskComputedTorque(kp=100.0, kd=20.0)
     hybrid = taut.laws.HybridMotionForce(constraint=board, motion=move)
-    plant = taut.RigidPlant(PANDA)
+    plant = taut.RigidPlant(PANDA, environment=taut.Push(peak=[0.0, 0.0, 0.0]))
 
     def off(x: taut.Snapshot) -> Any:
         up = taut.Pose([*x.T().p[:2], height + 0.05], R=x.T().R)
@@ -244,6 +244,16 @@ def test_what_a_later_phase_follows_is_looked_at_before_the_run_or_where_it_begi
         run(off(seen), hybrid + taut.laws.FrictionCompensation(at="meas"))
     with pytest.raises(taut.RangeError, match=r"phase 'slide': lam\[0\] must be <= 0 \[N\]"):
         run(taut.pressing(taut.TaskMotion(pose=T), lam=[3.0]))
+    swaying = taut.Constraint.plane(point=T.p, normal=[0.0, 0.0, 1.0], sway=[0.0, 0.0, 0.05], period=2.0)
+    level = taut.Line(T0=T, T1=taut.Pose(T.p + np.array([0.05, 0.0, 0.0]), R=T.R), duration=0.5)
+    ended = run(taut.pressing(level, 5.0), taut.laws.HybridMotionForce(constraint=swaying, motion=move))
+    assert (ended.outcome.kind, len(ended)) == ("stopped", 3)  # where the surface is then is known when it begins
+    assert words in ended.outcome.message
+    estimate = taut.laws.NormalEstimate()  # which goes along the surface, whatever the motion asks for against it
+    assert run(
+        taut.pressing(level, 5.0),
+        taut.laws.HybridMotionForce(constraint=swaying, motion=move, kfi=1.0, estimate=estimate),
+    ).outcome.ok
     squared = taut.Constraint(lambda T: (T.p[2] - height) ** 2)  # nor may the law itself be without a meaning there
     flat = taut.laws.HybridMotionForce(constraint=squared, motion=move)
     ended = run(lambda x: taut.pressing(taut.TaskMotion(pose=x.T())), flat)

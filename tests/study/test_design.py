@@ -13,7 +13,8 @@ from scipy.linalg import eigh
 
 import taut
 from taut.control.law import Law
-from tests.conftest import Bar
+
+Bar = Callable[[str, object], None]
 
 control = pytest.importorskip("control")
 laws = taut.laws

@@ -107,7 +107,7 @@ THINGS = {
     "face": (lambda T: Constraint.plane(point=T.p, normal=T.R @ [0, 0, -1.0], face=[0.0, 0.0, 1.0]), 3),
     "sphere": (lambda T: Constraint.sphere(center=T.p - [0.06, 0.08, 0.0], radius=0.1), 1),
     "cylinder": (lambda T: Constraint.cylinder(point=T.p - [0, 0.06, 0.08], axis=[1.0, 0.0, 0.0], radius=0.1), 1),
-    "line": (lambda T: Constraint.line(point=T.p, direction=[1.0, 2.0, -0.5]), 2),
+    "line": (lambda T: Constraint.line(point=T.p, axis=[1.0, 2.0, -0.5]), 2),
     "hinge": (lambda T: Constraint.hinge(point=[0.5, 0.2, 0.1], axis=[0.2, -1.0, 0.3], T=T), 5),
     "wheel": (lambda T: WHEEL, 1),
     "wheel on a board": (lambda T: WHEEL + Constraint.plane(point=T.p, normal=T.R[:, 2]), 2),
@@ -182,7 +182,7 @@ class TestTables:
             R, n, a = Pose(wxyz=(q := rng.normal(size=4)) / np.linalg.norm(q)).R, *rng.normal(size=(2, 3))
             T = Pose(rng.normal(size=3), R=R)
             for made in (
-                Constraint.plane(point=T.p, normal=n) + Constraint.line(point=T.p, direction=np.cross(n, a)),
+                Constraint.plane(point=T.p, normal=n) + Constraint.line(point=T.p, axis=np.cross(n, a)),
                 Constraint.hinge(point=rng.normal(size=3), axis=a, T=T),
                 Constraint.plane(point=T.p, normal=T.R @ n, face=-n),
             ):

@@ -185,6 +185,27 @@ def test_what_the_tool_does_is_the_jacobian_of_what_the_joints_do(rich_model: ta
     assert C[np.ix_(list(rich_model.rows("tip.twist")), v)] == pytest.approx(J, abs=EXACT)
 
 
+def test_plain_python_gives_the_same_model() -> None:
+    arm, law = taut.load_arm("planar2"), laws.ComputedTorque(kp=100.0, kd=20.0, ki=10.0)
+    plant = Plant(arm, friction=None, substeps=3, actuation=taut.Actuation(delay=1e-3))
+    one, other = (
+        taut.linearise(loop_of(law, arm, plant, engine=engine), at=[0.3, 0.5]) for engine in ("native", "float")
+    )
+    assert one.states == other.states
+    for name in "ABCD":
+        assert getattr(one, name) == pytest.approx(getattr(other, name), abs=1e-11)
+
+
+def test_noise_comes_in_as_the_sensor_has_it() -> None:
+    arm, kp, noise = weightless("one_joint"), 40.0, 3e-4
+    plant = Plant(arm, friction=None, sensors=taut.Sensors(position=taut.Encoder(noise=noise)))
+    lin = taut.linearise(loop_of(laws.PID(kp=kp, kd=3.0), arm, plant))
+    column = next(name for name in lin.inputs if name.startswith("noise."))
+    assert lin.D[lin.rows("command")[0], lin.columns(column)[0]] == pytest.approx(-kp * noise, rel=EXACT)
+    steady = lin.frequency_response(0.0, input=column, output="q[0]")[0]
+    assert steady == pytest.approx(-noise, rel=1e-9)  # a constant error of the encoder is one of the joint
+
+
 # -------------------------------------------------------------------- the equilibrium
 
 
@@ -425,7 +446,13 @@ def test_the_report_names_what_there_is(rich_model: taut.LinearLoop) -> None:
     assert text.startswith("73 states, 1000 Hz, equilibrium at q = [")
     for words in ("stable", "panda_joint7", "omega_n", "all at once (disk", "poles at z = 0"):
         assert words in text
-    rich_model.plot()
+
+
+def test_the_picture_has_poles_sensitivities_and_the_tool(late: taut.LinearLoop) -> None:
+    axes = late.plot().axes
+    assert [ax.get_title(loc="left") for ax in axes][:2] == ["poles, z", "modes, s = log z / dt"]
+    poles = axes[0].lines[1].get_xydata()
+    assert np.sort(poles[:, 0]) == pytest.approx(np.sort(late.poles.real))
 
 
 # -------------------------------------------------------------------- bad input

@@ -13,7 +13,8 @@ import taut
 from taut import Run, Trial
 from taut.study.tune_costs import named_costs, of_run, stage_of
 from taut.study.tune_gradient import TangentLoop
-from tests.conftest import Bar
+
+Bar = Callable[[str, object], None]
 
 laws = taut.laws
 

@@ -16,7 +16,8 @@ from typing import Any, Final, NoReturn
 from rich.console import Console
 from rich.table import Table
 
-from taut.base.errors import ModelError, TautError, UsageError
+from taut.apps.compare_command import COMPARE, add_compare, compare_from
+from taut.base.errors import FileError, ModelError, TautError, UsageError
 
 __all__ = ["main"]
 
@@ -35,6 +36,25 @@ RUN: Final = f"""examples:
   taut run one_joint_pid --law my_law.py:Spring --gain k=2.0
 
 The metrics are printed as a table; below it stands each file that was made.
+
+{STATUS}"""
+
+DOCTOR: Final = """examples:
+  taut doctor run.mcap
+  taut doctor run.mcap --arm my_arm.urdf --out findings
+
+exit status:
+  0  done, whatever was found
+  2  the request was wrong: no log, or one of a run that is too short, has gaps or ended in a fault, of which is
+     printed what can be said
+"""
+
+
+BOOK: Final = f"""examples:
+  taut book
+  taut book fig-10.6 eq-10.14 --out results
+
+A row that is farther from what is expected than it may be is marked (!), and the exit status is 1.
 
 {STATUS}"""
 
@@ -65,6 +85,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     try:
         arguments = _parser().parse_args(argv)
+        arguments.words = list(sys.argv[1:] if argv is None else argv)
         command: Callable[[argparse.Namespace], int] = arguments.command
         with warnings.catch_warnings():
             warnings.showwarning = _show_warning
@@ -136,16 +157,34 @@ def _parser() -> argparse.ArgumentParser:
         default="auto",
         help="native: machine code; float: plain Python, slow; auto: the first that is there (default)",
     )
+    comparison = add("compare", _compare, "Compare laws on a scenario, or grade a law against a reference law.")
+    comparison.epilog = f"{COMPARE}\n{STATUS}"
+    add_compare(comparison, ENGINES)
+    document = add("report", _report, "Write a report of a recorded run: one HTML file with everything in it.")
+    document.add_argument("run", metavar="RUN.mcap", help="a log that taut run or run.save wrote")
+    document.add_argument(
+        "-o", "--out", type=Path, default=Path("report.html"), metavar="FILE.html", help="(default: report.html)"
+    )
+    document.add_argument("--title", default="", metavar="TEXT", help="a title, instead of the usual one")
     add("scenarios", _scenarios, "List the built-in scenarios.")
     add("arms", _arms, "List the arms that taut knows by name.")
     add("laws", _laws, "List the laws with their equations and what they need measured.")
     check = add("check", _check, "Read a robot model and say what is in it and everything that is wrong with it.")
     check.add_argument("model", metavar="MODEL", help="a name, a .urdf or an MJCF .xml file")
+    patient = add("doctor", _doctor, "Say why a recorded run sags, oscillates, sticks, saturates, ...")
+    patient.epilog = DOCTOR
+    patient.add_argument("run", type=Path, metavar="RUN", help="a log (.mcap) of a run")
+    patient.add_argument("--arm", metavar="MODEL", help="the arm that the controller was compiled for")
+    patient.add_argument("--out", type=Path, metavar="DIR", help="folder for a picture of each finding")
     gains = add("design", _design, "Find the gains of a law from a specification, and what they run into.")
     gains.epilog = f"{design_command.EXAMPLES}{STATUS}"
     design_command.add_arguments(gains)
     bench = add("bench", _bench, "Measure what a tick, a compile and a closed loop cost on this machine.")
     bench.add_argument("arm", nargs="?", default="planar3", metavar="ARM", help="name or file (default: planar3)")
+    book = add("book", _book, "Compute the chapter's equations and figures, beside what they should be.")
+    book.epilog = BOOK
+    book.add_argument("ids", nargs="*", metavar="ID", help="eq-10.6, fig-10.6, sec-10.2.1.5; all if left out")
+    book.add_argument("--out", type=Path, metavar="FOLDER", help="folder for pictures and tables (default: out/book)")
     return parser
 
 
@@ -157,6 +196,16 @@ def _console(whole: int = 140) -> Console:
     """A console as wide as the terminal, or as COLUMNS says; in a file or a pipe wide enough to keep tables whole."""
     console = Console()
     return console if console.is_terminal or "COLUMNS" in os.environ else Console(width=whole)
+
+
+def _say(arguments: argparse.Namespace) -> Callable[[str], None]:
+    """Lines of progress, for people at a terminal."""
+
+    def say(text: str) -> None:
+        if not arguments.json and sys.stderr.isatty():
+            print(text, file=sys.stderr)
+
+    return say
 
 
 # -------------------------------------------------------------------- commands
@@ -174,11 +223,7 @@ def _run(arguments: argparse.Namespace) -> int:
     scenario = load_scenario(arguments.scenario, own)
     folder = arguments.out or Path("out") / scenario.name
 
-    def say(text: str) -> None:
-        if not arguments.json and sys.stderr.isatty():
-            print(text, file=sys.stderr)
-
-    result = run_scenario(scenario, folder, say=say, engine=arguments.engine)
+    result = run_scenario(scenario, folder, say=_say(arguments), engine=arguments.engine)
     if arguments.json:
         _print_json(result.json())
     else:
@@ -196,6 +241,37 @@ def _run(arguments: argparse.Namespace) -> int:
         if result.figures:
             print(f"reached: {result.figures - len(result.missed)} of {result.figures} pass figures")
     return DONE if result.ok else FAILED
+
+
+def _compare(arguments: argparse.Namespace) -> int:
+    done = compare_from(arguments, _say(arguments))
+    if arguments.json:
+        _print_json(done.json())
+        return DONE if done.ok else FAILED
+    print(done.report())
+    for kind in ("plot", "report"):
+        path = getattr(arguments, kind)
+        if path is not None:
+            print(f"{kind:8} {path}")
+    return DONE if done.ok else FAILED
+
+
+def _report(arguments: argparse.Namespace) -> int:
+    from taut.record.files import checked_target
+    from taut.record.read_log import load_run
+    from taut.record.report import report
+
+    checked_target("report", arguments.out, (".html", ".htm"))
+    run = load_run(arguments.run)
+    report(run, arguments.out, title=arguments.title, log=Path(arguments.run).name)
+    if arguments.json:
+        _print_json({"report": str(arguments.out), "outcome": run.outcome.json()})
+    else:
+        print(f"report   {arguments.out}")
+    if not run.outcome.ok:
+        _tell(f"the run did not go to its end, and the report is of what came before: {run.outcome}")
+        return FAILED
+    return DONE
 
 
 def _scenarios(arguments: argparse.Namespace) -> int:
@@ -256,6 +332,19 @@ def _check(arguments: argparse.Namespace) -> int:
     return DONE if report.ok else WRONG
 
 
+def _doctor(arguments: argparse.Namespace) -> int:
+    from taut.apps.doctor import examine
+
+    report = examine(arguments.run, arguments.arm, arguments.out)
+    if arguments.json:
+        _print_json(report.json())
+    else:
+        print(report.text())
+    for problem in report.diagnosis.problems:
+        _tell(f"'{report.log}' is no whole run: {problem}")
+    return DONE if report.ok else WRONG
+
+
 def _design(arguments: argparse.Namespace) -> int:
     from taut.apps.design_command import design_of
 
@@ -278,3 +367,36 @@ def _bench(arguments: argparse.Namespace) -> int:
         for what, figure in rows:
             print(f"{what:22} {figure}")
     return DONE
+
+
+def _book(arguments: argparse.Namespace) -> int:
+    from taut.apps.book import contents
+
+    def say(text: str) -> None:
+        if not arguments.json and sys.stderr.isatty():
+            print(text, file=sys.stderr)
+
+    entries = contents.chosen(arguments.ids)
+    folder = contents.prepared_folder(arguments.out or Path("out") / "book")
+    pages = contents.made(entries, say)
+    rows = [pair for page in pages for pair in page.rows]
+    if arguments.json:
+        _print_json([each.json(name) for name, each in rows])
+    else:
+        console = _console(whole=200)
+        console.print(contents.table(pages, console.width))
+    try:
+        written = contents.write(pages, folder)
+    except FileError as wrong:
+        _tell(str(wrong))
+        return FAILED
+    missed = [f"{name}: {each.quantity}" for name, each in rows if not each.ok]
+    if not arguments.json:
+        for page in pages:
+            if page.page.note:
+                print(f"{page.entry.id}: {page.page.note}")
+        for name, path in written.items():
+            print(f"{name:20} {path}")
+        for text in missed:
+            print(f"missed: {text}")
+    return FAILED if missed else DONE

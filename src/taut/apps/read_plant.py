@@ -20,6 +20,7 @@ from taut.plant.rigid import RigidPlant
 from taut.plant.sensors import SENSORS, Sensors
 from taut.plant.tool_sensors import WrenchSensor
 from taut.runtime.host import HostPlant
+from taut.study.compare_truth import PlantChange
 
 __all__ = ["Plant", "read_plant"]
 
@@ -31,7 +32,9 @@ OF_MUJOCO: Final = ("timestep", "scene", "scene_at", "tool_radius", "tool_length
 Plant: TypeAlias = RigidPlant | HostPlant
 
 
-def read_plant(section: Section, believed: Arm, rate: float, folder: Path) -> Plant:
+def read_plant(
+    section: Section, believed: Arm, rate: float, folder: Path, *, change: PlantChange | None = None
+) -> Plant:
     """A rigid plant or one in MuJoCo.
 
     Args:
@@ -39,9 +42,10 @@ def read_plant(section: Section, believed: Arm, rate: float, folder: Path) -> Pl
         believed: The controllers' arm, from which the true one is made.
         rate: Commands per second [Hz].
         folder: Where a scene and a model lie.
+        change: What is different in it.
     """
-    kind = section.word("kind", ("rigid", "mujoco"), "rigid")
-    arm = read_true_arm(section, believed, folder)
+    kind, change = section.word("kind", ("rigid", "mujoco"), "rigid"), change or PlantChange()
+    arm = change.arm(read_true_arm(section, believed, folder))
     if arm.n != believed.n:
         raise section.error(
             f"model must have as many joints as that of [arm], the {believed.n} of '{believed.name}'; got the "
@@ -51,8 +55,7 @@ def read_plant(section: Section, believed: Arm, rate: float, folder: Path) -> Pl
     adds = section.texts("adds", [], example='["gravity"]')
     with section.blamed("adds"):
         options["adds"] = Adds.of(adds)
-    if "sensors" in section:
-        options["sensors"] = _sensors(section.section("sensors"))
+    options["sensors"] = change.sensors(_sensors(section.section("sensors")))
     if (takes := section.text("takes", None)) is not None:
         options["takes"] = takes
     if "actuation" in section:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import os
@@ -29,6 +30,7 @@ from taut.record.files import cannot_write, checked_target, written_aside
 from taut.record.metrics import MEASURES, Metrics
 from taut.record.part import PARTS
 from taut.record.phases import PHASES
+from taut.record.report_run import SCENARIO
 from taut.record.run import Run
 from taut.record.spread_plot import spread_figure
 from taut.record.table import number_text
@@ -244,7 +246,7 @@ def _compiled(scenario: Scenario, trial: Trial, engine: str) -> Controller:
 def _one_run(scenario: Scenario, ctrl: Controller, trial: Trial, say: Callable[[str], None]) -> Run:
     say(f"running {trial.label} ...")
     with _blamed(scenario, trial):
-        return run(
+        done = run(
             ctrl,
             scenario.plant,
             None if isinstance(ctrl.law, Phases) else scenario.reference,
@@ -254,6 +256,9 @@ def _one_run(scenario: Scenario, ctrl: Controller, trial: Trial, say: Callable[[
             seed=scenario.seed,
             events=scenario.events,
         )
+    built_in = scenario.source.partition(":")[0] == f"scenario '{scenario.name}'"
+    made_by = {"name": scenario.name, **trial._asdict(), "text": scenario.text, "built_in": built_in}
+    return dataclasses.replace(done, info={**done.info, SCENARIO: made_by})
 
 
 @contextmanager

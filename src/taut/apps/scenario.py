@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -31,6 +31,7 @@ from taut.control.reference import Reference
 from taut.control.sensing import Sensing
 from taut.record.metrics import MEASURES
 from taut.runtime.events import Event
+from taut.study.compare_truth import PlantChange
 
 __all__ = ["Outputs", "PassFigure", "Scenario", "built_in_scenarios", "load_scenario"]
 
@@ -86,6 +87,7 @@ class Scenario:
     sensing: Sensing
     limits: Limits | None
     plant: Plant
+    another_plant: Callable[[PlantChange], Plant]  # like it, and different in what is stated
     reference: Reference
     duration: float  # [s]
     q0: ArrayLike | None
@@ -96,6 +98,7 @@ class Scenario:
     figures: tuple[PassFigure, ...]
     cases: Mapping[str, Scenario]  # the scenario with some keys replaced; where there are any, only they are run
     spread: Spread | None = None  # what chance does to it; its runs are the cases
+    text: str = ""  # of the file
 
     @property
     def trials(self) -> dict[Trial, Scenario]:
@@ -138,13 +141,14 @@ def load_scenario(name: str, own_laws: Mapping[str, Law] | None = None) -> Scena
     common: dict[str, Any] = {
         "name": path.stem,
         "title": title,
+        "text": path.read_text(encoding="utf-8-sig"),
         "outputs": _outputs(outputs, laws, places.labels, names),
         "figures": tuple(_figure(section, places.labels or laws, names) for section in figures),
     }
     cases = {case: Scenario(**fields, **common, cases={}) for case, (fields, _) in others.items()}
     for case, section in chances:
-        plant = read_plant(section, parts["arm"], parts["rate"], path.parent)
-        cases[case] = Scenario(**{**parts, "plant": plant}, **common, cases={})
+        plants = _plants(section, parts["arm"], parts["rate"], path.parent)
+        cases[case] = Scenario(**{**parts, **plants}, **common, cases={})
     scenario = Scenario(**parts, **common, cases=cases, spread=spread)
     refuse_misfits(scenario, places)
     for case, (_, places_of_case) in others.items():
@@ -172,7 +176,8 @@ def _experiment(root: Section, folder: Path, own_laws: Mapping[str, Law] | None)
     reference_section, run = root.section("reference"), root.section("run", required=True)
     events = root.sections("event")
     rate, sensing, limits = _control(control, arm)
-    plant = read_plant(plant_section, arm, rate, folder)
+    plants = _plants(plant_section, arm, rate, folder)
+    plant: Plant = plants["plant"]
     if task:
         laws = {TASK: read_phases(root, task, arm, plant.arm.home, folder)}
     fields = {
@@ -182,7 +187,7 @@ def _experiment(root: Section, folder: Path, own_laws: Mapping[str, Law] | None)
         "rate": rate,
         "sensing": sensing,
         "limits": limits,
-        "plant": plant,
+        **plants,
         "reference": read_reference(reference_section, arm, plant.arm.home, folder, laws),
         "events": tuple(_event(section) for section in events),
         **_run(run, plant.arm),
@@ -197,6 +202,16 @@ def _experiment(root: Section, folder: Path, own_laws: Mapping[str, Law] | None)
         events=events,
     )
     return fields, places
+
+
+def _plants(section: Section, arm: Arm, rate: float, folder: Path) -> dict[str, Any]:
+    """The plant of a scenario, and what makes others like it: the fields that [plant] states."""
+    untouched = section.copy()
+
+    def another(change: PlantChange) -> Plant:
+        return read_plant(untouched.copy(), arm, rate, folder, change=change)
+
+    return {"plant": read_plant(section, arm, rate, folder), "another_plant": another}
 
 
 def _refuse_beside_task(root: Section, task: list[Section], own_laws: Mapping[str, Law] | None) -> None:

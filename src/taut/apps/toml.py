@@ -122,6 +122,10 @@ class Section:
         self._table = dict(table)
         self._known: list[str] = []
 
+    def copy(self) -> Section:
+        """The same table, of which keys are taken anew."""
+        return Section(self._file, self._name, self._table)
+
     @property
     def where(self) -> str:
         """File and section, as messages begin with."""

@@ -21,22 +21,33 @@ class LTDL:
 
     Eliminating from the last row up keeps the zeros that a branched arm has in its mass matrix.
 
+    With `least`, a row that is dependent on later ones, in that its pivot is at most that part of its diagonal entry,
+    is left out: its unknown is 0, and `dropped` has it True.
+
     References:
         Featherstone, Rigid Body Dynamics Algorithms (2008), section 6.5.
     """
 
-    __slots__ = ("_inverse_d", "_l", "d")
+    __slots__ = ("_inverse_d", "_l", "d", "dropped")
 
-    def __init__(self, A: Matrix) -> None:
+    def __init__(self, A: Matrix, least: float | None = None) -> None:
         if np.ndim(A) != 2 or np.shape(A)[0] != np.shape(A)[1]:
             raise ShapeError(f"a symmetric positive definite matrix is (n, n); got shape {np.shape(A)}")
         rows = _entries(A).tolist()
         n = len(rows)
         self._inverse_d: list[Any] = [None] * n
         self.d: list[Any] = [None] * n
+        self.dropped: list[Any] = [False] * n
+        diagonal = [rows[k][k] for k in range(n)]
         for k in range(n - 1, -1, -1):
             self.d[k] = rows[k][k]
-            self._inverse_d[k] = 1.0 / _nonzero(rows[k][k])
+            if least is None or k == n - 1:
+                self._inverse_d[k] = 1.0 / _nonzero(rows[k][k])
+            else:
+                self.dropped[k] = rows[k][k] <= least * diagonal[k]
+                self._inverse_d[k] = select_one(
+                    self.dropped[k], 0.0, 1.0 / select_one(self.dropped[k], 1.0, rows[k][k])
+                )
             scaled = [rows[k][j] * self._inverse_d[k] for j in range(k)]
             for i in range(k):
                 for j in range(i + 1):
@@ -154,9 +165,9 @@ class LTDL:
         return x
 
 
-def factor_spd(A: Matrix) -> LTDL:
-    """Factors of a symmetric positive definite matrix, to solve with more than once."""
-    return LTDL(A)
+def factor_spd(A: Matrix, least: float | None = None) -> LTDL:
+    """Factors of a symmetric positive definite matrix, to solve with more than once; see `LTDL` for `least`."""
+    return LTDL(A, least)
 
 
 def _entries(x: Any) -> Array:

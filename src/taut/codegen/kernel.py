@@ -23,7 +23,7 @@ from taut.codegen.call import (
 )
 from taut.codegen.layout import Block
 from taut.codegen.llvm import declarations, kernel
-from taut.codegen.native import NativeModule, compiled
+from taut.codegen.native import LEVEL, NativeModule, compiled
 from taut.codegen.program import Function, Program, trace
 
 __all__ = ["Blocks", "FloatKernel", "Kernel", "NativeKernel", "verified"]
@@ -205,6 +205,7 @@ class NativeKernel:
         first: Callable[[], None],
         failed: Callable[[], Any],
         verify: Callable[[NativeModule], None] | None,
+        level: int = LEVEL,
     ) -> None:
         self.blocks = blocks
         self.program: Program | None = program
@@ -232,7 +233,7 @@ class NativeKernel:
             [program.content, starter.content, layout_key(), repr((path, fast)).encode()],
         )
         builtins = (*(("step",) if arguments is not None else ()), "tick") if fast else ()
-        self.module = compiled(content, text, ("kernel", "start", *builtins), verify)
+        self.module = compiled(content, text, ("kernel", "start", *builtins), verify, level)
         self._kernel = _callable(self.module["kernel"])
         self._start = _callable(self.module["start"])
         self._first, self._failed, self._guarded = first, failed, guarded

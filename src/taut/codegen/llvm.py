@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import struct
-from collections.abc import Callable, Set
+from collections import Counter
+from collections.abc import Callable, Sequence, Set
 from typing import Final
 
 from taut.base.graph import BOOLEAN_OPS, NONE, Op
@@ -12,10 +14,11 @@ from taut.codegen.program import Program
 
 __all__ = ["LIBM", "declarations", "kernel"]
 
-FLAGS: Final = "nsz contract"  # a product and a sum may be rounded once, together
-EXACT: Final = "nsz"
-# What jumps, or ends, at a value of its argument. All that goes into it is computed as in Python, to the last bit:
-# fused, x x - y y of equal x and y is not zero but +-1e-17, and its square root NaN. A sum of squares has none.
+# A product and a sum are rounded once, together, where the processor can. Which of them is decided here and not by
+# LLVM, so that code gives the same numbers at each of its levels.
+#
+# What jumps, or ends, at a value of its argument is an exception. All that goes into it is computed as in Python, to
+# the last bit: fused, x x - y y of equal x and y is not zero but +-1e-17, and its root NaN. A sum of squares is none.
 _DECIDING: Final = frozenset(
     {Op.SQRT, Op.LOG, Op.ASIN, Op.ACOS, Op.ATAN2, Op.FLOOR, Op.LT, Op.LE, Op.EQ},
 )
@@ -67,12 +70,36 @@ def number(value: float) -> str:
     return "0x" + struct.pack(">d", value).hex().upper()
 
 
+@functools.cache
+def _can_fuse() -> bool:
+    """Whether this processor multiplies and adds in one operation; without, LLVM would call a slow function."""
+    import llvmlite.binding as llvm
+
+    return not llvm.get_default_triple().startswith(("x86_64", "i686")) or bool(
+        llvm.get_host_cpu_features().get("fma")
+    )
+
+
+def _multiplied(name: str, a: str, b: str, c: str, *, less: bool = False, minus: bool = False) -> list[str]:
+    """Lines that compute a b + c; c - a b where that is to be `less`, a b - c with `minus`."""
+    if not _can_fuse():
+        first, second = (c, f"{name}.p") if less else (f"{name}.p", c)
+        word = "fsub" if less or minus else "fadd"
+        return [f" {name}.p = fmul double {a}, {b}", f" {name} = {word} double {first}, {second}"]
+    lines = []
+    if less:
+        lines, a = [f" {name}.n = fneg double {a}"], f"{name}.n"
+    if minus:
+        lines, c = [f" {name}.n = fneg double {c}"], f"{name}.n"
+    return [*lines, f" {name} = call double @llvm.fma.f64(double {a}, double {b}, double {c})"]
+
+
 def declarations() -> str:
     """What kernels call."""
     one = [f"declare double @llvm.{name}.f64(double)" for name in ("sqrt", "fabs", "floor")]
     two = [f"declare double @llvm.{name}.f64(double, double)" for name in ("minimum", "maximum")]
     libm = [f"declare double @{name}(double{', double' if name == 'atan2' else ''}) #0" for name in LIBM]
-    whole = "declare i64 @llvm.fptosi.sat.i64.f64(double)"
+    whole = "declare i64 @llvm.fptosi.sat.i64.f64(double)\ndeclare double @llvm.fma.f64(double, double, double)"
     return "\n".join(
         [*one, *two, whole, *libm, _sincos(), _exp(), "attributes #0 = { nounwind willreturn memory(none) }"]
     )
@@ -82,45 +109,32 @@ def _sincos() -> str:
     """A function {sin, cos} of one double, inlined where it is used."""
     lines = [
         "define internal { double, double } @sincos(double %x) alwaysinline {",
-        f" %scaled = fmul {FLAGS} double %x, {number(0.6366197723675814)}",
-        f" %shifted = fadd {FLAGS} double %scaled, {number(0.5)}",
+        *_multiplied("%shifted", "%x", number(0.6366197723675814), number(0.5)),
         " %k = call double @llvm.floor.f64(double %shifted)",
     ]
     before = "%x"
     for i, part in enumerate(_PI_HALF):
-        lines += [
-            f" %k{i} = fmul {FLAGS} double %k, {number(part)}",
-            f" %r{i} = fsub {FLAGS} double {before}, %k{i}",
-        ]
+        lines += _multiplied(f"%r{i}", "%k", number(part), before, less=True)
         before = f"%r{i}"
     lines += [
         " %far = call double @llvm.fabs.f64(double %x)",
         f" %near = fcmp olt double %far, {number(_FARTHEST)}",
         f" %r = select i1 %near, double %r2, double {number(math.nan)}",
-        f" %z = fmul {FLAGS} double %r, %r",
+        " %z = fmul double %r, %r",
     ]
     for name, table in (("s", _SIN), ("c", _COS)):
-        value = number(table[-1])
-        for i in range(len(table) - 2, -1, -1):
-            lines += [
-                f" %{name}m{i} = fmul {FLAGS} double %z, {value}",
-                f" %{name}a{i} = fadd {FLAGS} double %{name}m{i}, {number(table[i])}",
-            ]
-            value = f"%{name}a{i}"
+        lines += _polynomial(f"%{name}a", "%z", table)
     lines += [
-        f" %rz = fmul {FLAGS} double %r, %z",
-        f" %sp = fmul {FLAGS} double %rz, %sa0",
-        f" %sr = fadd {FLAGS} double %r, %sp",
-        f" %zz = fmul {FLAGS} double %z, %z",
-        f" %cp = fmul {FLAGS} double %zz, %ca0",
-        f" %hz = fmul {FLAGS} double %z, {number(0.5)}",
-        f" %one = fsub {FLAGS} double {number(1.0)}, %hz",
-        f" %cr = fadd {FLAGS} double %one, %cp",
+        " %rz = fmul double %r, %z",
+        *_multiplied("%sr", "%rz", "%sa0", "%r"),
+        " %zz = fmul double %z, %z",
+        *_multiplied("%one", "%z", number(0.5), number(1.0), less=True),
+        *_multiplied("%cr", "%zz", "%ca0", "%one"),
         # Quadrant k mod 4: odd quadrants swap sine and cosine, then signs follow.
-        f" %half = fmul {FLAGS} double %k, {number(0.5)}",
+        f" %half = fmul double %k, {number(0.5)}",
         " %halffloor = call double @llvm.floor.f64(double %half)",
         " %odd = fcmp one double %half, %halffloor",
-        f" %quarter = fmul {FLAGS} double %halffloor, {number(0.5)}",
+        f" %quarter = fmul double %halffloor, {number(0.5)}",
         " %quarterfloor = call double @llvm.floor.f64(double %quarter)",
         " %lower = fcmp one double %quarter, %quarterfloor",
         " %sabs = select i1 %odd, double %cr, double %sr",
@@ -138,6 +152,15 @@ def _sincos() -> str:
     return "\n".join(lines)
 
 
+def _polynomial(name: str, x: str, coefficients: Sequence[float]) -> list[str]:
+    """Lines that compute {name}0, a polynomial of x by Horner's rule; its constant is the first coefficient."""
+    lines, value = [], number(coefficients[-1])
+    for i in range(len(coefficients) - 2, -1, -1):
+        lines += _multiplied(f"{name}{i}", x, value, number(coefficients[i]))
+        value = f"{name}{i}"
+    return lines
+
+
 def _exp() -> str:
     """A function of one double, inlined where it is used."""
     low, high = (number(end) for end in _EXP_ENDS)
@@ -147,31 +170,21 @@ def _exp() -> str:
         f" %raised = select i1 %below, double {low}, double %x",
         f" %above = fcmp ogt double %raised, {high}",
         f" %in = select i1 %above, double {high}, double %raised",  # NaN goes through
-        f" %scaled = fmul {EXACT} double %in, {number(1.4426950408889634)}",
-        f" %shifted = fadd {EXACT} double %scaled, {number(0.5)}",
+        f" %scaled = fmul double %in, {number(1.4426950408889634)}",
+        f" %shifted = fadd double %scaled, {number(0.5)}",
         " %k = call double @llvm.floor.f64(double %shifted)",
-        f" %kh = fmul {FLAGS} double %k, {number(_LN2[0])}",
-        f" %hi = fsub {FLAGS} double %in, %kh",
-        f" %lo = fmul {FLAGS} double %k, {number(_LN2[1])}",
-        f" %r = fsub {FLAGS} double %hi, %lo",
-        f" %t = fmul {FLAGS} double %r, %r",
-    ]
-    value = number(_EXP[-1])
-    for i in range(len(_EXP) - 2, -1, -1):
-        lines += [
-            f" %m{i} = fmul {FLAGS} double %t, {value}",
-            f" %a{i} = fadd {FLAGS} double %m{i}, {number(_EXP[i])}",
-        ]
-        value = f"%a{i}"
-    lines += [
-        f" %tp = fmul {FLAGS} double %t, {value}",
-        f" %c = fsub {FLAGS} double %r, %tp",
-        f" %rc = fmul {FLAGS} double %r, %c",
-        f" %rest = fsub {FLAGS} double {number(2.0)}, %c",
-        f" %part = fdiv {FLAGS} double %rc, %rest",
-        f" %less = fsub {FLAGS} double %lo, %part",
-        f" %minus = fsub {FLAGS} double %less, %hi",
-        f" %y = fsub {FLAGS} double {number(1.0)}, %minus",
+        *_multiplied("%hi", "%k", number(_LN2[0]), "%in", less=True),
+        f" %lo = fmul double %k, {number(_LN2[1])}",
+        " %r = fsub double %hi, %lo",
+        " %t = fmul double %r, %r",
+        *_polynomial("%a", "%t", _EXP),
+        *_multiplied("%c", "%t", "%a0", "%r", less=True),
+        " %rc = fmul double %r, %c",
+        f" %rest = fsub double {number(2.0)}, %c",
+        " %part = fdiv double %rc, %rest",
+        " %less = fsub double %lo, %part",
+        " %minus = fsub double %less, %hi",
+        f" %y = fsub double {number(1.0)}, %minus",
         # 2^k in two factors, so that neither leaves the range of doubles.
         " %whole = call i64 @llvm.fptosi.sat.i64.f64(double %k)",
         " %half = ashr i64 %whole, 1",
@@ -182,8 +195,8 @@ def _exp() -> str:
         " %bits2 = shl i64 %biased2, 52",
         " %factor1 = bitcast i64 %bits1 to double",
         " %factor2 = bitcast i64 %bits2 to double",
-        f" %once = fmul {EXACT} double %y, %factor1",
-        f" %twice = fmul {EXACT} double %once, %factor2",
+        " %once = fmul double %y, %factor1",
+        " %twice = fmul double %once, %factor2",
         " ret double %twice",
         "}",
     ]
@@ -241,6 +254,22 @@ class _Body:
         positive = _never_negative(program)
         deciding = (i for i in program.live if self._graph.ops[i] in _DECIDING and not self._is_length(i, positive))
         self._exact = frozenset(self._graph.live(x for i in deciding for x in self._graph.operands(i)))
+        self._within = self._fused()
+
+    def _fused(self) -> dict[int, int]:
+        """Sums with the product that is computed together with each: one that nothing else needs."""
+        graph, program = self._graph, self._program
+        uses = Counter((*program.output_nodes, *program.memory_nodes))
+        for i in program.live:
+            uses.update(graph.operands(i))
+        out: dict[int, int] = {}
+        for i in program.live:
+            if graph.ops[i] in (Op.ADD, Op.SUB) and i not in self._exact:
+                for x in (graph.a[i], graph.b[i]):
+                    if graph.ops[x] == Op.MUL and uses[x] == 1:
+                        out[i] = x
+                        break
+        return out
 
     def _is_length(self, i: int, positive: Set[int]) -> bool:
         return self._graph.ops[i] == Op.SQRT and self._graph.a[i] in positive
@@ -265,8 +294,12 @@ class _Body:
         emit[int(Op.NOT)] = lambda i, a: self._out.append(f" %v{i} = xor i1 {self._value(a)}, true")
         emit[int(Op.AND)] = self._logic("and")
         emit[int(Op.OR)] = self._logic("or")
+        products = set(self._within.values())
         for i in self._program.live:
-            emit[graph.ops[i]](i, graph.a[i])
+            if i in self._within:
+                self._sum_with_product(i, self._within[i])
+            elif i not in products:
+                emit[graph.ops[i]](i, graph.a[i])
         self._stores("new", self._program.memory_nodes)
         self._stores("outputs", self._program.output_nodes)
         return self._out
@@ -282,10 +315,16 @@ class _Body:
             f" %v{i} = load double, ptr %p{i}",
         ]
 
+    def _sum_with_product(self, i: int, product: int) -> None:
+        graph = self._graph
+        a, b, less = graph.a[i], graph.b[i], graph.ops[i] == Op.SUB
+        other = b if product == a else a
+        x, y, c = (self._value(k) for k in (graph.a[product], graph.b[product], other))
+        self._out += _multiplied(f"%v{i}", x, y, c, less=less and product == b, minus=less and product == a)
+
     def _binary(self, word: str) -> Callable[[int, int], None]:
         def emit(i: int, a: int) -> None:
-            b, flags = self._graph.b[i], EXACT if i in self._exact else FLAGS
-            self._out.append(f" %v{i} = {word} {flags} double {self._value(a)}, {self._value(b)}")
+            self._out.append(f" %v{i} = {word} double {self._value(a)}, {self._value(self._graph.b[i])}")
 
         return emit
 

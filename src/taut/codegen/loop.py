@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import functools
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from taut.base.types import Float64Array
 from taut.codegen.kernel import verified
 from taut.codegen.layout import Block
 from taut.codegen.llvm import declarations, kernel
-from taut.codegen.native import NativeModule, compiled
+from taut.codegen.native import NativeModule, compiled, level_for
 from taut.codegen.program import Function, Program, trace
 from taut.codegen.text import Writer
 
@@ -77,6 +78,7 @@ class NativeLoop:
     """A step function and its substeps as one native loop.
 
     When it is compiled it is compared with the plain run at `example` (inputs, parameters, memory, flat) and near it.
+    Where `ticks` are few it is compiled quickly; `expect` more of them and it is compiled again, to run fast.
     """
 
     raised: Exception | None = None  # compiled code raises nothing
@@ -90,11 +92,13 @@ class NativeLoop:
         parameters: Block,
         memory: Block,
         example: tuple[Float64Array, Float64Array, Float64Array],
+        ticks: int | None = None,
     ) -> None:
         program = trace(step, inputs, parameters, memory)
         inner = trace(substep, inputs, parameters, memory) if repeats else None
         self.outputs = program.outputs
         self.operations = program.operations + (inner.operations * repeats if inner else 0)
+        self._length = program.operations + (inner.operations if inner else 0)
         content = b"loop" + program.content + (inner.content + repeats.to_bytes(8, "little") if inner else b"")
         checks = [verified("the loop", step, program, lambda: _samples(example))]
         if inner is not None:
@@ -105,7 +109,19 @@ class NativeLoop:
                 check(module)
 
         names = ("loop", "kernel", *(("substep",) if inner is not None else ()))
-        self.module = compiled(content, lambda: _module_text(program, inner, repeats), names, verify)
+        self._at = functools.partial(compiled, content, lambda: _module_text(program, inner, repeats), names, verify)
+        self._level, self._ticks = -1, 0
+        self.expect(ticks)
+
+    def expect(self, ticks: int | None) -> None:
+        """Get ready for so many ticks more, or for any number."""
+        if ticks is not None:
+            self._ticks += ticks
+        level = level_for(None if ticks is None else self._ticks * self.operations / max(self._length, 1))
+        if level <= self._level:
+            return
+        self._level = level
+        self.module: NativeModule = self._at(level=level)
         kinds = [ctypes.c_int64, ctypes.c_void_p, ctypes.c_int64, *[ctypes.c_void_p] * 3, ctypes.c_int64]
         self._loop = ctypes.CFUNCTYPE(ctypes.c_int64, *kinds)(self.module["loop"])
 

@@ -21,13 +21,17 @@ from taut.base.errors import TautError
 from taut.codegen import cache
 from taut.codegen.llvm import LIBM
 
-__all__ = ["LEVEL", "QUICK", "NativeModule", "available", "compiled", "warn_of_plain_python"]
+__all__ = ["LEVEL", "QUICK", "NativeModule", "available", "compiled", "level_for", "warn_of_plain_python"]
 
 LEVEL: Final = 2  # of LLVM's code generator; 3 gives nothing, 1 is no faster to compile
-QUICK: Final = (
-    0  # for code that is called some hundred times: a fifth of the time to compile, three times that to run
-)
+QUICK: Final = 0  # a fifth of the time to compile, three times that to run
+PATIENCE: Final = 50_000  # calls of code until it was worth compiling well
 _LOCK: Final = threading.Lock()
+
+
+def level_for(calls: float | None) -> int:
+    """The level for code that is called so often, or any number of times."""
+    return QUICK if calls is not None and calls <= PATIENCE else LEVEL
 
 
 def available() -> bool:
@@ -122,17 +126,17 @@ def compiled(
     verify: Callable[[NativeModule], None] | None = None,
     level: int = LEVEL,
 ) -> NativeModule:
-    """Machine code for a module of LLVM text.
+    """Machine code for a module of LLVM text. It gives the same numbers at each level.
 
     Args:
         content: What the text is made from; with the platform it is the key in the cache.
         text: Makes the text; called only where the cache has nothing.
         names: Functions to look up.
         verify: Checks a freshly compiled module and raises where it is wrong; only what passed is kept.
-        level: Of LLVM's code generator.
+        level: Of LLVM's code generator, at least: what the cache has at the full one serves too.
     """
-    key = hashlib.sha256(_platform_key() + bytes([level]) + content).digest()
-    kept = cache.load(key)
+    keys = [hashlib.sha256(_platform_key() + bytes([k]) + content).digest() for k in dict.fromkeys((level, LEVEL))]
+    key, kept = keys[0], next(filter(None, map(cache.load, reversed(keys))), None)
     with _LOCK:
         if kept is not None:
             try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from taut.base import math as tm
-from taut.base.linalg import factor_spd
+from taut.base.pose import Pose
 from taut.base.types import Vector, Vector3, Wrench
 from taut.control.compliance import wrench_moved
 from taut.control.task_reference import TaskMotion
@@ -14,7 +14,7 @@ from taut.maths.constraint_rows import ConstraintRows
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotation_exp, rotation_log
 
-__all__ = ["along_constraint", "felt_along", "of_one_body"]
+__all__ = ["along_constraint", "asked_pose", "felt_along", "of_one_body"]
 
 
 def of_one_body(constraint: Constraint, x: Snapshot, tool: str | None) -> bool:
@@ -51,15 +51,14 @@ def along_constraint(
     """
     A, T = rows.A, x.T(frame)
     assert A is not None
-    d = _lever(x, frame, tool)
-    asked = ref if d is None else _at_point(ref, d)
-    factors = factor_spd(A @ A.T)
+    d, asked = _lever(x, frame, tool), at_frame(x, frame, ref, tool)
+    factors = rows.factors
 
     def against(six: Vector) -> Vector:
         out: Vector = A.T @ factors.solve(A @ six)
         return out
 
-    off = against(tm.array([*(asked.p - T.p), *rotation_log(asked.R @ T.R.T)]))
+    off = against(tm.array([*(asked.p - T.p), *rotation_log(asked.R @ x.T(tool).R.T)]))
     made = TaskMotion.of(
         {
             "p": asked.p - off[:3],
@@ -69,6 +68,19 @@ def along_constraint(
         }
     )
     return made if d is None else _at_point(made, -d)
+
+
+def at_frame(x: Snapshot, frame: str | None, ref: TaskMotion, tool: str | None) -> TaskMotion:
+    """What a motion of the tool asks of the origin of another frame of the same body; R stays that of the tool."""
+    d = _lever(x, frame, tool)
+    return ref if d is None else _at_point(ref, d)
+
+
+def asked_pose(x: Snapshot, frame: str | None, ref: TaskMotion, tool: str | None) -> Pose:
+    """The pose that it asks of that frame."""
+    turn = x.model.placement(tool)[1].T @ x.model.placement(frame)[1]
+    R = ref.R if np.array_equal(turn, np.eye(3)) else ref.R @ turn
+    return Pose.of(R, at_frame(x, frame, ref, tool).p)
 
 
 def felt_along(x: Snapshot, rows: ConstraintRows, frame: str | None) -> Snapshot:
@@ -84,7 +96,7 @@ def felt_along(x: Snapshot, rows: ConstraintRows, frame: str | None) -> Snapshot
     """
     A = rows.A
     assert A is not None
-    factors = factor_spd(A @ A.T)
+    factors = rows.factors
 
     def along(F: Wrench) -> Wrench:
         r = x.T().p - x.T(frame).p

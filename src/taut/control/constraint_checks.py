@@ -21,6 +21,8 @@ __all__ = ["check_constraint", "check_forces", "check_motion", "check_place", "c
 
 DEPENDENT: Final = 3e-4  # of the largest singular value, rows of length 1; below it rounding is beyond 1e-9
 OUT_OF_RANGE: Final = 1e-6  # of the wrench
+ELSEWHEN: Final = 0.1234567  # [s]
+SHOWN: Final = 1e-5  # of the wrench, in words
 LOOKS: Final = 64  # at a motion before it is followed
 
 
@@ -114,18 +116,23 @@ def check_forces(constraint: Constraint, x: Snapshot, ref: Reference, *, later: 
         later: Whether that is somewhere else than at x: then what depends on the place is not looked at.
 
     Raises:
-        UsageError: press where there is no surface; multipliers of rows that there are not.
+        UsageError: press where there is no surface; more or fewer multipliers than rows.
         RangeError: A wrench outside the range of A^T, a pull at a contact.
     """
-    sample = _first(ref)
-    if not isinstance(sample, HybridMotion):
-        return
+    for sample in ref.samples if isinstance(ref, Chunk) else [_first(ref)]:
+        if isinstance(sample, HybridMotion):
+            presses = ref.presses if isinstance(ref, Pressing) else bool(np.any(sample.press))
+            _check_force(constraint, x, sample, presses, later=later or isinstance(ref, Chunk))
+
+
+def _check_force(constraint: Constraint, x: Snapshot, sample: HybridMotion, presses: bool, *, later: bool) -> None:
     rows = constraint.at(x)
     lam = np.asarray(sample.lam, dtype=np.float64)
-    if np.any(lam[rows.count :]):
+    given = int(np.asarray(sample.given)[0])
+    if given not in (0, rows.count):
         raise UsageError(
-            f"lam has {int(np.max(np.flatnonzero(lam))) + 1} entries, and the constraint has {rows.count} "
-            f"{'row' if rows.count == 1 else 'rows'}",
+            f"lam has {given} {'entry' if given == 1 else 'entries'}, and the constraint has {rows.count} "
+            f"{'row' if rows.count == 1 else 'rows'}; give one for each row",
             name="lam",
         )
     _check_pressed(
@@ -137,7 +144,7 @@ def check_forces(constraint: Constraint, x: Snapshot, ref: Reference, *, later: 
             "pressing is lam < 0, or press="
         ),
     )
-    presses, F = bool(np.any(sample.press)), np.asarray(sample.F_app, dtype=np.float64)
+    F = np.asarray(sample.F_app, dtype=np.float64)
     if rows.A is None:
         if presses or np.any(F):
             raise UsageError(
@@ -147,11 +154,11 @@ def check_forces(constraint: Constraint, x: Snapshot, ref: Reference, *, later: 
             )
         return
     A = np.asarray(rows.A, dtype=np.float64)
-    if presses and (np.linalg.norm(A[0, :3]) < 1e-9 or _of_velocities(constraint)):
-        what = "is one of velocities" if _of_velocities(constraint) else "holds rotations only"
+    what = "holds both ways" if not rows.one_sided[0] else "holds rotations only"
+    if presses and (np.linalg.norm(A[0, :3]) < 1e-9 or not rows.one_sided[0]):
         raise UsageError(
-            f"press is a force into a surface, and the first row of the constraint {what}; put the surface first, or "
-            "give lam=",
+            f"press is a force into a surface, and the first row of the constraint {what}; put the surface first, "
+            "with one_sided=True, or give lam=",
             name="press",
         )
     if not later:
@@ -170,8 +177,8 @@ def _check_range(A: Float64Array, F: Float64Array, one_sided: Sequence[bool], wh
     rest = F - A.T @ lam
     if np.linalg.norm(rest) > OUT_OF_RANGE * size:
         raise RangeError(
-            f"F_app must lie in the range of A^T, for the constraint bears nothing else; of {_shown(F)} it can bear "
-            f"{_shown(F - rest)}{when}, and not {_shown(rest)}",
+            f"F_app must lie in the range of A^T, for the constraint bears nothing else; of {_shown(F, size)} it can "
+            f"bear {_shown(F - rest, size)}{when}, and not {_shown(rest, size)}",
             name="F_app",
         )
     _check_pressed(
@@ -179,7 +186,7 @@ def _check_range(A: Float64Array, F: Float64Array, one_sided: Sequence[bool], wh
         lam,
         "F_app",
         lambda row: (
-            f"F_app must press on a contact, and {_shown(F)} pulls at row {row}{when}, lam = {lam[row]:.4g}; "
+            f"F_app must press on a contact, and {_shown(F, size)} pulls at row {row}{when}, lam = {lam[row]:.4g}; "
             "turn its sign"
         ),
     )
@@ -192,14 +199,27 @@ def _check_pressed(one_sided: Sequence[bool], lam: Float64Array, name: str, sent
             raise RangeError(sentence(row), name=name, value=float(lam[row]), rule="lam <= 0")
 
 
-def _shown(F: Float64Array) -> str:
-    return f"[{', '.join(f'{x + 0.0:.4g}' for x in np.round(F, 9))}]"
+def _shown(F: Float64Array, size: float) -> str:
+    """A wrench without what is nothing beside its size."""
+    some = np.where(np.abs(F) > SHOWN * size, F, 0.0)
+    return f"[{', '.join(f'{x:.4g}' for x in some)}]"
 
 
-def check_motion(constraint: Constraint, x: Snapshot, ref: Reference, tool: str | None, tolerance: float) -> None:
+def check_motion(
+    constraint: Constraint, x: Snapshot, ref: Reference, tool: str | None, tolerance: float, *, later: bool = False
+) -> None:
     """A motion that is known before it is followed keeps to the constraint, which bears F_app all the way.
 
     It is a motion of the link that is constrained: of a chunk its samples are looked at, of a trajectory 64 instants.
+    Against a row of velocities, such as that of a wheel, what counts is how far it goes: the integral of A V.
+
+    Args:
+        constraint: The constraint.
+        x: Where and when it is followed from.
+        ref: The motion.
+        tool: The frame that moves; None for the arm's tool.
+        tolerance: Largest phi [m, rad].
+        later: Whether it is followed from a later time on that is not known: then not against what moves by itself.
 
     Raises:
         RangeError: It leaves the constraint, or goes into it; or F_app leaves the range of A^T.
@@ -208,12 +228,16 @@ def check_motion(constraint: Constraint, x: Snapshot, ref: Reference, tool: str 
         return
     assert constraint.frame is not None
     beyond = x.T(tool).inverse() @ x.T(*constraint.frame)
-    for t in _times(ref):
+    velocities = np.array([isinstance(piece, OfVelocity) for piece in constraint.pieces for _ in range(piece.count)])
+    times, slipped, last = _times(ref), np.zeros(constraint.count), (0.0, np.zeros(constraint.count))
+    for t in times:
         sample = _at(ref, t)
         if not isinstance(sample, HybridMotion) or not isinstance(sample.motion, TaskMotion):
             return
-        pose = sample.motion.pose @ beyond
-        phi = constraint.of_pose(pose, t)
+        pose, now = sample.motion.pose @ beyond, float(x.t) + t
+        phi = constraint.of_pose(pose, now)
+        if later and np.any(phi != constraint.of_pose(pose, now + ELSEWHEN)):
+            return
         row = int(np.argmax(np.abs(phi)))
         if abs(phi[row]) > tolerance:
             which = "" if len(phi) == 1 else f" in row {row}"
@@ -225,9 +249,34 @@ def check_motion(constraint: Constraint, x: Snapshot, ref: Reference, tool: str 
                 value=float(phi[row]),
                 rule=f"<= {tolerance:g}",
             )
-        F_app = np.asarray(sample.F_app, dtype=np.float64)
+        A, F_app = constraint.of_twist(pose, now)[0], np.asarray(sample.F_app, dtype=np.float64)
         if np.any(F_app):
-            _check_range(constraint.of_twist(pose, t)[0], F_app, constraint.one_sided, f" at t = {t:g} s")
+            _check_range(A, F_app, constraint.one_sided, f" at t = {t:g} s")
+        speed = np.where(velocities, A @ _moved_to(sample.motion, pose.p), 0.0)
+        slipped = slipped + (0.5 * (t - last[0]) * (speed + last[1]) if t > 0.0 else 0.0)
+        last = t, speed
+        slip, when = (slipped, f"until t = {t:g} s") if len(times) > 1 else (speed, "in 1 s")
+        _check_slip(slip, when, tolerance)
+
+
+def _check_slip(way: Float64Array, when: str, tolerance: float) -> None:
+    """A motion goes not far against rows of velocities: that of a trajectory, or in a second of what is held."""
+    row = int(np.argmax(np.abs(way)))
+    if abs(way[row]) > tolerance:
+        raise RangeError(
+            f"the motion must keep to the constraint, and {when} it goes {abs(way[row]):.4g} against row {row}, "
+            f"which is one of velocities, more than the tolerance of {tolerance:g}; give twists with A V = 0, as "
+            "along a blade",
+            name="ref",
+            value=float(way[row]),
+            rule=f"<= {tolerance:g}",
+        )
+
+
+def _moved_to(motion: TaskMotion, p: Float64Array) -> Float64Array:
+    """(6,) its twist at another point of the same body."""
+    twist = np.asarray(motion.twist, dtype=np.float64)
+    return np.concatenate([twist[:3] + np.cross(twist[3:], p - motion.p), twist[3:]])
 
 
 def _times(ref: Reference) -> list[float]:

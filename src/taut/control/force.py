@@ -12,6 +12,7 @@ from taut.base.errors import ShapeError
 from taut.base.types import ArrayLike, Matrix, Rotation, Vector, Wrench
 from taut.control.command import Command, Terms, Torque
 from taut.control.compliance import check_sensor, wrench_at
+from taut.control.contact_loss import CONTACT, E_INT_MAX, PATIENCE, counted, misses
 from taut.control.gains import Gain, GainValue, Memory
 from taut.control.integral import ANTI_WINDUP, AntiWindup, check_force_pole, check_tracking, integrated
 from taut.control.law import Law, MemoryView
@@ -112,11 +113,11 @@ class ForceControl(Law):
     kfp: Gain = Gain(0.0, size=6, pairs=True, where=MEASURED)  # [1]
     kfi: Gain = Gain(0.0, size=6, pairs=True, where=MEASURED)  # [1/s]
     kdamp: Gain = Gain(size=6, pairs=True, scalar=False, optional=True)  # [N s/m, N m s/rad]
-    e_int_max: Gain = Gain((20.0, 2.0), size=2, scalar=False, minimum=1e-9, where=MEASURED)  # [N s, N m s]
+    e_int_max: Gain = Gain(E_INT_MAX, size=2, scalar=False, minimum=1e-9, where=MEASURED)  # [N s, N m s]
     feedback: Feedback = "wrench"
     frame: ForceFrame = "world"
-    contact: Gain = Gain((1.0, 0.1), size=2, scalar=False, minimum=1e-9, where=MEASURED)  # [N, N m]
-    patience: Gain = Gain(0.05, size=0, where=MEASURED)  # [s]
+    contact: Gain = Gain(CONTACT, size=2, scalar=False, minimum=1e-9, where=MEASURED)  # [N, N m]
+    patience: Gain = Gain(PATIENCE, size=0, where=MEASURED)  # [s]
     null: Law | None = Posture()
     anti_windup: AntiWindup = "clamping"
     tracking: Gain = Gain(10.0, size=0, where=("anti_windup", "back-calculation"))  # [1/s]
@@ -229,13 +230,9 @@ class ForceControl(Law):
         """How long there has been less than `contact` along what is asked for, and whether that is too long."""
         missing: Any = 0.0
         for k in (0, 1):
-            wanted, there, least = F_des[3 * k : 3 * k + 3], F_app[3 * k : 3 * k + 3], self.contact[k]
-            size = tm.norm(wanted)
-            missing = tm.maximum(
-                missing, tm.where(size > least, tm.where(wanted @ there < least * size, 1.0, 0.0), 0.0)
-            )
-        alone = tm.where(missing > 0.5, alone + dt, 0.0)
-        return {"alone": alone, "lost": tm.where(alone > self.patience.as_array() + 0.5 * dt, 1.0, 0.0)}
+            wanted, there = F_des[3 * k : 3 * k + 3], F_app[3 * k : 3 * k + 3]
+            missing = tm.maximum(missing, misses(tm.norm(wanted), wanted @ there, self.contact[k]))
+        return counted(alone, missing, self.patience.as_array(), dt)
 
 
 def wrench_of_torques(x: Snapshot, inertia: TaskInertia) -> Wrench:

@@ -22,12 +22,11 @@ from taut.maths.spatial import rotation_log
 
 __all__ = ["Guard", "Lasting", "condition", "contact", "lasting", "moved", "no_contact", "reached", "settled"]
 
+Axes: TypeAlias = Literal["world", "tool"]
 FRAMES: Final = ("world", "tool")
 
 
-def contact(
-    x: Snapshot, force: float, direction: ArrayLike | None = None, frame: Literal["world", "tool"] = "world"
-) -> Any:
+def contact(x: Snapshot, force: float, direction: ArrayLike | None = None, frame: Axes = "world") -> Any:
     """Guard: whether something touches the tool with more than a force.
 
     Args:
@@ -59,14 +58,12 @@ def contact(
     return axes @ F > force
 
 
-def no_contact(
-    x: Snapshot, force: float, direction: ArrayLike | None = None, frame: Literal["world", "tool"] = "world"
-) -> Any:
+def no_contact(x: Snapshot, force: float, direction: ArrayLike | None = None, frame: Axes = "world") -> Any:
     """Guard: whether nothing touches the tool with more than a force; the opposite of `contact`.
 
     Args:
-        x: The snapshot of a guard; it must have F_ext.
-        force: [N].
+        x: The snapshot of a guard, with F_ext.
+        force: The force [N].
         direction: (3,) as of `contact`.
         frame: The axes of the direction.
     """

@@ -11,9 +11,8 @@ import numpy as np
 from taut.base import math as tm
 from taut.base.checks import float_array, one_of
 from taut.base.errors import RangeError, UsageError
-from taut.base.linalg import factor_spd
 from taut.base.types import Vector
-from taut.control.along_constraint import along_constraint, felt_along, of_one_body
+from taut.control.along_constraint import along_constraint, asked_pose, felt_along, of_one_body
 from taut.control.command import Command, Terms, Torque
 from taut.control.compliance import check_sensor, wrench_at
 from taut.control.constraint_checks import (
@@ -24,11 +23,13 @@ from taut.control.constraint_checks import (
     check_surface,
 )
 from taut.control.constraint_estimate import NEVER, NormalEstimate, turn_between, turned_rows
+from taut.control.contact_loss import CONTACT, E_INT_MAX, PATIENCE, counted, taken_back
 from taut.control.gains import Gain, Memory
 from taut.control.hybrid_motion import MOST_ROWS, HybridMotion, hybrid_kind
 from taut.control.integral import check_force_pole
 from taut.control.law import Law, MemoryView, call
 from taut.control.reference import Reference, Sample
+from taut.control.row_forces import asked_multipliers, braking, gentler, missed, of_wrench, per_row, swung
 from taut.control.task_reference import TaskMotion
 from taut.maths.constrained import Constrained
 from taut.maths.constraint import Constraint
@@ -40,7 +41,6 @@ __all__ = ["HybridMotionForce"]
 
 ForceFeedback = Literal["wrench", "joint_torque"]
 TOUCHING: Final = 1.0  # [N] on a tool that counts as in contact
-CHAIN: Final = 1e-4  # [1/kg, 1/(kg m^2)] of mobility: less of it is a direction that a chain does not have
 FEEDBACKS: Final[tuple[ForceFeedback, ...]] = ("wrench", "joint_torque")
 
 
@@ -64,14 +64,23 @@ class HybridMotionForce(Law):
                     of a tool in a closed chain, in the directions that the chain leaves to it: the term `chain`
                   against them lam = F_force's, in a rigid contact: (1 + kfp) lam_e + kfi int(lam_e) = const, with the
                     pole -kfi / (1 + kfp), not the -kfi / kfp of eq. 10.36; the measured force is a tick old, so that
-                    kfp + kfi dt / 2 < 1, or the loop swings up
+                    kfp + kfi dt / 2 < 1, or the loop swings up; a RigidPlant refuses it, elsewhere a run tells
                   with curvature=False lam is off by S A-dot V: m v^2 / r on a surface of radius r
 
     lam_meas is (A A^T)^-1 A F_app of the wrist sensor: friction along a surface at the tool's origin does not count
     as pressing. With feedback="joint_torque" it is eq. 10.42 with the measured torques, and what the model does not
     know, such as a payload, counts as a force. Without kfp and kfi no force is measured, and lam_des is fed forward,
     eq. 10.34. A one-sided row is never asked to pull. The integral rests where limits of the torque cut the force, or
-    a contact would be pulled at, and the error pushes further that way.
+    a contact would be pulled at, and the error pushes further that way; it is cut at e_int_max.
+
+    Loss of contact: of a one-sided row, less than `contact` is measured while more is asked for. Longer than
+    `patience`, memory `lost` is 1; the metric contact_lost_time and the outcome tell. With kdamp the speed against
+    the row stays below |kdamp^-1 ((1 + kfp) lam_des + kfi e_int_max)|, from rest, as that of `ForceControl`. Without,
+    the force goes within the patience to twice `contact` and the integral rests, motion against the row is braked
+    within 0.02 s, term `lost`, and contact that is there again is taken up within the patience.
+
+    The outcome of a run tells too where a motion was asked for that is off the constraint by more than the tolerance,
+    which is followed along it only, and a force that it does not bear, of which only the rest is applied.
 
     Frames:
         The constraint is in world axes; what it says of the tool is said at the tool's origin.
@@ -82,8 +91,10 @@ class HybridMotionForce(Law):
             it would make against the constraints are taken out.
         kfp: Proportional gain of the force: a number or one per row.
         kfi: Integral gain.
-        e_int_max: Largest integral of the force error; no bound if left out.
+        e_int_max: Largest integral of the force error; 20 N s, and 2 N m s for a moment, if left out.
         kdamp: Damping of motion against the constraint, such as of a tool that has lost its contact.
+        contact: Force of a row that counts as contact; 1 N, and 0.1 N m for a moment, if left out.
+        patience: Time without it after which contact is lost.
         feedback: With kfp or kfi, what measures the force: "wrench" or "joint_torque".
         curvature: Whether the term of that name is in the law.
         tolerance: How far phi may be from zero where a run starts [m, rad].
@@ -111,10 +122,12 @@ class HybridMotionForce(Law):
     needs_contact: ClassVar[bool] = True
     constraint: Constraint | Callable[..., Any]
     motion: Law
-    kfp: Gain = Gain(optional=True, size="rows")  # [-]
+    kfp: Gain = Gain(optional=True, size="rows")  # [1]
     kfi: Gain = Gain(optional=True, size="rows")  # [1/s]
-    e_int_max: Gain = Gain(optional=True, size="rows")  # [N s, N m s]
+    e_int_max: Gain = Gain(optional=True, size="rows", minimum=1e-9)  # [N s, N m s]
     kdamp: Gain = Gain(optional=True, size="rows")  # [N s/m, N m s/rad]
+    contact: Gain = Gain(optional=True, size="rows", minimum=1e-9)  # [N, N m]
+    patience: Gain = Gain(PATIENCE, size=0)  # [s]
     feedback: ForceFeedback = "wrench"
     curvature: bool = True
     tolerance: float = 0.01
@@ -122,8 +135,38 @@ class HybridMotionForce(Law):
     e_int: Memory = Memory(0.0)  # [N s, N m s]
     lam: Memory = Memory(0.0)  # multipliers by eq. 10.42 of what is commanded [N, N m]
     phi: Memory = Memory(0.0)  # [m, rad]
+    share: Memory = Memory(1.0)  # of the force that is applied, without kdamp
+    alone: Memory = Memory(0.0)  # [s] since there was contact
+    lost: Memory = Memory(0.0)  # 1 where contact is lost
+    bounded: Memory = Memory(0.0)  # 1 where the integral is at its bound
+    e_last: Memory = Memory(0.0)  # [N, N m] the error of the force a tick ago
+    turned: Memory = Memory(0.0)  # ticks in which it turned round, one after the other
+    swings: Memory = Memory(0.0)  # 1 where those are many
+    astray: Memory = Memory(0.0)  # 1 where the motion is off the constraint
+    dependent: Memory = Memory(0.0)  # (k,) 1 where a row is dependent on later ones
+    unborne: Memory = Memory(0.0)  # 1 where the constraint does not bear what is asked for
 
-    recorded = ("lam", "phi")
+    recorded: ClassVar[tuple[str, ...]] = (
+        "lam",
+        "phi",
+        "lost",
+        "bounded",
+        "swings",
+        "astray",
+        "unborne",
+        "dependent",
+    )
+    notices: ClassVar[tuple[tuple[str, str], ...]] = (
+        ("lost", "the tool met less than was asked for, contact was lost"),
+        ("bounded", "the integral of the force error was at its bound e_int_max"),
+        (
+            "swings",
+            "the force error turned round, as it does where kfp + kfi dt / 2 is not under 1 at a rigid contact,",
+        ),
+        ("astray", "the motion asked for, off the constraint by more than the tolerance, was followed only along it"),
+        ("dependent", "rows of the constraint said the same as later ones, and were left out"),
+        ("unborne", "a part of the force asked for, which the constraint does not bear, was left out"),
+    )
 
     def __post_init__(self) -> None:
         if not isinstance(self.constraint, Constraint):
@@ -198,6 +241,19 @@ class HybridMotionForce(Law):
             k = self.rows
             check_force_pole(self.kfp.matrix(k) if self.gives("kfp") else np.zeros((k, k)), self.kfi.matrix(k), rate)
 
+    def swing(self, dt: float) -> float:
+        """The largest eigenvalue of kfp + kfi dt / 2: from 1 on, a force a tick old swings up on rigid contacts.
+
+        0 where no force is fed back.
+        """
+        k = self.rows
+        gains = [
+            np.asarray(gain.matrix(k), dtype=np.float64) * factor
+            for name, factor in (("kfp", 1.0), ("kfi", 0.5 * dt))
+            if (gain := self.gains().get(name)) is not None
+        ]
+        return float(np.max(np.abs(np.linalg.eigvals(sum(gains))))) if gains else 0.0
+
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
         check_constraint(self.natural, x)
         if (self.measures and self.feedback == "wrench") or self.estimate is not None:
@@ -214,7 +270,7 @@ class HybridMotionForce(Law):
         """
         check_place(self.natural, x, self.tolerance)
         check_forces(self.natural, x, ref)
-        check_motion(self.natural, x, ref, self.motion.controlled_frame, self.tolerance)
+        self._check_motion(x, ref)
 
     def check_reference_later(self, x: Snapshot, ref: Reference, rate: float) -> None:  # noqa: ARG002
         """The same of a phase that begins elsewhere, as far as it is known: the motion keeps to the constraint.
@@ -223,7 +279,12 @@ class HybridMotionForce(Law):
             RangeError: A motion off the constraint, a force that the contact cannot bear at any place.
         """
         check_forces(self.natural, x, ref, later=True)
-        check_motion(self.natural, x, ref, self.motion.controlled_frame, self.tolerance)
+        self._check_motion(x, ref, later=True)
+
+    def _check_motion(self, x: Snapshot, ref: Reference, *, later: bool = False) -> None:
+        """Not of a law that estimates the surface: it goes along that, whatever the motion asks for against it."""
+        if self.estimate is None:
+            check_motion(self.natural, x, ref, self.motion.controlled_frame, self.tolerance, later=later)
 
     def touches(self, x: Snapshot) -> Any:
         """Whether the arm keeps to the constraint: phi within the tolerance, and a force on it where one is measured.
@@ -248,16 +309,20 @@ class HybridMotionForce(Law):
                 f"motion holds a law that gives torques, and {type(self.motion).__name__} gives a {command.kind}",
                 name="motion",
             )
-        lam, e_int = self._multipliers(x, rows, held, ref, memory, dt)
+        lam, of_force = self._multipliers(x, rows, held, ref, memory, dt)
         falling, curved = held.felt(rows.bias - rows.curvature), held.felt(rows.curvature)
         force = lam + Terms(force_nonlinear=-falling)
         if self.curvature:
             force = force + Terms(curvature=-curved)
         tau = command.terms.mapped(held.along) + Terms(nonlinear=held.against(x.h)) + force.mapped(held.pressing)
         if rows.A is None and self.motion.reference is TaskMotion:
-            tau = tau + Terms(chain=held.along(self._chain(x, held, command.terms.total)))
+            tau = tau + Terms(
+                chain=held.along(held.brought_along(x, self.motion.controlled_frame, command.terms.total))
+            )
         told = lam.total if self.curvature else lam.total + curved
-        after: dict[str, object] = {"motion": motion, "e_int": e_int, "lam": told, "phi": rows.phi}
+        after: dict[str, object] = {"motion": motion, "lam": told, "phi": rows.phi, **of_force}
+        after["astray"] = self._astray(x, ref.motion)
+        after["dependent"] = tm.array([tm.where(gone, 1.0, 0.0) for gone in held.mobility.dropped])
         if estimated is not None:
             after["estimate"] = estimated
         return Torque(tau), after
@@ -287,77 +352,103 @@ class HybridMotionForce(Law):
         felt = felt_along(x, rows, frame) if of_one_body(self.natural, x, None) else x
         return felt, along_constraint(x, rows, frame, motion, tool)
 
-    def _chain(self, x: Snapshot, held: Constrained, tau: Vector) -> Vector:
-        """(n,) torques with which a tool that is part of a closed chain moves as it would without the other part.
+    def _astray(self, x: Snapshot, motion: Sample) -> Any:
+        """1 where the motion asks for a pose that is off the constraint by more than the tolerance, else 0.
 
-        What moves along with the tool is accelerated by the projection of the tool's own torques only in the measure
-        of their inertias. A tool that the chain does not let move so goes as far as it can, by least squares.
+        Not of a law that estimates the surface: it goes along that, whatever the motion asks for against it.
         """
-        J = x.J(self.motion.controlled_frame)
-        W = held.Minv_AT
-        lost = J @ (W @ held.lam(tau - x.h))
-        JW, Minv_JT = J @ W, x.M_factors.solve(J.T)
-        mobility = J @ Minv_JT - JW @ held.mobility.solve(JW.T)
-        damped = mobility @ mobility + CHAIN**2 * tm.eye(len(mobility))
-        out: Vector = J.T @ factor_spd(damped).solve(mobility @ lost)
-        return out
+        tool = self.motion.controlled_frame
+        if self.estimate is not None or not isinstance(motion, TaskMotion) or not of_one_body(self.natural, x, tool):
+            return 0.0
+        assert self.natural.frame is not None
+        phi = self.natural.phi_of(asked_pose(x, *self.natural.frame, motion, tool), x.t)
+        return tm.where(functools.reduce(tm.maximum, [tm.abs(y) for y in phi]) > self.tolerance, 1.0, 0.0)
 
     def _multipliers(
         self, x: Snapshot, rows: ConstraintRows, held: Constrained, ref: Any, memory: MemoryView, dt: Any
-    ) -> tuple[Terms, Vector]:
-        """(k,) the multipliers to apply, as terms; and the integral of their error after this tick."""
-        wanted = self._wanted(rows, ref)
-        lam, e, e_int = Terms(force=wanted), None, memory.e_int + tm.zeros(rows.count)
+    ) -> tuple[Terms, dict[str, object]]:
+        """(k,) the multipliers to apply, as terms; and the memory of the force after this tick."""
+        zero = tm.zeros(rows.count)
+        after: dict[str, object] = {name: getattr(memory, name) for name in ("alone", "lost", "turned", "swings")}
+        after |= {name: getattr(memory, name) + zero for name in ("e_int", "e_last", "share")}
+        wanted, unborne = asked_multipliers(rows, ref)
+        after |= {"bounded": memory.bounded, "unborne": unborne}
+        lam, missing, contact = Terms(force=wanted), [0.0] * rows.count, self._per_row("contact", CONTACT)
         if self.measures:
-            e = wanted - self._measured(x, rows, held)
+            measured = self._measured(x, rows, held)
+            e, patience = wanted - measured, self.patience.as_array()
+            missing = missed(rows, wanted, measured, contact)
+            after |= swung(e, memory.e_last + zero, memory.turned, contact)
+            after |= counted(memory.alone, functools.reduce(tm.maximum, missing), patience, dt)
+            if self.fades:
+                after["share"] = taken_back(memory.share + zero, tm.array(missing), patience, dt)
         if self.gives("kfp"):
             lam = lam + Terms(force_P=self.kfp @ e)
         if self.gives("kdamp"):
             lam = lam + Terms(force_D=-(self.kdamp @ rows.rate(x.v)))
         if self.gives("kfi"):
-            e_int = self._integral(x, rows, held, (lam + Terms(force_I=self.kfi @ e_int)).total, e_int, e, dt)
+            e_int = memory.e_int + zero
+            pushed = (lam + Terms(force_I=self.kfi @ e_int)).total
+            e_int, after["bounded"] = self._integral(x, rows, held, pushed, e_int, e, missing, dt)
+            after["e_int"] = e_int
             lam = lam + Terms(force_I=self.kfi @ e_int)
+        if self.fades:
+            lam = lam.up_to(gentler(rows, lam.total, memory.share + zero, contact), "lost")
         if any(rows.one_sided):
             total = tm.array(
                 [tm.minimum(y, 0.0) if side else y for y, side in zip(lam.total, rows.one_sided, strict=True)]
             )
             lam = lam.up_to(total, "one_sided")
-        return lam, e_int
+        if self.fades:
+            lam = lam + Terms(lost=held.felt(braking(rows, rows.rate(x.v), memory.share + zero, dt)))
+        return lam, after
 
     def _integral(
-        self, x: Snapshot, rows: ConstraintRows, held: Constrained, lam: Vector, e_int: Vector, e: Any, dt: Any
-    ) -> Vector:
-        """(k,) the integral after this tick.
+        self,
+        x: Snapshot,
+        rows: ConstraintRows,
+        held: Constrained,
+        lam: Vector,
+        e_int: Vector,
+        e: Any,
+        missing: list[Any],
+        dt: Any,
+    ) -> tuple[Vector, Any]:
+        """(k,) the integral after this tick, and 1 where its bound cut it.
 
-        It rests where limits cut the force, or a contact would be pulled at, and the error pushes further that way.
+        It rests where limits cut the force, or a contact would be pulled at, and the error pushes further that way;
+        and where a contact misses that nothing but the integral's rest keeps from being pressed for ever more.
         """
         cut = held.felt(held.Minv_AT.T @ x.tau_cut)
         grown: Vector = tm.where(cut * e > 0.0, e_int, e_int + e * dt)
         if any(rows.one_sided):
-            pulls = [
-                (y > 0.0) & (z > 0.0) if side else False for y, z, side in zip(lam, e, rows.one_sided, strict=True)
+            rests = [
+                ((y > 0.0) & (z > 0.0)) | (misses > 0.5 if self.fades else False) if side else False
+                for y, z, misses, side in zip(lam, e, missing, rows.one_sided, strict=True)
             ]
-            grown = tm.array([choose(pull, old, new) for pull, old, new in zip(pulls, e_int, grown, strict=True)])
-        if self.gives("e_int_max"):
-            most = self.e_int_max.as_array()
-            grown = tm.clip(grown, -most, most)
-        return grown
+            grown = tm.array([choose(rest, old, new) for rest, old, new in zip(rests, e_int, grown, strict=True)])
+        most = self._per_row("e_int_max", E_INT_MAX)
+        kept = tm.clip(grown, -most, most)
+        return kept, tm.where(functools.reduce(tm.maximum, tm.abs(grown) - most) > 0.0, 1.0, 0.0)
 
-    def _wanted(self, rows: ConstraintRows, ref: Any) -> Vector:
-        """(k,) the multipliers that are asked for."""
-        lam: Vector = ref.lam[: rows.count]
-        if rows.A is None:
-            return lam
-        gradient = rows.A[0, :3]
-        pressed = tm.array([-ref.press[0] / tm.sqrt(gradient @ gradient + 1e-24), *([0.0] * (rows.count - 1))])
-        return lam + pressed + _of_wrench(rows, ref.F_app)
+    def _per_row(self, gain: str, default: tuple[float, float]) -> Vector:
+        """(k,) a gain, or where it was not given what stands for forces and for moments."""
+        if not self.gives(gain):
+            return per_row(self.natural, default)
+        given: Vector = getattr(self, gain).as_array() + tm.zeros(self.rows)
+        return given
+
+    @property
+    def fades(self) -> bool:
+        """Whether the force is taken back with a contact that is lost: where no kdamp bounds the speed."""
+        return self.measures and not self.gives("kdamp") and any(self.natural.one_sided)
 
     def _measured(self, x: Snapshot, rows: ConstraintRows, held: Constrained) -> Vector:
         """(k,) the multipliers that are measured."""
         if self.feedback == "joint_torque":
             return held.lam(x.tau_meas - x.inverse_dynamics(np.zeros(x.n)))  # of all that acts on the links
         (frame,) = self.natural.frame or (None,)
-        return _of_wrench(rows, -wrench_at(x, frame))
+        return of_wrench(rows, -wrench_at(x, frame))
 
 
 def _tolerance(value: object) -> float:
@@ -367,10 +458,3 @@ def _tolerance(value: object) -> float:
             f"tolerance must be >= 0 [m, rad]; got {number!r}", name="tolerance", value=number, rule=">= 0"
         )
     return number
-
-
-def _of_wrench(rows: ConstraintRows, F_app: Vector) -> Vector:
-    """(k,) the multipliers of a wrench of the arm on the environment: (A A^T)^-1 A F_app."""
-    assert rows.A is not None
-    out: Vector = factor_spd(rows.A @ rows.A.T).solve(rows.A @ F_app)
-    return out

@@ -18,7 +18,7 @@ from taut.maths.snapshot import Snapshot
 __all__ = ["MOST_ROWS", "HybridMotion", "hybrid_kind", "pressing"]
 
 MOST_ROWS: Final = 12  # of all constraints at once
-FORCES: Final = {"press": (1,), "lam": (MOST_ROWS,), "F_app": (6,)}
+FORCES: Final = {"press": (1,), "lam": (MOST_ROWS,), "F_app": (6,), "given": (1,)}
 
 
 class HybridMotion(Sample):
@@ -26,18 +26,20 @@ class HybridMotion(Sample):
 
     Fields are those of the motion, and the forces, which add up:
         press (1,) [N] into the surface of the first row, lam (12,) the multipliers of eq. 10.40 row by row, and F_app
-        (6,) a wrench [N, N m] of the arm on the environment at the tool, in world axes.
+        (6,) a wrench [N, N m] of the arm on the environment at the tool, in world axes. given (1,) tells how many
+        multipliers were given, 0 where none were.
     """
 
-    __slots__ = ("F_app", "_motion", "lam", "press")
+    __slots__ = ("F_app", "_motion", "given", "lam", "press")
     kind: ClassVar[type[Sample]] = TaskMotion
 
     press: Array
     lam: Array
     F_app: Array
+    given: Array
 
-    def __init__(self, motion: Sample, press: Array, lam: Array, F_app: Array) -> None:
-        self._motion, self.press, self.lam, self.F_app = motion, press, lam, F_app
+    def __init__(self, motion: Sample, press: Array, lam: Array, F_app: Array, given: Array) -> None:
+        self._motion, self.press, self.lam, self.F_app, self.given = motion, press, lam, F_app, given
         for name in self.kind.fields(0):  # where the call path finds them
             setattr(self, name, getattr(motion, name))
 
@@ -56,7 +58,7 @@ class HybridMotion(Sample):
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Self:
-        return cls(cls.kind.of(values), values["press"], values["lam"], values["F_app"])
+        return cls(cls.kind.of(values), *(values[name] for name in FORCES))
 
     @classmethod
     def between(
@@ -69,12 +71,12 @@ class HybridMotion(Sample):
     @classmethod
     def at_rest(cls, x: Snapshot, tool: str | None) -> Self:
         """To stay, and to apply no force."""
-        return cls(cls.kind.at_rest(x, tool), np.zeros(1), np.zeros(MOST_ROWS), np.zeros(6))
+        return cls(cls.kind.at_rest(x, tool), *(np.zeros(shape) for shape in FORCES.values()))
 
     def __repr__(self) -> str:
         if self.F_app.dtype == object:
             return "HybridMotion(<traced>)"
-        given = {name: np.asarray(getattr(self, name)) for name in FORCES}
+        given = {name: np.asarray(getattr(self, name)) for name in FORCES if name != "given"}
         forces = [f"{name}={values.squeeze().tolist()}" for name, values in given.items() if np.any(values)]
         return f"pressing({', '.join([repr(self.motion), *forces])})"
 
@@ -92,20 +94,30 @@ class Pressing:
     """A trajectory of motion, with forces, as one trajectory."""
 
     def __init__(
-        self, motion: Sample | Trajectory, press: float | Callable[[float], float], lam: Array, F_app: Array
+        self,
+        motion: Sample | Trajectory,
+        press: float | Callable[[float], float],
+        lam: Array,
+        F_app: Array,
+        given: Array,
     ) -> None:
-        self._motion, self._press, self._lam, self._F_app = motion, press, lam, F_app
+        self._motion, self._press, self._lam, self._F_app, self._given = motion, press, lam, F_app, given
 
     def at(self, t: float) -> Sample:
         """The sample at time t [s]."""
         motion = self._motion if isinstance(self._motion, Sample) else self._motion.at(t)
         press = _checked_press(self._press(t), t) if callable(self._press) else self._press
-        return hybrid_kind(type(motion))(motion, np.array([press]), self._lam, self._F_app)
+        return hybrid_kind(type(motion))(motion, np.array([press]), self._lam, self._F_app, self._given)
 
     @property
     def motion(self) -> Sample | Trajectory:
         """The motion without the forces."""
         return self._motion
+
+    @property
+    def presses(self) -> bool:
+        """Whether it asks for a press, if only later."""
+        return callable(self._press) or self._press > 0.0
 
     @property
     def rows(self) -> Callable[[Float64Array], Sample] | None:
@@ -118,8 +130,8 @@ class Pressing:
             motion, k = of_motion(times), len(times)
             given = [self._press(float(t)) if callable(self._press) else self._press for t in times]
             press = np.array([_checked_press(value, float(t)) for value, t in zip(given, times, strict=True)])
-            lam, F_app = np.tile(self._lam, (k, 1)), np.tile(self._F_app, (k, 1))
-            return hybrid_kind(type(motion))(motion, press[:, np.newaxis], lam, F_app)
+            others = (np.tile(values, (k, 1)) for values in (self._lam, self._F_app, self._given))
+            return hybrid_kind(type(motion))(motion, press[:, np.newaxis], *others)
 
         return rows
 
@@ -140,8 +152,10 @@ def pressing(
 
     Args:
         motion: Where the tool, or the joints, are to be: a sample, or a trajectory such as `taut.Line`.
-        press: Force into the surface of the first row [N], at least 0; a number, or a function of time [s].
-        lam: (k,) multipliers of eq. 10.40, F_app = A^T lam, in place of press; pressing on a contact they are < 0.
+        press: Force into the surface of the first row [N], at least 0; a number, or a function of time [s]. That row
+            must be one-sided.
+        lam: (k,) multipliers of eq. 10.40, F_app = A^T lam, in place of press, one for each row of the constraint;
+            pressing on a contact they are < 0.
         F_app: (6,) wrench of the arm on the environment [N, N m], at the tool in world axes, in place of press. It
             must lie in the range of A^T.
 
@@ -177,19 +191,20 @@ def pressing(
     ]
     if len(given) > 1:
         raise UsageError(f"pressing takes one of press, lam and F_app; got {' and '.join(given)}", name=given[1])
-    full = np.zeros(MOST_ROWS)
+    full, count = np.zeros(MOST_ROWS), 0
     if lam is not None:
         rows = finite_array("lam", lam, unit="N, N m")
         if rows.ndim != 1 or not 1 <= len(rows) <= MOST_ROWS:
             raise ShapeError(
                 f"lam must be (k,), one for each row of the constraint; got shape {rows.shape}", name="lam"
             )
-        full[: len(rows)] = rows
+        full[: len(rows)], count = rows, len(rows)
     wrench = np.zeros(6) if F_app is None else vector("F_app", F_app, 6, unit="N, N m")
     force = press if callable(press) else _checked_press(press)
     if isinstance(taken, Sample) and not callable(force):
-        return hybrid_kind(type(taken))(taken, read_only([force]), read_only(full), read_only(wrench))
-    return Pressing(taken, force, read_only(full), read_only(wrench))
+        kind = hybrid_kind(type(taken))
+        return kind(taken, read_only([force]), read_only(full), read_only(wrench), read_only([float(count)]))
+    return Pressing(taken, force, read_only(full), read_only(wrench), read_only([float(count)]))
 
 
 def _checked_press(value: object, t: float | None = None) -> float:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 from taut.base import math as tm
 from taut.base.linalg import LTDL, factor_spd
 from taut.base.types import Matrix, Vector
-from taut.maths.constraint_rows import ConstraintRows
+from taut.maths.constraint_rows import DEPENDENT, ConstraintRows
+from taut.maths.snapshot import Snapshot
 
 __all__ = ["Constrained", "force_projector"]
+
+CHAIN: Final = 1e-4  # [1/kg, 1/(kg m^2)] of mobility: less of it is a direction that a chain does not have
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -22,13 +26,13 @@ class Constrained:
 
     rows: ConstraintRows
     Minv_AT: Matrix  # (n, k)
-    mobility: LTDL  # factors of A_q M^-1 A_q^T, which is A Lambda^-1 A^T
+    mobility: LTDL  # factors of A_q M^-1 A_q^T, which is A Lambda^-1 A^T, without rows that depend on later ones
 
     @classmethod
     def of(cls, rows: ConstraintRows, M_factors: LTDL) -> Constrained:
         """That of rows at a state whose mass matrix has these factors."""
         W = M_factors.solve(rows.A_q.T)
-        return cls(rows=rows, Minv_AT=W, mobility=factor_spd(rows.A_q @ W))
+        return cls(rows=rows, Minv_AT=W, mobility=factor_spd(rows.A_q @ W, DEPENDENT))
 
     def against(self, tau: Vector) -> Vector:
         """(n,) the part of torques that pushes against the constraints, (I - P) tau."""
@@ -48,6 +52,20 @@ class Constrained:
     def felt(self, bias: Vector) -> Vector:
         """(k,) the multipliers that a second rate of phi makes, (A Lambda^-1 A^T)^-1 bias."""
         out: Vector = self.mobility.solve(bias)
+        return out
+
+    def brought_along(self, x: Snapshot, tool: str | None, tau: Vector) -> Vector:
+        """(n,) torques with which a tool that is part of a closed chain moves as it would without the other part.
+
+        What moves along with the tool is accelerated by the projection of the tool's own torques only in the measure
+        of their inertias. A tool that the chain does not let move so goes as far as it can, by least squares.
+        """
+        J = x.J(tool)
+        lost = J @ (self.Minv_AT @ self.lam(tau - x.h))
+        JW, Minv_JT = J @ self.Minv_AT, x.M_factors.solve(J.T)
+        mobility = J @ Minv_JT - JW @ self.mobility.solve(JW.T)
+        damped = mobility @ mobility + CHAIN**2 * tm.eye(len(mobility))
+        out: Vector = J.T @ factor_spd(damped).solve(mobility @ lost)
         return out
 
     def lam(self, tau: Vector) -> Vector:

@@ -11,12 +11,13 @@ from typing import Any, Self
 
 import numpy as np
 
+from taut.arm.description import Arm
 from taut.base import math as tm
 from taut.base.errors import UsageError
 from taut.base.pose import Pose
-from taut.base.types import ArrayLike, Float64Array
+from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.maths import constraint_shapes as shapes
-from taut.maths.constraint_function import arguments, of_poses, of_velocity, rows_of, sides
+from taut.maths.constraint_function import arguments, of_moments, of_poses, of_velocity, rows_of, sides
 from taut.maths.constraint_rows import ConstraintRows, OfJoints, OfJointVelocity, OfPoses, OfVelocity, Piece, joined
 from taut.maths.snapshot import Snapshot
 
@@ -41,7 +42,7 @@ class Constraint:
         one_sided: Whether the environment can only push; one for all rows, or one for each.
 
     Raises:
-        UsageError: No function; one that is constant.
+        UsageError: No function; one that is constant, or a condition.
         ShapeError: One that gives something else than a number or up to 6 of them.
 
     Example:
@@ -84,14 +85,31 @@ class Constraint:
         return tuple(side for piece in self.pieces for side in piece.one_sided)
 
     @property
+    def moments(self) -> tuple[bool, ...]:
+        """(k,) whether each row holds rotations only, so that its multiplier is a moment."""
+        return tuple(moment for piece in self.pieces for moment in of_moments(piece))
+
+    @property
     def frame(self) -> tuple[str | None] | None:
-        """The one frame that it is a function of, in a tuple; None where there are several, or joints."""
-        frames = {piece.frames for piece in self.pieces}
-        only = frames.pop() if len(frames) == 1 else ()
-        return (only[0],) if len(only) == 1 else None
+        """The one frame that it is a function of, in a tuple; None where there are several, or joints.
+
+        Parts of the arm's tool, which is not named, and of a named frame count as one: it must be the tool's.
+        """
+        if any(len(piece.frames) != 1 for piece in self.pieces):
+            return None
+        names = {piece.frames[0] for piece in self.pieces}
+        if len(names) > 1:
+            names.discard(None)
+        return (names.pop(),) if len(names) == 1 else None
 
     def at(self, x: Snapshot) -> ConstraintRows:
-        """Its rows at the state, and the time, of a snapshot."""
+        """Its rows at the state, and the time, of a snapshot.
+
+        Raises:
+            UsageError: Parts of the arm's tool beside parts of a named frame, which is another one.
+        """
+        if self.frame not in (None, (None,)) and any(piece.frames == (None,) for piece in self.pieces):
+            self._check_tool(x.arm)
         parts = [piece.at(x) for piece in self.pieces]
         if len(parts) == 1:
             return parts[0]
@@ -106,6 +124,15 @@ class Constraint:
             one_sided=self.one_sided,
         )
 
+    def _check_tool(self, arm: Arm) -> None:
+        assert self.frame is not None
+        if self.frame[0] != arm.tool:
+            raise UsageError(
+                f"a part of the constraint is of the arm's tool, which is '{arm.tool}', and another of "
+                f"'{self.frame[0]}'; say frame='{arm.tool}' where the tool is meant",
+                name="frame",
+            )
+
     def of_pose(self, T: Pose, t: float = 0.0) -> Float64Array:
         """(k,) phi of a pose of the one frame that it is a function of; zero for constraints of velocities.
 
@@ -114,8 +141,11 @@ class Constraint:
         """
         if self.frame is None:
             raise UsageError("a constraint of joints or of several frames has no phi of one pose", name="constraint")
-        rows = [p.phi([T], t) if isinstance(p, OfPoses) else np.zeros(p.count) for p in self.pieces]
-        return np.asarray(np.concatenate(rows), dtype=np.float64)
+        return np.asarray(self.phi_of(T, t), dtype=np.float64)
+
+    def phi_of(self, T: Pose, t: Any) -> Vector:
+        """The same of symbols, for laws."""
+        return joined(p.phi([T], t) if isinstance(p, OfPoses) else np.zeros(p.count) for p in self.pieces)
 
     def of_twist(self, T: Pose, t: float = 0.0) -> tuple[Float64Array, Float64Array]:
         """A (k, 6) per world-aligned twist of the one frame that it is a function of, at a pose; and dphi/dt (k,).
@@ -268,9 +298,9 @@ class Constraint:
         return cls.of([of_poses(shapes.cylinder(point, axis, radius, inside=inside), (frame,), one_sided)])
 
     @classmethod
-    def line(cls, *, point: ArrayLike, direction: ArrayLike, frame: str | None = None) -> Self:
-        """The tool's origin on a straight line, its rotation free: two rows."""
-        return cls.of([of_poses(shapes.line(point, direction), (frame,), False)])
+    def line(cls, *, point: ArrayLike, axis: ArrayLike, frame: str | None = None) -> Self:
+        """The tool's origin on a straight line through a point, along an axis, its rotation free: two rows."""
+        return cls.of([of_poses(shapes.line(point, axis), (frame,), False)])
 
     @classmethod
     def hinge(cls, *, point: ArrayLike, axis: ArrayLike, T: Pose, frame: str | None = None) -> Self:

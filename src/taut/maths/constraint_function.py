@@ -12,11 +12,12 @@ from taut.base import math as tm
 from taut.base.errors import RangeError, ShapeError, TautError, UsageError, raised_location
 from taut.base.pose import Pose
 from taut.base.types import Array, Float64Array, Vector
-from taut.maths.constraint_rows import OfPoses, OfVelocity, each_moved
+from taut.maths.constraint_rows import OfPoses, OfVelocity, Piece, each_moved
 
-__all__ = ["arguments", "of_poses", "of_velocity", "rows_of", "sides"]
+__all__ = ["arguments", "of_moments", "of_poses", "of_velocity", "rows_of", "sides"]
 
 MOST_ROWS: Final = 6  # of one function of poses
+STILL: Final = 1e-9  # of a gradient: below it that is rounding
 SOMEWHERE: Final = (
     Pose([0.4, -0.3, 0.5], rpy=[0.3, -0.4, 0.5]),
     Pose([-0.7, 0.2, 0.9], rpy=[-1.2, 0.6, 2.0]),
@@ -82,6 +83,18 @@ def of_velocity(function: Callable[[Pose], Any], frame: str | None) -> OfVelocit
     return OfVelocity(function=function, frames=(frame,), count=count)
 
 
+def of_moments(piece: Piece) -> list[bool]:
+    """Of each row of a piece, whether it holds rotations only; a row of joints counts as a force."""
+    if not isinstance(piece, (OfPoses, OfVelocity)):
+        return [False] * piece.count
+    m, pulls = len(piece.frames), np.zeros(piece.count, dtype=np.bool_)
+    for k in range(len(SOMEWHERE)):
+        poses = [SOMEWHERE[(k + i) % len(SOMEWHERE)] for i in range(m)]
+        A = np.nan_to_num(np.asarray(piece.slope(poses, 0.3), dtype=np.float64), nan=1.0)
+        pulls |= np.any(np.abs(A.reshape(piece.count, m, 6)[:, :, :3]) > STILL, axis=(1, 2))
+    return [not pull for pull in pulls]
+
+
 def rows_of(rows: object) -> int:
     """A number of rows.
 
@@ -115,11 +128,18 @@ def _result(function: Callable[..., Any], arguments: Sequence[Any]) -> Any:
             name="function",
         ) from cause
     try:
-        np.asarray(value, dtype=np.float64)
+        given = np.asarray(value)
+        np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError):
         raise ShapeError(
             f"a constraint function must give a number or (k,) numbers; got {type(value).__name__}", name="function"
         ) from None
+    if given.dtype == np.bool_:
+        raise UsageError(
+            "a constraint function must give phi, a number that is zero on the constraint, and this one is a "
+            "condition, True or False: for T.p[2] > 0.4 write lambda T: T.p[2] - 0.4, and one_sided=True",
+            name="function",
+        )
     return value
 
 

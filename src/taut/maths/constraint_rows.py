@@ -4,18 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 
 from taut.base import math as tm
 from taut.base.errors import ShapeError
+from taut.base.linalg import LTDL, factor_spd
 from taut.base.pose import Pose
 from taut.base.types import Array, Matrix, Twist, Vector
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import moved
 
-__all__ = ["ConstraintRows", "OfJointVelocity", "OfJoints", "OfPoses", "OfVelocity", "Piece", "each_moved", "joined"]
+__all__ = [
+    "DEPENDENT",
+    "ConstraintRows",
+    "OfJointVelocity",
+    "OfJoints",
+    "OfPoses",
+    "OfVelocity",
+    "Piece",
+    "each_moved",
+    "joined",
+]
+
+
+DEPENDENT: Final = 1e-7  # of a row's square, what it has that later rows have not: below it, it is left out
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,6 +48,12 @@ class ConstraintRows:
     def count(self) -> int:
         """Number of rows."""
         return len(self.one_sided)
+
+    @property
+    def factors(self) -> LTDL:
+        """Of A A^T, without rows that depend on later ones."""
+        assert self.A is not None
+        return factor_spd(self.A @ self.A.T, DEPENDENT)
 
     @property
     def rate(self) -> Callable[[Vector], Vector]:
@@ -88,7 +108,7 @@ class OfPoses:
     def at(self, x: Snapshot) -> ConstraintRows:
         """Its rows at a state."""
         poses, t, m = [x.T(frame) for frame in self.frames], x.t, len(self.frames)
-        A = self._A(poses, t)
+        A = self.slope(poses, t)
         twists = tm.array([entry for frame in self.frames for entry in x.twist(frame)])
 
         def along(times: Array) -> Vector:
@@ -113,7 +133,8 @@ class OfPoses:
             one_sided=self.one_sided,
         )
 
-    def _A(self, poses: Sequence[Pose], t: Any) -> Matrix:
+    def slope(self, poses: Sequence[Pose], t: Any) -> Matrix:
+        """(k, 6 m) A of the twists of all frames."""
         zero = np.zeros(6 * len(self.frames))
         out: Matrix = tm.jacobian(lambda step: self.phi(each_moved(poses, step), t), zero)
         return out
@@ -126,7 +147,7 @@ class OfPoses:
 
     def of_twist(self, T: Pose, t: Any) -> tuple[Matrix, Vector]:
         """A and dphi/dt at a pose of its one frame."""
-        return self._A([T], t), self._phi_t([T], t)
+        return self.slope([T], t), self._phi_t([T], t)
 
 
 def each_moved(poses: Sequence[Pose], steps: Array) -> list[Pose]:
@@ -220,6 +241,10 @@ class OfVelocity:
                 name="function",
             )
         return out
+
+    def slope(self, poses: Sequence[Pose], t: Any) -> Matrix:  # noqa: ARG002
+        """(k, 6) A of the one frame."""
+        return self._A(*poses)
 
     def of_twist(self, T: Pose, t: Any) -> tuple[Matrix, Vector]:  # noqa: ARG002
         return self._A(T), np.zeros(self.count)

@@ -71,10 +71,10 @@ def cylinder(point: ArrayLike, axis: ArrayLike, radius: float, *, inside: bool) 
     return phi
 
 
-def line(point: ArrayLike, direction: ArrayLike) -> Callable[[Pose], Array]:
+def line(point: ArrayLike, axis: ArrayLike) -> Callable[[Pose], Array]:
     """The way from a straight line, in two directions across it."""
     c = _three("point", point, "m")
-    e1, e2 = _across(unit("direction", direction))
+    e1, e2 = _across(unit("axis", axis))
     return lambda T: tm.array([e1 @ (T.p - c), e2 @ (T.p - c)])
 
 

@@ -28,11 +28,17 @@ class Touch:
     one_sided: bool
     beside: tuple[int, ...] = ()  # rows that hold both ways as long as it touches, such as the tilts of a face
     tangents: tuple[int, ...] = ()  # two rows in which it rubs, or none
+    spin: int | None = None  # row in which it rubs as it turns about its normal, if any
 
     @property
     def held(self) -> tuple[int, ...]:
         """The rows without friction."""
         return (self.normal, *self.beside)
+
+    @property
+    def rubs(self) -> tuple[int, ...]:
+        """The rows with friction."""
+        return self.tangents if self.spin is None else (*self.tangents, self.spin)
 
 
 def contact_impulses(
@@ -43,6 +49,7 @@ def contact_impulses(
     there: Sequence[Any],
     guess: Sequence[Any],
     *,
+    radius: Sequence[Any] | None = None,
     sweeps: int = SWEEPS,
 ) -> Vector:
     """Impulses p of contacts, from the velocities r that their rows would have without any.
@@ -52,10 +59,10 @@ def contact_impulses(
         u_n = 0, or of a one-sided one   u_n >= 0,  p_n >= 0,  u_n p_n = 0
         u_t = 0 and |p_t| <= mu |p_n|,   or   p_t = -mu |p_n| u_t / |u_t|
 
-    the last with a round cone. The contacts take turns, in a fixed number of sweeps so that it is straight-line code,
-    from a guess: each finds whether it sticks, from the impulses that would stop it, else roughly where it slides.
-    Newton's method then solves for all of them together, as they touch, stick and slide: three steps, of which one
-    that does not help is not taken.
+    the last with a round cone; of its spin |p_s| <= radius mu |p_n| in the same way. The contacts take turns, in a
+    fixed number of sweeps so that it is straight-line code, from a guess: each finds whether it sticks, from the
+    impulses that would stop it, else roughly where it slides. Newton's method then solves for all of them together,
+    as they touch, stick and slide: three steps, of which one that does not help is not taken.
 
     Args:
         W: (m, m) velocities per impulse, B M^-1 B^T.
@@ -64,6 +71,7 @@ def contact_impulses(
         mu: The friction of each contact, with respect to its impulse p_n; not used for those without tangents.
         there: Whether each contact may act at all.
         guess: (m,) impulses to start from, where there are several contacts.
+        radius: Of each contact, of its moment about the normal over its friction; of those with a row of spin.
         sweeps: Number of sweeps.
 
     References:
@@ -71,7 +79,7 @@ def contact_impulses(
         Computer Methods in Applied Mechanics and Engineering 92 (1991).
     """
     blocks = [_Block.of(W, touch) for touch in touches]
-    alone = len(blocks) == 1
+    alone, reach = len(blocks) == 1, [0.0] * len(blocks) if radius is None else radius
     p = [0.0] * len(r) if alone else list(guess)
     for _ in range(1 if alone else sweeps):
         for c, block in enumerate(blocks):
@@ -79,12 +87,14 @@ def contact_impulses(
             others = [j for j in range(len(r)) if j not in own]
             free = {i: _sum(r[i], ((W[i, j], p[j]) for j in others)) for i in block.rows}
             block.solve(free, p, mu[c], there[c])
+            if touches[c].spin is not None:
+                _turn(W, r, touches[c], p, mu[c] * reach[c])
     if alone and not touches[0].tangents:
         return tm.array(p)
-    modes, miss = _modes(W, r, touches, mu, there, p)
+    modes, miss = _modes(W, r, touches, mu, reach, there, p)
     for _ in range(STEPS):
         new = _newton(W, r, touches, modes)
-        new_modes, left = _modes(W, r, touches, mu, there, new)
+        new_modes, left = _modes(W, r, touches, mu, reach, there, new)
         better = left < miss
         p = [choose(better, a, b) for a, b in zip(new, p, strict=True)]
         modes = [now.instead(old, better) for now, old in zip(new_modes, modes, strict=True)]
@@ -197,6 +207,15 @@ def _sliding(W: Matrix, z: Sequence[Any], c: Any, speed: Any) -> tuple[tuple[Any
     return (d[0] * size, d[1] * size), s
 
 
+def _turn(W: Matrix, r: Vector, touch: Touch, p: list[Any], most: Any) -> None:
+    """Write the impulse that stops a contact's spin, as far as its friction can."""
+    s = touch.spin
+    assert s is not None
+    size = tm.abs(most * p[touch.normal])
+    turns = _sum(r[s], ((W[s, j], p[j]) for j in range(len(r)) if j != s))
+    p[s] = tm.clip(-turns / _firm_entry(W, s), -size, size)
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Mode:
     """How a contact behaves at some impulses, and what Newton's method needs of it.
@@ -211,27 +230,39 @@ class _Mode:
     share: Any = 0.0
     step: Any = 0.0  # impulse per velocity
     mu: Any = 0.0  # with the sign of the normal impulse
+    spins: Any = False  # whether it turns about its normal
+    moment: Any = 0.0  # then its impulse of spin over the normal one
 
     def instead(self, other: _Mode, holds: Any) -> _Mode:
         """This one where the condition holds, else the other."""
-        on, sticks = (
-            opposite(both(opposite(both(holds, a)), opposite(both(opposite(holds), b))))
-            for a, b in ((self.on, other.on), (self.sticks, other.sticks))
-        )
+        flags = {
+            name: opposite(both(opposite(both(holds, a)), opposite(both(opposite(holds), b))))
+            for name in ("on", "sticks", "spins")
+            for a, b in [(getattr(self, name), getattr(other, name))]
+        }
         d = [choose(holds, a, b) for a, b in zip(self.d, other.d, strict=True)]
-        numbers = {name: choose(holds, getattr(self, name), getattr(other, name)) for name in ("share", "step", "mu")}
-        return _Mode(on=on, sticks=sticks, d=(d[0], d[1]), **numbers)
+        numbers = {
+            name: choose(holds, getattr(self, name), getattr(other, name))
+            for name in ("share", "step", "mu", "moment")
+        }
+        return _Mode(d=(d[0], d[1]), **flags, **numbers)
 
 
 def _modes(
-    W: Matrix, r: Vector, touches: Sequence[Touch], mu: Sequence[Any], there: Sequence[Any], p: Sequence[Any]
+    W: Matrix,
+    r: Vector,
+    touches: Sequence[Touch],
+    mu: Sequence[Any],
+    radius: Sequence[Any],
+    there: Sequence[Any],
+    p: Sequence[Any],
 ) -> tuple[list[_Mode], Any]:
     """The mode of each contact at some impulses, and by how much, squared, these miss the laws."""
     m = len(r)
     u = [_sum(r[i], ((W[i, j], p[j]) for j in range(m))) for i in range(m)]
     out: list[_Mode] = []
     miss: Any = 0.0
-    for touch, friction, may in zip(touches, mu, there, strict=True):
+    for touch, friction, far, may in zip(touches, mu, radius, there, strict=True):
         n, on, signed = touch.normal, may, friction
         if touch.one_sided:
             push = p[n] - u[n] / W[n, n]
@@ -244,13 +275,22 @@ def _modes(
         if touch.tangents:
             if not touch.one_sided:
                 signed = choose(p[n] < 0.0, -friction, friction)
-            step = 2.0 / _sum(NOTHING, ((W[i, i], 1.0) for i in touch.tangents))
+            step = 2.0 / _sum(0.0, ((_firm_entry(W, i), 1.0) for i in touch.tangents))
             z = [p[i] - step * u[i] for i in touch.tangents]
             size = tm.sqrt(z[0] * z[0] + z[1] * z[1] + NOTHING)
             share = tm.maximum(signed * p[n], 0.0) / size
             sticks = both(on, share >= 1.0)
             missed += [p[i] - choose(on, tm.minimum(share, 1.0) * z[k], 0.0) for k, i in enumerate(touch.tangents)]
-            mode = _Mode(on=on, sticks=sticks, d=(z[0] / size, z[1] / size), share=share, step=step, mu=signed)
+            spins, moment = False, 0.0
+            if touch.spin is not None:
+                turn, most = p[touch.spin] - u[touch.spin] / _firm_entry(W, touch.spin), far * signed * p[n]
+                spins = both(on, tm.abs(turn) > most)
+                moment = choose(turn < 0.0, -far * signed, far * signed)
+                missed.append(p[touch.spin] - choose(on, choose(spins, moment * p[n], turn), 0.0))
+            mode = _Mode(
+                on=on, sticks=sticks, d=(z[0] / size, z[1] / size), share=share, step=step, mu=signed, spins=spins,
+                moment=moment,
+            )  # fmt: skip
         out.append(mode)
         miss = _sum(miss, ((part, part) for part in missed))
     return out, miss
@@ -264,7 +304,7 @@ def _newton(W: Matrix, r: Vector, touches: Sequence[Touch], modes: Sequence[_Mod
 
     def stopped(i: int, holds: Any) -> None:
         for j in range(m):
-            A[i][j] = choose(holds, W[i, j] * (1.0 + SLACK) if i == j else W[i, j], 1.0 if i == j else 0.0)
+            A[i][j] = choose(holds, _firm_entry(W, i) if i == j else W[i, j], 1.0 if i == j else 0.0)
         rhs[i] = choose(holds, -r[i], 0.0)
 
     for touch, now in zip(touches, modes, strict=True):
@@ -285,6 +325,10 @@ def _newton(W: Matrix, r: Vector, touches: Sequence[Touch], modes: Sequence[_Mod
                 A[i][j] = choose(slides, entry, A[i][j])
             lost = _sum(0.0, ((pull * across[e], r[t]) for e, t in enumerate(touch.tangents)))
             rhs[i] = choose(slides, -lost, rhs[i])
+        if touch.spin is not None:
+            i = touch.spin
+            stopped(i, both(now.on, opposite(now.spins)))
+            A[i][touch.normal] = choose(now.spins, -now.moment, A[i][touch.normal])
     return list(tm.solve(tm.array(A), tm.array(rhs)))
 
 
@@ -301,6 +345,12 @@ def _firm(W: Matrix) -> Matrix:
     for i in range(len(W)):
         W[i, i] = W[i, i] + SLACK * mean
     return W
+
+
+def _firm_entry(W: Matrix, i: int) -> Any:
+    """An entry of its diagonal with a little more, also where no joint moves the row."""
+    mean = _sum(0.0, ((W[j, j], 1.0 / len(W)) for j in range(len(W))))
+    return W[i, i] + SLACK * mean
 
 
 def _sum(start: Any, products: Any) -> Any:

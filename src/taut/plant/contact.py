@@ -37,7 +37,8 @@ class RigidContact:
         M a + h + A_q^T lam = tau + friction,   A_q a + bias = 0                                   eqs. 10.40 to 10.42
         one-sided rows: phi >= 0, lam <= 0, phi lam = 0; the contact pushes and does not pull
         friction in the two directions across the gradient at the contact's point, a round cone: it holds the point,
-        |f| <= friction |F_n|, or it brakes its sliding with f = -friction |F_n| v / |v|
+        |f| <= friction |F_n|, or it brakes its sliding with f = -friction |F_n| v / |v|; a face, with torsion, has a
+        moment about the gradient too: |m| <= torsion friction |F_n|, against its turning
         impact: where the gap closes at a speed u, friction times the impulse acting too, it opens at restitution u;
         rebounds whose flight would be shorter than two steps do not take place
 
@@ -61,6 +62,8 @@ class RigidContact:
         friction: Coulomb's mu, of contacts at a point: each function of it is a number that depends on where the
             origin of a frame is, and not on how it is turned, such as a plane, a sphere, a cylinder. None for none.
             The surface rests across its gradient, however it moves along it.
+        torsion: Radius of the moment that resists turning about the gradient, for contacts with friction [m]: 2/3 of
+            that of a round pad. None for none.
         restitution: Speed after an impact over that before, from 0 to 1. None for 0.
 
     Raises:
@@ -82,11 +85,13 @@ class RigidContact:
     title: ClassVar[str] = "contact"
     quantities: ClassVar[Mapping[str, Quantity]] = {
         "friction": Quantity(unit="1", rule=">= 0"),
+        "torsion": Quantity(unit="m", rule=">= 0"),
         "restitution": Quantity(unit="1", rule=">= 0"),
     }
 
     constraint: Constraint
     friction: ArrayLike | None = None
+    torsion: ArrayLike | None = None  # [m]
     restitution: ArrayLike | None = None
 
     def __post_init__(self) -> None:
@@ -100,6 +105,12 @@ class RigidContact:
             value = getattr(self, name)
             if value is not None and np.ndim(value):
                 raise ShapeError(f"contact.{name} must be one number; got shape {np.shape(value)}", name=name)
+        if self.torsion is not None and self.friction is None:
+            raise UsageError(
+                "contact.torsion is the radius of a moment of friction, and this contact has none; give friction= "
+                "too, or leave it out",
+                name="torsion",
+            )
         if self.restitution is None:
             return
         if float(np.asarray(self.restitution)) > 1.0:
@@ -194,12 +205,13 @@ class Contacts:
                 both = tuple(i for i in rows if i not in sides)
                 rubs = part.friction is not None
                 tangents = (tangent, tangent + 1) if rubs else ()
-                tangent += len(tangents)
+                spin = None if part.torsion is None else tangent + 2
+                tangent += len(tangents) + (spin is not None)
                 if rubs and not sides:  # a surface that holds both ways, with friction
-                    touch: tuple[Touch, ...] = (Touch(normal=rows[0], one_sided=False, tangents=tangents),)
+                    touch: tuple[Touch, ...] = (Touch(normal=rows[0], one_sided=False, tangents=tangents, spin=spin),)
                     fixed: tuple[int, ...] = ()
                 elif sides:
-                    first_side = Touch(normal=sides[0], one_sided=True, beside=both, tangents=tangents)
+                    first_side = Touch(normal=sides[0], one_sided=True, beside=both, tangents=tangents, spin=spin)
                     touch = (first_side, *(Touch(normal=i, one_sided=True) for i in sides[1:]))
                     fixed = ()
                 else:
@@ -225,7 +237,7 @@ class Contacts:
     @cached_property
     def size(self) -> int:
         """Rows with those of friction."""
-        return self.count + 2 * len(self.rubbing)
+        return self.count + sum(len(touch.rubs) for _, touch in self.rubbing)
 
     def of_touch(self) -> Iterator[tuple[int, Touch]]:
         """The contact that each touch is of."""

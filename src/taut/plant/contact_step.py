@@ -77,6 +77,8 @@ class _Here:
                 J, falling = x.J(frame), x.Jdot_v(frame)
                 for e, i in zip(across, touch.tangents, strict=True):
                     B[i], bias[i] = e @ J[:3], e @ falling[:3]
+                if touch.spin is not None:
+                    B[touch.spin], bias[touch.spin] = (gradient / size) @ J[3:], (gradient / size) @ falling[3:]
                 if felt:
                     arms[len(scale)] = np.zeros(3) if away is None else away
                 scale.append(size)
@@ -144,7 +146,7 @@ def contact_step(
     W = here.B @ sol
     gain = here.B @ (v_free - v) + dt * here.bias
     for _, touch in contacts.rubbing:
-        for i in touch.tangents:
+        for i in touch.rubs:
             gain[i] = here.B[i] @ v_free + dt * here.bias[i]
     p = solver.impulses(W, gain, here.scale, [on[touch.normal] for touch in touches], guess, rub=True)
     # Positions with phi = 0, by impulses at the beginning.
@@ -186,7 +188,7 @@ def contact_step(
     # What is told of it. A gap that closes in the step shows its impulse.
     closes = [both(opposite(on[i]), acts[i]) for i in range(k)]
     for _, touch in contacts.rubbing:
-        closes += [closes[touch.normal]] * 2
+        closes += [closes[touch.normal]] * len(touch.rubs)
     shown = tm.array([choose(c, total[i], p[i]) / dt for i, c in enumerate(closes)])
     after: dict[str, Any] = {
         "lam": -shown[:k],
@@ -273,13 +275,15 @@ class _Solver:
             solved: Vector = -tm.solve_spd(W, r)
             return solved
         mu: list[Any] = [0.0] * len(touches)
+        radius: list[Any] = [0.0] * len(touches)
         free: list[int] = []
         rows: list[Touch] = []
         rubbing = iter(scale)
         for n, (c, touch) in enumerate(self.contacts.of_touch()):
             if rub and touch.tangents:
                 mu[n] = self.contacts.value(c, "friction", self.parameters) * next(rubbing)
-            own = [*touch.held, *(touch.tangents if rub else ())]
+                radius[n] = self.contacts.value(c, "torsion", self.parameters)
+            own = [*touch.held, *(touch.rubs if rub else ())]
             at = {i: len(free) + j for j, i in enumerate(own)}
             free += own
             rows.append(
@@ -288,6 +292,7 @@ class _Solver:
                     one_sided=touch.one_sided,
                     beside=tuple(at[i] for i in touch.beside),
                     tangents=tuple(at[i] for i in touch.tangents) if rub else (),
+                    spin=at[touch.spin] if rub and touch.spin is not None else None,
                 )
             )
         W_c, r_c = _part(W, free, free), tm.array([r[i] for i in free])
@@ -297,7 +302,7 @@ class _Solver:
             r_f = tm.array([r[i] for i in fixed])
             W_c, r_c = W_c - across.T @ taken, r_c - taken.T @ r_f
         start, sweeps = [guess[i] for i in free], (self.sweeps + 1) // 2  # exact steps take the place of the others
-        p_c = contact_impulses(W_c, r_c, rows, mu, there, start, sweeps=sweeps)
+        p_c = contact_impulses(W_c, r_c, rows, mu, there, start, radius=radius, sweeps=sweeps)
         out: list[Any] = [0.0] * len(r)
         for i, value in zip(free, p_c, strict=True):
             out[i] = value
@@ -316,6 +321,9 @@ def _wrench(contacts: Contacts, here: _Here, force: Vector) -> Array:
         if n in here.arms:
             f = here.tangents[n].T @ tm.array([force[i] for i in touch.tangents])
             F = F + tm.array([*f, *tm.cross(here.arms[n], f)])
+            if touch.spin is not None:  # about the normal
+                n_hat = tm.cross(here.tangents[n][0], here.tangents[n][1])
+                F = F + tm.array([0.0, 0.0, 0.0, *(n_hat * force[touch.spin])])
     return F  # type: ignore[no-any-return]
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["compare"]
+__all__ = ["compare", "draw_bars", "draw_norms", "error_norms"]
 
 BARS: Final = ("rms_error", "peak_error", "effort", "chatter")
 TASK_BARS: Final = ("task_rms", "task_rms_rotation", "effort", "chatter")
@@ -61,7 +61,7 @@ def compare(
     from matplotlib.lines import Line2D
 
     measures = _check(runs, measures, joint)
-    errors = {name: _errors(run) for name, run in runs.items()}
+    errors = {name: error_norms(run) for name, run in runs.items()}
     heads = list(dict.fromkeys(head for parts in errors.values() for head in parts)) if joint is None else [("", "")]
     within = {name: run if window is None else run.between(*window) for name, run in runs.items()}
     bars = {measure: _by_unit(within, measure, joint) for measure in measures}
@@ -81,7 +81,7 @@ def compare(
     for ax, (words, unit) in zip(norms, heads, strict=True) if joint is None else ():
         shown = "norm of the tracking error" if len(heads) == 1 and words.endswith(f"joints in {unit}") else words
         shown_errors = [parts.get((words, unit)) for parts in errors.values()]
-        _norms(runs, shown_errors, prepared(ax, shown, f"[{unit}]"))
+        draw_norms(runs, shown_errors, prepared(ax, shown, f"[{unit}]"))
     promised = joint is None and _promised(runs, norms[0])
     norms[-1].set_xlabel("t [s]", fontsize=SMALL, color=INK)
     names = [
@@ -99,7 +99,7 @@ def compare(
         for i, ax in enumerate(column):
             ax.set_visible(i < len(values))
         for ax, (unit, numbers) in zip(column, values.items(), strict=False):
-            _bars(prepared(ax, f"{MEASURES[measure].title} [{unit}]"), numbers)
+            draw_bars(prepared(ax, f"{MEASURES[measure].title} [{unit}]"), numbers)
     for row in grid:
         first = next(ax for ax in row if ax.get_visible())
         first.set_yticks(first.get_yticks(), labels)
@@ -141,7 +141,7 @@ def _check(runs: Mapping[str, Run], measures: Sequence[str] | None, joint: str |
 Head = tuple[str, str]  # title and unit of an error
 
 
-def _errors(run: Run) -> dict[Head, Float64Array]:
+def error_norms(run: Run) -> dict[Head, Float64Array]:
     """(k,) norms of a run's errors."""
     wrench = force_error(run)
     if wrench is not None:
@@ -194,7 +194,8 @@ def _one_joint(runs: Mapping[str, Run], joint: str, above: Axes, below: Axes) ->
         ax.margins(x=0.01)
 
 
-def _norms(runs: Mapping[str, Run], norms: Sequence[Float64Array | None], ax: Axes) -> None:
+def draw_norms(runs: Mapping[str, Run], norms: Sequence[Float64Array | None], ax: Axes) -> None:
+    """Norms of an error over time, one line for each run that has it."""
     sizes = []
     for i, (run, norm) in enumerate(zip(runs.values(), norms, strict=True)):
         if norm is not None:
@@ -218,7 +219,7 @@ def _promised(runs: Mapping[str, Run], ax: Axes) -> bool:
     return any(x is not None for _, x in found)
 
 
-def _bars(ax: Axes, values: Sequence[float]) -> None:
+def draw_bars(ax: Axes, values: Sequence[float]) -> None:
     """One metric of each run, as a bar with its number."""
     finite = [value if math.isfinite(value) else 0.0 for value in values]
     places = np.arange(len(values))[::-1]

@@ -193,8 +193,9 @@ class Metrics:
         force_error_peak: [N] the largest of that error.
         moment_error_rms: [N m] the same of the moment at the tool's origin.
         moment_error_peak: [N m]
-        press_rms: [N] root of the mean square of the error of the force into a surface: `press` less what the
-            contacts give along their true normals, which a MujocoPlant with a scene tells.
+        press_rms: [N] root of the mean square of the error of the force into a surface: `press`, or the part of F_app
+            along the true normals, less what the contacts give along these, which a MujocoPlant with a scene tells;
+            NaN where the force was asked for as `lam`.
         press_peak: [N] its largest.
         largest_press: [N] the largest force along the true normals, such as of an impact.
         surface_rms: [m] root of the mean square of the tool's position error across the true normal, in contact.

@@ -14,7 +14,7 @@ from taut.record.task import TOOL
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = ["estimated_normal", "pressed_measures", "true_normal"]
+__all__ = ["estimated_normal", "pressed_measures", "true_normal", "wanted_press"]
 
 PRESSED: Final = "contact.normal_force"  # column of a run
 ESTIMATED: Final = "estimate.normal"  # end of the name of a column
@@ -33,6 +33,24 @@ def true_normal(run: Run) -> tuple[Float64Array, Float64Array] | None:
     return N, force / np.where(N > TOUCHES, N, np.inf)[:, np.newaxis]
 
 
+def wanted_press(reference: HybridMotion, n: Float64Array) -> Float64Array | None:
+    """(k,) the force into the surface that was asked for [N]: press, and what of F_app is against the normal.
+
+    None where multipliers were asked for, for a run does not have the rows that they belong to.
+
+    Args:
+        reference: Of k ticks.
+        n: (k, 3) the normal, zero where nothing touches: there that of the tick before counts, or of the first.
+    """
+    if np.any(reference.lam):
+        return None
+    touching = np.linalg.norm(n, axis=1) > 0.0
+    nearest = np.maximum.accumulate(np.where(touching, np.arange(len(n)), int(np.argmax(touching))))
+    press = np.asarray(reference.press, dtype=np.float64)[:, 0]
+    wanted: Float64Array = press - np.sum(np.asarray(reference.F_app)[:, :3] * n[nearest], axis=1)
+    return wanted
+
+
 def estimated_normal(run: Run) -> Float64Array | None:
     """(k, 3) what the law took for the normal, where it estimates one; NaN where no phase that does acts."""
     taken = [np.asarray(column) for name, column in run.extra.items() if name.endswith(ESTIMATED)]
@@ -49,8 +67,10 @@ def pressed_measures(run: Run) -> dict[str, float]:
     out = {"largest_press": float(N.max())}
     if not isinstance(run.reference, HybridMotion) or not touching.any():
         return out
-    error = np.asarray(run.reference.press)[:, 0] - N
-    out |= {"press_rms": float(np.sqrt(np.mean(error**2))), "press_peak": float(np.abs(error).max())}
+    wanted = wanted_press(run.reference, n)
+    if wanted is not None:
+        error = wanted - N
+        out |= {"press_rms": float(np.sqrt(np.mean(error**2))), "press_peak": float(np.abs(error).max())}
     off = run.task.position_error if TOOL in run.info else None
     if off is not None:
         across = off - np.sum(off * n, axis=1)[:, np.newaxis] * n

@@ -98,12 +98,18 @@ class FusedRun:
     def _compiled(self, memory: Mapping[str, Any], row: Float64Array) -> NativeLoop | FloatLoop:
         """The loop's code; plain Python where a sensor fails at once: that is no state to compare engines at."""
         loop = self._loop
-        if loop in _COMPILED:
-            return _COMPILED[loop]
+        made = _COMPILED.get(loop)
+        if made is not None:
+            if isinstance(made, NativeLoop):
+                made.expect(loop.ticks)
+            return made
         sound = self._sound(memory, row)
-        kind = NativeLoop if loop.engine == "native" and sound else FloatLoop
-        blocks = self._inputs, self._parameters, self._memory
-        made = kind(loop.step, loop.substep, loop.plant.substeps - 1, *blocks, (row, self._values, self._state))
+        functions = loop.step, loop.substep, loop.plant.substeps - 1
+        blocks, example = (self._inputs, self._parameters, self._memory), (row, self._values, self._state)
+        if loop.engine == "native" and sound:
+            made = NativeLoop(*functions, *blocks, example, loop.ticks)
+        else:
+            made = FloatLoop(*functions, *blocks, example)
         if sound:
             _COMPILED[loop] = made
         return made

@@ -73,7 +73,7 @@ class HostedRun:
                     raise unknown_name("the run", "parameter", path, [*side.parameters, *plant.parameters])
             plant.check_together(values)
         self._before = dict(plant.parameters)  # events last as long as the run
-        self._kernel = ctrl.recording_kernel(sensed_of(side, plant))
+        self._kernel = ctrl.recording_kernel(sensed_of(side, plant), ticks)
         plant.reset(q, v, side.dt, info["seed"])
         n = side.arm.n
         shapes: dict[str, tuple[int, ...]] = {"q": (n,), "v": (n,), "tau": (n,)}

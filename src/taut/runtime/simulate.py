@@ -17,6 +17,7 @@ from taut.control.reference import Hold, Reference, as_reference
 from taut.controller import Controller, compile
 from taut.loop import Loop, ModelPlant, check_fit, require_no_reference, state_at_start
 from taut.record.progress import Progress
+from taut.record.report_page import VERSIONS, stated, versions
 from taut.record.run import Run
 from taut.runtime.around_info import around_info
 from taut.runtime.events import Event, sorted_events
@@ -95,6 +96,9 @@ def run(
         "arm": ctrl.side.arm.name,
         "plant": target.name,
         "events": [event.json() for _, event in due],
+        "sensing": stated(ctrl.side.sensing),
+        "command_limits": "none" if ctrl.side.limits is None else stated(ctrl.side.limits),
+        VERSIONS: dict(versions()),
         **tool_info(law, ctrl.side, q, ctrl.parameters),
         **around_info(target, q, length),
     }

@@ -154,7 +154,10 @@ class Tape:
         for path, text in self._side.notices.items():
             told = self.outputs[path][:ticks] != 0.0
             if self._phases:
-                told &= self._acting(path, 0, ticks)
+                told[~self._acting(path, 0, ticks)] = False
+            if told.ndim > 1:
+                text += f" (index {', '.join(str(i) for i in np.flatnonzero(told.any(axis=0)))})"
+                told = told.any(axis=1)
             at = np.flatnonzero(told)
             if len(at):
                 said += f"; {text} in {len(at)} of {ticks} ticks, first at t = {self.inputs['t'][at[0]]:.6g} s"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from taut.base.errors import RangeError
 from taut.base.types import Float64Array
-from taut.study.loop_map import Derivative, LoopMap, Point, require_finite
+from taut.study.loop_map import Derivative, LoopMap, Point, finite_derivative
 
 __all__ = ["Flags", "Rest", "moving_states", "resting", "telling"]
 
@@ -68,9 +68,8 @@ def resting(map_: LoopMap, start: Point, within: float) -> Rest:
     memory, coordinates = start.memory, map_.state_coordinates
     joints = coordinates.places["plant.q"]
     step = np.full(len(coordinates), np.inf)
-    at, found = start, map_.derivative(start)
+    at, found = start, finite_derivative(map_, start)
     for _ in range(MOST):
-        require_finite(found, coordinates.names)
         solved = telling(found.A, found.C) & ~_standing(found)
         scale = 1.0 + np.abs(coordinates.read(memory, memory[np.newaxis])[0])
         wrong = np.abs(found.residual) / scale
@@ -85,7 +84,7 @@ def resting(map_: LoopMap, start: Point, within: float) -> Rest:
         # What has no effect, and no Newton, just follows.
         memory = coordinates.moved(np.where(_expanded(map_, solved), memory, found.memory), step)
         at = Point(inputs=start.inputs, parameters=start.parameters, memory=memory)
-        found = map_.derivative(at)
+        found = finite_derivative(map_, at)
     raise _never(map_, start, at, found)
 
 

@@ -55,9 +55,14 @@ def _plane_of_s(ax: Axes, lin: LinearLoop) -> None:
         line = colour(i) if i is not None and i < MOST else INK
         ax.plot([mode.s.real] * 2, [mode.s.imag, -mode.s.imag], "x", color=line, markersize=5.0)
     ax.axvline(0.0, color=INK, linewidth=0.8)
-    slow = min((mode.omega_n for mode in lin.modes if mode.omega_n > 0.0), default=1.0)
-    ax.set_xscale("symlog", linthresh=10.0 ** np.ceil(np.log10(slow)))
-    ax.set_yscale("symlog", linthresh=10.0 ** np.ceil(np.log10(slow)))
+    s = np.array([mode.s for mode in lin.modes])
+    slow = float(np.abs(s[s != 0.0]).min(initial=1.0))
+    knee = 10.0 ** np.ceil(np.log10(slow))  # between the two logarithmic halves
+    ax.set_xscale("symlog", linthresh=knee)
+    ax.set_yscale("symlog", linthresh=knee)
+    ax.set_xlim(1.6 * min(float(s.real.min(initial=0.0)), -knee), max(1.6 * float(s.real.max(initial=0.0)), knee))
+    high = 1.6 * max(float(np.abs(s.imag).max(initial=0.0)), knee)
+    ax.set_ylim(-high, high)
 
 
 def _sensitivities(ax: Axes, lin: LinearLoop, omega: Float64Array) -> None:

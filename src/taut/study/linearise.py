@@ -18,7 +18,7 @@ from taut.record.run import Run
 from taut.runtime.fused import FusedRun
 from taut.study.equilibrium import Rest, moving_states, resting, telling
 from taut.study.linear_loop import LinearLoop
-from taut.study.loop_map import Derivative, LoopMap, Point, loop_map, require_finite
+from taut.study.loop_map import Derivative, LoopMap, Point, finite_derivative, loop_map
 from taut.study.sides import sides_of, smooth
 
 __all__ = ["linearise", "rest_of"]
@@ -168,8 +168,7 @@ def _along(loop: Loop, map_: LoopMap, run: Run, times: ArrayLike) -> tuple[Linea
                     name="along",
                     joint=loop.side.arm.joint_names[i],
                 )
-            found = map_.derivative(point)
-            require_finite(found, map_.state_coordinates.names)
+            found = finite_derivative(map_, point)
             q = map_.memory.views(memory)["plant.q"]
             models[k] = _model(map_, point, found, start=q, t=float(run.t[k]))
         memory = map_.after(point, memory[np.newaxis])[0]

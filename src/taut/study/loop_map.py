@@ -23,11 +23,21 @@ from taut.maths.spatial import rotation_exp
 from taut.plant.disturbance import COMMAND, disturbance_shapes
 from taut.plant.rigid import RigidPlant
 
-__all__ = ["Coordinates", "Derivative", "LoopMap", "Point", "loop_map", "require_finite", "small_turns"]
+__all__ = [
+    "Coordinates",
+    "Derivative",
+    "LoopMap",
+    "Point",
+    "beside",
+    "finite_derivative",
+    "loop_map",
+    "small_turns",
+]
 
 OUTPUTS: Final = ("q", "v", "tip.p", "tip.R", "tip.twist", "command")
 ROTATION: Final = "R"  # the last name in the path of a rotation
 STEPS: Final = ".resolution"
+BESIDE: Final = 1e-7  # of a state's size: how far beside a point without a derivative one is taken
 TURNS: Final = np.stack([np.asarray(tm.skew(e), dtype=np.float64) for e in np.eye(3)])  # about the axes
 
 
@@ -319,7 +329,35 @@ def loop_map(loop: Loop, with_respect_to: Iterable[str] = ()) -> LoopMap:
     return known[wanted]
 
 
-def require_finite(found: Derivative, names: tuple[str, ...]) -> None:
+def beside(map_: LoopMap, at: Point, found: Derivative, states: Iterable[int]) -> Derivative:
+    """The mean derivative of two points a little to either side, for one that itself has none.
+
+    So it is where a law takes the length of an error that is zero, or compares two energies that are.
+    """
+    coordinates = map_.state_coordinates
+    values, which = coordinates.read(at.memory, at.memory[np.newaxis])[0], list(states)
+    by = np.zeros(len(coordinates))
+    by[which] = BESIDE * (1.0 + np.abs(values[which])) * np.cos(np.arange(len(which)))
+    places = (coordinates.moved(at.memory, way) for way in (by, -by))
+    one, other = (map_.derivative(dataclasses.replace(at, memory=memory)) for memory in places)
+    means = {name: 0.5 * (getattr(one, name) + getattr(other, name)) for name in "ABCD"}
+    return dataclasses.replace(found, **means)
+
+
+def finite_derivative(map_: LoopMap, at: Point) -> Derivative:
+    """The derivative at a point; beside it, where it is not finite there.
+
+    Raises:
+        RangeError: Nor is it there.
+    """
+    found = map_.derivative(at)
+    if not all(np.isfinite(x).all() for x in (found.A, found.B, found.C, found.D)):
+        found = beside(map_, at, found, range(len(map_.state_coordinates)))
+    _require_finite(found, map_.state_coordinates.names)
+    return found
+
+
+def _require_finite(found: Derivative, names: tuple[str, ...]) -> None:
     """Refuse a map, or a derivative of it, that is not finite.
 
     Raises:

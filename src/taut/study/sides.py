@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -14,7 +13,7 @@ from taut.base.types import Float64Array
 from taut.control.limiting import LIMIT_TERMS
 from taut.plant.rigid import RigidPlant
 from taut.study.equilibrium import Flags
-from taut.study.loop_map import Derivative, LoopMap, Point
+from taut.study.loop_map import Derivative, LoopMap, Point, beside
 
 __all__ = ["Slopes", "sides_of", "smooth"]
 
@@ -22,7 +21,6 @@ NOTHING: Final = 1e-9  # of a limit's term, in units of the command
 RESTING: Final = 1e-9  # [rad/s | m/s]
 APART: Final = 1e-6  # of a state's size: how far to look on each side
 KINK: Final = 1e-2  # of the larger slope: by how much two sides differ
-BESIDE: Final = 1e-7  # likewise: where a derivative is taken instead
 FLAT: Final = 1e-6  # a slope below this is none
 MOST: Final = 6
 
@@ -79,14 +77,7 @@ def smooth(map_: LoopMap, at: Point, found: Derivative, states: list[int]) -> tu
     slopes = Slopes.at(map_, at, found, states)
     if not slopes.misses(found):
         return found, slopes
-    by = np.zeros(len(map_.state_coordinates))
-    values = map_.state_coordinates.read(at.memory, at.memory[np.newaxis])[0]
-    by[states] = BESIDE * (1.0 + np.abs(values[states])) * np.cos(np.arange(len(states)))
-    one, other = (
-        map_.derivative(dataclasses.replace(at, memory=map_.state_coordinates.moved(at.memory, way)))
-        for way in (by, -by)
-    )
-    mean = dataclasses.replace(found, **{name: 0.5 * (getattr(one, name) + getattr(other, name)) for name in "ABCD"})
+    mean = beside(map_, at, found, states)
     return (found if slopes.misses(mean) else mean), slopes
 
 

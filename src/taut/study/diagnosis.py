@@ -1,0 +1,258 @@
+"""taut.doctor: why a recorded run is as it is."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from taut.arm.description import Arm
+from taut.base.errors import RangeError, UsageError
+from taut.base.types import Float64Array
+from taut.control.limiting import LIMIT_TERMS
+from taut.record.phases import PHASES
+from taut.record.run import Run
+from taut.study.diagnosis_case import Case
+from taut.study.diagnosis_finding import FAULTS, Finding, Number
+from taut.study.diagnosis_limits import limit_findings, period_findings
+from taut.study.diagnosis_load import load_findings, sign_findings
+from taut.study.diagnosis_model import model_of_run
+from taut.study.diagnosis_swing import chatter_findings, swing_findings
+
+__all__ = ["Diagnosis", "doctor"]
+
+FEWEST: Final = 16  # ticks that say anything
+SHORT: Final = 64  # ticks under which most tests have nothing to go by
+SHORT_TIME: Final = 0.2  # [s]
+WILD: Final = 1e3  # [rad/s | m/s] no arm is as fast: what comes after is the simulation's
+CAUSES: Final[Mapping[str, frozenset[str]]] = {
+    "wrong sign": frozenset(FAULTS) - {"wrong sign", "runs late"},
+    "runs late": frozenset({"oscillates", "saturates"}),
+    "loses rank": frozenset({"oscillates", "saturates", "jumps at start", "chatters"}),
+    "oscillates": frozenset({"saturates", "chatters", "winds up", "jumps at start", "sticks", "sags"}),
+    "stick-slip": frozenset({"sticks", "sags", "winds up"}),
+    "backlash": frozenset({"saturates", "sticks", "sags"}),
+    "chatters": frozenset({"saturates"}),
+    "winds up": frozenset({"saturates"}),
+    "gravity twice": frozenset({"sags", "sticks"}),
+    "gravity not compensated": frozenset({"sags", "sticks"}),
+    "wrong payload": frozenset({"sags", "sticks"}),
+}
+"""What else a fault brings about: found beside it, that comes after it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Diagnosis:
+    """Why a run is as it is.
+
+    Attributes:
+        findings: What is wrong: causes before what follows from them, and of each those first that explain most of
+            the feedback's effort.
+        problems: What keeps the run from being judged as a whole: a fault, gaps, too few ticks. Findings are then
+            what can be said of the rest.
+        looked_at: The figures that were looked at, by name.
+        model: Where the model comes from that the torques were compared with.
+    """
+
+    findings: tuple[Finding, ...]
+    problems: tuple[str, ...]
+    looked_at: Mapping[str, Number]
+    model: str
+
+    @property
+    def healthy(self) -> bool:
+        """Whether nothing was found, in a whole run."""
+        return not self.findings and not self.problems
+
+    def json(self) -> dict[str, Any]:
+        """As plain values."""
+        return {
+            "healthy": self.healthy,
+            "findings": [finding.json() for finding in self.findings],
+            "problems": list(self.problems),
+            "looked_at": {name: number.json() for name, number in self.looked_at.items()},
+            "model": self.model,
+        }
+
+    def __str__(self) -> str:
+        lines = [f"not a whole run: {problem}" for problem in self.problems]
+        lines += [f"{i}. {finding}" for i, finding in enumerate(self.findings, start=1)]
+        if not self.findings:
+            lines.append("nothing found")
+        lines.append("looked at: " + ", ".join(f"{name} {number}" for name, number in self.looked_at.items()))
+        lines.append(f"model: {self.model}")
+        return "\n".join(lines)
+
+
+def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
+    """Say why a recorded run sags, oscillates, sticks, winds up, saturates, chatters, ...
+
+    Each finding is a test of physical quantities of the record, whose thresholds are numbers of the theory, not of
+    an arm: an error counts from 2 % of what a joint was asked to move, and 1 mm at the tool; torques are weighed with
+    the joint's effort limit. Of the run's parameters only those of the controller are read, never the plant's, so
+    that a record of a real arm says as much. `taut.study.diagnosis_finding.FAULTS` lists the names.
+
+    | finding | test |
+    |---|---|
+    | wrong sign | the spring's work on the error is negative, or tau - (M a + h) = 2 tau, and the error grows |
+    | oscillates | one line of damping ratio under 0.1 is half of a joint's feedback; the term whose work feeds it |
+    | stick-slip, backlash | such a line of constant size, with rests, or with a dwell without torque |
+    | chatters | jitter above a twentieth of the rate, with more than 10 effort limits of variation per second |
+    | gravity twice, or not | the part of g in the residual tau + J^T F_ext - (M a + h), and in the law's terms |
+    | wrong payload | the regressor of a payload explains all but 2 % of the residual; its mass by least squares |
+    | sticks | a joint rests off its target, while its torque changes or is within its dry friction |
+    | sags | a steady error at rest that feedback holds against a constant load |
+    | winds up | the integral gains a tenth of the feedback while cut, and carries the joint beyond its target |
+    | saturates | a limit cuts in a twentieth of the run while the error counts |
+    | loses rank | the smallest singular value is under the border of `sizes_of`, and the law gives something up |
+    | jumps at start | feedback begins with a quarter of the effort |
+    | runs late | one period in a hundred is longer than one and a half |
+
+    Args:
+        run: From `taut.run` or `taut.load_run`.
+        arm: The arm that the controller was compiled for; by default the one of that name that taut knows, else the
+            plant's, if the tool is where the run says. Without one, gravity and payload are not looked at.
+
+    Returns:
+        The diagnosis; `str()` of it is a report.
+
+    Raises:
+        UsageError: No run, one of a task of phases, or an arm that is none.
+        MatchError: An arm with other joints.
+        RangeError: A run of fewer than 16 ticks, of which nothing can be said.
+
+    Example:
+        >>> import taut
+        >>> arm = taut.load_arm("panda")
+        >>> ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)
+        >>> run = taut.run(ctrl, taut.RigidPlant(arm.with_payload(1.5)), duration=0.5)
+        >>> found = taut.doctor(run).findings[0]
+        >>> found.name, found.term, round(found.evidence["beyond it"].value, 3)
+        ('wrong payload', 'nonlinear', 1.5)
+
+    References:
+        Astrom and Hagglund, PID Controllers (1995), section 3.5 (wind-up). Armstrong-Helouvry, Dupont and Canudas de
+        Wit, Automatica 30 (1994), section 4 (stick-slip). Nordin and Gutman, Automatica 38 (2002) (backlash).
+        Khalil and Dombre, Modeling, identification and control of robots (2002), chapter 12 (payload).
+    """
+    if not isinstance(run, Run):
+        raise UsageError(f"doctor takes a Run from taut.run or taut.load_run; got {type(run).__name__}", name="run")
+    if PHASES in run.info:
+        names = ", ".join(dict.fromkeys(window.name for window in run.phases))
+        raise UsageError(
+            f"the run is one of a task, whose law changes from phase to phase ({names}); look at one of them: "
+            "taut.doctor(run.phase(name))",
+            name="run",
+        )
+    if len(run) < FEWEST:
+        raise RangeError(
+            f"a run of {FEWEST} ticks at least is needed to say anything; got {len(run)}; record it for longer",
+            name="run",
+            value=len(run),
+        )
+    problems = [] if run.outcome.ok else [f"it ended in a fault: {run.outcome}"]
+    whole, gaps = _without_gaps(run)
+    problems += gaps
+    sane = _sane(whole)
+    if len(sane) < SHORT or len(sane) < SHORT_TIME * run.rate:
+        problems.append(
+            f"{len(sane)} ticks, {len(sane) / run.rate:.3g} s, are too short: what needs {SHORT} ticks, "
+            f"{SHORT_TIME:g} s or a settled arm was not judged"
+        )
+    model, words = model_of_run(sane, arm)
+    case = Case(run=sane, model=model)
+    with np.errstate(over="ignore"):
+        late = [] if gaps else list(period_findings(run.t, run.rate))
+        signs = list(sign_findings(case))
+        swings = list(swing_findings(case))
+        found = [*late, *signs, *swings, *chatter_findings(case, bool(swings))]
+        found += [*limit_findings(case), *load_findings(case)]
+        looked_at = _looked_at(case)
+    return Diagnosis(findings=_ordered(found), problems=tuple(problems), looked_at=looked_at, model=words)
+
+
+def _without_gaps(run: Run) -> tuple[Run, list[str]]:
+    """The longest stretch of a run without missing ticks, and what is missing.
+
+    A tick is missing where the time jumps by whole periods and the number of the last tick says that there were more.
+    """
+    periods = np.round(np.diff(run.t) * run.rate)
+    missing = int(np.sum(np.maximum(periods - 1.0, 0.0)))
+    first = round(float(run.t[0]) * run.rate)
+    if not missing or run.outcome.tick + 1 - first < len(run) + missing:
+        return run, []
+    edges = np.concatenate([[0], np.flatnonzero(periods > 1.0) + 1, [len(run)]])
+    longest = int(np.argmax(np.diff(edges)))
+    start, end = int(edges[longest]), int(edges[longest + 1])
+    if end - start < FEWEST:
+        raise RangeError(
+            f"the run has gaps, {missing} ticks are missing, and no stretch of {FEWEST} without; record it anew",
+            name="run",
+        )
+    words = f"it has gaps: {missing} ticks are missing; judged from {run.t[start]:.4g} to {run.t[end - 1]:.4g} s"
+    return run.between(float(run.t[start]), float(run.t[end - 1])), [words]
+
+
+def _sane(run: Run) -> Run:
+    """The ticks before a joint became faster than any arm."""
+    wild = np.flatnonzero((np.abs(run.v) > WILD).any(axis=1) | ~np.isfinite(run.command).all(axis=1))
+    if not wild.size or wild[0] < FEWEST:
+        return run
+    return run.between(float(run.t[0]), float(run.t[wild[0] - 1]))
+
+
+def _ordered(found: list[Finding]) -> tuple[Finding, ...]:
+    """Causes before what follows from them, those first that explain most."""
+    by_share = sorted(found, key=lambda finding: -finding.share)
+    out, follow = [], []
+    for finding in by_share:
+        cause = next((other.name for other in by_share if _causes(other, finding)), None)
+        if cause is None:
+            out.append(finding)
+        else:
+            follow.append(dataclasses.replace(finding, follows=cause))
+    return (*out, *follow)
+
+
+def _causes(one: Finding, other: Finding) -> bool:
+    """Whether a finding brings about another; what a limit feeds comes of the limit, and of I of winding up."""
+    limited = (one.name, other.name)
+    if limited == ("winds up", "oscillates"):
+        return other.term == "I"
+    if limited == ("oscillates", "winds up"):
+        return one.term != "I"
+    if limited == ("saturates", "oscillates"):
+        return other.term in LIMIT_TERMS
+    if limited == ("oscillates", "saturates"):
+        return one.term not in LIMIT_TERMS
+    return other.name in CAUSES.get(one.name, ())
+
+
+def _looked_at(case: Case) -> dict[str, Number]:
+    """The figures of a run that the tests judged, each of the joint where it is largest."""
+    run = case.run
+    out = {"ticks": Number(float(len(run)))}
+    if case.error is not None:
+        parts = np.abs(case.error) / case.tolerance
+        out["peak error"] = Number(float(parts.max()), "times what counts")
+        out["steady error"] = Number(float((np.abs(case.steady_error) / case.tolerance).max()), "times what counts")
+    if case.of_torque:
+        out["torque"] = Number(100.0 * _largest(run.tau / case.size), "% of the effort")
+        out["first feedback"] = Number(
+            100.0 * _largest((case.feedback + case.cut)[:1] / case.size), "% of the effort"
+        )
+        out["chatter"] = Number(float((run.metrics.chatter / case.size).max()), "efforts/s")
+    out["cut"] = Number(100.0 * float((case.cut != 0.0).any(axis=1).mean()), "% of the ticks")
+    out["longest period"] = Number(float(np.diff(run.t).max() * run.rate), "nominal ones")
+    if case.of_task:
+        out["least singular value"] = Number(float(run.task.least_singular_value.min()))
+    if case.model is not None and case.of_torque and not case.in_contact:
+        out["torque beyond the model"] = Number(100.0 * _largest(case.model.residual / case.size), "% of the effort")
+    return out
+
+
+def _largest(x: Float64Array) -> float:
+    return float(np.abs(x).max())

@@ -1,0 +1,202 @@
+"""What all tests of a diagnosis look at: a run's errors and what counts as one, its feedback, its model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from taut.arm.angles import short_way
+from taut.base.types import Float64Array
+from taut.control.limiting import LIMIT_TERMS
+from taut.control.task_reference import TaskMotion
+from taut.maths.chain import Chain
+from taut.record.force import force_error
+from taut.record.run import Run
+from taut.record.task import TOOL
+from taut.study.diagnosis_model import ArmModel
+
+__all__ = ["MODEL_TERMS", "Case", "tail"]
+
+MODEL_TERMS: Final = frozenset(
+    {"gravity", "nonlinear", "feedforward", "friction", "inertia", "curvature", "chain", "force_nonlinear", "force"}
+)
+"""Terms that a law takes from its model or its reference; what is left is feedback."""
+BAND: Final = 0.02  # of the motion asked for: the chapter's 2 %
+WAY: Final = 1e-3  # [m] at the tool, below which an error is none
+TAIL: Final = 0.1  # of the run: what is called its end
+EFFORT_SHARE: Final = 1e-9  # of the largest torque: below it a joint has done nothing
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Case:
+    """A run without gaps, and the model that its controller believed in, where it is known."""
+
+    run: Run
+    model: ArmModel | None
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.run.n
+
+    @cached_property
+    def dt(self) -> float:
+        """The nominal period [s]."""
+        return 1.0 / self.run.rate
+
+    @property
+    def of_torque(self) -> bool:
+        """Whether the law commands torques."""
+        return self.run.kind == "torque"
+
+    # ---------------------------------------------------------------- errors
+
+    @cached_property
+    def length(self) -> float:
+        """[m] how far the tool is from the first joint at most, were the arm stretched: a joint's error in ways."""
+        if TOOL not in self.run.info:
+            return 1.0
+        chain = Chain.of_json(self.run.info[TOOL])
+        parts = [link.p for link in chain.links[1:]]
+        return float(sum(np.linalg.norm(p) for p in [*parts, chain.p])) or 1.0
+
+    @cached_property
+    def of_task(self) -> bool:
+        """Whether the reference is a motion of the tool."""
+        return isinstance(self.run.reference.motion, TaskMotion) and TOOL in self.run.info
+
+    @cached_property
+    def error(self) -> Float64Array | None:
+        """(k, n) error of the joints [rad | m]; of a task the joint motion that would take it away, J^+ X_e."""
+        if self.run.error is not None:
+            return self.run.error
+        if not self.of_task:
+            return None
+        task = self.run.task
+        assert task.position_error is not None
+        assert task.rotation_error is not None
+        X = np.concatenate([task.position_error, task.rotation_error], axis=1)
+        inverse = np.linalg.pinv(task.J, rcond=1e-2)
+        return np.asarray(np.einsum("kij,kj->ki", inverse, X))
+
+    @cached_property
+    def tolerance(self) -> Float64Array:
+        """(n,) what counts as an error of a joint: 2 % of what it was asked to move, at least 1 mm at the tool."""
+        least = np.array([WAY if unit == "m" else WAY / self.length for unit in self.run.units])
+        if self.error is None:
+            return least
+        wanted = getattr(self.run.reference, "q", None)
+        asked = np.abs(self.error[0])
+        if wanted is not None:
+            asked = asked + np.ptp(short_way(np.asarray(wanted) - self.run.q[0], self.run.continuous), axis=0)
+        else:
+            asked = asked + np.ptp(self.run.q, axis=0)
+        return np.asarray(np.maximum(BAND * asked, least))
+
+    @cached_property
+    def off(self) -> Float64Array:
+        """(k, n) 1.0 where the error of a joint counts; where no motion is asked for, everywhere."""
+        if self.error is None:
+            return np.ones_like(self.run.q)
+        return np.asarray(np.abs(self.error) > self.tolerance, dtype=np.float64)
+
+    @cached_property
+    def moving_reference(self) -> Float64Array:
+        """(k, m) the speed that the reference asks for, of whatever it is about; zeros where it rests."""
+        for name in ("v", "twist"):
+            value = getattr(self.run.reference.motion, name, None)
+            if value is not None:
+                return np.asarray(value, dtype=np.float64).reshape(len(self.run), -1)
+        return np.zeros((len(self.run), 1))
+
+    @cached_property
+    def force_error(self) -> Float64Array | None:
+        """(k, 6) error of the force that the arm applies, where one is asked for."""
+        return force_error(self.run)
+
+    @cached_property
+    def in_contact(self) -> bool:
+        """Whether something that no column tells of may have pushed the arm."""
+        told = "F_ext" in self.run.extra
+        return any(name.startswith("contact.") for name in self.run.extra) and not told
+
+    # ---------------------------------------------------------------- torques
+
+    @cached_property
+    def feedback_terms(self) -> dict[str, Float64Array]:
+        """(k, n) by name, the terms that answer an error, and those of limits left out."""
+        known = {*MODEL_TERMS, *LIMIT_TERMS, "blend"}
+        return {name: value for name, value in self.run.terms.items() if name not in known}
+
+    @cached_property
+    def feedback(self) -> Float64Array:
+        """(k, n) their sum."""
+        return np.asarray(sum(self.feedback_terms.values(), np.zeros_like(self.run.q)))
+
+    @cached_property
+    def cut(self) -> Float64Array:
+        """(k, n) what limits added to the command."""
+        cuts = [self.run.terms[name] for name in LIMIT_TERMS if name in self.run.terms]
+        return np.asarray(sum(cuts, np.zeros_like(self.run.q)))
+
+    @cached_property
+    def size(self) -> Float64Array:
+        """(n,) the effort limit of each joint, or else its largest torque: what its torques are weighed with."""
+        known = self.run.info.get("limits", {}).get("effort", {})
+        most = np.max(np.abs(self.run.tau), axis=0)
+        most = np.maximum(most, EFFORT_SHARE * max(float(most.max()), 1.0))
+        given = np.array([known.get(joint, np.nan) for joint in self.run.joint_names])
+        if not self.of_torque or np.isnan(given).any():
+            return np.asarray(np.maximum(most, EFFORT_SHARE))
+        return given
+
+    @cached_property
+    def effort(self) -> float:
+        """Sum of squares of the feedback over the run, each joint weighed by its size."""
+        return float(np.sum((self.feedback / self.size) ** 2)) or 1.0
+
+    def share_of(self, part: Float64Array) -> float:
+        """How much of the feedback a part of it, (k, n), explains: 1 less what is left, in squares."""
+        left = float(np.sum(((self.feedback - part) / self.size) ** 2))
+        return float(np.clip(1.0 - left / self.effort, 0.0, 1.0))
+
+    @cached_property
+    def steps(self) -> Float64Array:
+        """(k - 1, n) how far each joint goes in a period, for the work of what acts during it."""
+        return np.asarray(short_way(np.diff(self.run.q, axis=0), self.run.continuous))
+
+    # ---------------------------------------------------------------- the end
+
+    @cached_property
+    def settled(self) -> Float64Array:
+        """(n,) 1.0 where a joint has come to rest: its reference rests, and its error changes by less than a tenth.
+
+        A change is the difference of the means of the last two tenths of the run; it counts against the error that
+        is left or what is tolerated, whichever is larger.
+        """
+        if self.error is None or len(self.run) < 2.0 / TAIL:
+            return np.zeros(self.n)
+        last, before = tail(self.run), tail(self.run, 2)
+        if np.any(np.abs(self.moving_reference[before.start :]) > 0.0):
+            return np.zeros(self.n)
+        end = self.error[last].mean(axis=0)
+        change = np.abs(end - self.error[before].mean(axis=0))
+        swing = np.ptp(self.error[last], axis=0)
+        calm = np.maximum(np.abs(end), self.tolerance)
+        return np.asarray((change < 0.1 * calm) & (swing < 0.2 * calm), dtype=np.float64)
+
+    @cached_property
+    def steady_error(self) -> Float64Array:
+        """(n,) the mean error of the last tenth of the run, of joints that have come to rest; else zero."""
+        if self.error is None:
+            return np.zeros(self.n)
+        return np.asarray(self.settled * self.error[tail(self.run)].mean(axis=0))
+
+
+def tail(run: Run, back: int = 1) -> slice:
+    """The last tenth of a run, or the tenth so many tenths from its end."""
+    size = max(1, round(TAIL * len(run)))
+    return slice(len(run) - back * size, len(run) - (back - 1) * size)

@@ -1,0 +1,318 @@
+"""The model that a controller believed in, and what a run's torques say of it."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from taut.arm.builtin import BUILT_IN
+from taut.arm.catalogue import CATALOGUE
+from taut.arm.description import Arm
+from taut.arm.load import load_arm
+from taut.base.errors import MatchError, TautError, UsageError
+from taut.base.pose import Pose
+from taut.base.types import Float64Array
+from taut.codegen.function import native
+from taut.maths import dynamics as dyn
+from taut.maths.chain import Chain
+from taut.maths.model import PayloadValues, model_of
+from taut.record.run import Run
+from taut.record.sticking import MOVING
+from taut.record.task import TOOL
+
+__all__ = ["ArmModel", "Fit", "model_of_run"]
+
+SAME: Final = 1e-9  # of kinematics: what counts as the same arm
+MOST_TICKS: Final = 600  # that a fit looks at, evenly spread
+FLOOR: Final = 0.01  # of the largest gravity torque: what a model is not asked to explain
+ENOUGH: Final = 0.05  # of the ticks: fewer in motion say nothing of friction
+SMALL: Final = 1e-4  # [m] off the tool: its square, which a payload's inertia has, counts for nothing
+REACH: Final = 0.25  # of the arm's length: how far from the tool a payload may have its centre
+INDEPENDENT: Final = 100.0  # ticks of a run, neighbours of which are much alike, count as so many
+
+
+def model_of_run(run: Run, arm: Arm | None) -> tuple[ArmModel | None, str]:
+    """The model that the run's controller had, and in words where it comes from.
+
+    Args:
+        run: The run.
+        arm: The arm, where the caller knows it.
+
+    Raises:
+        UsageError: It is none.
+        MatchError: It has other joints than the run.
+    """
+    if arm is not None:
+        if not isinstance(arm, Arm):  # callers without a type checker
+            raise UsageError(f"doctor takes arm= from taut.load_arm; got {type(arm).__name__}", name="arm")
+        if arm.joint_names != run.joint_names:
+            raise MatchError(
+                f"the run is of joints {', '.join(run.joint_names)}, and arm '{arm.name}' has "
+                f"{', '.join(arm.joint_names)}; give the arm that the controller was compiled for",
+                name="arm",
+            )
+        return ArmModel(run=run, arm=arm), "the arm that was given"
+    name = run.info.get("arm")
+    for found, words in ((_by_name(run, name), f"arm '{name}' of the catalogue"), (run.arm, "the arm of the plant")):
+        if found is not None and _same_kinematics(run, found):
+            return ArmModel(run=run, arm=found), words
+    return None, "none: give arm= the arm that the controller was compiled for"
+
+
+def _by_name(run: Run, name: Any) -> Arm | None:
+    """The arm of that name that taut knows, standing where the run's stood."""
+    if (name not in BUILT_IN and name not in CATALOGUE) or TOOL not in run.info:
+        return None
+    chain = run.info[TOOL]
+    try:
+        return _mounted(name, tuple(chain["p_WB"]), tuple(map(tuple, chain["R_WB"])))
+    except TautError:  # its package is not installed
+        return None
+
+
+@functools.lru_cache(maxsize=16)
+def _mounted(name: str, p: tuple[float, ...], R: tuple[tuple[float, ...], ...]) -> Arm:
+    """An arm that taut knows, at a place: the same object each time, so that its torques are compiled once."""
+    return load_arm(name, T_WB=Pose(p=p, R=R))
+
+
+def _same_kinematics(run: Run, arm: Arm) -> bool:
+    """Whether an arm has the run's joints, and puts the tool where the run's chain does."""
+    if arm.joint_names != run.joint_names:
+        return False
+    if TOOL not in run.info:
+        return True
+    there = Chain.of_json(run.info[TOOL])
+    if there.frame not in arm.frame_names:
+        return False
+    R, p = there.poses(run.q[:1])
+    R_here, p_here = Chain.of(model_of(arm), there.frame).poses(run.q[:1])
+    return bool(np.abs(R - R_here).max() < SAME and np.abs(p - p_here).max() < SAME)
+
+
+@functools.lru_cache(maxsize=16)
+def _native_torques(arm: Arm) -> Callable[..., Float64Array]:
+    """(n,) M a + C v + g of an arm with a payload, in native code."""
+    model, n = model_of(arm), arm.n
+
+    def torques(q: Any, v: Any, a: Any, mass: Any, com: Any, inertia: Any) -> Any:
+        return dyn.inverse_dynamics(model, q, v, a, PayloadValues(mass=mass, com=com, inertia=inertia))
+
+    return native(torques, q=n, v=n, a=n, mass=(), com=3, inertia=6)
+
+
+@functools.lru_cache(maxsize=16)
+def _native_mass(arm: Arm) -> Callable[..., Float64Array]:
+    """(n, n) M of an arm with a payload, in native code."""
+    model = model_of(arm)
+
+    def mass_matrix(q: Any, mass: Any, com: Any, inertia: Any) -> Any:
+        return dyn.mass_matrix(model, q, PayloadValues(mass=mass, com=com, inertia=inertia))
+
+    return native(mass_matrix, q=arm.n, mass=(), com=3, inertia=6)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fit:
+    """What the torques of a run hold beyond the model, by the hypothesis that explains them with fewest numbers."""
+
+    kind: str  # "none", "friction", "gravity" or "payload"
+    load: Float64Array  # (k, n) the torque of it beyond friction, at the ticks that were looked at
+    explained: float  # 0 to 1: of what friction leaves, in squares
+    left: float  # 0 to 1: of the residual, what nothing explains
+    gravity: float  # part of g that somebody else gives
+    mass: float  # [kg] beyond the declared payload
+    mass_error: float  # [kg] its standard error
+    moment: Float64Array  # (3,) [kg m] mass times centre, in the tool frame
+    viscous: Float64Array  # (n,)
+    coulomb: Float64Array  # (n,)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ArmModel:
+    """The arm that the controller believed in, with the payload that it was told, along a run."""
+
+    run: Run
+    arm: Arm
+
+    @cached_property
+    def payload(self) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """Mass [kg], centre (3,) [m] and inertia (6,) [kg m^2] that the law was told."""
+        known = self.run.info.get("parameters", {})
+        sizes = {"mass": (), "com": (3,), "inertia": (6,)}
+        values = [
+            np.array(known.get(f"model.payload.{name}", np.zeros(s)), dtype=np.float64) for name, s in sizes.items()
+        ]
+        return values[0], values[1], values[2]
+
+    @cached_property
+    def ticks(self) -> np.ndarray[Any, np.dtype[np.intp]]:
+        """The ticks that fits look at: all but the last, or some of them evenly spread."""
+        count = len(self.run) - 1
+        return np.unique(np.linspace(0, count - 1, min(count, MOST_TICKS)).round().astype(np.intp))
+
+    def _each(self, mass: Any, com: Any, inertia: Any, *, moving: bool) -> Float64Array:
+        torques = _native_torques(self.arm)
+        rest = np.zeros(self.run.n)
+        q = np.ascontiguousarray(self.run.q[self.ticks])
+        v = np.ascontiguousarray(self.run.v[self.ticks])
+        a = np.ascontiguousarray(self.acceleration)
+        mass, com, inertia = (np.array(x, dtype=np.float64) for x in (mass, com, inertia))
+        if moving:
+            return np.array([torques(q[k], v[k], a[k], mass, com, inertia) for k in range(len(q))])
+        return np.array([torques(each, rest, rest, mass, com, inertia) for each in q])
+
+    @cached_property
+    def acceleration(self) -> Float64Array:
+        """(ticks, n) mean acceleration of the period behind each tick."""
+        k = self.ticks
+        period = (self.run.t[k + 1] - self.run.t[k])[:, np.newaxis]
+        return np.asarray((self.run.v[k + 1] - self.run.v[k]) / period)
+
+    @cached_property
+    def gravity(self) -> Float64Array:
+        """(ticks, n) g with the declared payload."""
+        return self._each(*self.payload, moving=False)
+
+    @cached_property
+    def motion(self) -> Float64Array:
+        """(ticks, n) M a + C v + g with the declared payload."""
+        return self._each(*self.payload, moving=True)
+
+    @cached_property
+    def residual(self) -> Float64Array:
+        """(ticks, n) tau + J^T F_ext - (M a + C v + g): what acted beyond what the model needs for the motion."""
+        pushed = np.zeros_like(self.motion)
+        if "F_ext" in self.run.extra:
+            J = Chain.of(model_of(self.arm), None).jacobians(self.run.q[self.ticks])
+            pushed = np.einsum("kij,ki->kj", J, self.run.extra["F_ext"][self.ticks])
+        return np.asarray(self.run.tau[self.ticks] + pushed - self.motion)
+
+    @cached_property
+    def _payload_columns(self) -> Float64Array:
+        """(ticks, n, 4) torque of a payload of 1 kg at the tool, and of 1 kg m along each of its axes."""
+        none = np.zeros(6)
+        at = self._each(1.0, np.zeros(3), none, moving=True)
+        moments = [(self._each(1.0, SMALL * axis, none, moving=True) - at) / SMALL for axis in np.eye(3)]
+        return np.stack([at - self._each(0.0, np.zeros(3), none, moving=True), *moments], axis=2)
+
+    @cached_property
+    def length(self) -> float:
+        """[m] from the first joint to the tool, were the arm stretched."""
+        chain = Chain.of(model_of(self.arm), None)
+        return float(sum(np.linalg.norm(p) for p in [*(link.p for link in chain.links[1:]), chain.p]))
+
+    def inertia_felt(self, tick: int) -> Float64Array:
+        """(n,) what each joint's torque moves with the others free: 1 / (M^-1)_ii [kg m^2 | kg]."""
+        mass, com, inertia = self.payload
+        M = _native_mass(self.arm)(np.ascontiguousarray(self.run.q[tick]), mass, com, inertia)
+        return np.asarray(1.0 / np.diag(np.linalg.inv(M)))
+
+    # ---------------------------------------------------------------- fits
+
+    def fit(self, size: Float64Array) -> Fit:
+        """What explains the residual: friction, gravity that somebody else gives, a payload, or nothing.
+
+        Each hypothesis is fitted by least squares, alone and with friction of each joint, b v + c sign(v) with
+        b, c >= 0, to the joints that move; where next to nothing does, to all. The one with the least Bayesian
+        information criterion is kept, in which what lies under 1 % of the largest gravity torque counts as noise. A
+        payload whose centre is further from the tool than a quarter of the arm is none: that is a wrong arm.
+
+        Args:
+            size: (n,) what the torques of each joint are weighed with.
+        """
+        n, v = self.run.n, self.run.v[self.ticks]
+        moving = np.abs(v) > MOVING
+        dry = bool(moving.any(axis=1).mean() >= ENOUGH)
+        used = moving if dry else np.ones_like(moving)  # what dry friction holds says nothing of a load
+        d = (self.residual / size)[used]
+        floor = FLOOR * float(np.abs(self.gravity / size).max())
+        columns = {
+            "gravity": -self.gravity[:, :, np.newaxis],
+            "mass": self._payload_columns[:, :, :1],
+            "moment": self._payload_columns[:, :, 1:],
+            "viscous": np.einsum("ki,ij->kij", v, np.eye(n)),
+            "coulomb": np.einsum("ki,ij->kij", np.sign(v) * moving, np.eye(n)),
+        }
+        friction = ("viscous", "coulomb") if dry else ("viscous",)
+        sets = [(), friction, ("gravity",), ("gravity", *friction)]
+        sets += [("mass",), ("mass", *friction), ("mass", "moment"), ("mass", "moment", *friction)]
+        best: tuple[float, tuple[str, ...], Float64Array] = (math.inf, (), np.zeros(0))
+        for names in sets:
+            values, left = _bounded(d, [columns[name] / size[:, np.newaxis] for name in names], names, used)
+            if "moment" in names and np.linalg.norm(values[1:4]) > REACH * self.length * abs(float(values[0])):
+                continue
+            variance = float(np.mean(left**2)) + floor**2 + np.finfo(np.float64).tiny
+            used_up = np.count_nonzero(np.abs(values) > 0.0)
+            cost = INDEPENDENT * math.log(variance) + used_up * math.log(INDEPENDENT)
+            if cost < best[0]:
+                best = cost, names, values
+        return self._told(best[1], best[2], columns, size, used)
+
+    def _told(
+        self,
+        names: tuple[str, ...],
+        values: Float64Array,
+        columns: dict[str, Float64Array],
+        size: Float64Array,
+        used: Any,
+    ) -> Fit:
+        n, at = self.run.n, 0
+        found = {"gravity": np.zeros(1), "mass": np.zeros(1), "moment": np.zeros(3)}
+        found |= {"viscous": np.zeros(n), "coulomb": np.zeros(n)}
+        load, rest = np.zeros_like(self.residual), self.residual.copy()
+        for name in names:
+            width = columns[name].shape[2]
+            found[name] = values[at : at + width]
+            part = columns[name] @ found[name]
+            at += width
+            if name in ("viscous", "coulomb"):
+                rest = rest - part
+            else:
+                load = load + part
+        whole, before, after = (float(np.sum((x / size)[used] ** 2)) for x in (self.residual, rest, rest - load))
+        kind = "gravity" if "gravity" in names else "payload" if "mass" in names else "friction" if names else "none"
+        mass_column = (columns["mass"][:, :, 0] / size)[used]
+        spread = math.sqrt(after / max(1, mass_column.size - len(values)))
+        return Fit(
+            kind=kind,
+            load=load,
+            explained=1.0 - after / before if before > 0.0 else 0.0,
+            left=after / whole if whole > 0.0 else 0.0,
+            gravity=float(found["gravity"][0]),
+            mass=float(found["mass"][0]),
+            mass_error=spread / max(float(np.linalg.norm(mass_column)), 1e-300),
+            moment=found["moment"],
+            viscous=found["viscous"],
+            coulomb=found["coulomb"],
+        )
+
+
+def _bounded(
+    d: Float64Array, columns: list[Float64Array], names: tuple[str, ...], used: Any
+) -> tuple[Float64Array, Float64Array]:
+    """Least squares with friction that does not drive: the numbers, and what is left of d."""
+    if not columns:
+        return np.zeros(0), d
+    X = np.concatenate([column[used] for column in columns], axis=1)
+    low = np.concatenate(
+        [
+            np.full(column.shape[2], 0.0 if name in ("viscous", "coulomb") else -np.inf)
+            for name, column in zip(names, columns, strict=True)
+        ]
+    )
+    scale = np.linalg.norm(X, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    if np.isinf(low).all():
+        values = np.linalg.lstsq(X / scale, d, rcond=None)[0] / scale
+    else:
+        Q, R = np.linalg.qr(X / scale)  # the same problem in as many rows as numbers
+        values = lsq_linear(R, Q.T @ d, bounds=(low, np.inf)).x / scale
+    return values, d - X @ values

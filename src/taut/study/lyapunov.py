@@ -1,0 +1,155 @@
+"""The Lyapunov function of PD control with gravity compensation, along a run: equations 10.24 to 10.27."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from taut.base.derivative import jacobian
+from taut.base.errors import UsageError
+from taut.base.types import Array, Float64Array, Vector
+from taut.codegen.function import native
+from taut.maths import dynamics as dyn
+from taut.maths.model import PayloadValues, model_of
+from taut.record.run import Run
+
+__all__ = ["Lyapunov", "lyapunov"]
+
+LAWS: Final = ("GravityPID", "GravityCompensation")
+VISCOUS: Final = "plant.friction.viscous"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lyapunov:
+    """V along a run, the rate at which the motion changes it, and the rate that the proof says.
+
+    Args:
+        t: (k,) [s].
+        V: (k,) e . Kp e / 2 + v . M v / 2 [J].
+        kinetic: (k,) the second part.
+        rate: (k,) [W] dV/dt right after each tick, of the true arm under the torque that acted then:
+            v . (M a + M-dot v / 2) - e . Kp v, with M-dot by differentiation and M a from the equation of motion.
+        expected: (k,) [W] -v . Kd v, and what viscous friction takes besides.
+    """
+
+    t: Float64Array
+    V: Float64Array
+    kinetic: Float64Array
+    rate: Float64Array
+    expected: Float64Array
+
+    @property
+    def worst(self) -> float:
+        """The largest difference of both rates, over the largest rate: 0 where the proof's assumptions hold."""
+        size = float(np.abs(self.expected).max(initial=0.0))
+        return float(np.abs(self.rate - self.expected).max(initial=0.0)) / size if size else 0.0
+
+    @property
+    def falls(self) -> bool:
+        """Whether V never grows from one tick to the next by more than rounding."""
+        return bool((np.diff(self.V) <= 1e-12 * max(float(self.V[0]), 1e-300)).all())
+
+    def __str__(self) -> str:
+        word = "falls throughout" if self.falls else "does not fall throughout"
+        return (
+            f"V goes from {self.V[0]:.4g} J to {self.V[-1]:.4g} J and {word}; its rate differs from -v . Kd v by up "
+            f"to {self.worst:.2g} of the largest"
+        )
+
+
+def lyapunov(run: Run) -> Lyapunov:
+    """The Lyapunov function 10.24 along a run of PD control with gravity compensation, and its derivative.
+
+    Law:          V = e . Kp e / 2 + v . M v / 2                                                  eq. 10.24
+    Closed loop:  V-dot = -v . Kd v for a set-point, an exact g and no other friction              eqs. 10.25 to 10.27
+                  M-dot - 2 C is skew, so that the Coriolis torques do no work
+
+    The rate is that at the instant of each tick, for which the law's torque is fresh; between two ticks it is held,
+    so that V falls by a little less or more than the integral. What the law does not know of the arm, such as
+    another payload, shows as a difference of both rates.
+
+    Args:
+        run: Of `GravityPID` with ki = 0 or `GravityCompensation`, on a plant with viscous friction at most.
+
+    Raises:
+        UsageError: A run of another law, with an integral, with a reference that moves, with dry friction, or that
+            was loaded from a file and has no arm.
+
+    Example:
+        >>> import taut
+        >>> arm = taut.load_arm("planar2")
+        >>> ctrl = taut.compile(taut.laws.GravityPID(kp=40.0, kd=8.0), arm)
+        >>> plant = taut.RigidPlant(arm, friction=None)
+        >>> run = taut.run(ctrl, plant, taut.JointMotion(q=[0.5, -0.5]), duration=1.0)
+        >>> found = taut.lyapunov(run)
+        >>> found.worst < 1e-6, found.falls
+        (True, True)
+
+    References:
+        Section 10.2.2.2, equations 10.24 to 10.27.
+    """
+    if not isinstance(run, Run):  # callers without a type checker
+        raise UsageError(f"lyapunov takes a taut.Run; got {type(run).__name__}", name="run")
+    law, values = str(run.info.get("law", "")).partition("(")[0], run.info.get("parameters", {})
+    _check(run, law, values)
+    n = run.n
+    kp = _matrix(values.get("law.kp", 0.0), n)
+    kd = _matrix(values["law.kd"], n) + _matrix(values.get(VISCOUS, 0.0), n)
+    e = np.zeros_like(run.q) if law == "GravityCompensation" else run.error
+    assert e is not None
+    assert run.arm is not None
+    model = model_of(run.arm)
+    payload = PayloadValues.of({x: np.array(values[f"plant.payload.{x}"]) for x in ("mass", "com", "inertia")})
+    viscous = np.diag(_matrix(values.get(VISCOUS, 0.0), n))
+
+    def parts(q: Vector, v: Vector, tau: Vector) -> Array:
+        """Kinetic energy, and its rate under a torque."""
+
+        def kinetic(s: Vector) -> Any:
+            return 0.5 * (v @ (dyn.mass_matrix(model, q + s[0] * v, payload) @ v))
+
+        moved = jacobian(kinetic, np.zeros(1))[0]
+        push = tau - dyn.bias(model, q, v, payload) - viscous * v
+        return np.array([kinetic(np.zeros(1)), v @ push + moved], dtype=object)
+
+    of = native(parts, q=n, v=n, tau=n)
+    found = np.stack([of(q, v, tau) for q, v, tau in zip(run.q, run.v, run.tau, strict=True)])
+    spring = 0.5 * np.einsum("ki,ij,kj->k", e, kp, e)
+    return Lyapunov(
+        t=run.t,
+        V=spring + found[:, 0],
+        kinetic=found[:, 0],
+        rate=found[:, 1] - np.einsum("ki,ij,kj->k", e, kp, run.v),
+        expected=-np.einsum("ki,ij,kj->k", run.v, kd, run.v),
+    )
+
+
+def _check(run: Run, law: str, values: Any) -> None:
+    if law not in LAWS:
+        raise UsageError(
+            f"eq. 10.24 is for PD control with gravity compensation, {' or '.join(LAWS)}; this run is of "
+            f"{law or '?'}",
+            name="run",
+        )
+    if np.any(np.asarray(values.get("law.ki", 0.0))):
+        raise UsageError(f"eq. 10.24 is for ki = 0; this run has law.ki = {values['law.ki']}", name="law.ki")
+    if run.arm is None:
+        raise UsageError("this run was loaded from a file and has no arm; make it anew with taut.run", name="run")
+    wanted = getattr(run.reference, "q", None)
+    if law == "GravityPID" and wanted is not None and np.ptp(wanted, axis=0).max() > 0.0:
+        raise UsageError("eq. 10.24 is for a set-point, and the reference of this run moves", name="run")
+    dry = [path for path in values if path.startswith("plant.friction.") and path != VISCOUS]
+    if dry:
+        raise UsageError(
+            f"eq. 10.27 knows no dry friction, and the plant has {', '.join(sorted(dry))}; run it with friction=None",
+            name="run",
+        )
+    if any(path.startswith(("environment.", "contact.")) for path in values):
+        raise UsageError("eq. 10.27 is of an arm that nothing touches, and this plant has an environment", name="run")
+
+
+def _matrix(value: Any, n: int) -> Float64Array:
+    given = np.asarray(value, dtype=np.float64)
+    return given if given.ndim == 2 else np.diag(np.broadcast_to(given, (n,)))

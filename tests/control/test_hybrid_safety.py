@@ -1,0 +1,261 @@
+"""Hybrid control where things go wrong in a run: nothing to press on, motions and forces that no constraint bears."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import taut
+from taut import Constraint, Pose
+from taut.base.types import Float64Array
+from taut.control.laws import HybridMotionForce, TaskComputedTorque
+
+Array = Float64Array
+ARM = taut.load_arm("kinova")
+T = taut.snapshot(ARM, ARM.home).T()
+BOARD = Constraint(lambda now: now.p[2] - T.p[2], one_sided=True)
+STAY = taut.TaskMotion(pose=T)
+NOWHERE = taut.StiffWall(point=T.p - [0.0, 0.0, 3.0], normal=[0.0, 0.0, 1.0], stiffness=1e4)
+KFP, KFI, E_INT_MAX, KDAMP = 0.3, 10.0, 0.4, 60.0
+LIMITS = taut.Limits(tau_dot=1000.0)
+
+
+def motion() -> TaskComputedTorque:
+    return TaskComputedTorque(kp=400.0, kd=40.0)
+
+
+def law(constraint: Constraint = BOARD, **more: Any) -> HybridMotionForce:
+    return HybridMotionForce(constraint=constraint, motion=motion(), **({"kfp": KFP, "kfi": KFI} | more))
+
+
+@pytest.fixture(scope="module")
+def faded() -> taut.Controller:
+    return taut.compile(law(), ARM, limits=LIMITS)
+
+
+def run(ctrl: taut.Controller, ref: Any, *, duration: float = 0.3, **plant: Any) -> taut.Run:
+    return taut.run(ctrl, taut.RigidPlant(ARM, friction=None, **plant), ref, duration=duration)
+
+
+def against(out: taut.Run) -> Array:
+    """(k,) speed of the tool along the normal [m/s]."""
+    return np.asarray(out.task.twist)[:, 2]
+
+
+# -------------------------------------------------------------------- nothing to press on
+
+
+def test_with_nothing_to_press_on_the_force_is_taken_back_and_the_run_tells(faded: taut.Controller) -> None:
+    out = run(faded, taut.pressing(STAY, 5.0), environment=NOWHERE, duration=1.0)
+    assert "; the tool met less than was asked for, contact was lost in 951 of 1001 ticks" in out.outcome.message
+    assert out.metrics.contact_lost_time == pytest.approx(0.95, abs=2e-3)
+    assert np.abs(against(out)).max() < 0.35  # it was 7 m/s after 0.3 s, and growing
+    lost = out.extra["law.lost"] > 0.0
+    assert np.abs(against(out)[lost][200:]).max() < 0.2
+    assert out.t[np.argmax(lost)] == pytest.approx(0.05)
+
+
+def test_with_kdamp_the_speed_stays_below_what_the_damping_holds() -> None:
+    """|kdamp^-1 ((1 + kfp) F_d + kfi e_int_max)|, of ForceControl and of the hybrid law alike."""
+    ctrl = taut.compile(law(kdamp=KDAMP, e_int_max=E_INT_MAX), ARM)
+    out = run(ctrl, taut.pressing(STAY, 5.0), environment=NOWHERE, duration=1.0)
+    bound = ((1.0 + KFP) * 5.0 + KFI * E_INT_MAX) / KDAMP
+    speed = np.abs(against(out))
+    assert 0.9 * bound < speed.max() < 1.001 * bound
+    assert "contact was lost in" in out.outcome.message
+    assert "the integral of the force error was at its bound e_int_max in" in out.outcome.message
+    of_force = taut.laws.ForceControl(kfp=KFP, kfi=KFI, kdamp=(KDAMP, 1.0), e_int_max=(E_INT_MAX, 1e-9))
+    assert of_force.speed_bound(F_app=[0, 0, -5.0, 0, 0, 0])[0] == pytest.approx(bound)
+
+
+def test_contact_that_comes_back_is_taken_up_within_the_rate_limit(faded: taut.Controller) -> None:
+    """A wall that was off for a while; the force comes back to what was asked for, and no torque jumps."""
+    wall = taut.StiffWall(point=T.p, normal=[0.0, 0.0, 1.0], stiffness=2e4, damping=300.0)
+    away = taut.Event(t=0.3, set={"environment.stiffness": 1e-3, "environment.damping": 0.0})
+    back = taut.Event(t=0.45, set={"environment.stiffness": 2e4, "environment.damping": 300.0})
+    plant = taut.RigidPlant(ARM, friction=None, environment=wall, substeps=4)
+    out = taut.run(faded, plant, taut.pressing(STAY, 5.0), duration=1.6, events=[away, back])
+    assert out.outcome.ok
+    assert out.metrics.contact_lost_time > 0.05
+    assert out.extra["F_ext"][299, 2] == pytest.approx(5.0, abs=0.1)
+    assert out.extra["F_ext"][-1, 2] == pytest.approx(5.0, abs=0.2)
+    assert np.abs(np.diff(out.command, axis=0)).max() <= 1000.0 * 1e-3 * (1.0 + 1e-9)
+
+
+def test_the_force_goes_and_comes_without_a_jump(faded: taut.Controller) -> None:
+    """Force against a wall that vanishes and is there again: the command takes the whole patience each time."""
+    faded.reset()
+    q, v, ref = np.array(ARM.home), np.zeros(ARM.n), taut.pressing(STAY, 5.0)
+    lam = []
+    for k in range(400):
+        there = 0.0 if 100 <= k < 250 else 5.0
+        faded.step(q, v, ref, F_ext=np.array([0.0, 0.0, there, 0.0, 0.0, 0.0]))
+        lam.append(float(faded.memory["law.lam"][0]))
+    steps = np.abs(np.diff(lam))
+    assert steps[np.arange(399) != 99].max() < (1.0 + KFP) * 5.0 / 50.0 * 1.1  # 50 ticks of patience
+    assert steps[99] == pytest.approx(KFP * 5.0, abs=0.06)  # what kfp makes of the force that is gone
+    np.testing.assert_allclose([lam[99], lam[200], lam[399]], [-5.0, -2.0, -5.0], atol=0.06)
+
+
+def test_rows_that_hold_both_ways_are_always_there() -> None:
+    line = Constraint.line(point=T.p, axis=[1.0, 0.0, 0.0])
+    both = law(line)
+    assert not both.fades
+    ctrl = taut.compile(both, ARM, engine="float")
+    ref = taut.pressing(STAY, lam=[3.0, -4.0])
+    for _ in range(80):
+        ctrl.step(ARM.home, np.zeros(ARM.n), ref, F_ext=np.zeros(6))
+    assert ctrl.memory["law.lost"] == 0.0
+    assert ctrl.memory["law.share"].tolist() == [1.0, 1.0]
+    np.testing.assert_allclose(ctrl.memory["law.e_int"], 80e-3 * np.array([3.0, -4.0]))
+
+
+def test_an_integral_has_a_bound_where_none_is_given_as_that_of_force_control() -> None:
+    """20 N s for a row that is a force, 2 N m s for one that is a moment."""
+    face = Constraint.plane(point=T.p, normal=[0.0, 0.0, 1.0], face=T.R.T @ [0.0, 0.0, -1.0])
+    assert face.moments == (False, True, True)
+    assert Constraint.grasp("a", "b").moments == (False, False, False, True, True, True)
+    assert Constraint.knife_edge(sideways=[0.0, 1.0, 0.0]).moments == (False,)
+    ctrl = taut.compile(law(face, kdamp=100.0), ARM, rate=100.0, engine="float")
+    ref = taut.pressing(STAY, lam=[-1000.0, 100.0, 100.0])
+    for _ in range(5):
+        ctrl.step(ARM.home, np.zeros(ARM.n), ref, F_ext=np.zeros(6))
+    np.testing.assert_allclose(ctrl.memory["law.e_int"], [-20.0, 2.0, 2.0])
+    assert ctrl.memory["law.bounded"] == 1.0
+
+
+# -------------------------------------------------------------------- what is asked for
+
+
+def test_a_stream_into_the_surface_is_told_and_followed_along_it(faded: taut.Controller) -> None:
+    def dive(x: Any) -> Any:
+        return taut.pressing(taut.TaskMotion(pose=Pose(T.p - [0.0, 0.0, 0.09 * x.t], R=T.R)), 5.0)
+
+    out = run(faded, taut.stream(period=0.05, source=dive), contact=BOARD, duration=0.3)
+    told = "the motion asked for, off the constraint by more than the tolerance, was followed only along it in 151 of 301"
+    assert told in out.outcome.message
+    assert "first at t = 0.15 s" in out.outcome.message
+    assert np.abs(out.task.p - T.p).max() < 1e-4
+    quiet = run(faded, taut.stream(period=0.05, source=lambda x: taut.pressing(STAY, 5.0)), contact=BOARD)
+    assert quiet.outcome.message == "completed: 301 ticks, 0.3 s"
+
+
+def test_a_motion_of_another_frame_of_the_link_is_looked_at_where_the_constraint_is() -> None:
+    flange = next(name for name in ARM.frame_names if ARM.frame(name).body == ARM.frame().body and name != ARM.tool)
+    p = taut.snapshot(ARM, ARM.home).T(flange)
+    face = Constraint.plane(point=p.p, normal=[0.0, 0.0, 1.0], face=p.R.T @ [0.0, 0.0, -1.0], frame=flange)
+    ctrl = taut.compile(law(face, kfp=0.1, kfi=1.0, tolerance=0.02), ARM, engine="float")
+    for tilt, off in ((0.0, 0.0), (0.1, 1.0)):
+        ctrl.reset()
+        R = Pose(rpy=[tilt, 0.0, 0.0]).R @ T.R
+        moved = p.p + Pose(rpy=[tilt, 0.0, 0.0]).R @ (T.p - p.p)  # the flange's origin stays on the plane
+        ctrl.step(ARM.home, np.zeros(ARM.n), taut.pressing(STAY), F_ext=np.zeros(6))
+        ref = taut.pressing(taut.TaskMotion(pose=Pose.of(R, moved)))
+        ctrl.step(ARM.home, np.zeros(ARM.n), ref, F_ext=np.zeros(6))
+        assert ctrl.memory["law.astray"] == off
+
+
+@pytest.mark.parametrize(
+    ("forces", "told"),
+    [
+        ({"F_app": [3.0, 0.0, -5.0, 0.0, 0.0, 0.0]}, True),
+        (
+            {"F_app": [0.01, 0.0, -5.0, 0.0, 0.0, 0.0]},
+            False,
+        ),  # a part in 500: where the tool is, not where it should be
+        ({"F_app": [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]}, True),
+        ({"lam": [2.0]}, True),
+        ({"lam": [-2.0]}, False),
+        ({"lam": [-2.0, 0.0]}, True),
+        ({"press": 2.0}, False),
+        ({}, False),
+    ],
+)
+def test_a_streamed_force_that_the_constraint_does_not_bear_is_told_and_left_out(
+    faded: taut.Controller, forces: Any, told: bool
+) -> None:
+    faded.reset()
+    q, v, rest = np.array(ARM.home), np.zeros(ARM.n), np.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0])
+    faded.step(q, v, taut.pressing(STAY), F_ext=rest)
+    faded.step(q, v, taut.pressing(STAY, **forces), F_ext=rest)
+    assert faded.memory["law.unborne"] == float(told)
+    if "F_app" in forces and forces["F_app"][2] < 0.0:
+        assert np.abs(faded.terms["force"]).max() > 0.0
+        faded.reset()
+        faded.step(q, v, taut.pressing(STAY), F_ext=rest)
+        kept = np.array(faded.terms["force"])
+        faded.step(q, v, taut.pressing(STAY, 5.0), F_ext=rest)
+        pressed = np.array(faded.terms["force"]) - kept
+        faded.reset()
+        faded.step(q, v, taut.pressing(STAY), F_ext=rest)
+        faded.step(q, v, taut.pressing(STAY, **forces), F_ext=rest)
+        np.testing.assert_allclose(faded.terms["force"] - kept, pressed, atol=1e-9)
+
+
+# -------------------------------------------------------------------- gains that are too high
+
+
+def test_gains_that_swing_up_on_a_rigid_contact_are_refused_there_and_told_elsewhere() -> None:
+    high = taut.compile(law(kfp=1.5), ARM)
+    with pytest.raises(
+        taut.RangeError, match=r"under 1 on a rigid contact, .* or it swings up; law has 1\.505; lower"
+    ):
+        run(high, taut.pressing(STAY, 5.0), contact=BOARD)
+    filtered = taut.compile(law(kfp=1.5), ARM, sensing=taut.Sensing(F_ext=taut.LowPass(cutoff=50.0)))
+    assert run(filtered, taut.pressing(STAY, 5.0), contact=BOARD, duration=0.05).outcome.ok
+    assert law(kfp=[1.0]).swing(1e-3) == pytest.approx(1.005)
+    assert HybridMotionForce(constraint=BOARD, motion=motion()).swing(1e-3) == 0.0
+
+
+def test_a_force_that_turns_round_each_tick_is_told(faded: taut.Controller) -> None:
+    """As on a contact that is nearly rigid; noise that turns round now and then is none."""
+    ref, q, v = taut.pressing(STAY, 5.0), np.array(ARM.home), np.zeros(ARM.n)
+    for forces, swings in (([0.0, 20.0] * 4, 1.0), ([4.6, 5.4] * 8, 0.0), ([3.0, 7.0, 7.0, 3.0] * 4, 0.0)):
+        faded.reset()
+        told = []
+        for force in forces:
+            faded.step(q, v, ref, F_ext=np.array([0.0, 0.0, force, 0.0, 0.0, 0.0]))
+            told.append(float(faded.memory["law.swings"]))
+        assert told[-1] == swings
+        assert sum(told[:4]) == 0.0
+
+
+# -------------------------------------------------------------------- rows that become dependent
+
+
+def test_rows_that_become_dependent_are_told_and_left_out() -> None:
+    """A plane and a saddle z = 10 x y meet along x = 0, and at y = 0 they touch: their gradients are one."""
+    centre = T.p + np.array([0.0, 0.05, 0.0])
+
+    def meeting(now: Pose) -> Any:
+        d = now.p - centre
+        return taut.math.array([d[2], d[2] - 10.0 * d[0] * d[1]])
+
+    both = Constraint(meeting)
+    ctrl = taut.compile(HybridMotionForce(constraint=both, motion=motion()), ARM)
+    way = taut.pressing(taut.Line(T0=T, T1=Pose(centre, R=T.R), duration=0.3))
+    out = run(ctrl, way, contact=both, duration=0.5)
+    assert "rows of the constraint said the same as later ones, and were left out (index 0) in" in out.outcome.message
+    gone = out.extra["law.dependent"]
+    assert gone[0].tolist() == [0.0, 0.0]
+    assert gone[-1].tolist() == [1.0, 0.0]
+    assert np.abs(out.command).max() < 1.2 * np.abs(out.command[0]).max()
+    assert np.abs(out.task.p[-1] - centre).max() < 1e-3
+    # exactly there, with a motion that both rows cannot have
+    ctrl.step(ARM.home, np.zeros(ARM.n), taut.pressing(STAY))
+    x = taut.snapshot(ARM, taut.onto(BOARD, ARM, out.q[-1]), np.full(ARM.n, 0.1))
+    tau = ctrl.step(x.q, x.v, taut.pressing(taut.TaskMotion(pose=x.T())))
+    assert np.abs(tau).max() < 100.0
+
+
+def test_a_law_that_estimates_the_surface_does_not_tell_of_a_motion_off_the_stated_one() -> None:
+    told = []
+    for estimate in (None, taut.laws.NormalEstimate()):
+        ctrl = taut.compile(law(estimate=estimate), ARM, engine="float")
+        ctrl.step(ARM.home, np.zeros(ARM.n), taut.pressing(STAY), F_ext=np.zeros(6))
+        above = taut.TaskMotion(pose=Pose(T.p + np.array([0.0, 0.0, 0.05]), R=T.R))
+        ctrl.step(ARM.home, np.zeros(ARM.n), taut.pressing(above), F_ext=np.zeros(6))
+        told.append(float(ctrl.memory["law.astray"]))
+    assert told == [1.0, 0.0]

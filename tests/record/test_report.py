@@ -1,0 +1,324 @@
+"""Reports: valid HTML with everything in it, nothing asked of other places, no folders, and lines that repeat a run."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import io
+import json
+import re
+from pathlib import Path
+
+import html5lib
+import matplotlib.figure
+import matplotlib.image
+import numpy as np
+import pytest
+
+import taut
+from taut.apps.cli import main
+from taut.base.errors import FileError, UsageError
+from taut.record.metrics import MEASURES
+from taut.record.report import page_of
+from taut.record.report_html import html_of
+from taut.record.report_page import Page, Picture, Table, without_folders
+from taut.record.report_run import meaning
+
+HTML = "{http://www.w3.org/1999/xhtml}"
+MOST_BYTES = 3_000_000
+
+
+@pytest.fixture(scope="module")
+def run() -> taut.Run:
+    arm = taut.load_arm("planar2")
+    law = taut.laws.FeedForward() + taut.laws.PID(kp=[80.0, 60.0], kd=[8.0, 6.0])
+    ctrl = taut.compile(law, arm, limits=taut.Limits(tau=[30.0, 10.0]))
+    ref = taut.Sine(center=[0.3, 0.5], amplitude=[0.3, 0.2], frequency=[0.8, 1.1], phase=[0.0, 1.0])
+    loop = taut.Loop(ctrl, taut.RigidPlant(arm), ref, duration=0.4)
+    loop.parameters["plant.payload.mass"] = 0.7
+    return taut.run(loop, q0=[0.2, 0.4], seed=5)
+
+
+def tree(text: str) -> list:
+    """Every element; the strict parser raises at the first thing that is no HTML."""
+    parser = html5lib.HTMLParser(strict=True)
+    return list(parser.parse(text).iter())
+
+
+def words_of(text: str) -> str:
+    return " ".join(" ".join(x for x in element.itertext()) for element in tree(text) if element.tag == HTML + "body")
+
+
+def check_alone(text: str) -> None:
+    """Valid, small, without scripts, and everything that it points to is in it."""
+    elements = tree(text)
+    assert len(text.encode()) < MOST_BYTES
+    tags = {element.tag.removeprefix(HTML) for element in elements if isinstance(element.tag, str)}
+    assert not tags & {"script", "link", "iframe", "object", "embed", "base", "form", "a", "video", "audio"}
+    for element in elements:
+        for name, value in element.attrib.items():
+            assert not name.startswith("on"), name
+            if name in ("src", "href", "srcset", "style", "background", "poster"):
+                assert value.startswith("data:image/png;base64,"), value[:60]
+    style = "".join(element.text or "" for element in elements if element.tag == HTML + "style")
+    assert not re.search(r"url\(|@import|https?:", style)
+    assert not re.search(r"https?://", text)
+    policy = [e.attrib["content"] for e in elements if e.attrib.get("http-equiv") == "Content-Security-Policy"]
+    assert policy == ["default-src 'none'; img-src data:; style-src 'unsafe-inline'"]
+
+
+def pictures(text: str) -> list[np.ndarray]:
+    found = [e for e in tree(text) if e.tag == HTML + "img"]
+    assert all(e.attrib["alt"] for e in found)
+    return [matplotlib.image.imread(io.BytesIO(base64.b64decode(e.attrib["src"].partition(",")[2]))) for e in found]
+
+
+def test_the_report_of_a_run_has_its_figures_picture_settings_versions(run: taut.Run, tmp_path: Path) -> None:
+    file = taut.report(run, tmp_path / "run.html")
+    text = file.read_text(encoding="utf-8")
+    check_alone(text)
+    words = words_of(text)
+    rows = {
+        tuple(cell.text for cell in row)
+        for row in (list(element) for element in tree(text) if element.tag == HTML + "tr")
+    }
+    first = next(element for element in tree(text) if element.tag == HTML + "tbody")
+    figures = {row[0].text: [cell.text for cell in row[2:4]] for row in first}
+    for name, number in (("RMS error", run.metrics.overall["rms_error"]), ("effort", run.metrics.overall["effort"])):
+        assert float(figures[name][0]) == pytest.approx(number, rel=1e-3)
+    assert figures["effort"][1] == "(N m)^2 s"
+    assert ("plant.payload.mass", "0.7") in rows
+    assert ("seed", "5") in rows
+    assert ("limits of the controller", "tau = [30.0, 10.0]") in rows
+    assert ("sensing", "velocity = measured") in rows
+    assert ("taut", taut.__version__) in rows
+    assert {"numpy", "llvmlite", "mujoco", "Python", "platform"} <= {row[0] for row in rows}
+    assert "integral of tau^2, as in figure 10.12; for all joints the sum" in words
+    assert len(pictures(text)) == 1
+    assert pictures(text)[0].std() > 0.05  # something is drawn
+
+
+def test_the_lines_of_a_report_make_the_same_run_again(
+    run: taut.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run.save("again.mcap")
+    lines = page_of(run, log="again.mcap").repeat
+    known: dict[str, object] = {}
+    exec(lines, known)  # what a reader would do with it
+    again = known["run"]
+    assert isinstance(again, taut.Run)
+    np.testing.assert_array_equal(again.q, run.q)
+    np.testing.assert_array_equal(again.command, run.command)
+
+
+def test_a_run_of_a_scenario_is_repeated_by_its_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    place = tmp_path / "samples.csv"
+    place.write_text("t,q1\n0,0\n0.05,0.1\n0.2,0.1\n")
+    text = (
+        '[arm]\nmodel = "one_joint"\n[laws.PD]\nlaw = "PID"\nkp = 2\nkd = 2\n[plant]\n[reference]\nkind = "samples"\n'
+    )
+    text += f'file = "{place}"\n[run]\nduration = 0.1\n[outputs]\nlog = "mine.mcap"\n'
+    (tmp_path / "mine.toml").write_text(text)
+    assert main(["run", "mine.toml", "--out", "."]) == 0
+    assert main(["report", "mine.mcap", "-o", "mine.html"]) == 0
+    assert capsys.readouterr().out.endswith("report   mine.html\n")
+    made = (tmp_path / "mine.html").read_text(encoding="utf-8")
+    check_alone(made)
+    assert "taut run mine.toml" in made
+    assert "<h1>mine: PD</h1>" in made
+    assert "file = &quot;samples.csv&quot;" in made
+    assert str(tmp_path) not in made
+    assert main(["report", "mine.mcap", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["report"] == "report.html"
+
+
+def test_comparisons_and_grades_have_reports(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    plain = ["--model", "trials=1", "--report", "table.html"]
+    assert main(["compare", "feedforward_error", "--laws", "feedback", "feedforward", "--by", "effort", *plain]) == 0
+    text = (tmp_path / "table.html").read_text(encoding="utf-8")
+    check_alone(text)
+    assert "taut compare feedforward_error --laws feedback feedforward --by effort" in text
+    assert "theta(t) = pi/2 - cos(t)" in text  # the scenario's own words
+    assert len(pictures(text)) == 1
+    words = [
+        "compare",
+        "feedforward_error",
+        "--laws",
+        "feedforward",
+        "--reference",
+        "feedback",
+        "--report",
+        "grade.html",
+    ]
+    assert main(words) == 1
+    text = (tmp_path / "grade.html").read_text(encoding="utf-8")
+    check_alone(text)
+    assert "Failed, with a tolerance of 5 %." in words_of(text)
+    told = taut.compare({"a": "PID(kp=2, kd=2)"}, "one_joint_pid", model=None, noise={})
+    assert "law_1 = taut.laws.PID(kp=2.0, kd=2.0, ki=0.0)" in told.repeat
+    assert told.repeat.endswith("print(taut.compare({'a': law_1}, 'one_joint_pid', noise={}, model=None))")
+    known: dict[str, object] = {}
+    capsys.readouterr()
+    exec(told.repeat, known)  # what a reader would do with it
+    assert capsys.readouterr().out.strip() == told.report()
+
+
+def test_anything_that_prints_and_plots_has_a_report(tmp_path: Path) -> None:
+    class Designed:
+        def report(self) -> str:
+            return "gains kp = 100 & kd < 20"
+
+        def plot(self) -> matplotlib.figure.Figure:
+            figure = matplotlib.figure.Figure()
+            figure.subplots().plot([0.0, 1.0])
+            return figure
+
+        def tables(self) -> dict[str, list[list[object]]]:
+            return {"gains": [["gain", "value"], ["kp", 100.0]]}
+
+    d = taut.second_order(M=0.5, b=0.1, kd=2.0, zeta=1.0)
+    for made in (Designed(), d):
+        text = taut.report(made, tmp_path / "d.html").read_text(encoding="utf-8")
+        check_alone(text)
+        assert "In words" in text
+    text = taut.report(Designed(), tmp_path / "d.html", title="<b>", repeat="taut design ...").read_text(
+        encoding="utf-8"
+    )
+    assert "<h1>&lt;b&gt;</h1>" in text
+    assert "gains kp = 100 &amp; kd &lt; 20" in text
+    assert "taut design ..." in text
+    assert ("kp", "100.0") in {tuple(cell.text for cell in e) for e in tree(text) if e.tag == HTML + "tr"}
+
+
+def test_whatever_stands_in_a_text_stays_a_text() -> None:
+    nasty = "a</pre><script>alert(1)</script>&amp;\"'\x00\x1b[31m\ud800 /home/x/y.py"
+    page = Page(
+        title=nasty,
+        summary=[nasty],
+        faults=[nasty],
+        tables=[Table(title=nasty, heads=[nasty, nasty], rows=[[nasty, nasty]], note=nasty)],
+        settings={nasty: nasty},
+        texts={nasty: nasty},
+        repeat=nasty,
+    )
+    text = html_of(page).encode("utf-8", "replace").decode()
+    check_alone(text)
+    assert "/home/x" not in text
+    assert words_of(text).count("<script>alert(1)</script>&amp;") == 14
+
+
+def test_pictures_are_less_sharp_where_the_file_would_be_too_large() -> None:
+    rng = np.random.default_rng(0)
+
+    def noise() -> Picture:
+        figure = matplotlib.figure.Figure(figsize=(7.5, 6.0))
+        figure.figimage(rng.random((960, 1200, 3)), resize=False)
+        return Picture(title="noise", figure=figure)
+
+    text = html_of(Page(title="large", pictures=[noise()]))
+    check_alone(text)
+    assert pictures(text)[0].shape[1] < 160 * 7.5
+
+
+def test_folders_of_files_are_left_out_and_units_are_not() -> None:
+    for given, kept in {
+        "see /home/anna/run.mcap:3": "see run.mcap:3",
+        "'/a/b c'": "'b c'",
+        r"C:\Users\anna\law.py": "law.py",
+        "~/work/law.py": "law.py",
+        "N m/rad and rad/s/s and 1/2/3": "N m/rad and rad/s/s and 1/2/3",
+        "a / b / c": "a / b / c",
+        "relative/path.toml": "relative/path.toml",
+        "file:///home/anna/x.html": "x.html",
+    }.items():
+        assert without_folders(given) == kept
+
+
+def test_every_metric_is_explained() -> None:
+    for name in MEASURES:
+        assert len(meaning(name).split()) > 2, name
+        assert not meaning(name).startswith(("[", "it", "the largest", "the sum")), name
+    assert meaning("chatter", joints=2) == "total variation of tau per second; for all joints the sum"
+
+
+# -------------------------------------------------------------------- what goes wrong
+
+
+def test_a_run_that_ended_in_a_fault_says_so_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    arm = taut.load_arm("planar2")
+    ctrl = taut.compile(taut.laws.PID(kp=1e9, kd=1e7), arm)
+    bad = taut.run(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=[1.0, 1.0]), duration=1.0)
+    bad.save("bad.mcap")
+    assert main(["report", "bad.mcap"]) == 1
+    told = capsys.readouterr()
+    assert told.out == "report   report.html\n"
+    assert "the run did not go to its end, and the report is of what came before: the simulation diverged" in told.err
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    check_alone(text)
+    assert text.index("<b>Fault:</b> the simulation diverged") < text.index("<h2>")
+
+
+def test_gaps_are_told(run: taut.Run) -> None:
+    kept = np.delete(np.arange(len(run)), range(100, 120))
+    fields = {name: getattr(run, name)[kept] for name in ("t", "q", "v", "tau", "command")}
+    terms = {name: values[kept] for name, values in run.terms.items()}
+    wanted = taut.JointMotion.of({name: getattr(run.reference, name)[kept] for name in "qva"})
+    holey = dataclasses.replace(run, **fields, terms=terms, reference=wanted)
+    assert page_of(holey).faults[0].startswith("The run has 1 gaps, the first from t = 0.099 to 0.12 s")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["no.mcap"], "log 'no.mcap' does not exist"),
+        (
+            ["run.mcap", "-o", "no/report.html"],
+            "report 'no/report.html' needs the folder 'no', which does not exist; create it first",
+        ),
+        (["run.mcap", "-o", "report.pdf"], "the report's name must end in .html or .htm; got 'report.pdf'"),
+        (["short.mcap"], "a report needs a run of 2 ticks at least; got 1"),
+        (["text.mcap"], "is no MCAP file"),
+    ],
+)
+def test_a_wrong_request_is_one_sentence_and_nothing_is_lost(
+    words: list[str],
+    message: str,
+    run: taut.Run,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run.save("run.mcap")
+    run.between(0.0, 0.0005).save("short.mcap")
+    (tmp_path / "text.mcap").write_text("hello")
+    (tmp_path / "report.html").write_text("what was there")
+    before = sorted(tmp_path.iterdir())
+    assert main(["report", *words]) == 2
+    told = capsys.readouterr()
+    assert (told.out, told.err.count("\n")) == ("", 1)
+    assert message in told.err
+    assert sorted(tmp_path.iterdir()) == before
+    assert (tmp_path / "report.html").read_text() == "what was there"
+
+
+def test_what_has_no_report_is_told(run: taut.Run, tmp_path: Path) -> None:
+    for x, name in ((3.0, "float"), (taut.Run, "Run"), (None, "NoneType")):
+        with pytest.raises(
+            UsageError, match=f"a report is of a taut.Run, a taut.Comparison, or what has .* got {name}"
+        ):
+            taut.report(x, tmp_path / "x.html")
+    (tmp_path / "y.html").mkdir()
+    with pytest.raises(FileError, match="is a folder; name a file in it"):
+        taut.report(run, tmp_path / "y.html")
+    assert [path.name for path in tmp_path.iterdir()] == ["y.html"]

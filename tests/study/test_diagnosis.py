@@ -1,0 +1,239 @@
+"""The doctor: planted faults are found first with their term, healthy runs are left alone, numbers are right."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+import re
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+
+import diagnosis_runs as runs
+import numpy as np
+import pytest
+
+import taut
+from taut.apps.cli import main
+from taut.record.outcome import Outcome
+from taut.study.diagnosis_finding import FAULTS
+from taut.study.diagnosis_line import line_of
+
+Bar = Callable[[str, object], None]
+HELD_BACK = ("kinova", "z1")  # no threshold was chosen by them
+MODEL_PLANT_ONLY = ("late",)  # its plant is stepped by hand
+CASES = [(fault, arm, "rigid") for fault in runs.FAULTS for arm in runs.ARMS]
+CASES += [(fault, "panda", "mujoco") for fault in runs.FAULTS if fault not in MODEL_PLANT_ONLY]
+SOUND = [(law, arm, "rigid") for law in runs.HEALTHY for arm in runs.ARMS]
+SOUND += [(law, "panda", "mujoco") for law in runs.HEALTHY if law not in ("healthy_force", "healthy_hybrid")]
+
+
+def planted(fault: str, arm: str, kind: str, seed: int = 7) -> runs.Planted:
+    rng = np.random.default_rng([list(runs.FAULTS).index(fault), runs.ARMS.index(arm), seed])
+    return runs.FAULTS[fault](arm, rng, kind)
+
+
+def healthy(law: str, arm: str, kind: str, seed: int = 3) -> taut.Run:
+    rng = np.random.default_rng([list(runs.HEALTHY).index(law), runs.ARMS.index(arm), seed])
+    return runs.HEALTHY[law](arm, rng, kind)
+
+
+@functools.cache
+def heavy() -> taut.Run:
+    """A Panda that carries 1.5 kg of which its controller does not know."""
+    arm = taut.load_arm("panda")
+    ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)
+    return taut.run(ctrl, taut.RigidPlant(arm.with_payload(1.5)), duration=0.5)
+
+
+def some(cases: list[tuple[str, str, str]], count: int) -> list[tuple[str, str, str]]:
+    """A seeded choice; all if as many are asked for."""
+    picked = np.random.default_rng(0).permutation(len(cases))[:count]
+    return [cases[i] for i in sorted(picked)]
+
+
+def few(count: int, share: Callable[[int], int]) -> int:
+    """All in `make bars`, else a thirtieth: each has a loop of its own to compile."""
+    return count if share(count) == count else share(count) // 3
+
+
+# -------------------------------------------------------------------- bars
+
+
+@pytest.mark.bars
+def test_a_planted_fault_is_found_first_with_the_term_responsible(share: Callable[[int], int], bar: Bar) -> None:
+    wrong: dict[bool, list[str]] = {True: [], False: []}
+    chosen = some(CASES, few(len(CASES), share))
+    for fault, arm, kind in chosen:
+        case = planted(fault, arm, kind)
+        found = taut.doctor(case.run).findings
+        first = (found[0].name, found[0].term) if found else ("nothing", "")
+        if first != (case.fault, case.term):
+            wrong[arm in HELD_BACK].append(f"{fault} on {arm} ({kind}): {first[0]} {first[1]}")
+    held = sum(arm in HELD_BACK for _, arm, _ in chosen)
+    for back, count in ((False, len(chosen) - held), (True, held)):
+        arms = "kinova and z1, held back" if back else "four arms"
+        bar(f"the doctor: faults found first, {arms}", f"{count - len(wrong[back])} of {count}")
+    assert wrong == {True: [], False: []}
+
+
+@pytest.mark.bars
+def test_healthy_runs_raise_no_alarm(share: Callable[[int], int], bar: Bar) -> None:
+    chosen = some(SOUND, few(len(SOUND), share))
+    alarms = []
+    for law, arm, kind in chosen:
+        diagnosis = taut.doctor(healthy(law, arm, kind))
+        if not diagnosis.healthy:
+            alarms.append(f"{law} on {arm} ({kind}): {diagnosis}")
+    bar("the doctor: false alarms in healthy runs", f"{len(alarms)} of {len(chosen)}")
+    assert not alarms
+
+
+# -------------------------------------------------------------------- numbers against what was planted
+
+
+def test_the_mass_of_a_payload_is_that_which_hangs_there() -> None:
+    found = taut.doctor(heavy()).findings[0]
+    assert found.evidence["beyond it"].value == pytest.approx(1.5, rel=1e-3)  # its friction, 0.003 N m s/rad, is left
+    assert found.share > 0.9
+    assert "arm.with_payload(1.5)" in found.remedy
+
+
+def test_the_centre_of_a_payload_comes_with_it() -> None:
+    arm = taut.load_arm("panda").with_friction(taut.Friction())
+    ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)
+    plant = taut.RigidPlant(arm.with_payload(1.0, com=[0.05, 0.0, 0.04]))
+    way = taut.Quintic(q0=arm.home, q1=arm.home + 0.4 * np.array([1, 1, -1, 1, 1, -1, 1]), duration=1.0)
+    found = taut.doctor(taut.run(ctrl, plant, way, duration=1.0)).findings[0]
+    assert found.name == "wrong payload"
+    assert found.evidence["beyond it"].value == pytest.approx(1.0, abs=0.01)
+    told = re.search(r"com=\((.*?)\)", found.remedy)
+    assert told is not None
+    centre = [float(x) for x in told.group(1).split(",")]
+    assert centre == pytest.approx([0.05, 0.0, 0.04], abs=3e-3)  # its inertia about the tool, m c^2, is not fitted
+
+
+def test_the_plants_parameters_are_not_read() -> None:
+    """A record of a real arm has none."""
+    run = heavy()
+    law_side = {k: v for k, v in run.info["parameters"].items() if k.partition(".")[0] not in ("plant", "sensors")}
+    blind = dataclasses.replace(run, info={**run.info, "parameters": law_side}, arm=None)
+    assert taut.doctor(blind).json() == taut.doctor(run).json()
+
+
+@pytest.mark.parametrize(("growth", "omega"), [(-0.8, 40.0), (0.0, 25.0), (1.5, 90.0)])
+def test_a_line_has_the_frequency_and_growth_that_it_was_made_with(growth: float, omega: float) -> None:
+    t = np.arange(1500) * 1e-3
+    y = 0.3 + 0.2 * t + np.exp(growth * t) * np.cos(omega * t + 0.4)
+    line = line_of(y, 1e-3)
+    assert line is not None
+    assert line.omega == pytest.approx(omega, rel=1e-6)
+    assert line.growth == pytest.approx(growth, abs=1e-5)
+    assert line.share == pytest.approx(1.0, abs=1e-9)
+    assert line.last == pytest.approx(np.exp(growth * 1.5), rel=1e-2)
+
+
+def test_a_signal_without_a_line_has_none_that_matters() -> None:
+    noise = np.random.default_rng(0).normal(size=1000)
+    line = line_of(noise, 1e-3)
+    assert line is None or line.share < 0.1
+    decay = line_of(np.exp(-5.0 * np.arange(1000) * 1e-3), 1e-3)
+    assert decay is None or decay.zeta > 0.1 or decay.share < 0.5
+
+
+def test_the_damping_that_is_advised_gives_the_damping_ratio_that_is_said() -> None:
+    """One joint: the remedy's kd is 2 zeta sqrt(kp M) - so its poles have zeta = 0.7 but for friction."""
+    arm = taut.load_arm("one_joint").with_gravity([0.0, 0.0, 0.0]).with_friction(taut.Friction())
+    ctrl = taut.compile(taut.laws.PID(kp=50.0, kd=0.05), arm)
+    run = taut.run(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=[0.2]), duration=3.0)
+    found = taut.doctor(run, arm=arm).findings[0]
+    assert (found.name, found.term) == ("oscillates", "D")
+    assert found.evidence["frequency"].value == pytest.approx(np.sqrt(50.0 / 0.5) / (2.0 * np.pi), rel=1e-3)
+    assert f"to {2.0 * 0.7 * np.sqrt(50.0 * 0.5):.3g} N m s/rad" in found.remedy
+
+
+def test_the_bound_of_the_integral_is_that_of_the_chapter() -> None:
+    """0 <= ki < (b + kd) kp / M, with b = 0."""
+    arm = taut.load_arm("one_joint").with_gravity([0.0, 0.0, 0.0]).with_friction(taut.Friction())
+    ctrl = taut.compile(taut.laws.PID(kp=50.0, kd=2.0, ki=220.0), arm)
+    run = taut.run(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=[0.0]), q0=[0.05], duration=4.0)
+    found = taut.doctor(run, arm=arm).findings[0]
+    assert (found.name, found.term) == ("oscillates", "I")
+    bound = float(found.remedy.rpartition("= ")[2])
+    assert bound == pytest.approx(2.0 * 50.0 / 0.5, rel=0.1)
+
+
+# -------------------------------------------------------------------- the request
+
+
+def test_a_finding_has_a_picture_and_plain_values() -> None:
+    diagnosis = taut.doctor(heavy())
+    figure = diagnosis.findings[0].plot()
+    figure.savefig(BytesIO(), format="png")
+    assert set(json.loads(json.dumps(diagnosis.json(), allow_nan=False))["findings"][0]) >= {
+        "term",
+        "remedy",
+        "share",
+    }
+    assert all(finding.name in FAULTS for finding in diagnosis.findings)
+
+
+def test_a_fault_gaps_and_too_few_ticks_are_told_and_what_can_be_said_is() -> None:
+    run = heavy()
+    broken = dataclasses.replace(run, outcome=Outcome(kind="diverged", message="it diverged", tick=500))
+    told = taut.doctor(broken)
+    assert (told.problems, told.healthy) == (("it ended in a fault: it diverged",), False)
+    short = run.between(0.0, 0.1)
+    assert "101 ticks, 0.101 s, are too short" in taut.doctor(short).problems[0]
+    kept = np.r_[0:100, 103:501]
+    holes = dataclasses.replace(
+        run,
+        **{name: getattr(run, name)[kept] for name in ("t", "q", "v", "tau", "command")},
+        terms={name: value[kept] for name, value in run.terms.items()},
+        reference=type(run.reference).of({f: getattr(run.reference, f)[kept] for f in ("q", "v", "a")}),
+        extra={name: value[kept] for name, value in run.extra.items()},
+    )
+    diagnosis = taut.doctor(holes)
+    assert "3 ticks are missing; judged from 0.103 to 0.5 s" in diagnosis.problems[0]
+    assert diagnosis.findings[0].name == "wrong payload"
+
+
+def test_what_is_no_run_is_refused() -> None:
+    with pytest.raises(taut.UsageError, match=r"doctor takes a Run from taut\.run or taut\.load_run; got str"):
+        taut.doctor("run.mcap")  # type: ignore[arg-type]
+    with pytest.raises(taut.RangeError, match="a run of 16 ticks at least is needed"):
+        taut.doctor(heavy().between(0.0, 0.01))
+    with pytest.raises(taut.MatchError, match="the run is of joints panda_joint1"):
+        taut.doctor(heavy(), arm=taut.load_arm("ur10"))
+
+
+def test_a_task_is_looked_at_phase_by_phase() -> None:
+    arm, law = taut.load_arm("one_joint"), taut.laws.PID(kp=20.0, kd=6.0)
+    goals = {"near": 0.1, "far": 0.2}
+    task = [
+        taut.Phase(law, taut.JointMotion(q=[q]), until=lambda x: x.elapsed > 0.5, name=name)
+        for name, q in goals.items()
+    ]
+    run = taut.run(taut.compile(task, arm), taut.RigidPlant(arm), duration=1.2, progress=False)
+    with pytest.raises(
+        taut.UsageError, match=r"changes from phase to phase \(near, far, stop\); look at one of them"
+    ):
+        taut.doctor(run)
+    assert str(taut.doctor(run.phase("near")))
+
+
+def test_the_command_reads_a_log_and_draws_what_it_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = heavy().save(tmp_path / "run.mcap")
+    assert main(["doctor", str(log), "--json", "--out", str(tmp_path / "found")]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["findings"][0]["name"] == "wrong payload"
+    assert [Path(path).name for path in told["pictures"]] == ["1_wrong_payload.png"]
+    assert (tmp_path / "found" / "1_wrong_payload.png").stat().st_size > 1000
+    short = heavy().between(0.0, 0.1).save(tmp_path / "short.mcap")
+    assert main(["doctor", str(short)]) == 2
+    out = capsys.readouterr()
+    assert "wrong payload" in out.out
+    assert "is no whole run: 101 ticks" in out.err
+    assert main(["doctor", str(tmp_path / "none.mcap")]) == 2
+    assert "does not exist" in capsys.readouterr().err
