@@ -466,7 +466,7 @@ def test_damping_is_that_of_the_sampled_prediction_on_five_arms_at_five_poses(
         arm = taut.load_arm(name)
         low, high = (np.clip(limit, arm.home - 0.4, arm.home + 0.4) for limit in (arm.lower, arm.upper))
         q = rng.uniform(low, high)
-        for law, asked in kinds if len(cases) == 25 else kinds[:2]:
+        for law, asked in kinds if len(cases) == 25 else kinds[1:2]:
             d = taut.design(law, arm, at=q, **asked)
             for kind in ("zeta", "omega_n"):
                 off = np.abs(numbers(d, "simulated", kind) / numbers(d, "predicted", kind) - 1.0)

@@ -30,7 +30,7 @@ def bandwidth_ratio(zeta: float) -> float:
     """Bandwidth over natural frequency: where omega_n^2 / (s^2 + 2 zeta omega_n s + omega_n^2) is 3 dB down.
 
     Example:
-        >>> round(bandwidth_ratio(1.0), 4), bandwidth_ratio(0.5**0.5)
+        >>> round(bandwidth_ratio(1.0), 4), round(bandwidth_ratio(0.5**0.5), 4)
         (0.6436, 1.0)
     """
     half = 1.0 - 2.0 * zeta**2

@@ -210,13 +210,16 @@ class Maker:
 
 
 def _kept(tried: list[_Tried]) -> float:
-    """The least share of a damping ratio that the sampled loop keeps of what the book has, over all poses."""
+    """The least share of a damping ratio that the sampled loop keeps of what the book has, over all poses.
+
+    More than one counts as one: what creeps in the book and creeps less in the loop has lost nothing.
+    """
     least = math.inf
     for _, directions, predicted in tried:
         for d, response in zip(directions, predicted, strict=True):
             book = Numbers.designed(d.dynamics).zeta
             if book > 0.0:
-                least = min(least, response.numbers.zeta / book)
+                least = min(least, response.numbers.zeta / min(book, 1.0))
     return least
 
 

@@ -17,10 +17,11 @@ __all__ = ["plot"]
 
 HEIGHT: Final = 3.2
 MOST: Final = 8  # directions in one picture
+POINTS: Final = 200  # of what was designed
 
 
 def plot(d: Design) -> Figure:
-    """Errors after steps, and the command as a share of the limits where there are some."""
+    """Errors after steps over what was designed (dashed), and the command as a share of the limits, if any."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
@@ -34,11 +35,12 @@ def plot(d: Design) -> Figure:
         if i == MOST:
             break
         left.plot(response.t, response.e, color=colour(i), linewidth=1.3, label=each.direction)
+        t = np.linspace(0.0, response.t[-1], POINTS)
+        left.plot(t, d.tried.directions[i].dynamics.response(t)[0], color=INK, linewidth=0.8, linestyle=DASHED)
         share = 100.0 / d.arm.effort if limited else np.ones(d.arm.n)
         right.plot(response.t, size * np.abs(response.command * share).max(axis=1), color=colour(i), linewidth=1.3)
     left.axhline(0.0, color=INK, linewidth=0.6)
-    for level in (0.02, -0.02):
-        left.axhline(level, color=INK, linewidth=0.6, linestyle=DASHED)
+    left.axhspan(-0.02, 0.02, color=INK, alpha=0.08, linewidth=0.0)
     if d.responses:
         left.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
     return figure

@@ -41,6 +41,8 @@ SMALL: Final = 1e-4  # [m | rad] a step for which a loop is as good as linear
 DRIVE: Final = 1e4  # [rad/s] of drives that are as good as ideal
 LONGER: Final = 2.5  # times the settling time that was designed for
 SHORTEST, LONGEST = 30, 40_000  # ticks
+ROUNDING: Final = 1e-9  # of a pole: a smaller imaginary part is none
+PAIRED: Final = 1e-6  # of a pole: as near is its conjugate
 HELD: Final = 1e-9  # of the step: below it an error is rounding
 SEEN: Final = 0.1  # [%] of overshoot that tells a damping ratio
 NOTHING: Final = np.zeros(6)
@@ -71,19 +73,26 @@ class Numbers:
 
 
 def numbers_of_poles(s: Any) -> tuple[float, float]:
-    """Damping ratio and natural frequency of the slowest two poles, complex ones first; of one, 1 and its rate."""
+    """Damping ratio and natural frequency: of the slowest complex pair, else of the slowest two poles.
+
+    Of one pole they are 1 and its rate. A pole of a sampled loop that changes its sign from tick to tick has no
+    partner; it counts as one that swings where it is the slowest.
+    """
     s = np.asarray(s, dtype=np.complex128)
     s = s[np.argsort(-s.real)]
-    swinging = s[np.abs(s.imag) > 1e-9 * np.abs(s)]
-    if len(swinging):
-        pole = complex(swinging[0])
+    bent = np.abs(s.imag) > ROUNDING * np.abs(s)
+    paired = np.array([bent[k] and np.any(np.abs(s - s[k].conjugate()) < PAIRED * abs(s[k])) for k in range(len(s))])
+    paired[:1] |= bent[:1]
+    if paired.any():
+        pole = complex(s[np.argmax(paired)])
         return float(-pole.real / abs(pole)), abs(pole)
-    if len(s) == 1:
-        return 1.0, float(abs(s[0]))
-    product = float((s[0] * s[1]).real)
+    rates = -s.real[:2]
+    if len(rates) == 1:
+        return 1.0, float(abs(rates[0]))
+    product = float(np.prod(rates))
     if product <= 0.0:
         return math.nan, math.nan
-    return float(-(s[0] + s[1]).real / (2.0 * math.sqrt(product))), math.sqrt(product)
+    return float(rates.sum() / (2.0 * math.sqrt(product))), math.sqrt(product)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

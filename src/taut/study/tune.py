@@ -78,7 +78,7 @@ def tune(
         >>> ctrl = taut.compile(taut.laws.GravityPID(kp=5.0, kd=0.5), arm)
         >>> loop = taut.Loop(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=[1.0]), duration=1.0)
         >>> tuned = taut.tune(loop, ("law.kd",), method="gradient")
-        >>> tuned.cost < 0.9, tuned.law.kd > 1.0
+        >>> tuned.cost < 0.9, bool(tuned.parameters["law.kd"] > 1.0)
         (True, True)
 
     References:

@@ -24,6 +24,7 @@ from taut.study.tune_space import Space
 
 __all__ = ["Answer", "Problem", "Stopped"]
 
+ROUNDING: Final = 1e-9  # of a limit
 SHIFT: Final = 1e-5  # of a bound's width, for the gradient of a margin
 
 
@@ -235,13 +236,22 @@ class Problem:
             slack_gradients=np.zeros((count, m)) if wanted else None,
         )
 
+    def _kept_anyway(self, loop: Loop, name: str) -> bool:
+        """Whether the loop's own controller cuts what would be beyond a limit, so that it constrains nothing."""
+        own, most = loop.parameters.get(f"limits.{name}"), getattr(self.limits, name)
+        return own is not None and most is not None and bool(np.all(own <= np.asarray(most) * (1.0 + ROUNDING)))
+
+    def _limited(self, loop: Loop) -> tuple[str, ...]:
+        """Which limits constrain a loop: tau, tau_dot."""
+        if self.limits is None:
+            return ()
+        given = [name for name in ("tau", "tau_dot") if getattr(self.limits, name) is not None]
+        return tuple(name for name in given if not self._kept_anyway(loop, name))
+
     def _names(self) -> list[str]:
         """Of the constraints."""
-        each = []
-        if self.limits is not None:
-            each += ["torque"] * (self.limits.tau is not None) + ["rate"] * (self.limits.tau_dot is not None)
-        each += ["chatter"] * (self.chatter is not None) + ["margin"] * (self.margin is not None)
-        return [f"{name} of {loop}" for loop in self.loops for name in each]
+        more = ["chatter"] * (self.chatter is not None) + ["margin"] * (self.margin is not None)
+        return [f"{name} of {title}" for title, loop in self.loops.items() for name in (*self._limited(loop), *more)]
 
     def _plain(self, x: Float64Array) -> Answer:
         values, costs, slacks = self.space.by_path(x), [], []
@@ -251,8 +261,8 @@ class Problem:
             if math.isinf(found.cost):
                 return self._without("a run diverged", values)
             costs.append(found.cost / self.scales[name][0])
-            if self.limits is not None:
-                slacks += [1.0 - share for share in (found.torque, found.rate) if not math.isnan(share)]
+            shares = {"tau": found.torque, "tau_dot": found.rate}
+            slacks += [1.0 - shares[limit] for limit in self._limited(loop)]
             if self.chatter is not None:
                 slacks.append(1.0 - found.chatter / (self.chatter * self.scales[name][1]))
             if self.margin is not None:
@@ -294,10 +304,10 @@ class Problem:
             count, (first, chattered) = len(self.seeds), self.scales[name]
             costs.append(cost / count / first)
             gradients.append(way / count / first)
-            for share, share_way in (torque, rate):
-                if share > -math.inf:
-                    slacks.append(1.0 - share)
-                    slack_ways.append(-share_way)
+            shares = {"tau": torque, "tau_dot": rate}
+            for limit in self._limited(loop):
+                slacks.append(1.0 - shares[limit][0])
+                slack_ways.append(-shares[limit][1])
             if self.chatter is not None:
                 slacks.append(1.0 - chatter / count / (self.chatter * chattered))
                 slack_ways.append(-chatter_way / count / (self.chatter * chattered))

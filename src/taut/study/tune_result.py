@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["Measured", "Trial", "Tuned"]
 
 WIDTH: Final = 13
+WORST: Final = 100.0  # times the start's cost: what a picture shows of what is worse
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -150,6 +151,8 @@ class Tuned:
             ax.plot(k[out], costs[out], "x", color=colour(1), markersize=4.0, label="does not")
         best = np.minimum.accumulate(np.where(kept, costs, np.inf))
         ax.plot(k, best, color=INK, linewidth=1.2, label="best so far")
+        ax.set_yscale("log")
+        ax.set_ylim(0.5 * float(np.nanmin(np.append(best, 1.0))), WORST)
         ax.axhline(1.0, color=INK, linewidth=0.8, linestyle=DASHED)
         ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
         return figure
