@@ -14,7 +14,7 @@ from taut.control.hybrid_motion import HybridMotion, Pressing
 from taut.control.reference import Chunk, Hold, Reference, Sample
 from taut.control.task_reference import TaskMotion
 from taut.maths.constraint import Constraint
-from taut.maths.constraint_rows import OfPoses, OfVelocity
+from taut.maths.constraint_rows import OfVelocity
 from taut.maths.snapshot import Snapshot
 
 __all__ = ["check_constraint", "check_forces", "check_motion", "check_place", "check_surface"]
@@ -154,9 +154,8 @@ def _check_force(constraint: Constraint, x: Snapshot, sample: HybridMotion, pres
             )
         return
     A = np.asarray(rows.A, dtype=np.float64)
-    surface = rows.one_sided[0] or _is_function(constraint)
-    what = "holds rotations only" if surface else "holds both ways"
-    if presses and (np.linalg.norm(A[0, :3]) < 1e-9 or not surface):
+    what = "holds rotations only" if constraint.surface else "holds both ways"
+    if presses and (np.linalg.norm(A[0, :3]) < 1e-9 or not constraint.surface):
         raise UsageError(
             f"press is a force into a surface, and the first row of the constraint {what}; put the surface first, "
             "with one_sided=True, or give lam=",
@@ -168,12 +167,6 @@ def _check_force(constraint: Constraint, x: Snapshot, sample: HybridMotion, pres
 
 def _of_velocities(constraint: Constraint) -> bool:
     return isinstance(constraint.pieces[0], OfVelocity)
-
-
-def _is_function(constraint: Constraint) -> bool:
-    """Whether a constraint begins with one function of the pose, which is positive on its free side."""
-    first = constraint.pieces[0]
-    return isinstance(first, OfPoses) and first.count == 1
 
 
 def _check_range(A: Float64Array, F: Float64Array, one_sided: Sequence[bool], when: str = "") -> None:

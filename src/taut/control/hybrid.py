@@ -371,7 +371,7 @@ class HybridMotionForce(Law):
         zero = tm.zeros(rows.count)
         after: dict[str, object] = {name: getattr(memory, name) for name in ("alone", "lost", "turned", "swings")}
         after |= {name: getattr(memory, name) + zero for name in ("e_int", "e_last", "share")}
-        wanted, unborne = asked_multipliers(rows, ref)
+        wanted, unborne = asked_multipliers(self.natural, rows, ref)
         after |= {"bounded": memory.bounded, "unborne": unborne}
         lam, missing, contact = Terms(force=wanted), [0.0] * rows.count, self._per_row("contact", CONTACT)
         if self.measures:

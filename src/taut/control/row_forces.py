@@ -34,7 +34,7 @@ def of_wrench(rows: ConstraintRows, F_app: Vector) -> Vector:
     return out
 
 
-def asked_multipliers(rows: ConstraintRows, ref: HybridMotion) -> tuple[Vector, Any]:
+def asked_multipliers(constraint: Constraint, rows: ConstraintRows, ref: HybridMotion) -> tuple[Vector, Any]:
     """(k,) the multipliers that are asked for, and 1 where some of it cannot be borne, else 0.
 
     What cannot be borne is not in them: press where the first row is no surface, a part of F_app outside the range of
@@ -50,7 +50,7 @@ def asked_multipliers(rows: ConstraintRows, ref: HybridMotion) -> tuple[Vector, 
         held = rows.factors.solve(along)
         unborne = unborne | (along @ held < (1.0 - UNBORNE * UNBORNE) * (F @ F))
         lam = lam + held
-        if rows.one_sided[0]:
+        if constraint.surface:
             gradient = rows.A[0, :3]
             lam = lam + tm.array([-ref.press[0] / tm.sqrt(gradient @ gradient + 1e-24), *([0.0] * (k - 1))])
         else:

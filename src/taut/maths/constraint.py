@@ -90,6 +90,15 @@ class Constraint:
         return tuple(moment for piece in self.pieces for moment in of_moments(piece))
 
     @property
+    def surface(self) -> bool:
+        """Whether the first row can be pressed against: it is one-sided, or one function of poses.
+
+        A function of poses alone is positive on its free side.
+        """
+        first = self.pieces[0]
+        return self.one_sided[0] or (isinstance(first, OfPoses) and first.count == 1)
+
+    @property
     def frame(self) -> tuple[str | None] | None:
         """The one frame that it is a function of, in a tuple; None where there are several, or joints.
 
