@@ -75,9 +75,10 @@ class HybridMotionForce(Law):
 
     Loss of contact: of a one-sided row, less than `contact` is measured while more is asked for. Longer than
     `patience`, memory `lost` is 1; the metric contact_lost_time and the outcome tell. With kdamp the speed against
-    the row stays below |kdamp^-1 ((1 + kfp) lam_des + kfi e_int_max)|, from rest, as that of `ForceControl`. Without,
-    the force goes within the patience to twice `contact` and the integral rests, motion against the row is braked
-    within 0.02 s, term `lost`, and contact that is there again is taken up within the patience.
+    the row stays below kdamp^-1 times the size of (1 + kfp) lam_des + kfi e_int_max, from rest, as that of
+    `ForceControl`. Without, the force goes within the patience to twice `contact` and the integral rests, motion
+    against the row is braked within 0.02 s, term `lost`, and contact that is there again is taken up within the
+    patience.
 
     The outcome of a run tells too where a motion was asked for that is off the constraint by more than the tolerance,
     which is followed along it only, and a force that it does not bear, of which only the rest is applied.

@@ -95,21 +95,19 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
     the joint's effort limit. Of the run's parameters only those of the controller are read, never the plant's, so
     that a record of a real arm says as much. `taut.study.diagnosis_finding.FAULTS` lists the names.
 
-    | finding | test |
-    |---|---|
-    | wrong sign | the spring's work on the error is negative, or tau - (M a + h) = 2 tau, and the error grows |
-    | oscillates | one line of damping ratio under 0.1 is half of a joint's feedback; the term whose work feeds it |
-    | stick-slip, backlash | such a line of constant size, with rests, or with a dwell without torque |
-    | chatters | jitter above a twentieth of the rate, with more than 10 effort limits of variation per second |
-    | gravity twice, or not | the part of g in the residual tau + J^T F_ext - (M a + h), and in the law's terms |
-    | wrong payload | the regressor of a payload explains all but 2 % of the residual; its mass by least squares |
-    | sticks | a joint rests off its target, while its torque changes or is within its dry friction |
-    | sags | a steady error at rest that feedback holds against a constant load |
-    | winds up | the integral gains a tenth of the feedback while cut, and carries the joint beyond its target |
-    | saturates | a limit cuts in a twentieth of the run while the error counts |
-    | loses rank | the smallest singular value is under the border of `sizes_of`, and the law gives something up |
-    | jumps at start | feedback begins with a quarter of the effort |
-    | runs late | one period in a hundred is longer than one and a half |
+    * wrong sign: the spring's work on the error is negative, or tau - (M a + h) = 2 tau, and the error grows
+    * oscillates: one line of damping ratio under 0.1 is half of a joint's feedback; the term whose work feeds it
+    * stick-slip, backlash: such a line of constant size, with rests, or with a dwell without torque
+    * chatters: jitter above a twentieth of the rate, with more than 10 effort limits of variation per second
+    * gravity twice, or not: the part of g in the residual tau + J^T F_ext - (M a + h), and in the law's terms
+    * wrong payload: the regressor of a payload explains all but 2 % of the residual; its mass by least squares
+    * sticks: a joint rests off its target, while its torque changes or is within its dry friction
+    * sags: a steady error at rest that feedback holds against a constant load
+    * winds up: the integral gains a tenth of the feedback while cut, and carries the joint beyond its target
+    * saturates: a limit cuts in a twentieth of the run while the error counts
+    * loses rank: the smallest singular value is under the border of `sizes_of`, and the law gives something up
+    * jumps at start: feedback begins with a quarter of the effort
+    * runs late: one period in a hundred is longer than one and a half
 
     Args:
         run: From `taut.run` or `taut.load_run`.
