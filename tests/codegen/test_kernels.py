@@ -103,6 +103,16 @@ def test_denormal_and_huge_numbers_are_numbers(function: Any, x: float, wanted: 
     assert taut.native(function, x=())(np.array(x)) == wanted
 
 
+@pytest.mark.parametrize(("pick", "of_three"), [(tm.minimum, 1.0), (tm.maximum, 3.0)])
+def test_the_smaller_and_larger_of_two_numbers_are_nan_where_one_is(pick: Any, of_three: float) -> None:
+    both = taut.native(lambda x, y: tm.array([pick(x, y), pick(y, x), pick(x, 2.0), pick(2.0, x)]), x=(), y=())
+    nan = both(np.array(math.nan), np.array(1.0))
+    assert np.isnan(nan).tolist() == [True] * 4
+    assert both(np.array(of_three), np.array(2.0)).tolist() == [of_three] * 4
+    assert both(np.array(4.0 - of_three), np.array(2.0)).tolist() == [2.0] * 4
+    assert np.isnan(both(np.array(1.0), np.array(math.nan))[:2]).all()
+
+
 @pytest.mark.parametrize(
     ("low", "high"), [(-1.0, 1.0), (-708.0, 709.0), (-745.2, -708.0), (709.0, 709.78), (-1e-9, 1e-9)]
 )

@@ -7,6 +7,7 @@ import functools
 import hashlib
 import importlib.util
 import itertools
+import platform
 import sys
 import threading
 import warnings
@@ -61,13 +62,21 @@ class NativeModule:
         return self.addresses[name]
 
 
+def _together() -> bool:
+    """Whether code is linked with its constants beside it, which it then need not be given the addresses of."""
+    return sys.platform == "linux" and platform.machine() == "x86_64"
+
+
 def _new_machine(level: int) -> Any:
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     return llvm.Target.from_default_triple().create_target_machine(
-        cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=level
+        cpu=llvm.get_host_cpu_name(),
+        features=llvm.get_host_cpu_features().flatten(),
+        opt=level,
+        **({"codemodel": "small", "reloc": "pic"} if _together() else {}),
     )
 
 
@@ -82,7 +91,7 @@ def _jit() -> Any:
     """The linker that puts object code into this process; it takes over its machine, so it has its own."""
     import llvmlite.binding as llvm
 
-    return llvm.create_lljit_compiler(_new_machine(LEVEL))
+    return llvm.create_lljit_compiler(_new_machine(LEVEL), use_jit_link=_together())
 
 
 @functools.cache
