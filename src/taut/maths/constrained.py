@@ -80,5 +80,7 @@ def force_projector(A: Matrix, mobility: Matrix) -> Matrix:
     symmetric: the projection is orthogonal in the product of Lambda^-1 only, and P is not symmetric.
     """
     W = mobility @ A.T
-    out: Matrix = tm.eye(len(mobility)) - A.T @ factor_spd(A @ W).solve(W.T)
+    pressed = factor_spd(A @ W).solve(W.T)
+    pressed = pressed + (tm.eye(len(A)) - pressed @ A.T) @ pressed  # a Newton step: of A^T nothing is left
+    out: Matrix = tm.eye(len(mobility)) - A.T @ pressed
     return out
