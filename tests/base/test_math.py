@@ -195,6 +195,22 @@ def test_spd_solves(n: int) -> None:
     assert all(d > 0.0 for d in factors.d)
 
 
+def test_the_two_halves_of_a_solution_are_the_solution() -> None:
+    rng = np.random.default_rng(5)
+    root = rng.standard_normal((5, 5))
+    M, B, c = root @ root.T + np.eye(5), rng.standard_normal((5, 3)), rng.standard_normal(5)
+
+    def halves(M: Any, B: Any, c: Any) -> Any:
+        factors = tm.factor_spd(M)
+        half, y = factors.half(B), factors.half(c)
+        square = half.T @ factors.weighed(half)
+        return tm.array([*(factors.weighed(half).T @ y), *square.ravel(), *factors.other_half(half @ c[:3])])
+
+    W = np.linalg.solve(M, B)
+    for result in both(halves, M, B, c):
+        np.testing.assert_allclose(result, [*(W.T @ c), *(B.T @ W).ravel(), *(W @ c[:3])], rtol=SOLVED, atol=SOLVED)
+
+
 def test_spd_factors_keep_the_zeros_of_a_branched_arm() -> None:
     M = np.diag([3.0, 2.0, 2.0])
     M[0, 1] = M[1, 0] = M[0, 2] = M[2, 0] = 0.5  # two branches on one joint

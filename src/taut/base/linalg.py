@@ -65,6 +65,22 @@ class LTDL:
         solved = [self._solve_one(column) for column in columns.T.tolist()]
         return _back(solved, (columns.shape[1], columns.shape[0])).T
 
+    def half(self, b: Array) -> Array:
+        """L^-T b, half of the way to x; b may have columns."""
+        columns = _entries(b)
+        if columns.ndim == 1:
+            return _back(self._down(columns.tolist()), columns.shape)
+        done = [self._down(column) for column in columns.T.tolist()]
+        return _back(done, (columns.shape[1], columns.shape[0])).T
+
+    def other_half(self, y: Array) -> Array:
+        """x of y = L^-T b, a vector."""
+        return _back(self._up(_entries(y).tolist()), np.shape(y))
+
+    def weighed(self, y: Array) -> Array:
+        """D^-1 y: with y = L^-T b, b . A^-1 c is y . D^-1 L^-T c."""
+        return (_back(self._inverse_d, (len(self.d),)) * y.T).T
+
     def inverse(self) -> Matrix:
         """A^-1 = L^-1 D^-1 L^-T, symmetric to the last bit: half the work of solving for each column."""
         n, L = len(self.d), self._l
@@ -154,11 +170,18 @@ class LTDL:
         return out / np.sqrt(square), (start @ out) / square
 
     def _solve_one(self, x: list[Any]) -> list[Any]:
+        return self._up(self._down(x))
+
+    def _down(self, x: list[Any]) -> list[Any]:
         n, L = len(x), self._l
         for k in range(n - 1, -1, -1):  # L^T y = b
             for i in range(k):
                 x[i] = x[i] - L[k][i] * x[k]
-        x = [x[k] * self._inverse_d[k] for k in range(n)]
+        return x
+
+    def _up(self, y: list[Any]) -> list[Any]:
+        n, L = len(y), self._l
+        x = [y[k] * self._inverse_d[k] for k in range(n)]
         for k in range(n):  # L x = D^-1 y
             for i in range(k):
                 x[k] = x[k] - L[k][i] * x[i]

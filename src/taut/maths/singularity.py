@@ -112,14 +112,15 @@ def resolve(
     if k == 6:
         weight[3:] = size.length**2
     if wide:
-        back, side = x.M_factors.solve(J.T), np.eye(k)
+        half, side = x.M_factors.half(J.T), np.eye(k)  # J M^-1 J^T is half^T D^-1 half
+        weighed = x.M_factors.weighed(half)
         u, square = least_direction(J)  # the square is not under that of the least singular value, whatever u is
         r = u / weight
         r = r / (u @ r)
         loose = TINY * _ramp(square, size.border, STEEP)
-        factors = factor_spd(J @ back + loose * tm.eye(k))
+        factors = factor_spd(half.T @ weighed + loose * tm.eye(k))
     else:
-        back, side = np.eye(n), (weight[:, None] * J).T
+        side = (weight[:, None] * J).T
         factors = factor_spd(side @ J + TINY * tm.eye(n))
         u, _ = factors.least_direction()
         r, moved = u, J @ u
@@ -130,7 +131,11 @@ def resolve(
     extra = scale * _ramp(square, size.border, STEEP) * (damping * size.border) ** 2
     kept = 1.0 / (1.0 + extra * inside)
     near = tm.maximum(tm.maximum(held, beyond), _ramp(square, size.border, FULL))
-    lost_way = (back @ z if wide else z) * kept
+
+    def back(y: Vector) -> Vector:
+        return x.M_factors.other_half(half @ y) if wide else y
+
+    lost_way = back(z) * kept
 
     def along(b: Vector) -> Any:
         return u @ (b if wide else side @ b)
@@ -141,7 +146,7 @@ def resolve(
         return out
 
     def damped(b: Vector) -> Vector:
-        return back @ solved(b) if wide else solved(side @ b)
+        return back(solved(b if wide else side @ b))
 
     calm = (
         near if wide else 1.0
@@ -162,7 +167,7 @@ def resolve(
         return out
 
     def project(tau: Vector) -> Vector:
-        moving = J.T @ solved(back.T @ tau) if wide else x.M @ damped(J @ x.M_factors.solve(tau))
+        moving = J.T @ solved(weighed.T @ x.M_factors.half(tau)) if wide else x.M @ damped(J @ x.M_factors.solve(tau))
         out: Vector = (1.0 - near) * (tau - moving)
         return out
 
