@@ -14,20 +14,18 @@ import numpy as np
 from taut.arm.angles import require_radians
 from taut.arm.description import Arm, Payload
 from taut.base.checks import finite_array, positive_scalar, read_only
-from taut.base.errors import MatchError, RangeError, ShapeError, UsageError, unknown_name
+from taut.base.errors import MatchError, ShapeError, UsageError, unknown_name
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
-from taut.control.describe import all_laws, title
-from taut.control.hybrid import HybridMotionForce
+from taut.control.describe import title
 from taut.control.lawside import LawSide
 from taut.control.phases import Phases
 from taut.control.reference import Hold, Reference, as_reference
 from taut.maths.adds import Adds
 from taut.maths.snapshot import MEASUREMENTS
-from taut.plant.actuation import Actuation
-from taut.plant.contact import Contacts
 from taut.plant.disturbance import COMMAND, of_plant
 from taut.plant.sensors import Sensors
+from taut.plant.swing import check_swing
 
 __all__ = [
     "AnyPlant",
@@ -100,17 +98,6 @@ class HasSensors(Protocol):
 
 
 @runtime_checkable
-class HasContacts(Protocol):
-    """A plant that rigid contacts may hold."""
-
-    @property
-    def contacts(self) -> Contacts | None: ...
-
-    @property
-    def actuation(self) -> Actuation: ...
-
-
-@runtime_checkable
 class HasLawSide(Protocol):
     """A controller, as far as a loop needs it."""
 
@@ -162,31 +149,10 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
                 f"{', '.join(sorted(plant.measures)) or 'positions only'}" + _provided_by(name, plant),
                 name=name,
             )
-    _check_swing(side, plant)
+    check_swing(side, plant)
     _check_weight(side, plant)
     _check_adds(law, side.adds, probe.used, plant)
     _check_start(side, plant)
-
-
-def _check_swing(side: LawSide, plant: AnyPlant) -> None:
-    """A force that is fed back a tick late through ideal drives, unfiltered, swings up on a rigid contact.
-
-    Raises:
-        RangeError: It does.
-    """
-    if not isinstance(plant, HasContacts) or plant.contacts is None or plant.actuation.acts:
-        return
-    if side.sensing.F_ext is not None or side.sensing.tau_meas is not None:
-        return
-    for path, law in all_laws(side.law, "law"):
-        if isinstance(law, HybridMotionForce) and law.swing(side.dt) >= 1.0:
-            raise RangeError(
-                f"kfp + kfi dt / 2 must be under 1 on a rigid contact, where the measured force is a tick old, or it "
-                f"swings up; {path} has {law.swing(side.dt):.4g}; lower kfp, or filter what is measured",
-                name=f"{path}.kfp",
-                value=law.swing(side.dt),
-                rule="< 1",
-            )
 
 
 def _provided_by(name: str, plant: AnyPlant) -> str:

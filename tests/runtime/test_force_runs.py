@@ -226,6 +226,37 @@ def test_the_weight_of_the_tool_is_an_error_of_force_until_sensing_takes_it_out(
     assert known.between(2.0, 3.0).metrics.force_error_rms < 0.05
 
 
+# -------------------------------------------------------------------- rigid contacts
+
+
+@pytest.mark.parametrize("frame", ["world", "tool"])
+def test_on_a_rigid_contact_a_force_that_swings_up_is_refused_and_one_that_settles_is_not(frame: Any) -> None:
+    """Only directions that the contact bears count: a plane bears no moment."""
+    arm = arm_of("panda")
+    floor = taut.Constraint.plane(point=[0.0, 0.0, 0.4], normal=[0.0, 0.0, 1.0])
+    plant = taut.RigidPlant(arm, friction=None, contact=taut.RigidContact(constraint=floor))
+    ref, q = taut.TaskForce(F_app=[0.0, 0.0, -10.0, 0.0, 0.0, 0.0]), taut.onto(floor, arm, arm.home)
+
+    law = L.ForceControl(kfp=(0.9, 1.5), kfi=(1.0, 1.0), kdamp=(300.0, 10.0), frame=frame)
+
+    def loop_of(**more: Any) -> taut.Loop:
+        return taut.Loop(taut.compile(law, arm, **more), plant, ref, duration=0.1)
+
+    def last(loop: taut.Loop, kfp: float, kfi: float) -> float:
+        loop.parameters["law.kfp"], loop.parameters["law.kfi"] = (kfp, 1.5), (kfi, 1.0)
+        return float(np.abs(taut.run(loop, q0=q).extra["contact.lam"][-20:, 0] + 10.0).max())
+
+    bare = loop_of()
+    assert last(bare, 0.9, 1.0) < 0.1
+    assert last(bare, 0.5, 900.0) < 0.1
+    for kfp, kfi in ((1.05, 0.0), (0.5, 1100.0)):
+        with pytest.raises(taut.RangeError, match=r"must be under 1 on a rigid contact, .* law has 1\.05;") as caught:
+            last(bare, kfp, kfi)
+        assert caught.value.name == "law.kfp"
+    if frame == "world":
+        assert last(loop_of(sensing=taut.Sensing(F_ext=taut.LowPass(cutoff=20.0))), 1.05, 1.0) < 1.0
+
+
 # -------------------------------------------------------------------- 1000 seeded starts
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from taut.base import math as tm
 from taut.base.checks import one_of, require_positive, vector
 from taut.base.errors import ShapeError
-from taut.base.types import ArrayLike, Matrix, Rotation, Vector, Wrench
+from taut.base.types import ArrayLike, Float64Array, Matrix, Rotation, Vector, Wrench
 from taut.control.command import Command, Terms, Torque
 from taut.control.compliance import check_sensor, wrench_at
 from taut.control.contact_loss import CONTACT, E_INT_MAX, PATIENCE, counted, misses
@@ -146,6 +146,21 @@ class ForceControl(Law):
         if not self.measures:
             return
         check_force_pole(self.kfp.matrix(6), self.kfi.matrix(6), rate)
+
+    def swing(self, dt: float, x: Snapshot, pressing: Float64Array) -> float:
+        """The largest eigenvalue of (kfp + kfi dt / 2) P: from 1 on, a force a tick old swings up on a rigid contact.
+
+        Args:
+            dt: Control period [s].
+            x: The arm where it presses.
+            pressing: (6, 6) P, what of a wrench at the tool presses against the contact, world axes.
+        """
+        if not self.measures:
+            return 0.0
+        gain = _numbers(self.kfp) + 0.5 * dt * _numbers(self.kfi)
+        if self.frame == "tool":
+            gain = np.asarray(rotated_matrix(x.T(self.tool).R, gain), dtype=np.float64)
+        return float(np.max(np.abs(np.linalg.eigvals(gain @ pressing))))
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
         """The wrist sensor must be on the link that is controlled."""

@@ -20,6 +20,7 @@ from taut.control.phase_feed import PhaseFeed
 from taut.control.phases import Phases
 from taut.loop import DT, Loop
 from taut.maths.snapshot import Snapshot
+from taut.plant.swing import check_swing
 from taut.record.outcome import Outcome
 from taut.runtime.events import Event
 from taut.runtime.tape import RowLog, Tape
@@ -71,6 +72,7 @@ class FusedRun:
         # changes the numbers.
         self._noise = {name: np.random.default_rng([seed, *name.encode()]) for name in loop.plant.noise}
         side.check_start(q, self._parameters.views(self._values), loop.ref)
+        check_swing(side, loop.plant, q, self._parameters.views(self._values))
         at_rest = side.at_rest(q)
         task = side.law if isinstance(side.law, Phases) else None
         self._feed: ReferenceFeed | PhaseFeed = (
