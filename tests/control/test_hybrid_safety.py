@@ -250,6 +250,24 @@ def test_rows_that_become_dependent_are_told_and_left_out() -> None:
     assert np.abs(tau).max() < 100.0
 
 
+def test_a_streamed_motion_sideways_to_a_blade_is_told_when_it_has_gone_too_far() -> None:
+    """1 cm is allowed: against the row at 0.1 m/s for 0.1 s; along it any way."""
+    blade = Constraint.knife_edge(sideways=[0.0, 1.0, 0.0])
+    ctrl = taut.compile(law(blade, kfp=None, kfi=None), ARM, engine="float")
+    for turn, when in ((0.0, 0), (0.5 * np.pi, 100)):
+        ctrl.reset()
+        T0 = Pose.of(T.R, T.p)
+        across = T.R @ [np.cos(turn), np.sin(turn), 0.0]
+        told = []
+        for k in range(150):
+            at = taut.TaskMotion(
+                pose=Pose.of(T0.R, T0.p + 1e-4 * k * across), twist=[*(0.1003 * across), 0.0, 0.0, 0.0]
+            )
+            ctrl.step(ARM.home, np.zeros(ARM.n), taut.pressing(at) if k else taut.pressing(STAY))
+            told.append(float(ctrl.memory["law.astray"]))
+        assert told == [0.0] * (when or 150) + [1.0] * (150 - when if when else 0)
+
+
 def test_a_law_that_estimates_the_surface_does_not_tell_of_a_motion_off_the_stated_one() -> None:
     told = []
     for estimate in (None, taut.laws.NormalEstimate()):

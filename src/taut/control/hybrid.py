@@ -12,7 +12,7 @@ from taut.base import math as tm
 from taut.base.checks import float_array, one_of
 from taut.base.errors import RangeError, UsageError
 from taut.base.types import Vector
-from taut.control.along_constraint import along_constraint, asked_pose, felt_along, of_one_body
+from taut.control.along_constraint import along_constraint, asked_pose, at_frame, felt_along, of_one_body
 from taut.control.command import Command, Terms, Torque
 from taut.control.compliance import check_sensor, wrench_at
 from taut.control.constraint_checks import (
@@ -143,6 +143,7 @@ class HybridMotionForce(Law):
     e_last: Memory = Memory(0.0)  # [N, N m] the error of the force a tick ago
     turned: Memory = Memory(0.0)  # ticks in which it turned round, one after the other
     swings: Memory = Memory(0.0)  # 1 where those are many
+    slipped: Memory = Memory(0.0)  # [m, rad] how far the motion went against rows of velocities
     astray: Memory = Memory(0.0)  # 1 where the motion is off the constraint
     dependent: Memory = Memory(0.0)  # (k,) 1 where a row is dependent on later ones
     unborne: Memory = Memory(0.0)  # 1 where the constraint does not bear what is asked for
@@ -322,7 +323,7 @@ class HybridMotionForce(Law):
             )
         told = lam.total if self.curvature else lam.total + curved
         after: dict[str, object] = {"motion": motion, "lam": told, "phi": rows.phi, **of_force}
-        after["astray"] = self._astray(x, ref.motion)
+        after |= self._astray(x, ref.motion, memory.slipped + tm.zeros(rows.count), dt)
         after["dependent"] = tm.array([tm.where(gone, 1.0, 0.0) for gone in held.mobility.dropped])
         if estimated is not None:
             after["estimate"] = estimated
@@ -353,17 +354,21 @@ class HybridMotionForce(Law):
         felt = felt_along(x, rows, frame) if of_one_body(self.natural, x, None) else x
         return felt, along_constraint(x, rows, frame, motion, tool)
 
-    def _astray(self, x: Snapshot, motion: Sample) -> Any:
-        """1 where the motion asks for a pose that is off the constraint by more than the tolerance, else 0.
+    def _astray(self, x: Snapshot, motion: Sample, slipped: Vector, dt: Any) -> dict[str, object]:
+        """1 where the motion asks for what is off the constraint by more than the tolerance, else 0.
 
-        Not of a law that estimates the surface: it goes along that, whatever the motion asks for against it.
+        That is a pose, or a way against rows of velocities. Not of a law that estimates the surface: it goes along
+        that, whatever the motion asks for against it.
         """
         tool = self.motion.controlled_frame
         if self.estimate is not None or not isinstance(motion, TaskMotion) or not of_one_body(self.natural, x, tool):
-            return 0.0
+            return {"astray": 0.0, "slipped": slipped}
         assert self.natural.frame is not None
-        phi = self.natural.phi_of(asked_pose(x, *self.natural.frame, motion, tool), x.t)
-        return tm.where(functools.reduce(tm.maximum, [tm.abs(y) for y in phi]) > self.tolerance, 1.0, 0.0)
+        (frame,) = self.natural.frame
+        T = asked_pose(x, frame, motion, tool)
+        slipped = slipped + dt * self.natural.slip_of(T, at_frame(x, frame, motion, tool).twist)
+        off = [tm.abs(y) for y in (*self.natural.phi_of(T, x.t), *slipped)]
+        return {"astray": tm.where(functools.reduce(tm.maximum, off) > self.tolerance, 1.0, 0.0), "slipped": slipped}
 
     def _multipliers(
         self, x: Snapshot, rows: ConstraintRows, held: Constrained, ref: Any, memory: MemoryView, dt: Any

@@ -15,7 +15,7 @@ from taut.arm.description import Arm
 from taut.base import math as tm
 from taut.base.errors import UsageError
 from taut.base.pose import Pose
-from taut.base.types import ArrayLike, Float64Array, Vector
+from taut.base.types import ArrayLike, Float64Array, Twist, Vector
 from taut.maths import constraint_shapes as shapes
 from taut.maths.constraint_function import arguments, of_moments, of_poses, of_velocity, rows_of, sides
 from taut.maths.constraint_rows import ConstraintRows, OfJoints, OfJointVelocity, OfPoses, OfVelocity, Piece, joined
@@ -155,6 +155,12 @@ class Constraint:
     def phi_of(self, T: Pose, t: Any) -> Vector:
         """The same of symbols, for laws."""
         return joined(p.phi([T], t) if isinstance(p, OfPoses) else np.zeros(p.count) for p in self.pieces)
+
+    def slip_of(self, T: Pose, V: Twist) -> Vector:
+        """(k,) A V of the rows of velocities at a pose of the one frame, 0 of the others; of symbols too."""
+        return joined(
+            p.of_twist(T, 0.0)[0] @ V if isinstance(p, OfVelocity) else np.zeros(p.count) for p in self.pieces
+        )
 
     def of_twist(self, T: Pose, t: float = 0.0) -> tuple[Float64Array, Float64Array]:
         """A (k, 6) per world-aligned twist of the one frame that it is a function of, at a pose; and dphi/dt (k,).
