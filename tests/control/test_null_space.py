@@ -103,11 +103,13 @@ class TestTheProjector:
 class TestTheTaskIsLeftInPeace:
     """In continuous time exactly; what is left is the tick's, and falls with it."""
 
-    def moved(self, arm: taut.Arm, law: taut.Law, rate: float, duration: float = 1.0) -> tuple[float, float, float]:
+    def moved(
+        self, arm: taut.Arm, law: taut.Law, rate: float, duration: float = 1.0, substeps: int = 1
+    ) -> tuple[float, float, float]:
         """How far the joints, the tool's position and its rotation went."""
         out = taut.run(
             taut.compile(law, arm, rate=rate),
-            taut.RigidPlant(arm, friction=None),
+            taut.RigidPlant(arm, friction=None, substeps=substeps),
             taut.TaskMotion(pose=taut.snapshot(arm, arm.home).T()),
             duration=duration,
         )
@@ -128,6 +130,18 @@ class TestTheTaskIsLeftInPeace:
         assert gone[1e3][1] / p == pytest.approx(10.0, rel=0.1)
         if made.n == 7:
             assert R < 1e-6
+
+    @pytest.mark.bars
+    @pytest.mark.parametrize("arm", ["panda", "fr3", "xarm7"])
+    def test_by_less_than_a_micrometre_at_one_kilohertz(self, arm: str, bar: Any) -> None:
+        """With kp = 400, kd = 40, whether the plant moves in steps of a tick or of a tenth of it."""
+        made = taut.load_arm(arm).with_joints(viscous=0.0, coulomb=0.0)
+        law = L.TaskComputedTorque(kp=400.0, kd=40.0, null=L.Posture(q=away(made)))
+        for substeps in (1, 10):
+            joints, p, _ = self.moved(made, law, 1e3, substeps=substeps)
+            assert joints > 0.1
+            bar(f"null space, {arm}: {joints:.2f} rad of it move the tool, {substeps} steps a tick", f"{p:.1e} m")
+            assert p < 1e-6
 
     @pytest.mark.parametrize("arm", ["panda", "kinova"])
     def test_by_manipulability(self, arm: str) -> None:
