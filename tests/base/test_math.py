@@ -203,7 +203,7 @@ def test_the_two_halves_of_a_solution_are_the_solution() -> None:
     def halves(M: Any, B: Any, c: Any) -> Any:
         factors = tm.factor_spd(M)
         half, y = factors.half(B), factors.half(c)
-        square = half.T @ factors.weighed(half)
+        square = factors.gram(half)
         return tm.array([*(factors.weighed(half).T @ y), *square.ravel(), *factors.other_half(half @ c[:3])])
 
     W = np.linalg.solve(M, B)

@@ -40,8 +40,13 @@ def test_the_inertia_is_that_of_the_formula(name: str) -> None:
         found = TaskInertia.of(J, x.M_factors)
         wanted = np.linalg.inv(J @ Minv @ J.T)
         assert np.abs(found.Lambda - wanted).max() < 1e-9 * np.abs(wanted).max()
-        assert np.abs(found.J_bar - Minv @ J.T @ wanted).max() < 1e-9 * np.abs(found.J_bar).max()
-        assert np.abs(J @ found.J_bar - np.eye(6)).max() < 1e-9
+        J_bar = Minv @ J.T @ wanted
+        felt = np.column_stack([found.wrench(tau) for tau in np.eye(x.n)])
+        assert np.abs(felt - J_bar.T).max() < 1e-9 * np.abs(J_bar).max()
+        F = np.arange(1.0, 7.0)
+        assert np.abs(found.wrench(J.T @ F) - F).max() < 1e-8
+        assert np.abs(found.joint_acceleration(F) - Minv @ J.T @ F).max() < 1e-9 * np.abs(Minv).max()
+        assert np.abs(found.mobility - J @ Minv @ J.T).max() < 1e-12 * np.abs(Minv).max()
         damped = TaskInertia.of(J, x.M_factors, 0.05)
         assert np.abs(damped.Lambda - np.linalg.inv(J @ Minv @ J.T + 0.05 * np.eye(6))).max() < 1e-9
 

@@ -81,6 +81,13 @@ class LTDL:
         """D^-1 y: with y = L^-T b, b . A^-1 c is y . D^-1 L^-T c."""
         return (_back(self._inverse_d, (len(self.d),)) * y.T).T
 
+    def gram(self, y: Matrix) -> Matrix:
+        """B^T A^-1 B of y = L^-T B, symmetric to the last bit."""
+        rows, weighed = y.T, self.weighed(y).T
+        k = len(rows)
+        out = [[rows[max(i, j)] @ weighed[min(i, j)] for j in range(k)] for i in range(k)]
+        return _back([x for row in out for x in row], (k, k))
+
     def inverse(self) -> Matrix:
         """A^-1 = L^-1 D^-1 L^-T, symmetric to the last bit: half the work of solving for each column."""
         n, L = len(self.d), self._l

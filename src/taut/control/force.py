@@ -206,7 +206,7 @@ class ForceControl(Law):
             after |= {"e_int": e_int} | self._contact(F_des, F_app, memory.alone, dt)
             w = w + Terms(P=self.kfp @ F_e, I=self.kfi @ e_int)
         if self.gives("kdamp"):
-            w = w + Terms(D=-self._damping(_inwards(R, J @ x.v), J @ inertia.Minv_JT, R, dt))
+            w = w + Terms(D=-self._damping(_inwards(R, J @ x.v), inertia.mobility, R, dt))
         tau = J.T @ w.mapped(lambda F: F if R is None else rotated(R, F)) + Terms(gravity=x.g)
         if self.null is not None:
             after["null"] = memory["null"]
@@ -231,7 +231,7 @@ class ForceControl(Law):
         """The integral after this tick, and 1 where its bound cut it."""
         cut = None
         if self.anti_windup != "none":
-            cut = _inwards(R, inertia.Lambda @ inertia.acceleration(x.tau_cut))
+            cut = _inwards(R, inertia.wrench(x.tau_cut))
         grown = integrated(e_int, F_e, x, dt, self.anti_windup, self.kfi, self.tracking, cut=cut)
         parts, least = [], 1.0
         for k in (0, 1):
@@ -255,9 +255,7 @@ def wrench_of_torques(x: Snapshot, inertia: TaskInertia) -> Wrench:
 
     The sensors have all that acts on the links, so that what a plant adds itself is in it, and friction is not.
     """
-    residual = x.tau_meas - x.inverse_dynamics(np.zeros(x.n))
-    out: Wrench = inertia.J_bar.T @ residual
-    return out
+    return inertia.wrench(x.tau_meas - x.inverse_dynamics(np.zeros(x.n)))
 
 
 def _felt(x: Snapshot, tool: str | None, F: Wrench) -> Wrench:

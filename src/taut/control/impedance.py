@@ -261,7 +261,7 @@ class Impedance(Law):
         rest = Terms(nonlinear=x.h if cancels else x.g)
         if away is not None:
             pull = eased(away, away.clear, felt.X) * felt.outwards(felt.wrench(K @ felt.X))
-            calm = within_speed(x, inertia.Minv_JT, pull)
+            calm = within_speed(x, inertia, pull)
             F = F.up_to(F.total + away.clear * (calm - F.total), "reach")
             rest = rest + Terms(reach=-(away.clear * RATE) * (x.M @ x.v))
         tau = error.J.T @ F + rest
@@ -318,7 +318,7 @@ def _at_frame(law: Impedance, x: Snapshot, inertia: TaskInertia) -> Wrench:
     if law.error == "space":
         return tm.array([*F[:3], *(F[3:] + tm.cross(x.T(law.tool).p, F[:3]))])
     if law.error == "coordinates":
-        out: Array = inertia.Lambda @ inertia.acceleration(x.J(law.tool).T @ F)
+        out: Array = inertia.wrench(x.J(law.tool).T @ F)
         return out
     return F
 

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from taut.base import math as tm
-from taut.base.types import Float64Array, Matrix, Vector, Wrench
+from taut.base.types import Float64Array, Vector, Wrench
 from taut.control.law import Law
 from taut.control.side_by_side import SideBySide
 from taut.control.task_error import Coordinates, ErrorKind
@@ -15,6 +15,7 @@ from taut.control.task_reference import TaskMotion
 from taut.maths.out_of_reach import Asked, Beyond, distance_beyond, spheres
 from taut.maths.singularity import TOP_SPEED
 from taut.maths.snapshot import Snapshot
+from taut.maths.task_inertia import TaskInertia
 
 __all__ = ["RATE", "asked_of", "eased", "far_away", "may_bound", "out_of_reach", "within_speed"]
 
@@ -47,18 +48,18 @@ def eased(away: Beyond, share: Any, X: Vector) -> Any:
     return 1.0 / tm.sqrt(1.0 + share * (length + turn))
 
 
-def within_speed(x: Snapshot, Minv_JT: Matrix, F: Wrench) -> Wrench:
+def within_speed(x: Snapshot, inertia: TaskInertia, F: Wrench) -> Wrench:
     """(k,) a spring's wrench, made smaller until it brings no joint beyond its speed limit.
 
     With tau = J^T F - RATE M v + h the joint speeds follow M^-1 J^T F / RATE at that rate.
 
     Args:
         x: The arm at its measured state.
-        Minv_JT: (n, k) M^-1 J^T.
+        inertia: That of the task.
         F: (k,) in the coordinates of J.
     """
     most: Any = 1.0
-    for speed, top in zip(Minv_JT @ F, x.arm.velocity, strict=True):
+    for speed, top in zip(inertia.joint_acceleration(F), x.arm.velocity, strict=True):
         if np.isfinite(top):
             most = tm.maximum(most, tm.abs(speed) * (1.0 / (TOP_SPEED * RATE * top)))
     out: Wrench = F / most

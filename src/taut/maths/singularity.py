@@ -112,13 +112,12 @@ def resolve(
     if k == 6:
         weight[3:] = size.length**2
     if wide:
-        half, side = x.M_factors.half(J.T), np.eye(k)  # J M^-1 J^T is half^T D^-1 half
-        weighed = x.M_factors.weighed(half)
+        half, side = x.M_factors.half(J.T), np.eye(k)
         u, square = least_direction(J)  # the square is not under that of the least singular value, whatever u is
         r = u / weight
         r = r / (u @ r)
         loose = TINY * _ramp(square, size.border, STEEP)
-        factors = factor_spd(half.T @ weighed + loose * tm.eye(k))
+        factors = factor_spd(x.M_factors.gram(half) + loose * tm.eye(k))
     else:
         side = (weight[:, None] * J).T
         factors = factor_spd(side @ J + TINY * tm.eye(n))
@@ -167,7 +166,11 @@ def resolve(
         return out
 
     def project(tau: Vector) -> Vector:
-        moving = J.T @ solved(weighed.T @ x.M_factors.half(tau)) if wide else x.M @ damped(J @ x.M_factors.solve(tau))
+        moving = (
+            J.T @ solved(x.M_factors.weighed(half).T @ x.M_factors.half(tau))
+            if wide
+            else x.M @ damped(J @ x.M_factors.solve(tau))
+        )
         out: Vector = (1.0 - near) * (tau - moving)
         return out
 

@@ -25,7 +25,8 @@ class TaskInertia:
     """
 
     J: Matrix  # (k, n)
-    Minv_JT: Matrix  # (n, k)
+    M_factors: LTDL
+    half: Matrix  # (n, k) half of the way to M^-1 J^T
     Lambda: Matrix  # (k, k)
 
     @classmethod
@@ -37,11 +38,11 @@ class TaskInertia:
             M_factors: Factors of the mass matrix.
             damping: [1/kg, 1/(kg m^2)] constant damping; it blurs all directions, everywhere.
         """
-        W = M_factors.solve(J.T)
-        A = J @ W
+        half = M_factors.half(J.T)
+        A = M_factors.gram(half)
         if not (isinstance(damping, float) and damping == 0.0):
             A = A + damping * tm.eye(len(A))
-        return cls(J=J, Minv_JT=W, Lambda=factor_spd(A).inverse())
+        return cls(J=J, M_factors=M_factors, half=half, Lambda=factor_spd(A).inverse())
 
     @classmethod
     def bounded(cls, J: Matrix, M_factors: LTDL, most: Any) -> TaskInertia:
@@ -55,36 +56,44 @@ class TaskInertia:
             M_factors: Factors of the mass matrix.
             most: Largest inertia along that direction [kg, kg m^2].
         """
-        W = M_factors.solve(J.T)
+        half = M_factors.half(J.T)
         rows = [i for i in range(len(J)) if not _is_zero(J[i])]  # a planar arm never moves along the others
         part = J[rows]
-        A = part @ W[:, rows] + TINY * tm.eye(len(rows))
+        A = M_factors.gram(half[:, rows]) + TINY * tm.eye(len(rows))
         u, _ = least_direction(part)
-        shown, half = u @ factor_spd(A).solve(u), 0.5 * most
-        over = tm.maximum(shown - half, 0.0)
-        wanted = half + half * over / (half + over)  # tends to `most`, with the slope 1 at half of it
-        s = 1.0 / wanted - 1.0 / tm.maximum(shown, half)
+        shown, knee = u @ factor_spd(A).solve(u), 0.5 * most
+        over = tm.maximum(shown - knee, 0.0)
+        wanted = knee + knee * over / (knee + over)  # tends to `most`, with the slope 1 at half of it
+        s = 1.0 / wanted - 1.0 / tm.maximum(shown, knee)
         inverse = factor_spd(A + s * np.outer(u, u)).inverse()
         Lambda = most * tm.eye(len(J))
         for i, row in enumerate(rows):
             for j, column in enumerate(rows):
                 Lambda[row, column] = inverse[i, j]
-        return cls(J=J, Minv_JT=W, Lambda=Lambda)
+        return cls(J=J, M_factors=M_factors, half=half, Lambda=Lambda)
 
     @property
-    def J_bar(self) -> Matrix:
-        """(n, k) the dynamically consistent inverse of J, M^-1 J^T Lambda."""
-        out: Matrix = self.Minv_JT @ self.Lambda
-        return out
+    def mobility(self) -> Matrix:
+        """(k, k) J M^-1 J^T, without damping or bound."""
+        return self.M_factors.gram(self.half)
+
+    def joint_acceleration(self, F: Vector) -> Vector:
+        """(n,) what a wrench of the task accelerates in the joints, M^-1 J^T F."""
+        return self.M_factors.other_half(self.half @ F)
 
     def acceleration(self, tau: Vector) -> Vector:
         """(k,) what torques accelerate in the task, J M^-1 tau."""
-        out: Vector = self.Minv_JT.T @ tau
+        out: Vector = self.M_factors.weighed(self.half).T @ self.M_factors.half(tau)
+        return out
+
+    def wrench(self, tau: Vector) -> Vector:
+        """(k,) the wrench of torques, J_bar^T tau with the dynamically consistent inverse J_bar = M^-1 J^T Lambda."""
+        out: Vector = self.Lambda @ self.acceleration(tau)
         return out
 
     def project(self, tau: Vector) -> Vector:
         """(n,) N^T tau, with N^T = I - J^T Lambda J M^-1: the part of torques that does not move the task."""
-        out: Vector = tau - self.J.T @ (self.Lambda @ self.acceleration(tau))
+        out: Vector = tau - self.J.T @ self.wrench(tau)
         return out
 
 
