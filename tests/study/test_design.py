@@ -239,6 +239,61 @@ def test_critical_damping_of_each_law_is_one_call(name: str) -> None:
         assert float(np.ravel(d.law.parameters()["kfi"])[0]) == 5.0
 
 
+@pytest.fixture(scope="module")
+def board() -> tuple[taut.Arm, taut.Constraint]:
+    """A table under the tool of the gantry, where it is at home."""
+    arm = taut.load_arm("gantry3")
+    z = float(taut.snapshot(arm, arm.home).T().p[2])
+    return arm, taut.Constraint(lambda T: T.p[2] - z, one_sided=True)
+
+
+@pytest.mark.parametrize(("kfp", "delay"), [(0.0, 0.0), (0.3, 0.0), (0.3, 2e-3)])
+def test_a_hybrid_force_dies_away_in_contact_with_the_pole_of_the_tick(
+    board: tuple[taut.Arm, taut.Constraint], kfp: float, delay: float
+) -> None:
+    """e_k = -lam_(k-1), u = kfp e + kfi sum(e) dt, lam a delay later: its roots by numpy."""
+    arm, table = board
+    law = laws.HybridMotionForce(
+        constraint=table, motion=laws.TaskComputedTorque(kp=1.0, kd=1.0), kfp=kfp or None, kfi=1.0
+    )
+    d = taut.design(law, arm, zeta=1.0, omega_n=10.0, force=5.0, delay=delay)
+    (found,) = d.forces
+    kfi, dt, late = 5.0 * (1.0 + kfp), 1e-3, round(delay * 1e3)
+    assert float(np.ravel(d.law.parameters()["kfi"])[0]) == pytest.approx(kfi)
+    polynomial = np.zeros(late + 3)  # z^(late + 1) (z - 1) + (kfp + kfi dt) z - kfp = 0
+    polynomial[:2] = 1.0, -1.0
+    polynomial[-2:] += kfp + kfi * dt, -kfp
+    pole = -math.log(float(max(np.roots(polynomial).real))) / dt
+    assert found.designed.omega_n == pytest.approx(5.0)
+    assert found.predicted.omega_n == pytest.approx(pole, rel=1e-6)
+    assert found.simulated.omega_n == pytest.approx(pole, rel=1e-6)
+    assert found.simulated.settling == pytest.approx(math.log(50.0) / pole, abs=2e-3 * (1 + late))
+    assert found.simulated.overshoot < 0.1
+    assert d.limit("force pole").ok
+    assert f"against the constraint, held by it at q = {arm.home.tolist()}" in str(d)
+    assert d.json()["forces"][0]["simulated"]["omega_n"] == found.simulated.omega_n
+
+
+def test_a_force_that_is_too_fast_for_the_tick_is_refused_with_the_nearest_that_is_not(
+    board: tuple[taut.Arm, taut.Constraint],
+) -> None:
+    arm, table = board
+    law = laws.HybridMotionForce(constraint=table, motion=laws.TaskComputedTorque(kp=1.0, kd=1.0), kfp=0.4, kfi=1.0)
+    with pytest.raises(taut.RangeError, match=r"grows by the factor .* measured is a tick old") as refused:
+        taut.design(law, arm, zeta=1.0, omega_n=10.0, force=5000.0)
+    nearest = float(str(refused.value).rpartition("force = ")[2])
+    assert nearest == pytest.approx(0.99 * 2000.0 * (1.0 - 0.4) / 1.4, rel=1e-3)  # kfp + kfi dt / 2 < 1
+    d = taut.design(law, arm, zeta=1.0, omega_n=10.0, force=nearest)
+    assert not d.limit("force pole").ok
+    contact = taut.RigidPlant(arm, contact=taut.RigidContact(constraint=table))
+    taut.Loop(taut.compile(d.law, arm), contact, duration=0.1)  # which the plant takes
+    away = laws.HybridMotionForce(
+        constraint=lambda T: T.p[2] + 3.0, motion=laws.TaskComputedTorque(kp=1.0, kd=1.0), kfi=1.0
+    )
+    with pytest.raises(taut.RangeError, match=r"the pose on the constraint that is nearest .* give at= a pose on"):
+        taut.design(away, arm, zeta=1.0, omega_n=10.0, force=5.0)
+
+
 def test_hand_guiding_gets_a_decay() -> None:
     arm = taut.load_arm("one_joint")
     d = taut.design(laws.GravityCompensation, arm, settling=2.0)

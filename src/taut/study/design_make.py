@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from taut.control.law import Law
 from taut.loop import Loop
 from taut.maths.snapshot import Snapshot
 from taut.plant.rigid import RigidPlant
+from taut.study.design_contact import force_gains, pressed, require_force_stable
 from taut.study.design_directions import Direction, directions_of
 from taut.study.design_force import force_directions
 from taut.study.design_gains import Case, gains_for
@@ -52,6 +53,9 @@ class Maker:
         plant: RigidPlant | None,
     ) -> None:
         self.case, self.law, self.plant = case, law, plant
+        self._how: dict[str, Any] = {"rate": rate, "delay": delay, "friction": friction}
+        if isinstance(law, laws.HybridMotionForce):
+            require_force_stable(law, rate, delay)
         self.bench = Bench(
             law, case.arm, rate=rate, delay=delay, velocity=velocity, friction=friction, contact=case.asked.contact
         )
@@ -97,7 +101,17 @@ class Maker:
             step=steps,
             responses=simulated,
             tried=read_off,
+            **self._in_contact(x),
         )
+
+    def _in_contact(self, x: Snapshot) -> dict[str, Any]:
+        """Of a hybrid law that feeds the force back, what becomes of an error of it."""
+        if not isinstance(self.law, laws.HybridMotionForce) or not np.any(force_gains(self.law)[1]):
+            return {}
+        q, forces = pressed(
+            self.law, self.case.arm, np.asarray(x.q), sensing=self.bench.ctrl.side.sensing, **self._how
+        )
+        return {"q_contact": q, "forces": forces}
 
     def _directions(self, x: Snapshot) -> tuple[Direction, ...]:
         if isinstance(self.bench.law, laws.ForceControl):

@@ -10,13 +10,14 @@ from taut.arm.description import Arm
 from taut.base.errors import UsageError
 from taut.base.types import Float64Array
 from taut.control.law import Law
-from taut.study.design_limits import DesignLimit, Tried, limits_of
+from taut.study.design_contact import Pressed
+from taut.study.design_limits import DesignLimit, Tried, force_limits, limits_of
 from taut.study.design_trial import Numbers, Response
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Achieved", "AtPose", "Design"]
+__all__ = ["Achieved", "AtPose", "Design", "Pressed"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,6 +77,8 @@ class Design:
         step: (k,) the steps that the limits speak of.
         responses: (k,) steps of the nonlinear loop, for the plot.
         tried: What the limits are read off.
+        forces: Of a hybrid law that feeds the force back, each row of its constraint, tried in contact.
+        q_contact: (n,) where that was, the pose nearest to q on the constraint; None without.
     """
 
     law: Law
@@ -90,11 +93,13 @@ class Design:
     step: Float64Array
     responses: tuple[Response, ...] = field(repr=False)
     tried: Tried = field(repr=False)
+    forces: tuple[Pressed, ...] = ()
+    q_contact: Float64Array | None = None
 
     @cached_property
     def limits(self) -> tuple[DesignLimit, ...]:
         """What the gains run into, each with a sentence."""
-        return limits_of(self.tried)
+        return (*limits_of(self.tried), *force_limits(self.forces, self.rate))
 
     def limit(self, name: str) -> DesignLimit:
         """The limit of that name.
