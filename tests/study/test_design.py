@@ -125,6 +125,7 @@ def test_the_pinned_call_keeps_its_stiffness_and_every_mode_its_damping() -> Non
     assert numbers(d, "designed", "zeta") == pytest.approx(0.7, rel=1e-9)
     assert numbers(d, "simulated", "zeta") == pytest.approx(numbers(d, "predicted", "zeta"), rel=FIT)
     assert d.limit("stiffness").ok
+    assert [each.simulated for each in d.stiffness] == pytest.approx([800.0] * 3 + [30.0] * 3, rel=2e-3)
     text = str(d)
     assert text.splitlines()[0] == "Impedance on panda at 1000 Hz, for zeta = 0.7, K = (800, 30)"
     assert json.loads(json.dumps(d.json(), allow_nan=False))["gains"]["zeta"] == 0.7
@@ -148,6 +149,52 @@ def test_laws_of_the_tool_do_what_is_predicted(law: type[Law], asked: dict[str, 
     assert numbers(d, "designed", "zeta") == pytest.approx(0.6, rel=1e-6)
     for name in ("zeta", "omega_n", "overshoot", "settling"):
         assert numbers(d, "simulated", name) == pytest.approx(numbers(d, "predicted", name), rel=FIT, abs=FIT)
+
+
+@pytest.mark.parametrize(
+    ("law", "more"),
+    [
+        (laws.Impedance, {"K": (400.0, 20.0)}),
+        (laws.Impedance(K=(1.0, 1.0), zeta=1.0, frame="tool"), {"K": [400.0, 300.0, 200.0, 20.0, 15.0, 10.0]}),
+        (laws.Stiffness, {"K": (400.0, 20.0)}),
+        (laws.Admittance, {"K": (400.0, 20.0), "D": (4.0, 0.3)}),
+    ],
+)
+def test_a_small_force_at_the_tool_finds_the_stiffness_that_was_asked_for(law: Any, more: dict[str, Any]) -> None:
+    d = taut.design(law, taut.load_arm("planar3"), at=[0.3, 0.8, 0.4], zeta=0.7, **more)
+    K = np.asarray(more["K"], dtype=float)
+    wanted = (K if len(K) == 6 else np.repeat(K, 3))[[0, 2, 4]]  # x, z and about y is where it moves
+    assert [each.designed for each in d.stiffness] == pytest.approx(wanted, rel=1e-9)
+    for each in d.stiffness:
+        assert each.predicted == pytest.approx(each.designed, rel=1e-6)
+        assert each.simulated == pytest.approx(each.designed, rel=0.01)  # MATHS: static within 1 %
+    assert d.limit("at rest").ok
+    assert "stiffness             designed    predicted    simulated" in str(d)
+    assert len(d.json()["stiffness"]) == 3
+
+
+def test_where_the_arm_moves_in_a_plane_a_force_finds_what_its_motions_give() -> None:
+    arm, q = taut.load_arm("planar2"), [0.3, 0.8]
+    d = taut.design(laws.Impedance, arm, at=q, zeta=0.7, K=(400.0, 20.0))
+    J = np.asarray(taut.snapshot(arm, q).J())
+    give = J @ np.linalg.solve(J.T @ np.diag([400.0] * 3 + [20.0] * 3) @ J, J.T)
+    assert [each.direction for each in d.stiffness] == ["x", "z", "about y"]
+    expected = 1.0 / np.diag(give)[[0, 2, 4]]
+    for source in ("designed", "predicted", "simulated"):
+        assert [getattr(each, source) for each in d.stiffness] == pytest.approx(expected, rel=2e-3)
+
+
+def test_a_law_of_accelerations_is_softer_than_asked_where_m_couples_the_joints() -> None:
+    arm, q = taut.load_arm("planar2"), [0.3, 0.8]
+    held = taut.design(laws.GravityPID, arm, at=q, zeta=0.7, K=60.0)
+    assert [each.simulated for each in held.stiffness] == pytest.approx([60.0, 60.0], rel=1e-3)
+    assert held.limit("at rest").ok
+    soft = taut.design(laws.ComputedTorque, arm, at=q, zeta=0.7, K=60.0)
+    M = np.asarray(taut.snapshot(arm, q).M)
+    give = np.linalg.inv(M @ np.diag(60.0 / np.diag(M)))
+    assert [each.simulated for each in soft.stiffness] == pytest.approx(1.0 / np.diag(give), rel=2e-3)
+    assert not soft.limit("at rest").ok
+    assert taut.design(laws.GravityPID, arm, at=q, zeta=0.7, omega_n=9.0).stiffness == ()
 
 
 def test_a_stiffness_from_a_speed_is_enough_at_every_pose() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
@@ -26,9 +27,10 @@ from taut.plant.disturbance import TORQUE
 from taut.plant.rigid import RigidPlant
 from taut.record.step import step_response
 from taut.study.design_disturbed import disturbed
+from taut.study.design_limits import KEPT, DesignLimit
 from taut.study.design_trial import Numbers, numbers_of_poles
 
-__all__ = ["Pressed", "force_gains", "pressed", "require_force_stable"]
+__all__ = ["Pressed", "force_gains", "force_limits", "pressed", "require_force_stable"]
 
 BAND: Final = 50.0  # of an error and its 2 %
 LONGER: Final = 2.5  # times the settling time that was designed for
@@ -161,6 +163,23 @@ def require_force_stable(law: HybridMotionForce, rate: float, delay: float) -> N
         value=radius,
         rule="stable",
     )
+
+
+def force_limits(forces: tuple[Pressed, ...], rate: float) -> Iterator[DesignLimit]:
+    """Of a hybrid law: what the servo rate makes of the pole of the force on a rigid contact."""
+    if not forces:
+        return
+    worst = max(forces, key=lambda each: abs(each.predicted.omega_n / each.designed.omega_n - 1.0))
+    book, seen = worst.designed.omega_n, worst.predicted.omega_n
+    ok = abs(seen / book - 1.0) < KEPT and worst.predicted.zeta > 1.0 - KEPT
+    how = "" if worst.predicted.zeta > 1.0 - KEPT else f", and swings with zeta = {worst.predicted.zeta:.3g},"
+    yield DesignLimit(
+        name="force pole", value=seen, limit=book, unit="1/s", ok=ok,
+        sentence=(
+            f"at {rate:g} Hz an error of the {worst.direction} dies away with {seen:.4g} 1/s{how} on a rigid "
+            f"contact, {book:.4g} 1/s by the book"
+        ),
+    )  # fmt: skip
 
 
 def both_ways(constraint: Constraint) -> Constraint:

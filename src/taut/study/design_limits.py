@@ -15,13 +15,12 @@ from taut.control import laws
 from taut.control.limits import RATE_PER_EFFORT
 from taut.maths.snapshot import Snapshot
 from taut.plant.rigid import RigidPlant
-from taut.study.design_contact import Pressed
 from taut.study.design_directions import Direction
 from taut.study.design_trial import Bench, Numbers, Response
 from taut.study.impedance import check_impedance
 from taut.study.linear_loop import LinearLoop
 
-__all__ = ["DesignLimit", "Tried", "force_limits", "limits_of", "steps_of", "torque_limits"]
+__all__ = ["DesignLimit", "Tried", "limits_of", "steps_of", "torque_limits"]
 
 KEPT: Final = 0.1  # of the damping ratio: what sampling may take or add
 COUNT: Final = 0.01  # of the effort limit: a torque that an encoder's step may make
@@ -38,7 +37,7 @@ class DesignLimit:
 
     Args:
         name: Of what: "torque", "torque rate", "speed", "damping", "rate", "delay", "gain margin", "encoder", "ki",
-            "weight", "coupling", "stiffness", "backlash", "elastic joint", "drive".
+            "weight", "coupling", "stiffness", "at rest", "force pole", "decay", "backlash", "elastic joint".
         value: What the design has or needs.
         limit: What there is; infinite for none.
         unit: Of both.
@@ -246,23 +245,6 @@ def _slow(tried: Tried) -> Iterator[DesignLimit]:
     yield DesignLimit(
         name="force pole", value=seen, limit=book, unit="1/s", ok=abs(seen / book - 1.0) < KEPT,
         sentence=f"an error of the force dies away with {seen:.4g} 1/s on this contact, {book:.4g} 1/s by the book",
-    )  # fmt: skip
-
-
-def force_limits(forces: tuple[Pressed, ...], rate: float) -> Iterator[DesignLimit]:
-    """Of a hybrid law: what the servo rate makes of the pole of the force on a rigid contact."""
-    if not forces:
-        return
-    worst = max(forces, key=lambda each: abs(each.predicted.omega_n / each.designed.omega_n - 1.0))
-    book, seen = worst.designed.omega_n, worst.predicted.omega_n
-    ok = abs(seen / book - 1.0) < KEPT and worst.predicted.zeta > 1.0 - KEPT
-    how = "" if worst.predicted.zeta > 1.0 - KEPT else f", and swings with zeta = {worst.predicted.zeta:.3g},"
-    yield DesignLimit(
-        name="force pole", value=seen, limit=book, unit="1/s", ok=ok,
-        sentence=(
-            f"at {rate:g} Hz an error of the {worst.direction} dies away with {seen:.4g} 1/s{how} on a rigid "
-            f"contact, {book:.4g} 1/s by the book"
-        ),
     )  # fmt: skip
 
 

@@ -22,6 +22,7 @@ from taut.study.design_force import force_directions
 from taut.study.design_gains import Case, gains_for
 from taut.study.design_limits import DesignLimit, Tried, steps_of, torque_limits
 from taut.study.design_result import Achieved, AtPose, Design
+from taut.study.design_stiffness import stiffnesses
 from taut.study.design_trial import Bench, Numbers, Response, zeta_seen
 from taut.study.linear_loop import LinearLoop
 from taut.study.sampled import VelocityKind
@@ -101,6 +102,7 @@ class Maker:
             step=steps,
             responses=simulated,
             tried=read_off,
+            stiffness=stiffnesses(self.bench, x, lin, directions, self.case.asked.K),
             **self._in_contact(x),
         )
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from taut.study.design_contact import Pressed
 from taut.study.design_result import Achieved
+from taut.study.design_stiffness import Stiff
 from taut.study.design_trial import Numbers
 
 if TYPE_CHECKING:
@@ -49,6 +50,8 @@ def report(d: Design) -> str:
         lines += ["", *_table(d.achieved)]
     else:
         lines += ["", "nothing draws the arm anywhere, so that a step has no answer to show"]
+    if d.stiffness:
+        lines += ["", *_stiffness(d.stiffness)]
     if d.forces and d.q_contact is not None:
         lines += ["", f"against the constraint, held by it at q = {np.round(d.q_contact, 4).tolist()}"]
         lines += ["", *_table(d.forces)]
@@ -98,6 +101,17 @@ def _table(directions: Sequence[Achieved | Pressed]) -> list[str]:
     return lines[:-1]
 
 
+def _stiffness(rows: Sequence[Stiff]) -> list[str]:
+    """What was asked for, and what a small force at rest shows."""
+    width = max(16, *(len(f"{each.direction} [{each.unit}]") for each in rows))
+    head = f"   {'stiffness':<{width}}" + "".join(f"{name:>13}" for name in ("designed", "predicted", "simulated"))
+    return [head] + [
+        f"   {f'{each.direction} [{each.unit}]':<{width}}"
+        + "".join(f"{_number(value):>13}" for value in (each.designed, each.predicted, each.simulated))
+        for each in rows
+    ]
+
+
 def _on_plant(each: Achieved | Pressed) -> Numbers | None:
     return each.on_plant if isinstance(each, Achieved) else None
 
@@ -139,6 +153,10 @@ def as_json(d: Design) -> dict[str, Any]:
         "gains": {name: np.asarray(value).tolist() for name, value in d.law.parameters().items()},
         "q": d.q.tolist(),
         "achieved": [_row(each) for each in d.achieved],
+        "stiffness": [
+            {name: value if isinstance(value, str) else _finite(value) for name, value in vars(each).items()}
+            for each in d.stiffness
+        ],
         "forces": [_row(each) for each in d.forces],
         "q_contact": None if d.q_contact is None else d.q_contact.tolist(),
         "poses": [
