@@ -121,6 +121,13 @@ def test_a_python_control_system_and_a_matrix_of_a_period_are_judged_by_the_unit
         assert found.dt == 0.1
 
 
+def test_the_poles_at_a_value_between_are_those_there_and_not_of_the_next() -> None:
+    found = TestTheLocusOverKi.locus
+    assert 3.21 not in found.values
+    expected = taut.second_order(M=0.5, b=0.1, kp=2.205, kd=2.0, ki=3.21).poles
+    np.testing.assert_allclose(np.sort_complex(found.at(3.21)), np.sort_complex(expected), rtol=1e-12)
+
+
 def test_the_poles_are_those_at_each_of_its_values() -> None:
     found = TestTheLocusOverKi.locus
     for value, row, stable in itertools.islice(zip(found.values, found.poles, found.stable, strict=True), 1, None, 7):
