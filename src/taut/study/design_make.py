@@ -172,7 +172,14 @@ class Maker:
     @property
     def _where(self) -> str:
         delay = float(self.bench.plant.actuation.delay)
-        return f"{self.bench.ctrl.rate:g} Hz" + (f" and {1e3 * delay:g} ms of delay" if delay else "")
+        velocity = self.bench.ctrl.side.sensing.velocity
+        cutoff = None if isinstance(velocity, str) else getattr(velocity, "cutoff", None)
+        parts = [f"{self.bench.ctrl.rate:g} Hz"]
+        if delay:
+            parts.append(f"{1e3 * delay:g} ms of delay")
+        if cutoff is not None:
+            parts.append(f"a low-pass of {float(np.min(cutoff)):g} Hz in the velocity")
+        return " and ".join(parts)
 
     def _nearest(self, good: Callable[[float], bool], what: str) -> str:
         """The way out: the fastest design that is good."""
