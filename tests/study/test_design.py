@@ -521,6 +521,11 @@ def test_weight_makes_a_pid_sag_as_told() -> None:
             "K and D determine omega_n",
         ),
         (laws.Admittance, {"zeta": 0.7, "K": (8.0, 3.0)}, "Admittance needs two of D, K and a speed"),
+        (
+            laws.ForceControl,
+            {"force": 5000.0, "zeta": 0.7, "contact": (1e4, 100.0)},
+            "a pole of the force of 5000 1/s cannot be met: at 1000 Hz one of 2000 1/s or more swings",
+        ),
         (laws.ForceControl, {"force": 5.0}, "without kdamp has nothing that keeps it from swinging on a contact"),
         (laws.ForceControl, {"force": 5.0, "zeta": 0.7}, "follows from zeta and contact together; add contact"),
         (laws.VelocityPI, {"zeta": 0.7}, "VelocityPI needs its speed"),
