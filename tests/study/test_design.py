@@ -69,6 +69,25 @@ def test_what_is_asked_is_what_python_control_sees(asked: dict[str, float]) -> N
         assert seen[name] == pytest.approx(value, rel=2e-3 if name == "bandwidth" else 1e-3, abs=1e-3)
 
 
+@pytest.mark.parametrize("more", [{}, {"integral": 0.1}, {"velocity": "difference", "delay": 3e-3}])
+def test_the_bandwidth_is_that_of_the_sampled_frequency_response(more: dict[str, Any]) -> None:
+    d = taut.design(laws.ComputedTorque, taut.load_arm("one_joint"), zeta=0.5, bandwidth=20.0, **more)
+    (found,), lin = d.achieved, d.tried.lin
+    if "integral" not in more:
+        assert found.designed.bandwidth == pytest.approx(20.0, rel=1e-9)
+    rows, columns = list(lin.rows("q")), list(lin.columns("ref.q"))
+
+    def power(w: float) -> float:
+        back = np.linalg.inv(np.exp(1j * w * lin.dt) * np.eye(len(lin.A)) - lin.A)
+        return float(np.abs(lin.C[rows] @ back @ lin.B[:, columns] + lin.D[np.ix_(rows, columns)])[0, 0] ** 2)
+
+    expected = found.predicted.bandwidth
+    assert power(expected) == pytest.approx(0.5, rel=1e-3)
+    assert min(power(share * expected) for share in (0.1, 0.5, 0.9)) > 0.5
+    assert found.simulated.bandwidth == pytest.approx(expected, rel=FIT)
+    assert "bandwidth [rad/s]" in str(d)
+
+
 def test_joints_get_the_inertia_that_they_have_by_themselves_rotors_included() -> None:
     arm = taut.load_arm("planar2").with_gears({"joint2": 50.0}, 2e-4)
     d = taut.design(laws.GravityPID, arm, at=[0.3, 0.8], zeta=0.7, omega_n=9.0)

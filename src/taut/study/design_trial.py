@@ -30,6 +30,7 @@ from taut.record.run import Run
 from taut.record.step import step_response
 from taut.runtime.simulate import run as simulate
 from taut.study.design_asked import six_by_six
+from taut.study.design_bandwidth import bandwidth_of, bandwidth_seen
 from taut.study.design_directions import Direction, designed_part
 from taut.study.error_dynamics import ErrorDynamics
 from taut.study.linear_loop import LinearLoop
@@ -60,18 +61,23 @@ class Numbers:
         omega_n: Natural frequency of that pair, or the pole [rad/s].
         overshoot: Of a step [%].
         settling: Exact 2 % settling time of a step [s].
+        bandwidth: Where a sine of the reference is first followed with half of the power [rad/s].
     """
 
     zeta: float
     omega_n: float
     overshoot: float
     settling: float
+    bandwidth: float = math.nan
 
     @classmethod
     def designed(cls, dynamics: ErrorDynamics) -> Numbers:
         """In continuous time, by the book."""
         zeta, omega_n = numbers_of_poles(dynamics.poles)
-        return cls(zeta=zeta, omega_n=omega_n, overshoot=dynamics.overshoot, settling=dynamics.settling_time)
+        return cls(
+            zeta=zeta, omega_n=omega_n, overshoot=dynamics.overshoot, settling=dynamics.settling_time,
+            bandwidth=bandwidth_of(dynamics),
+        )  # fmt: skip
 
 
 def numbers_of_poles(s: Any) -> tuple[float, float]:
@@ -134,7 +140,10 @@ class Response:
         """What fits it."""
         zeta, omega_n = numbers_of_poles(self.poles) if np.isfinite(self.e).all() else (math.nan, math.nan)
         step = step_response(self.t, self.e)
-        return Numbers(zeta=zeta, omega_n=omega_n, overshoot=step.overshoot, settling=step.settling_time)
+        return Numbers(
+            zeta=zeta, omega_n=omega_n, overshoot=step.overshoot, settling=step.settling_time,
+            bandwidth=bandwidth_seen(1.0 - self.e, float(self.t[1])),
+        )  # fmt: skip
 
     @property
     def poles(self) -> Any:

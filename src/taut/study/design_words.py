@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -27,6 +27,7 @@ COLUMNS: Final = {
     "overshoot": "overshoot [%]",
     "settling": "settling [s]",
 }
+BANDWIDTH: Final = {"bandwidth": "bandwidth [rad/s]"}
 GAINS: Final = ("kp", "kd", "ki", "K", "B", "D", "zeta", "kfp", "kfi", "kdamp")
 NOTHING: Final = 1e-6  # of a number that is shown: what rounding leaves of none
 MOST: Final = 6  # of the poses that are listed
@@ -47,7 +48,7 @@ def report(d: Design) -> str:
     if d.weightless:
         lines.append("tried without gravity, which this law leaves to others")
     if d.achieved:
-        lines += ["", *_table(d.achieved)]
+        lines += ["", *_table(d.achieved, COLUMNS | (BANDWIDTH if "bandwidth" in d.asked else {}))]
     else:
         lines += ["", "nothing draws the arm anywhere, so that a step has no answer to show"]
     if d.stiffness:
@@ -78,12 +79,12 @@ def _gain(name: str, values: Any, n: int) -> list[str]:
     return [(head if i == 0 else " " * len(head)) + row for i, row in enumerate(rows)]
 
 
-def _table(directions: Sequence[Achieved | Pressed]) -> list[str]:
+def _table(directions: Sequence[Achieved | Pressed], columns: Mapping[str, str] = COLUMNS) -> list[str]:
     """Each direction, one line: designed, predicted, simulated, on the plant."""
     sources = ["designed", "predicted", "simulated"] + ["on plant"] * (_on_plant(directions[0]) is not None)
     width = max(len(each.direction) for each in directions)
     lines = []
-    for name, title in COLUMNS.items():
+    for name, title in columns.items():
         rows = []
         for each in directions:
             real = _on_plant(each)
