@@ -623,6 +623,7 @@ def test_a_step_that_must_not_saturate_is_refused_with_the_nearest_that_does_not
 # -------------------------------------------------------------------- counts
 
 
+FILTERED = taut.Difference(cutoff=60.0)
 ARMS = ("planar2", "ur10", "panda", "kinova", "xarm7")  # the last two were in no trial
 
 
@@ -638,8 +639,11 @@ def test_damping_is_that_of_the_sampled_prediction_on_five_arms_at_five_poses(
         (laws.PID, {"zeta": 0.7, "omega_n": 10.0}),
         (laws.Impedance, {"zeta": 0.7, "K": (400.0, 20.0)}),
         (laws.TaskComputedTorque, {"overshoot": 5.0, "omega_n": 8.0}),
+        (laws.Stiffness, {"zeta": 0.7, "K": (400.0, 20.0)}),
+        (laws.VelocityPI, {"zeta": 0.7, "omega_n": 10.0}),
+        (laws.ComputedTorque, {"zeta": 0.7, "omega_n": 10.0, "integral": 0.1, "delay": 2e-3, "velocity": FILTERED}),
     ]
-    worst, book, count = 0.0, 0.0, 0
+    worst, book, poles, count = 0.0, 0.0, 0.0, 0
     for name, _ in cases:
         arm = taut.load_arm(name)
         low, high = (np.clip(limit, arm.home - 0.4, arm.home + 0.4) for limit in (arm.lower, arm.upper))
@@ -649,11 +653,18 @@ def test_damping_is_that_of_the_sampled_prediction_on_five_arms_at_five_poses(
             for kind in ("zeta", "omega_n"):
                 off = np.abs(numbers(d, "simulated", kind) / numbers(d, "predicted", kind) - 1.0)
                 worst = max(worst, float(off.max()))
-            if "coupled" in asked or law in (laws.ComputedTorque, laws.TaskComputedTorque):
+            alike = "coupled" in asked or law in (laws.ComputedTorque, laws.TaskComputedTorque)
+            for each in d.achieved if alike else ():  # directions that are eigenvectors of the loop
+                z, w = each.simulated.zeta, each.simulated.omega_n
+                apart = np.abs(poles_of(d) - np.roots([1.0, 2.0 * z * w, w * w])[:, np.newaxis]).min(axis=1)
+                poles = max(poles, float(apart.max()) / w)
+            if alike and "velocity" not in asked:
                 off = np.abs(numbers(d, "simulated", "zeta") / numbers(d, "designed", "zeta") - 1.0)
                 book = max(book, float(off.max()))
             count += len(d.achieved)
     assert worst < FIT
+    assert poles < FIT
     assert book < SAMPLED
-    name = f"design: {count} directions of 5 laws on {len(cases)} arms and poses, simulated against predicted"
+    bar("design: poles fitted from these runs, off those of the sampled loop", f"{poles:.1e}")
+    name = f"design: {count} directions of {len(kinds)} choices of laws on {len(cases)} arms and poses, simulated against predicted"
     bar(name, f"{worst:.1e}")
