@@ -34,6 +34,12 @@ def test_json_has_gains_and_numbers_of_each_pose(capsys: pytest.CaptureFixture[s
             ["PID", "--zeta", "one"],
             "--zeta takes a number, or numbers with commas between them, such as --zeta 800,30",
         ),
+        (["PID", "--zeta", ""], "--zeta takes a number"),
+        (["PID", "--zeta", "[1"], "--zeta takes a number"),
+        (["Impedance", "--K", "nan,30", "--zeta", "1"], "K[0] must be finite [N/m, N m/rad]; got nan"),
+        (["PID", "--zeta", "1", "--omega_n", "inf"], "omega_n must be finite [rad/s]; got inf"),
+        (["PID", "--zeta", "nan", "--omega_n", "5"], "zeta must be finite; got nan"),
+        (["PID", "--zeta", "1", "--omega_n", "5", "--rate", "nan"], "rate must be finite [Hz]; got nan"),
         (["PID", "--arm", "one_joint", "--zeta", "1"], "PID needs its speed: omega_n, settling or bandwidth"),
         (
             ["HybridMotionForce", "--zeta", "1"],

@@ -40,7 +40,7 @@ class TestTheLocusOverKp:
         assert [crossing.value for crossing in self.locus.borders] == [0.0]
         (ax,) = self.locus.plot(mark=[22.67, 51.005, 204.02], unit="N m/rad").axes
         assert ax.get_title(loc="left") == "kp from 0 (x) to 220 N m/rad (o)"
-        assert {text.get_text() for text in ax.texts} == {"1", "2", "3"}
+        assert sorted(text.get_text() for text in ax.texts) == ["1", "1", "2", "3"]  # once where two meet
 
 
 class TestTheLocusOverKi:
@@ -119,6 +119,13 @@ def test_a_python_control_system_and_a_matrix_of_a_period_are_judged_by_the_unit
         found = taut.locus(make, [0.5, 1.5], dt=dt)
         assert found.borders[0].value == pytest.approx(1.0)
         assert found.dt == 0.1
+
+
+def test_the_poles_at_a_value_between_are_those_there_and_not_of_the_next() -> None:
+    found = TestTheLocusOverKi.locus
+    assert 3.21 not in found.values
+    expected = taut.second_order(M=0.5, b=0.1, kp=2.205, kd=2.0, ki=3.21).poles
+    np.testing.assert_allclose(np.sort_complex(found.at(3.21)), np.sort_complex(expected), rtol=1e-12)
 
 
 def test_the_poles_are_those_at_each_of_its_values() -> None:

@@ -7,10 +7,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from scipy.signal import cont2discrete
 from servo_runs import Servo
 
 import taut
+from taut.study.sampled import VelocityKind
 
 CLOSE = 0.05  # poles nearer than this share of their size are compared by the polynomial's coefficients
 WITHIN = 0.005
@@ -144,6 +146,66 @@ class TestClosedForms:
         assert 150.0 < d.largest_stable_delay * 300.0 < 250.0
         assert d.replaced(delay=0.9999 * d.largest_stable_delay).stable
         assert not d.replaced(delay=1.0001 * d.largest_stable_delay).stable
+
+    def test_a_delay_of_thousands_of_periods_is_that_of_the_continuous_loop(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Its poles are so near to z = 1 that the polynomials of the loop do not hold them."""
+        M, kp, kd, ki, cutoff, T = 0.5, 1.0, 1.0, 1e-3, 2.0 * math.pi * 50.0, 1e-4
+
+        def response(w: float) -> complex:
+            s = 1j * w
+            late = np.exp(-0.5 * s * T)  # of the hold, and of the difference
+            return late * (kp + ki / s + kd * s * late * cutoff / (s + cutoff)) / (M * s**2)
+
+        w = float(brentq(lambda w: abs(response(w)) - 1.0, 0.1, 100.0, xtol=1e-14))
+        made = []
+        matrix = taut.SampledLoop.matrix
+        monkeypatch.setattr(taut.SampledLoop, "matrix", lambda *given: made.append(1) or matrix(*given))
+        d = taut.second_order(M=M, kp=kp, kd=kd, ki=ki).sampled(rate=1.0 / T, velocity=taut.Difference(cutoff=50.0))
+        assert d.largest_stable_delay == pytest.approx((np.angle(response(w)) + math.pi) / w, rel=1e-6)
+        assert d.largest_stable_delay * d.rate > 5000.0
+        assert len(made) < 40
+
+    @pytest.mark.parametrize(
+        "velocity", ["measured", "difference", taut.LowPass(cutoff=20.0), taut.Difference(cutoff=20.0)]
+    )
+    def test_a_delay_is_a_border_wherever_the_phase_crosses(self, velocity: VelocityKind) -> None:
+        rng = np.random.default_rng(3)
+        found = []
+        for _ in range(6):
+            omega_n, zeta, share = rng.uniform(3.0, 60.0), rng.uniform(0.05, 1.5), rng.choice([0.0, 0.3])
+            book = taut.second_order(M=0.5, b=rng.choice([0.0, 0.4]), omega_n=omega_n, zeta=zeta + 0.1)
+            d = book.replaced(ki=share * book.largest_ki).sampled(rate=200.0, velocity=velocity)
+            most = d.largest_stable_delay
+            if most == 0.0:
+                assert not d.stable
+                continue
+            found.append(most * d.rate)
+            assert d.replaced(delay=most * (1.0 - 1e-7)).stable
+            assert not d.replaced(delay=most * (1.0 + 1e-7)).stable
+            assert all(d.replaced(delay=share * most).stable for share in rng.uniform(0.0, 1.0, 3))  # the first one
+        assert min(found) < 2.0 < 10.0 < max(found)
+
+    def test_the_response_around_the_loop_has_its_poles_for_roots(self) -> None:
+        """At poles on the unit circle, of a loop at its border; and for several directions."""
+        rng = np.random.default_rng(1)
+        M, B = (a @ a.T + np.eye(2) for a in rng.normal(size=(2, 2, 2)))
+        loop = taut.SampledLoop(
+            mass=M,
+            damping=0.1,
+            K=40.0 * M,
+            B=2.0 * B,
+            Ki=3.0,
+            rate=100.0,
+            delay=4e-3,
+            velocity=taut.Difference(cutoff=20.0),
+        )
+        at_border = loop.with_stiffness(loop.largest_stable())
+        z = at_border.poles()[0]
+        assert abs(z) == pytest.approx(1.0, abs=1e-9)
+        sizes = np.linalg.svd(np.eye(2) + at_border.loop_response(np.array([np.angle(z)]))[0], compute_uv=False)
+        assert sizes[1] < 1e-7 * sizes[0]
 
     def test_nothing_that_does_not_pull_is_stable(self) -> None:
         d = taut.second_order(M=0.5, kp=0.0, kd=4.0).sampled(rate=100.0)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pytest
@@ -138,3 +140,137 @@ def _area(points: np.ndarray) -> float:
 def test_what_is_no_map_is_refused_in_a_sentence(over: dict[str, object], sentence: str) -> None:
     with pytest.raises(taut.TautError, match=f"^{sentence}$"):
         taut.stability_map(lambda rate, kd: np.eye(2), over)
+
+
+# -------------------------------------------------------------------- the maps that are named, of whole loops
+
+
+@dataclass(frozen=True, kw_only=True)
+class Whole:
+    """A loop of taut, a reference that sets it off, and how it is made of two numbers."""
+
+    make: Callable[..., taut.Loop]
+    q: tuple[float, ...]
+
+    def linear(self, **numbers: float) -> taut.LinearLoop:
+        loop = self.make(**numbers)
+        kept, loop.ref = loop.ref, taut.hold()
+        try:
+            return taut.linearise(loop, at=self.q)
+        finally:
+            loop.ref = kept
+
+    def grows(self, **numbers: float) -> bool:
+        """Whether the speeds that a small step of the reference sets off are larger at the end than in the middle."""
+        lin, loop = self.linear(**numbers), self.make(**numbers)
+        ticks = int(min(max(400, 15.0 / abs(math.log(lin.radius))), MOST))
+        loop.duration = ticks * lin.dt
+        parts = np.array_split(taut.run(loop, q0=self.q, progress=False).v, 5)
+        middle, end = (
+            float(np.average(np.sum(part**2, axis=1), weights=np.hanning(len(part)))) for part in (parts[2], parts[4])
+        )
+        return not end < middle
+
+
+POSE = (0.3, 0.8, 0.4)
+
+
+@cache
+def bent() -> taut.Arm:
+    return taut.load_arm("planar3")
+
+
+def aside(size: float) -> taut.TaskMotion:
+    """The tool's pose there, and a little aside."""
+    T = taut.snapshot(bent(), POSE).T()
+    return taut.TaskMotion(pose=taut.Pose(T.p + size * np.array([1.0, 0.0, 0.5]), R=T.R))
+
+
+@cache
+def haptic_loop() -> taut.Loop:
+    """Virtual stiffness against damping: an impedance at the tool at 500 Hz, its velocity differenced and filtered."""
+    sensing = taut.Sensing(velocity=taut.Difference(cutoff=60.0))
+    ctrl = taut.compile(taut.laws.Impedance(K=(1.0, 1.0), B=(1.0, 1.0)), bent(), rate=500.0, sensing=sensing)
+    return taut.Loop(ctrl, taut.RigidPlant(bent(), friction=None), aside(1e-9), duration=1.0)
+
+
+def haptic(K: float, B: float) -> taut.Loop:
+    loop = haptic_loop()
+    for name, size in (("law.K", K), ("law.B", B)):
+        loop.parameters[name] = size * np.array([1.0, 1.0, 1.0, 0.04, 0.04, 0.04])
+    return loop
+
+
+@cache
+def pressing_loop() -> taut.Loop:
+    """Environment stiffness against force gain: a tool under ForceControl in a spring, with some damping."""
+    ctrl = taut.compile(taut.laws.ForceControl(kfp=0.2, kfi=1.0, kdamp=(60.0, 2.0)), bent())
+    plant = taut.RigidPlant(bent(), friction=None, environment=taut.Spring(stiffness=(1e3, 10.0)))
+    return taut.Loop(ctrl, plant, taut.TaskForce(F_app=[1e-7, 0.0, 1e-7, 0.0, 0.0, 0.0]), duration=1.0)
+
+
+def pressing(stiffness: float, kfi: float) -> taut.Loop:
+    loop = pressing_loop()
+    loop.parameters["environment.stiffness"] = np.array([stiffness, 0.01 * stiffness])
+    loop.parameters["law.kfi"] = kfi
+    return loop
+
+
+WHOLE = {
+    "virtual stiffness against damping": (
+        Whole(make=haptic, q=POSE), {"K": np.geomspace(300.0, 3e5, 10), "B": np.geomspace(3.0, 2e3, 10)}
+    ),
+    "environment stiffness against force gain": (
+        Whole(make=pressing, q=POSE), {"stiffness": np.geomspace(100.0, 1e5, 8), "kfi": np.geomspace(1.0, 300.0, 8)}
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.bars
+def test_runs_agree_with_the_map_of_gain_against_rate_one_percent_to_either_side(
+    share: Callable[[int], int], bar: Callable[[str, object], None]
+) -> None:
+    """Differenced velocity, one period late: above the border in kd a run grows, and below that in the rate."""
+
+    def servo(rate: float) -> Servo:
+        return Servo(rate=rate, kind=1, taps=1)
+
+    found = taut.stability_map(
+        lambda rate, kd: servo(rate).sampled(40.0, kd, 0.0),
+        {"rate": np.geomspace(50.0, 800.0, 7), "kd": np.geomspace(2.0, 400.0, 9)},
+    )
+    assert set(found.along.tolist()) == {0, 1}
+    picked = np.random.default_rng(3).permutation(len(found.border))[: max(share(len(found.border)), 4)]
+    wrong = 0
+    for i in picked:
+        inwards = 1.0 if found.inside[i] else -1.0
+        for side in (1.0, -1.0):
+            point = found.border[i].copy()
+            point[found.along[i]] *= 1.0 + side * inwards * ASIDE
+            wrong += grows(servo(float(point[0])), 40.0, float(point[1]), 0.0) != (side < 0.0)
+    assert wrong == 0
+    name = "stability map of one_joint, gain against rate, 1 % to either side of the border: runs that disagree"
+    bar(name, f"0 of {2 * len(picked)}")
+
+
+@pytest.mark.bars
+@pytest.mark.parametrize("name", WHOLE)
+def test_runs_of_an_arm_agree_with_the_named_maps_one_percent_to_either_side(
+    name: str, share: Callable[[int], int], bar: Callable[[str, object], None]
+) -> None:
+    whole, grids = WHOLE[name]
+    found = taut.stability_map(whole.linear, grids)
+    assert len(found.border) >= 4
+    assert 0.1 < found.share < 0.9
+    names, count, wrong = list(grids), 0, 0
+    for i in np.random.default_rng(2).permutation(len(found.border))[: max(share(len(found.border)), 2)]:
+        inwards = 1.0 if found.inside[i] else -1.0
+        for side in (1.0, -1.0):
+            point = found.border[i].copy()
+            point[found.along[i]] *= 1.0 + side * inwards * ASIDE
+            numbers = dict(zip(names, point.tolist(), strict=True))
+            assert whole.linear(**numbers).stable == (side > 0.0)
+            wrong += whole.grows(**numbers) != (side < 0.0)
+            count += 1
+    assert wrong == 0
+    bar(f"stability map of planar3, {name}, 1 % to either side of the border: runs that disagree", f"0 of {count}")

@@ -283,6 +283,16 @@ def _force(case: Case) -> Law:
     case.asked.only(case.name, "bandwidth", "settling", "force", "zeta", "overshoot", "contact")
     law: Any = case.law
     pole = case.asked.force if case.asked.force is not None else case.asked.pole(case.name)
+    fastest, most = float(np.max(pole)), 2.0 * case.rate
+    if fastest >= most:
+        name = "force" if case.asked.force is not None else "bandwidth"
+        raise RangeError(
+            f"{name}: a pole of the force of {fastest:g} 1/s cannot be met: at {case.rate:g} Hz one of {most:g} 1/s "
+            "or more swings on any contact, and what is nearest depends on the contact; 1 to 20 1/s are usual",
+            name=name,
+            value=fastest,
+            rule=f"< {most:g} 1/s",
+        )
     kfp = law.kfp.matrix(6)
     gains: dict[str, Any] = {"kfi": (np.eye(6) + kfp) @ (np.asarray(pole) * np.eye(6))}
     zeta, contact = case.asked.damping, case.asked.contact

@@ -37,7 +37,7 @@ class DesignLimit:
 
     Args:
         name: Of what: "torque", "torque rate", "speed", "damping", "rate", "delay", "gain margin", "encoder", "ki",
-            "weight", "coupling", "stiffness", "backlash", "elastic joint", "drive".
+            "weight", "coupling", "stiffness", "at rest", "force pole", "decay", "backlash", "elastic joint".
         value: What the design has or needs.
         limit: What there is; infinite for none.
         unit: Of both.
@@ -146,7 +146,7 @@ def torque_limits(tried: Tried) -> Iterator[DesignLimit]:
         name="torque rate", value=seconds, limit=tried.lin.dt, unit="s", ok=ok,
         sentence=(
             f"a step of {size * d.per_unit:.3g} {d.unit} along {d.name} jumps at joint '{arm.joint_names[joint]}' by "
-            f"what a limit of {RATE_PER_EFFORT:g} times the effort per second lets through in {seconds:.2g} s"
+            f"what a limit of {RATE_PER_EFFORT:g} times the effort per second lets through in {seconds:.3g} s"
             f"{'' if ok else '; follow a trajectory instead'}"
         ),
     )  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -16,11 +16,13 @@ from taut.control.law import Law
 from taut.loop import Loop
 from taut.maths.snapshot import Snapshot
 from taut.plant.rigid import RigidPlant
+from taut.study.design_contact import force_gains, pressed, require_force_stable
 from taut.study.design_directions import Direction, directions_of
 from taut.study.design_force import force_directions
 from taut.study.design_gains import Case, gains_for
 from taut.study.design_limits import DesignLimit, Tried, steps_of, torque_limits
 from taut.study.design_result import Achieved, AtPose, Design
+from taut.study.design_stiffness import stiffnesses
 from taut.study.design_trial import Bench, Numbers, Response, zeta_seen
 from taut.study.linear_loop import LinearLoop
 from taut.study.sampled import VelocityKind
@@ -52,6 +54,9 @@ class Maker:
         plant: RigidPlant | None,
     ) -> None:
         self.case, self.law, self.plant = case, law, plant
+        self._how: dict[str, Any] = {"rate": rate, "delay": delay, "friction": friction}
+        if isinstance(law, laws.HybridMotionForce):
+            require_force_stable(law, rate, delay)
         self.bench = Bench(
             law, case.arm, rate=rate, delay=delay, velocity=velocity, friction=friction, contact=case.asked.contact
         )
@@ -97,7 +102,18 @@ class Maker:
             step=steps,
             responses=simulated,
             tried=read_off,
+            stiffness=stiffnesses(self.bench, x, lin, directions, self.case.asked.K),
+            **self._in_contact(x),
         )
+
+    def _in_contact(self, x: Snapshot) -> dict[str, Any]:
+        """Of a hybrid law that feeds the force back, what becomes of an error of it."""
+        if not isinstance(self.law, laws.HybridMotionForce) or not np.any(force_gains(self.law)[1]):
+            return {}
+        q, forces = pressed(
+            self.law, self.case.arm, np.asarray(x.q), sensing=self.bench.ctrl.side.sensing, **self._how
+        )
+        return {"q_contact": q, "forces": forces}
 
     def _directions(self, x: Snapshot) -> tuple[Direction, ...]:
         if isinstance(self.bench.law, laws.ForceControl):
@@ -156,7 +172,14 @@ class Maker:
     @property
     def _where(self) -> str:
         delay = float(self.bench.plant.actuation.delay)
-        return f"{self.bench.ctrl.rate:g} Hz" + (f" and {1e3 * delay:g} ms of delay" if delay else "")
+        velocity = self.bench.ctrl.side.sensing.velocity
+        cutoff = None if isinstance(velocity, str) else getattr(velocity, "cutoff", None)
+        parts = [f"{self.bench.ctrl.rate:g} Hz"]
+        if delay:
+            parts.append(f"{1e3 * delay:g} ms of delay")
+        if cutoff is not None:
+            parts.append(f"a low-pass of {float(np.min(cutoff)):g} Hz in the velocity")
+        return " and ".join(parts)
 
     def _nearest(self, good: Callable[[float], bool], what: str) -> str:
         """The way out: the fastest design that is good."""

@@ -10,13 +10,15 @@ from taut.arm.description import Arm
 from taut.base.errors import UsageError
 from taut.base.types import Float64Array
 from taut.control.law import Law
+from taut.study.design_contact import Pressed, force_limits
 from taut.study.design_limits import DesignLimit, Tried, limits_of
+from taut.study.design_stiffness import Stiff, static_limits
 from taut.study.design_trial import Numbers, Response
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Achieved", "AtPose", "Design"]
+__all__ = ["Achieved", "AtPose", "Design", "Pressed", "Stiff"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,6 +78,9 @@ class Design:
         step: (k,) the steps that the limits speak of.
         responses: (k,) steps of the nonlinear loop, for the plot.
         tried: What the limits are read off.
+        stiffness: Where one was asked for, what the loop has at rest.
+        forces: Of a hybrid law that feeds the force back, each row of its constraint, tried in contact.
+        q_contact: (n,) where that was, the pose nearest to q on the constraint; None without.
     """
 
     law: Law
@@ -90,11 +95,14 @@ class Design:
     step: Float64Array
     responses: tuple[Response, ...] = field(repr=False)
     tried: Tried = field(repr=False)
+    stiffness: tuple[Stiff, ...] = ()
+    forces: tuple[Pressed, ...] = ()
+    q_contact: Float64Array | None = None
 
     @cached_property
     def limits(self) -> tuple[DesignLimit, ...]:
         """What the gains run into, each with a sentence."""
-        return limits_of(self.tried)
+        return (*limits_of(self.tried), *static_limits(self.stiffness), *force_limits(self.forces, self.rate))
 
     def limit(self, name: str) -> DesignLimit:
         """The limit of that name.

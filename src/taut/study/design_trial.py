@@ -11,11 +11,13 @@ import numpy as np
 from taut.arm.description import Arm
 from taut.base.pose import Pose
 from taut.base.types import ArrayLike, Float64Array
+from taut.control.filters import LowPass
 from taut.control.law import Law
 from taut.control.reference import Hold, JointMotion, Sample, as_reference
 from taut.control.sensing import Sensing
 from taut.control.task_force import TaskForce
 from taut.control.task_reference import TaskMotion
+from taut.control.velocity import Difference
 from taut.controller import Controller, compile
 from taut.loop import Loop
 from taut.maths.snapshot import Snapshot
@@ -28,6 +30,7 @@ from taut.record.run import Run
 from taut.record.step import step_response
 from taut.runtime.simulate import run as simulate
 from taut.study.design_asked import six_by_six
+from taut.study.design_bandwidth import bandwidth_of, bandwidth_seen
 from taut.study.design_directions import Direction, designed_part
 from taut.study.error_dynamics import ErrorDynamics
 from taut.study.linear_loop import LinearLoop
@@ -58,18 +61,23 @@ class Numbers:
         omega_n: Natural frequency of that pair, or the pole [rad/s].
         overshoot: Of a step [%].
         settling: Exact 2 % settling time of a step [s].
+        bandwidth: Where a sine of the reference is first followed with half of the power [rad/s].
     """
 
     zeta: float
     omega_n: float
     overshoot: float
     settling: float
+    bandwidth: float = math.nan
 
     @classmethod
     def designed(cls, dynamics: ErrorDynamics) -> Numbers:
         """In continuous time, by the book."""
         zeta, omega_n = numbers_of_poles(dynamics.poles)
-        return cls(zeta=zeta, omega_n=omega_n, overshoot=dynamics.overshoot, settling=dynamics.settling_time)
+        return cls(
+            zeta=zeta, omega_n=omega_n, overshoot=dynamics.overshoot, settling=dynamics.settling_time,
+            bandwidth=bandwidth_of(dynamics),
+        )  # fmt: skip
 
 
 def numbers_of_poles(s: Any) -> tuple[float, float]:
@@ -108,6 +116,10 @@ class Response:
         command: (k, n) what is commanded, less what holds the arm, likewise.
         integral: Whether the law integrates the error.
         second: Whether the rate of the error is a state.
+        pushed: (k,) what is commanded along it.
+        late: How many commands are under way.
+        kept: How many numbers a filter of the velocity keeps, or the sensor of a force.
+        order: Of the error dynamics that were designed.
     """
 
     t: Float64Array
@@ -118,34 +130,50 @@ class Response:
     command: Float64Array
     integral: bool
     second: bool
+    pushed: Float64Array
+    late: int
+    kept: int
+    order: int
 
     @property
     def numbers(self) -> Numbers:
         """What fits it."""
         zeta, omega_n = numbers_of_poles(self.poles) if np.isfinite(self.e).all() else (math.nan, math.nan)
         step = step_response(self.t, self.e)
-        return Numbers(zeta=zeta, omega_n=omega_n, overshoot=step.overshoot, settling=step.settling_time)
+        return Numbers(
+            zeta=zeta, omega_n=omega_n, overshoot=step.overshoot, settling=step.settling_time,
+            bandwidth=bandwidth_seen(1.0 - self.e, float(self.t[1])),
+        )  # fmt: skip
 
     @property
     def poles(self) -> Any:
-        """[1/s] of the map from tick to tick that fits error, rate and integral, by least squares."""
+        """[1/s] as many as were designed, the slowest: of the map from tick to tick that fits all its states.
+
+        These are error, rate, integral, and the commands that are under way or in a filter; by least squares.
+        """
         dt = float(self.t[1])
         states = [self.e]
         if self.second:
             states.append(self.e_dot * dt)
         if self.integral:
             states.append(np.concatenate([[0.0], np.cumsum(self.e)[:-1]]))
-        X = np.column_stack(states)
+        lags = range(1, self.late + self.kept + 1)  # what a filter keeps shows in the commands before
+        states += [np.concatenate([np.zeros(lag), self.pushed[:-lag]]) for lag in lags]
+        X = np.column_stack(states)[self.kept :]
+        if lags:
+            X = np.diff(X, axis=0)  # what is commanded in the end, against a weight or a spring, is no state
         live = int(np.flatnonzero(np.abs(self.e) > HELD)[-1]) + 1 if np.any(np.abs(self.e) > HELD) else len(X)
         X = X[: max(min(live, len(X)), len(states) + 3)]
         scale = np.abs(X).max(axis=0)
         X = X / np.where(scale > 0.0, scale, 1.0)
         A, *_ = np.linalg.lstsq(X[:-1], X[1:], rcond=None)
-        if len(A) == 2:
+        if len(A) == 2 and not lags:
             return _pair(float(np.trace(A)), float(np.linalg.det(A)), dt)
         z = np.linalg.eigvals(A).astype(np.complex128)
+        z = z[np.argsort(-np.abs(z))]
+        last = z[min(self.order, len(z)) - 1]
         with np.errstate(divide="ignore"):
-            return np.log(z) / dt
+            return np.log(z[np.abs(z) >= np.abs(last) * (1.0 - PAIRED)]) / dt
 
 
 def _pair(trace: float, det: float, dt: float) -> Any:
@@ -188,7 +216,11 @@ class Bench:
     ) -> None:
         self.law = designed_part(law) if _alone(law) else law
         sensing = Sensing() if velocity == "measured" else Sensing(velocity=velocity)
-        self._rate, self._sensing = rate, sensing
+        self._rate, self._sensing, self._late = rate, sensing, round(delay * rate)
+        filtered = isinstance(velocity, (LowPass, Difference)) and velocity.cutoff is not None
+        self._kept: int = velocity.order if filtered and not isinstance(velocity, str) else 0
+        if self.law.reference is TaskForce:
+            self._kept += 1  # what is measured is a tick old
         self.ctrl: Controller = compile(self.law, arm, rate=rate, sensing=sensing)
         probe = self.ctrl.side.probe
         self.weightless = probe.kind == "torque" and "gravity" not in probe.used and bool(np.any(arm.gravity))
@@ -284,7 +316,8 @@ class Bench:
     ) -> Response:
         return Response(
             t=t, e=1.0 - q @ d.row, e_dot=-(v @ d.row), q=q, v=v, command=command, integral=self.integral,
-            second=self.kind == "torque",
+            second=self.kind == "torque", pushed=command @ (d.column if self.kind == "torque" else d.row),
+            late=self._late, kept=self._kept, order=d.dynamics.order,
         )  # fmt: skip
 
     def _of_reference(self, lin: LinearLoop) -> tuple[Float64Array, Float64Array]:

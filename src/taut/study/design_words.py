@@ -5,10 +5,14 @@ from __future__ import annotations
 import dataclasses
 import math
 import textwrap
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from taut.study.design_contact import Pressed
+from taut.study.design_result import Achieved
+from taut.study.design_stiffness import Stiff
 from taut.study.design_trial import Numbers
 
 if TYPE_CHECKING:
@@ -23,6 +27,7 @@ COLUMNS: Final = {
     "overshoot": "overshoot [%]",
     "settling": "settling [s]",
 }
+BANDWIDTH: Final = {"bandwidth": "bandwidth [rad/s]"}
 GAINS: Final = ("kp", "kd", "ki", "K", "B", "D", "zeta", "kfp", "kfi", "kdamp")
 NOTHING: Final = 1e-6  # of a number that is shown: what rounding leaves of none
 MOST: Final = 6  # of the poses that are listed
@@ -43,9 +48,14 @@ def report(d: Design) -> str:
     if d.weightless:
         lines.append("tried without gravity, which this law leaves to others")
     if d.achieved:
-        lines += ["", *_table(d)]
+        lines += ["", *_table(d.achieved, COLUMNS | (BANDWIDTH if "bandwidth" in d.asked else {}))]
     else:
         lines += ["", "nothing draws the arm anywhere, so that a step has no answer to show"]
+    if d.stiffness:
+        lines += ["", *_stiffness(d.stiffness)]
+    if d.forces and d.q_contact is not None:
+        lines += ["", f"against the constraint, held by it at q = {np.round(d.q_contact, 4).tolist()}"]
+        lines += ["", *_table(d.forces)]
     if len(d.poses) > 1:
         lines += ["", *_poses(d)]
     lines.append("")
@@ -69,18 +79,19 @@ def _gain(name: str, values: Any, n: int) -> list[str]:
     return [(head if i == 0 else " " * len(head)) + row for i, row in enumerate(rows)]
 
 
-def _table(d: Design) -> list[str]:
+def _table(directions: Sequence[Achieved | Pressed], columns: Mapping[str, str] = COLUMNS) -> list[str]:
     """Each direction, one line: designed, predicted, simulated, on the plant."""
-    sources = ["designed", "predicted", "simulated"] + ["on plant"] * (d.achieved[0].on_plant is not None)
-    width = max(len(each.direction) for each in d.achieved)
+    sources = ["designed", "predicted", "simulated"] + ["on plant"] * (_on_plant(directions[0]) is not None)
+    width = max(len(each.direction) for each in directions)
     lines = []
-    for name, title in COLUMNS.items():
+    for name, title in columns.items():
         rows = []
-        for each in d.achieved:
-            given = [each.designed, each.predicted, each.simulated, *([each.on_plant] if each.on_plant else [])]
+        for each in directions:
+            real = _on_plant(each)
+            given = [each.designed, each.predicted, each.simulated, *([real] if real else [])]
             rows.append([_number(getattr(numbers, name)) for numbers in given])
         lines.append(f"   {title:<{max(width, 16)}}" + "".join(f"{source:>13}" for source in sources))
-        names = [each.direction for each in d.achieved]
+        names = [each.direction for each in directions]
         if len(rows) > 1 and all(row == rows[0] for row in rows):
             names, rows = ["in each direction"], rows[:1]
         lines += [
@@ -89,6 +100,21 @@ def _table(d: Design) -> list[str]:
         ]
         lines.append("")
     return lines[:-1]
+
+
+def _stiffness(rows: Sequence[Stiff]) -> list[str]:
+    """What was asked for, and what a small force at rest shows."""
+    width = max(16, *(len(f"{each.direction} [{each.unit}]") for each in rows))
+    head = f"   {'stiffness':<{width}}" + "".join(f"{name:>13}" for name in ("designed", "predicted", "simulated"))
+    return [head] + [
+        f"   {f'{each.direction} [{each.unit}]':<{width}}"
+        + "".join(f"{_number(value):>13}" for value in (each.designed, each.predicted, each.simulated))
+        for each in rows
+    ]
+
+
+def _on_plant(each: Achieved | Pressed) -> Numbers | None:
+    return each.on_plant if isinstance(each, Achieved) else None
 
 
 def _poses(d: Design) -> list[str]:
@@ -127,22 +153,13 @@ def as_json(d: Design) -> dict[str, Any]:
         "asked": {name: np.asarray(value).tolist() for name, value in d.asked.items()},
         "gains": {name: np.asarray(value).tolist() for name, value in d.law.parameters().items()},
         "q": d.q.tolist(),
-        "achieved": [
-            {
-                "direction": each.direction,
-                "unit": each.unit,
-                **{
-                    name: None if numbers is None else _plain(numbers)
-                    for name, numbers in (
-                        ("designed", each.designed),
-                        ("predicted", each.predicted),
-                        ("simulated", each.simulated),
-                        ("on_plant", each.on_plant),
-                    )
-                },
-            }
-            for each in d.achieved
+        "achieved": [_row(each) for each in d.achieved],
+        "stiffness": [
+            {name: value if isinstance(value, str) else _finite(value) for name, value in vars(each).items()}
+            for each in d.stiffness
         ],
+        "forces": [_row(each) for each in d.forces],
+        "q_contact": None if d.q_contact is None else d.q_contact.tolist(),
         "poses": [
             {
                 "q": pose.q.tolist(),
@@ -159,6 +176,15 @@ def as_json(d: Design) -> dict[str, Any]:
         "weightless": d.weightless,
         "alone": d.alone,
     }
+
+
+def _row(each: Achieved | Pressed) -> dict[str, Any]:
+    sources = {
+        "designed": each.designed, "predicted": each.predicted, "simulated": each.simulated,
+        "on_plant": _on_plant(each),
+    }  # fmt: skip
+    numbers = {name: None if of is None else _plain(of) for name, of in sources.items()}
+    return {"direction": each.direction, "unit": each.unit, **numbers}
 
 
 def _plain(numbers: Numbers) -> dict[str, float | None]:

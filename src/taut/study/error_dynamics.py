@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from taut.base.checks import finite_array, finite_scalar, one_of, positive_scalar
+from taut.base.checks import finite_array, finite_scalar, one_of
 from taut.base.errors import ShapeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
 from taut.study import characteristic
+from taut.study.error_left import INPUTS, ErrorLeft, Input
+from taut.study.error_numbers import ErrorNumbers
 from taut.study.joint_gains import JointGains
 from taut.study.linear_response import NEVER, StepShape, companion, step_shape
-from taut.study.poles import damping_ratios
 from taut.study.routh import RouthTable, routh
 from taut.study.sampled import Integrator, VelocityKind
 from taut.study.second_order_response import shape, swing
@@ -31,14 +32,12 @@ __all__ = ["CASES", "INPUTS", "Case", "ErrorDynamics", "Input"]
 
 Case = Literal["overdamped", "critically damped", "underdamped"]
 CASES: Final[tuple[Case, ...]] = ("overdamped", "critically damped", "underdamped")
-Input = Literal["step", "ramp", "parabola", "disturbance"]
-INPUTS: Final[tuple[Input, ...]] = ("step", "ramp", "parabola", "disturbance")
 EQUAL: Final = 1e-10  # of a coefficient: what conversions between kinds of systems leave of no difference
 Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ErrorDynamics:
+class ErrorDynamics(ErrorNumbers, ErrorLeft):
     """Linear error dynamics a_n e^(n) + ... + a_1 e_dot + a_0 e = 0: poles, response, and what the chapter reads off.
 
     Print it for a report. `taut.second_order` makes it of gains and specifications; `from_poles`, `from_matrix` and
@@ -177,6 +176,11 @@ class ErrorDynamics:
         """
         return characteristic.roots(self._a)
 
+    @property
+    def s_poles(self) -> Complex:
+        """(n,) its poles, which are in s [1/s]."""
+        return self.poles
+
     @cached_property
     def routh(self) -> RouthTable:
         """Routh's table; print it."""
@@ -191,17 +195,6 @@ class ErrorDynamics:
     def dt(self) -> None:
         """None: in continuous time."""
         return
-
-    @property
-    def damping_ratios(self) -> Float64Array:
-        """(n,) -Re(s) / abs(s) of each pole."""
-        return damping_ratios(self.poles)
-
-    @property
-    def natural_frequencies(self) -> Float64Array:
-        """(n,) abs(s) of each pole [rad/s]."""
-        made: Float64Array = np.abs(self.poles)
-        return made
 
     @property
     def time_constants(self) -> Float64Array:
@@ -281,26 +274,6 @@ class ErrorDynamics:
         kd, kp, *ki = (self._a[1:] / self._a[0]).tolist()
         return JointGains(kp=kp, kd=kd, ki=ki[0] if ki else 0.0)
 
-    @property
-    def kp(self) -> float:
-        """Proportional gain: [N m/rad], or [1/s^2] where no inertia was given."""
-        return self.gains.kp
-
-    @property
-    def kd(self) -> float:
-        """Derivative gain: [N m s/rad], or [1/s]."""
-        return self.gains.kd
-
-    @property
-    def ki(self) -> float:
-        """Integral gain: [N m/(rad s)], or [1/s^3]."""
-        return self.gains.ki
-
-    @property
-    def largest_ki(self) -> float:
-        """(b + kd) kp / M, which ki must be below (figure 10.7)."""
-        return self.gains.largest_ki
-
     def replaced(self, **numbers: float) -> ErrorDynamics:
         """The same joint with other numbers: M, b, kp, kd, ki.
 
@@ -377,96 +350,9 @@ class ErrorDynamics:
         return step_shape(A, at, at)
 
     @property
-    def overshoot(self) -> float:
-        """[%] of the step, below figure 10.4; NaN if it does not settle."""
-        return self.step.overshoot
-
-    @property
-    def settling_time(self) -> float:
-        """[s] exact: from then on the error stays within 2 % of the step; infinite if it does not settle."""
-        return self.step.settling_time
-
-    @property
     def settling_by_rule(self) -> float:
         """[s] the chapter's rule of thumb, four of the slowest time constants."""
         return 4.0 * self.time_constant
-
-    @property
-    def rise_time(self) -> float:
-        """[s] from 90 % to 10 % of the error."""
-        return self.step.rise_time
-
-    @property
-    def peak_time(self) -> float:
-        """[s] of the largest overshoot; NaN if there is none."""
-        return self.step.peak_time
-
-    # ---------------------------------------------------------------- steady state
-
-    def steady_state_error(self, to: Input = "step", size: float = 1.0) -> float | None:
-        """What is left of the error in the end, by the final value theorem.
-
-        Args:
-            to: A "step", "ramp" or "parabola" (size t^2 / 2) of the desired position, or a constant "disturbance".
-            size: Of it [rad, rad/s, rad/s^2 | N m].
-
-        Returns:
-            [rad | m]; infinite if the error grows for ever, None if it does not settle because the loop is unstable.
-
-        Raises:
-            UsageError: Not one of these, or its numerator is not known.
-
-        Example:
-            >>> import taut
-            >>> pd = taut.second_order(M=0.5, b=0.1, kp=2.205, kd=2.0)
-            >>> pd.steady_state_error("disturbance", 0.981), pd.replaced(ki=1.0).steady_state_error("disturbance")
-            (0.444..., 0.0)
-        """
-        one_of("to", to, INPUTS)
-        size = finite_scalar("size", size)
-        numerator = self._numerator("disturbance" if to == "disturbance" else "reference")
-        if not self.stable:
-            return None
-        power = {"step": 0, "ramp": 1, "parabola": 2, "disturbance": 0}[to]
-        return characteristic.final_value(numerator, self._a, power, size)
-
-    def sine_error(self, frequency: float, of: Literal["reference", "disturbance"] = "reference") -> float | None:
-        """Amplitude of the error, once it has settled, over that of a sine that is followed or that disturbs.
-
-        An integral takes away what a constant disturbance leaves, but not this.
-
-        Args:
-            frequency: [Hz].
-            of: Whose sine.
-
-        Returns:
-            [rad/rad | rad/(N m)]; None if the loop is unstable.
-        """
-        omega = 2.0 * math.pi * positive_scalar("frequency", frequency, unit="Hz")
-        one_of("of", of, ("reference", "disturbance"))
-        return abs(complex(self.error_response(np.array([omega]), of)[0])) if self.stable else None
-
-    def error_response(self, omega: ArrayLike, of: Literal["reference", "disturbance"] = "reference") -> Complex:
-        """(k,) the error over the desired position, or over a disturbance, at angular frequencies.
-
-        Args:
-            omega: (k,) [rad/s].
-            of: Over which.
-        """
-        s = 1j * finite_array("omega", omega, unit="rad/s")
-        made: Complex = np.polyval(self._numerator(of), s) / np.polyval(self._a, s)
-        return made
-
-    def _numerator(self, name: str) -> Float64Array:
-        value = getattr(self, name)
-        if value is None:
-            raise UsageError(
-                f"a characteristic polynomial alone does not tell what a {name} does; give {name}=, the numerator of "
-                "the error over it, or make the dynamics with taut.second_order",
-                name=name,
-            )
-        made: Float64Array = np.asarray(value)
-        return made
 
     # ---------------------------------------------------------------- sampled, and ways out
 
@@ -524,9 +410,6 @@ class ErrorDynamics:
         from taut.study.error_words import of_continuous
 
         return of_continuous(self)
-
-    def __str__(self) -> str:
-        return self.report()
 
     def plot(self) -> Figure:
         """Its response to a step, with the exact settling time and the rule's, beside its poles."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
@@ -62,6 +62,7 @@ class Locus:
         borders: Where it becomes stable or ceases to be, in the order of the values, with the pole that crosses.
         meetings: Where two poles meet on the real axis, or leave it.
         dt: Period of poles in z [s]; None for poles in s.
+        spectrum: What has the poles at a value.
     """
 
     name: str
@@ -71,13 +72,11 @@ class Locus:
     borders: tuple[Crossing, ...]
     meetings: tuple[Crossing, ...]
     dt: float | None
+    spectrum: Callable[[float], Spectrum] = field(repr=False)
 
     def at(self, value: float) -> Complex:
-        """(n,) the poles at the nearest of its values."""
-        i = int(np.abs(self.values - value).argmin())
-        row = self.poles[i]
-        made: Complex = row[~np.isnan(row)]
-        return made
+        """(n,) the poles at a value, whether or not it is one of its values."""
+        return self.spectrum(value).poles
 
     def plot(self, mark: ArrayLike = (), unit: str = "") -> Figure:
         """The branches, from crosses at the first value to circles at the last.
@@ -158,7 +157,7 @@ def locus(
     word = name if name is not None else vary if isinstance(vary, str) else "number"
     return Locus(
         name=word, values=np.array(order), poles=branches, stable=stable, borders=tuple(borders),
-        meetings=tuple(meetings), dt=period,
+        meetings=tuple(meetings), dt=period, spectrum=at,
     )  # fmt: skip
 
 

@@ -222,6 +222,25 @@ class SampledLoop:
             return np.ones(len(theta), dtype=np.complex128)
         return np.asarray(freqz(*self._filter, worN=theta)[1], dtype=np.complex128)
 
+    def loop_response(self, theta: Float64Array) -> NDArray[np.complex128]:
+        """(k, n, n) the loop broken at its force, at the angles theta = omega T [rad]: one tick's u over the force.
+
+        Of its delay only the part of a period counts, so that it is exp(1j d theta) times that of a loop that is d
+        whole periods later. It stays exact where slow loops have all their poles next to z = 1.
+        """
+        n, T, part = self.n, self.T, self.periods[1]
+        move, eye = self._period, np.eye(n)
+        z = np.exp(1j * theta)[:, np.newaxis, np.newaxis]
+        w = (2j * np.sin(0.5 * theta) * np.exp(0.5j * theta))[:, np.newaxis, np.newaxis]  # z - 1
+        v_f, dx_f = (move[f"{name}_new"] + (move[f"{name}_old"] / z if part else 0.0) for name in ("v", "dx"))
+        lost = w * eye + (eye - move["v_v"])
+        v = v_f / lost if n == 1 else np.linalg.solve(lost, v_f)
+        x = (move["dx_v"] @ v + dx_f) / w
+        seen = x * (w / z) / T if self.differenced else v
+        seen = seen * self.filter_response(theta)[:, np.newaxis, np.newaxis]
+        spring = np.asarray(self.K) + np.asarray(self.Ki) * T * z / w
+        return np.asarray(spring @ x + np.asarray(self.B) @ seen)
+
     # ---------------------------------------------------------------- the matrix
 
     @cached_property

@@ -16,9 +16,10 @@ from taut.base.errors import UsageError
 from taut.base.types import Float64Array
 from taut.study.delay_margin import largest_delay
 from taut.study.error_dynamics import ErrorDynamics
+from taut.study.error_numbers import ErrorNumbers
 from taut.study.joint_gains import JointGains
 from taut.study.linear_response import NEVER, StepShape, powers, sampled_shape
-from taut.study.poles import damping_ratios, in_s
+from taut.study.poles import in_s
 from taut.study.sampled import Integrator, SampledLoop, VelocityKind
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ ROUNDING: Final = 1e-12  # of a pole's modulus
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SampledErrorDynamics:
+class SampledErrorDynamics(ErrorNumbers):
     """One joint's error dynamics under a law that sees it once in a period and holds its torque until the next.
 
     Print it for a report. `ErrorDynamics.sampled` makes it.
@@ -111,17 +112,6 @@ class SampledErrorDynamics:
         return in_s(self.poles, self.dt)
 
     @property
-    def damping_ratios(self) -> Float64Array:
-        """(N,) -Re(s) / abs(s) of each pole."""
-        return damping_ratios(self.s_poles)
-
-    @property
-    def natural_frequencies(self) -> Float64Array:
-        """(N,) abs(s) of each pole [rad/s]."""
-        made: Float64Array = np.abs(self.s_poles)
-        return made
-
-    @property
     def radius(self) -> float:
         """The largest modulus of its poles."""
         return float(np.abs(self.poles[0]))
@@ -174,16 +164,6 @@ class SampledErrorDynamics:
     def step(self) -> StepShape:
         """Overshoot, settling, rise and peak of the error at the ticks, after a step."""
         return sampled_shape(self.matrix, *self._start, self.dt) if self.stable else NEVER
-
-    @property
-    def overshoot(self) -> float:
-        """[%] of the step, at the ticks; NaN if it does not settle."""
-        return self.step.overshoot
-
-    @property
-    def settling_time(self) -> float:
-        """[s] of the first tick from which on the error is within 2 %; infinite if it does not settle."""
-        return self.step.settling_time
 
     @property
     def settling_ticks(self) -> int | None:
@@ -259,9 +239,6 @@ class SampledErrorDynamics:
         from taut.study.error_words import of_sampled
 
         return of_sampled(self)
-
-    def __str__(self) -> str:
-        return self.report()
 
     def plot(self) -> Figure:
         """Its response at the ticks over that of the book, beside its poles in z."""

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["draw_locus", "draw_map", "of_locus", "of_map"]
 
 STABLE: Final = "#C4E7DC"  # a light shade of colour(2), opaque: neighbouring cells show no seam
+APART: Final = 0.05  # of the farthest pole that is shown: nearer poles have one number
 FAR: Final = 0.98  # quantile of the poles that are shown
 
 
@@ -45,11 +46,14 @@ def draw_locus(ax: Axes, locus: Locus, mark: Float64Array, unit: str = "") -> No
         ax.plot(there.real, there.imag, color=colour(k), linewidth=1.5, solid_joinstyle="round")
         ax.plot(there.real[:1], there.imag[:1], "x", color=colour(k), markersize=6.0, markeredgewidth=1.5)
         ax.plot(there.real[-1:], there.imag[-1:], "o", color=colour(k), markersize=4.5, markerfacecolor="white")
+    apart = APART * float(np.abs(near).max(initial=0.0))
     for k, value in enumerate(mark.tolist()):
+        named: list[complex] = []
         for s in locus.at(value):
             ax.plot(s.real, s.imag, "o", color=INK, markersize=3.5, zorder=4)
-            if s.imag < 0.0:
-                continue  # the number stands at the upper one of a pair
+            if s.imag < -apart or any(abs(s - other) < apart for other in named):
+                continue  # the number stands at the upper one of a pair, and once where two meet
+            named.append(s)
             ax.annotate(
                 str(k + 1), (s.real, s.imag), xytext=(3.0, 3.0), textcoords="offset points", fontsize=SMALL, color=INK
             )
