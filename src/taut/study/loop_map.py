@@ -316,13 +316,20 @@ def loop_map(loop: Loop, with_respect_to: Iterable[str] = ()) -> LoopMap:
     """The map of a loop, compiled once however often it is asked for.
 
     Raises:
-        UsageError: Not a loop.
+        UsageError: Not a loop, or not paths.
     """
     if not isinstance(loop, Loop):  # callers without a type checker
         raise UsageError(
             f"a taut.Loop(ctrl, plant, ref, duration=...) is needed; got {type(loop).__name__}", name="loop"
         )
-    wanted = (with_respect_to,) if isinstance(with_respect_to, str) else tuple(with_respect_to)
+    named = (with_respect_to,) if isinstance(with_respect_to, str) else with_respect_to
+    paths = tuple(named) if isinstance(named, Iterable) else (named,)
+    if not all(isinstance(path, str) for path in paths):
+        raise UsageError(
+            f"with_respect_to takes paths of parameters, such as ('law.kp',); got {with_respect_to!r}",
+            name="with_respect_to",
+        )
+    wanted = tuple(dict.fromkeys(paths))
     known = _MAPS.setdefault(loop, {})
     if wanted not in known:
         known[wanted] = LoopMap(loop, wanted)

@@ -12,7 +12,8 @@ from taut.base.types import Float64Array
 from taut.codegen.loop import FloatLoop, NativeLoop
 from taut.loop import Loop
 from taut.plant.disturbance import WRENCH
-from taut.study.linear_loop import Complex, LinearLoop
+from taut.study.frequency import Complex
+from taut.study.linear_loop import LinearLoop
 from taut.study.linearise import WITHIN, rest_of
 from taut.study.loop_map import loop_map, small_turns
 

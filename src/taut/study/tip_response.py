@@ -21,7 +21,8 @@ from taut.plant.environment import Environment, Environments, added
 from taut.plant.environment_held import Handle
 from taut.plant.environment_springs import Damper, Spring
 from taut.plant.rigid import RigidPlant
-from taut.study.linear_loop import Complex, LinearLoop, checked_frequencies
+from taut.study.frequency import Complex, checked_frequencies
+from taut.study.linear_loop import LinearLoop
 from taut.study.linearise import WITHIN, linearise
 from taut.study.sweep import swept
 from taut.study.tip import direction_of
