@@ -38,7 +38,7 @@ def with_tangent(function: Function, outputs: Collection[str]) -> Function:
     """A function as its values and their derivatives along a direction, for tracing.
 
     It takes blocks with a direction, see `tangent_block`, and gives all outputs, the derivatives of those in
-    `outputs`, and the new memory with its derivative.
+    `outputs`, and the new memory with its derivative. The length of a vector that is zero has the mean of its slopes.
     """
 
     def both(inputs: Values, parameters: Values, memory: Values) -> tuple[Values, Values]:
@@ -61,7 +61,7 @@ def with_tangent(function: Function, outputs: Collection[str]) -> Function:
             for value in values.values()
             for x in value.flat
         ]
-        found = iter(tangents(graph, nodes, seeds))
+        found = iter(tangents(graph, nodes, seeds, means=True))
         ways_out: dict[str, Any] = {}
         for path, value in values.items():
             symbols = [to_symbol(graph, next(found)) for _ in range(value.size)]

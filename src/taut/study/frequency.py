@@ -26,9 +26,9 @@ def at_a_pole(A: Float64Array, B: Float64Array, C: Float64Array, z: complex) -> 
     What the inputs do not set off, or the outputs do not show, is left out of it: that is its limit. What they do
     and show is infinite.
     """
-    W = z * np.eye(len(A)) - A
+    W: Complex = np.asarray(z * np.eye(len(A)) - A, dtype=np.complex128)
     size = float(np.linalg.norm(W, 2))
-    right, left = _chains(W), _chains(W.conj().T)
+    right, left = _chains(W), _chains(np.conj(W).T)
     if not right.shape[1]:
         return np.asarray(C @ np.linalg.solve(W, B), dtype=np.complex128)
     P = right @ np.linalg.solve(left.conj().T @ right, left.conj().T)  # onto the states of this pole

@@ -24,6 +24,7 @@ __all__ = ["LinearLoop", "Mode"]
 
 AT_ONCE: Final = 1e-6  # a pole of this modulus is gone in a period
 ROUNDING: Final = 1e-8  # of a modulus of one
+SPLIT: Final = 1e-5  # by how much rounding sets three equal poles apart
 REAL: Final = 1e-7  # an imaginary part below this share is rounding, of a pole that comes more than once
 FEW: Final = 8  # frequencies for which a factorisation each is quicker than one for all
 TELLS: Final = 0.05  # the least share of a state that a report names
@@ -209,7 +210,7 @@ class LinearLoop:
         """(k, p, m) of other inputs and outputs at the same states."""
         z = np.exp(1j * omega * self.dt)
         out = np.zeros((len(z), len(C), B.shape[1]), dtype=np.complex128)
-        near = np.abs(z[:, np.newaxis] - self.poles).min(axis=1, initial=np.inf) < np.sqrt(ROUNDING)
+        near = np.abs(z[:, np.newaxis] - self.poles).min(axis=1, initial=np.inf) < SPLIT
         for k in np.flatnonzero(near):
             out[k] = at_a_pole(self.A, B, C, z[k]) + D
         out[~near] = self._regular(z[~near], B, C) + D

@@ -195,7 +195,9 @@ def _model(
 ) -> LinearLoop:
     """The states that matter, and their matrices."""
     names, outputs = map_.state_coordinates.names, map_.output_coordinates.names
-    seen, moved = telling(found.A, found.C), moving_states(found.A, found.B)
+    # On a kink that only rounding sees, a state may seem to have no effect: the law takes another way at the point.
+    whole, _ = smooth(map_, point, found, list(range(len(names))))
+    seen, moved = telling(whole.A, whole.C), moving_states(whole.A, whole.B)
     needed = seen & moved
     for path in ("plant.q", "plant.v"):  # also of an arm that sticks
         needed[map_.state_coordinates.places[path]] = True
