@@ -40,7 +40,9 @@ def swept(loop: Loop, lin: LinearLoop, direction: Float64Array, omega: Float64Ar
         RangeError: A run that would be too long, or that diverged.
     """
     map_ = loop_map(loop)
-    point = rest_of(loop, map_, lin.q, WITHIN).point
+    # What is held is the start of the model's own search, not where a law that sags came to rest.
+    within = WITHIN + float(np.abs(lin.moved).max())
+    point = rest_of(loop, map_, lin.q - lin.moved, within).point
     blocks = (map_.inputs, map_.parameters, map_.memory)
     kind = NativeLoop if loop.engine == "native" else FloatLoop
     made = kind(
