@@ -594,6 +594,20 @@ MISUSE: dict[str, tuple[Callable[[], object], str]] = {
         lambda: taut.linearise(moving(), along=3, times=0.1),  # type: ignore[call-overload]
         "along= takes a taut.Run; got int",
     ),
+    "phases": (
+        lambda: taut.linearise(
+            taut.Loop(
+                taut.compile(
+                    [taut.Phase(laws.PID(kp=100.0), taut.JointMotion(q=[0.1, 0.2]), until=lambda x: x.elapsed > 0.1)],
+                    planar,
+                ),
+                Plant(planar, friction=None),
+                duration=0.5,
+            )
+        ),
+        "a task of phases has no one linear model: which law acts, and with what reference, changes with its guards; "
+        "make a taut.Loop with the law and the reference of the phase that is wanted",
+    ),
     "no loop": (
         lambda: taut.linearise(planar),  # type: ignore[call-overload]
         "a taut.Loop(ctrl, plant, ref, duration=...) is needed; got Arm",

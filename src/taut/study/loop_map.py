@@ -159,7 +159,8 @@ class LoopMap:
         side, plant = loop.side, loop.plant
         if isinstance(side.law, Phases):
             raise UsageError(
-                "a task of phases has no one linear model; make a taut.Loop with the law of the phase that is wanted",
+                "a task of phases has no one linear model: which law acts, and with what reference, changes with its "
+                "guards; make a taut.Loop with the law and the reference of the phase that is wanted",
                 name="loop",
             )
         self.steps = tuple(path for path in loop.parameters if path.endswith(STEPS))
