@@ -195,14 +195,14 @@ def _model(
 ) -> LinearLoop:
     """The states that matter, and their matrices."""
     names, outputs = map_.state_coordinates.names, map_.output_coordinates.names
-    # On a kink that only rounding sees, a state may seem to have no effect: the law takes another way at the point.
-    whole, _ = smooth(map_, point, found, list(range(len(names))))
-    seen, moved = telling(whole.A, whole.C), moving_states(whole.A, whole.B)
+    # Of all states first: on a kink that only rounding sees, the law may take another way at the very point, so that
+    # some seem to have no effect.
+    found, slopes = smooth(map_, point, found, list(range(len(names))))
+    seen, moved = telling(found.A, found.C), moving_states(found.A, found.B)
     needed = seen & moved
     for path in ("plant.q", "plant.v"):  # also of an arm that sticks
         needed[map_.state_coordinates.places[path]] = True
     keep = [int(i) for i in np.flatnonzero(needed)]
-    found, slopes = smooth(map_, point, found, keep)
     left = {name: UNMOVED if seen[i] else UNSEEN for i, name in enumerate(names) if not needed[i]}
     q = np.array(map_.memory.views(point.memory)["plant.q"])
     return LinearLoop(
@@ -218,7 +218,7 @@ def _model(
         q=_frozen(q),
         t=t,
         moved=_frozen(q - start),
-        sides=sides_of(map_, point, found, slopes),
+        sides=sides_of(map_, point, found, slopes.among(keep)),
         left_out=left,
         drifting={} if drifting is None else drifting,
     )

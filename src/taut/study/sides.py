@@ -53,12 +53,23 @@ class Slopes:
     @classmethod
     def at(cls, map_: LoopMap, at: Point, found: Derivative, states: list[int], apart: float = APART) -> Slopes:
         """By differences on each side, so far off."""
-        up, down = _slopes(map_, at, found, states, apart)
-        farther = _slopes(map_, at, found, states, FARTHER * apart)
-        curved = np.abs(farther[0] - farther[1]) > CURVED * np.abs(up - down)
+        up, down = _slopes(map_, at, found, states, states, apart)
         # What an entry of the memory loses by rounding, over a step, is no kink.
-        scale = np.minimum(np.abs(up).max(axis=0), np.abs(down).max(axis=0))
-        return cls(states=states, up=up, down=down, least=KINK * scale + FLAT, curved=curved)
+        scale = np.minimum(np.abs(up).max(axis=0, initial=0.0), np.abs(down).max(axis=0, initial=0.0))
+        curved = np.zeros(up.shape, dtype=bool)
+        out = cls(states=states, up=up, down=down, least=KINK * scale + FLAT, curved=curved)
+        rows = np.flatnonzero(out.differ(up, down).any(axis=1))
+        if len(rows):
+            ends = _slopes(map_, at, found, [states[i] for i in rows], states, FARTHER * apart)
+            curved[rows] = np.abs(ends[0] - ends[1]) > CURVED * np.abs(up - down)[rows]
+        return out
+
+    def among(self, states: list[int]) -> Slopes:
+        """Those of some states."""
+        kept = [self.states.index(i) for i in states]
+        both = np.ix_(kept, kept)
+        parts = {name: getattr(self, name)[both] for name in ("up", "down", "curved")}
+        return dataclasses.replace(self, states=states, least=self.least[kept], **parts)
 
     def differ(self, one: Float64Array, other: Float64Array) -> Flags:
         """(k, k) where two kinds of slopes do."""
@@ -72,16 +83,16 @@ class Slopes:
 
 
 def _slopes(
-    map_: LoopMap, at: Point, found: Derivative, states: list[int], apart: float
+    map_: LoopMap, at: Point, found: Derivative, moved: list[int], states: list[int], apart: float
 ) -> tuple[Float64Array, Float64Array]:
-    """(k, k) upwards and downwards, by differences so far apart."""
+    """(m, k) how the states follow those that are moved, upwards and downwards, by differences so far apart."""
     coordinates = map_.state_coordinates
     values = coordinates.read(at.memory, at.memory[np.newaxis])[0]
-    steps = apart * (1.0 + np.abs(values[states]))
-    ways = coordinates.basis(at.memory)[states] * steps[:, np.newaxis]
+    steps = apart * (1.0 + np.abs(values[moved]))
+    ways = coordinates.basis(at.memory)[moved] * steps[:, np.newaxis]
     after = map_.after(at, at.memory + np.concatenate([ways, -ways]))
     each = coordinates.read(found.memory, after - found.memory)[:, states] / np.tile(steps, 2)[:, np.newaxis]
-    return each[: len(states)], -each[len(states) :]
+    return each[: len(moved)], -each[len(moved) :]
 
 
 def smooth(map_: LoopMap, at: Point, found: Derivative, states: list[int]) -> tuple[Derivative, Slopes]:
