@@ -19,7 +19,7 @@ from taut.record.run import Run
 from taut.runtime.fused import FusedRun
 from taut.study.equilibrium import Rest, moving_states, resting, telling
 from taut.study.linear_loop import LinearLoop
-from taut.study.loop_map import Derivative, LoopMap, Point, finite_derivative, loop_map
+from taut.study.loop_map import Derivative, LoopMap, Point, beside, finite_derivative, loop_map
 from taut.study.sides import sides_of, smooth
 
 __all__ = ["linearise", "rest_of"]
@@ -197,12 +197,16 @@ def _model(
     names, outputs = map_.state_coordinates.names, map_.output_coordinates.names
     # Of all states first: on a kink that only rounding sees, the law may take another way at the very point, so that
     # some seem to have no effect.
-    found, slopes = smooth(map_, point, found, list(range(len(names))))
-    seen, moved = telling(found.A, found.C), moving_states(found.A, found.B)
+    whole, slopes = smooth(map_, point, found, list(range(len(names))))
+    seen, moved = telling(whole.A, whole.C), moving_states(whole.A, whole.B)
     needed = seen & moved
     for path in ("plant.q", "plant.v"):  # also of an arm that sticks
         needed[map_.state_coordinates.places[path]] = True
     keep = [int(i) for i in np.flatnonzero(needed)]
+    slopes = slopes.among(keep)
+    if whole is not found:
+        nearer = beside(map_, point, found, keep)  # the fewer are moved, the more exact
+        found = whole if slopes.misses(nearer) else nearer
     left = {name: UNMOVED if seen[i] else UNSEEN for i, name in enumerate(names) if not needed[i]}
     q = np.array(map_.memory.views(point.memory)["plant.q"])
     return LinearLoop(
@@ -218,7 +222,7 @@ def _model(
         q=_frozen(q),
         t=t,
         moved=_frozen(q - start),
-        sides=sides_of(map_, point, found, slopes.among(keep)),
+        sides=sides_of(map_, point, found, slopes),
         left_out=left,
         drifting={} if drifting is None else drifting,
     )
