@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 
 import numpy as np
@@ -143,6 +144,18 @@ def test_what_no_force_moves_is_infinitely_hard() -> None:
     omega = np.array([0.0, 1.0, 100.0])
     assert np.isinf(tip.Z(omega)).all()
     assert np.abs(tip.measure(omega[1:]).Y).max() < 1e-12
+    assert tip.lin.drifting == {}  # the weight that its brakes held is a command of the first tick only
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert [text.get_text() for text in tip.lin.plot().axes[3].texts] == ["no force moves it"]
+    free = taut.tip_impedance(
+        loop_of(laws.GravityCompensation(kd=1.0), arm), at=[0.4, 0.9], direction=[1.0, 0.0, 0.0]
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert free.Z(0.0)[0] == 0.0
+        assert np.isinf(free.Y(0.0)[0])
+        assert np.isinf(free.matrix(0.0)[0, 0, 0])
     integral = planar_tip(kp=60.0, kd=5.0, ki=30.0)
     assert np.isinf(integral.Z(0.0)[0])
     assert np.isfinite(integral.Z(1e-3)[0])

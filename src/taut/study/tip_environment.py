@@ -33,9 +33,9 @@ class TipEnvironment:
     Law:          F = Z X, Z = mass s^2 + damping s + stiffness, and Y = 1 / Z
 
     Args:
-        mass: [kg].
-        damping: [N s/m].
-        stiffness: [N/m].
+        mass: [kg], or [kg m^2] about an axis.
+        damping: [N s/m | N m s/rad].
+        stiffness: [N/m | N m/rad].
 
     Raises:
         ShapeError, RangeError: Not one number each, negative, not finite.
@@ -74,13 +74,13 @@ class TipEnvironment:
             raise UsageError("an environment needs a mass, a damping or a stiffness above zero", name="environment")
 
     def Z(self, omega: ArrayLike) -> Complex:
-        """(k,) F / X [N/m]."""
+        """(k,) F / X [N/m | N m/rad]."""
         s = 1j * np.atleast_1d(finite_array("omega", omega, unit="rad/s"))
         m, b, k = (np.asarray(getattr(self, name), dtype=np.float64) for name in self.quantities)
         return np.asarray(m * s * s + b * s + k, dtype=np.complex128)
 
     def Y(self, omega: ArrayLike) -> Complex:
-        """(k,) X / F [m/N]; infinite where nothing resists."""
+        """(k,) X / F [m/N | rad/(N m)]; infinite where nothing resists."""
         return inverse(self.Z(omega))
 
 

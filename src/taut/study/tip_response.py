@@ -89,7 +89,9 @@ class TipResponse:
         Raises:
             RangeError: A frequency beyond half the rate, or negative.
         """
-        return np.asarray(self.matrix(omega) @ self.direction @ self.direction, dtype=np.complex128)
+        w, d = checked_frequencies(omega, self.lin.dt), self.direction
+        B, C, D = self._tool
+        return self.lin.response(w, (B @ d)[:, np.newaxis], (d @ C)[np.newaxis], (d @ D @ d).reshape(1, 1))[:, 0, 0]
 
     def Z(self, omega: ArrayLike) -> Complex:
         """(k,) predicted impedance F / X [N/m | N m/rad]; infinite where the tool does not move, as of stiff drives.
@@ -103,10 +105,15 @@ class TipResponse:
 
     def matrix(self, omega: ArrayLike) -> Complex:
         """(k, 6, 6) predicted response of the tool, position first, to a wrench, force first; in world axes."""
-        lin, w = self.lin, checked_frequencies(omega, self.lin.dt)
+        return self.lin.response(checked_frequencies(omega, self.lin.dt), *self._tool)
+
+    @property
+    def _tool(self) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """B (n, 6) of a wrench, C (6, n) of the tool's position and rotation, D (6, 6)."""
+        lin = self.lin
         rows = [*lin.rows("tip.p"), *lin.rows("tip.rotation")]
         columns = list(lin.columns("disturbance.wrench"))
-        return lin.response(w, lin.B[:, columns], lin.C[rows], lin.D[np.ix_(rows, columns)])
+        return lin.B[:, columns], lin.C[rows], lin.D[np.ix_(rows, columns)]
 
     def asked_Y(self, omega: ArrayLike) -> Complex:
         """(k,) what the law promises.
