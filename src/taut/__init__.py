@@ -180,6 +180,7 @@ if TYPE_CHECKING:
     from taut.study.stability_map import stability_map as stability_map
     from taut.study.tip import check_stiffness_at as check_stiffness_at
     from taut.study.tip import safe_stiffness as safe_stiffness
+    from taut.study.tip_environment import TipEnvironment as TipEnvironment
     from taut.study.tip_response import TipMeasurement as TipMeasurement
     from taut.study.tip_response import TipRanking as TipRanking
     from taut.study.tip_response import TipResponse as TipResponse
@@ -297,6 +298,7 @@ _HOME: Final = {
     "study.specification": ("Specification", "check_specification", "possible_specifications"),
     "study.stability_map": ("StabilityMap", "stability_map"),
     "study.tip": ("check_stiffness_at", "safe_stiffness"),
+    "study.tip_environment": ("TipEnvironment",),
     "study.tip_response": ("TipMeasurement", "TipRanking", "TipResponse", "rank_tips", "tip_impedance"),
     "study.tune": ("Tick", "Trial", "Tuned", "tune"),
     "study.wrist": ("WristCalibration", "calibrate_wrist"),

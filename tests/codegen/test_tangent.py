@@ -67,6 +67,22 @@ def test_outputs_whose_derivative_nobody_wants_are_given_alone() -> None:
     assert set(tangent("float").outputs.shapes) == {"y", "z", f"{TANGENT}y"}
 
 
+@pytest.mark.parametrize("engine", ["native", "float"])
+def test_the_length_of_a_vector_that_is_zero_has_the_mean_of_its_slopes(engine: str) -> None:
+    """|x| x has the derivative zero there, and |x| none: in place of it stands the mean of 1 and -1."""
+
+    def lengths(inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:
+        x = memory["x"]
+        return {"y": tm.norm(x)}, {"x": (1.0 + tm.norm(x)) * x}
+
+    blocks = (Block.of({}), Block.of({}), Block.of({"x": (2,)}))
+    made = StepTangent(lengths, lengths, 0, *blocks, directed=(), outputs=("y",), engine=engine)
+    none = np.zeros((2, 0))
+    out, new = made.rows(none, none, np.array([[0.0, 0.0, 3.0, 4.0], [3.0, 4.0, 1.0, 0.0]]))
+    assert made.outputs.views(out)[f"{TANGENT}y"] == pytest.approx([0.0, 0.6])
+    assert made.memory.views(new)[f"{TANGENT}x"] == pytest.approx(np.array([[3.0, 4.0], [6.0 + 1.8, 2.4]]))
+
+
 @pytest.mark.skipif(not available(), reason="needs llvmlite")
 def test_native_code_and_node_by_node_agree() -> None:
     given = rows(np.random.default_rng(1), 50)

@@ -10,7 +10,6 @@ import pytest
 from runtime_laws import Array, Pushed, Seen, Spring, TorqueOf, seen
 
 import taut
-from taut.codegen import loop as loop_code
 from taut.runtime import fused
 
 # The same formulas in the same order but for the compiler's: relative to the largest number of the column.
@@ -243,7 +242,7 @@ class TestALoop:
         loop = taut.Loop(taut.compile(taut.laws.PID(kp=50.0), PLANAR), taut.RigidPlant(PLANAR), duration=0.05)
         first = taut.run(loop)
         loop.parameters["law.kp"] = 80.0
-        monkeypatch.setattr(loop_code, "trace", None)  # nothing may be traced any more
+        monkeypatch.setattr("taut.codegen.period.trace", None)  # nothing may be traced any more
         second = taut.run(loop, v0=[0.1, 0.2])
         other = taut.compile(taut.laws.PID(kp=80.0), PLANAR)
         monkeypatch.undo()

@@ -76,6 +76,23 @@ def test_it_says_so_in_words(pandas: dict[tuple[str, str, float], taut.Coupling]
     assert lines[1].endswith("(0 is diagonal, 1 is singular)")
 
 
+def test_a_joint_alone_is_coupled_to_nothing() -> None:
+    found = coupling_of(taut.load_arm("one_joint"), kp=30.0, kd=10.0)
+    assert found.enough
+    assert str(found) == "joint 'joint1' is alone: there is nothing that it could be coupled to"
+
+
+def test_joints_of_metres_and_of_radians_have_no_common_share() -> None:
+    S = np.transpose([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
+    rail = taut.Arm.from_screws([np.eye(4)] * 3, [np.diag([0.1, 0.1, 0.1, 1.0, 1.0, 1.0])] * 2, S, np.zeros(3))
+    with pytest.raises(taut.UsageError) as caught:
+        coupling_of(rail, kp=30.0, kd=10.0)
+    assert str(caught.value) == (
+        "coupling compares joints of one kind, and this arm has some in rad and some in m, whose shares of each other "
+        "have units; look at lin.frequency_response(omega, input='ref.q', output='q') of taut.linearise"
+    )
+
+
 def test_bad_input_gets_one_sentence() -> None:
     arm = taut.load_arm("planar2")
     with pytest.raises(taut.UsageError) as caught:

@@ -333,6 +333,30 @@ def test_the_two_sides_of_a_wall_are_told() -> None:
     assert away.sides == ()
 
 
+def test_via_joint_space_is_the_law_that_it_holds_about_where_its_reference_rests() -> None:
+    """What it takes the length of is zero there, and has no derivative: an error that is solved, to the last bit."""
+    arm = taut.load_arm("planar3")
+    inner = laws.ComputedTorque(kp=100.0, kd=20.0)
+    held, alone = (taut.linearise(loop_of(law, arm)) for law in (taut.via_joint_space(inner), inner))
+    for name in ("disturbance.torque", "disturbance.wrench"):
+        mine, own = (lin.frequency_response(30.0, input=name, output="q")[0] for lin in (held, alone))
+        assert mine == pytest.approx(own, rel=1e-9, abs=1e-15)
+    assert held.sides == ()
+    follows = held.frequency_response(0.0, input="ref.p", output="tip.p")[0]
+    assert follows[np.ix_([0, 2], [0, 2])] == pytest.approx(np.eye(2), abs=1e-9)
+
+
+def test_a_law_that_paces_what_jumps_is_told() -> None:
+    """At 4 kHz and from rest it goes by no more than dt^2 / rise of full speed in a tick: less than one looks for."""
+    arm = taut.load_arm("planar2")
+    law = taut.via_joint_space(laws.ComputedTorque(kp=100.0, kd=20.0))
+    lin = taut.linearise(loop_of(law, arm, rate=4000.0), at=[0.3, 0.9])
+    assert lin.sides == (
+        "the loop has a kink near here, 1e-06 of law.q_des[0] away or less, as where a law paces what jumps; the model "
+        "is of smaller deviations",
+    )
+
+
 # -------------------------------------------------------------------- margins, python-control
 
 
@@ -416,6 +440,34 @@ def test_python_control_has_the_same_poles_and_responses(late: taut.LinearLoop) 
     theirs = control.frequency_response(system["q[0]", "disturbance_torque[0]"], omega).complex
     mine = late.frequency_response(omega, input="disturbance.torque[0]", output="q[0]")
     assert np.ravel(theirs) == pytest.approx(mine, rel=1e-9)
+
+
+def test_at_a_pole_a_response_is_infinite_or_its_limit() -> None:
+    """One joint without a spring: torque drives it for ever, and its speed settles at tau / kd."""
+    arm, kd = weightless("one_joint"), 2.0
+    push = {"input": "disturbance.torque[0]"}
+    damped = taut.linearise(loop_of(laws.PID(kp=0.0, kd=kd), arm))
+    assert np.isinf(damped.frequency_response(0.0, output="q[0]", **push)[0])
+    assert damped.frequency_response(0.0, output="v[0]", **push)[0] == pytest.approx(1.0 / kd, rel=1e-9)
+    assert damped.sensitivity(0.0)[0] == pytest.approx(0.0, abs=1e-9)
+    free = taut.linearise(loop_of(laws.PID(kp=0.0, kd=0.0), arm))
+    for output in ("q[0]", "v[0]"):
+        assert np.isinf(free.frequency_response(0.0, output=output, **push)[0])
+    assert free.frequency_response(0.0, input="ref.q[0]", output="q[0]")[0] == 0.0
+    ringing = taut.linearise(loop_of(laws.PID(kp=40.0, kd=0.0), arm))
+    omega = np.array([0.0, 1.0, 1.001]) * ringing.modes[0].omega_n
+    answers = ringing.frequency_response(omega, output="q[0]", **push)
+    assert answers[0] == pytest.approx(1.0 / 40.0, rel=1e-9)
+    assert np.isinf(answers[1])
+    assert np.abs(answers[2]) == pytest.approx(1.0 / 40.0 / (1.001**2 - 1.0), rel=1e-2)
+
+
+def test_a_pole_that_is_slow_is_none_at_rest() -> None:
+    arm = weightless("one_joint")
+    slow = taut.linearise(loop_of(laws.PID(kp=0.1, kd=40.0), arm))
+    assert abs(slow.poles[0] - 1.0) < 1e-5
+    still = slow.frequency_response(0.0, input="disturbance.torque[0]", output="q[0]")[0]
+    assert still == pytest.approx(10.0, rel=1e-6)
 
 
 def test_modes_say_which_joint_and_how() -> None:
@@ -505,9 +557,56 @@ MISUSE: dict[str, tuple[Callable[[], object], str]] = {
         "along= must be a run of this loop; its joint 'joint1' is 0.0296 away from this loop's at t = 0.1 s; run the "
         "loop anew: along=taut.run(loop)",
     ),
+    "not finite": (
+        lambda: taut.linearise(planar_loop(kp=100.0, kd=20.0), at=[0.0, float("nan")]),
+        "at[1] (joint 'joint2') must be finite [rad | m]; got nan",
+    ),
+    "joints": (
+        lambda: taut.linearise(planar_loop(kp=100.0, kd=20.0), at=[0.0, 0.0, 0.0]),
+        "at must have shape (2,) (2 joints) [rad | m]; got shape (3,)",
+    ),
+    "degrees": (
+        lambda: taut.linearise(loop_of(laws.PID(kp=10.0, kd=2.0), taut.load_arm("panda")), at=np.full(7, 45.0)),
+        "at[0] (joint 'panda_joint1') must be an angle in radians; got 45, and the joint turns from -2.897 to 2.897 "
+        "rad; if it is in degrees, np.radians(...) converts it",
+    ),
+    "no time": (
+        lambda: taut.linearise(moving(), along=other_run(), times=[]),
+        "times must be one time or (k,) of them [s]; got shape (0,)",
+    ),
+    "no path": (
+        lambda: taut.linearise(planar_loop(kp=100.0, kd=20.0), with_respect_to=3),  # type: ignore[call-overload]
+        "with_respect_to takes paths of parameters, such as ('law.kp',); got 3",
+    ),
+    "table of frequencies": (
+        lambda: taut.linearise(planar_loop(kp=500.0, kd=20.0)).sensitivity([[1.0, 2.0]]),
+        "omega must be one frequency or (k,) of them [rad/s]; got shape (1, 2)",
+    ),
+    "ticks": (
+        lambda: taut.linearise(planar_loop(kp=500.0, kd=20.0)).free_response(-1, np.zeros(4)),
+        "ticks must be a whole number of at least 1; got -1",
+    ),
+    "joint": (
+        lambda: taut.linearise(planar_loop(kp=500.0, kd=20.0)).sensitivity(1.0, joint=2),
+        "the loop has no joint '2'; it has 'joint1', 'joint2'",
+    ),
     "no run": (
         lambda: taut.linearise(moving(), along=3, times=0.1),  # type: ignore[call-overload]
         "along= takes a taut.Run; got int",
+    ),
+    "phases": (
+        lambda: taut.linearise(
+            taut.Loop(
+                taut.compile(
+                    [taut.Phase(laws.PID(kp=100.0), taut.JointMotion(q=[0.1, 0.2]), until=lambda x: x.elapsed > 0.1)],
+                    planar,
+                ),
+                Plant(planar, friction=None),
+                duration=0.5,
+            )
+        ),
+        "a task of phases has no one linear model: which law acts, and with what reference, changes with its guards; "
+        "make a taut.Loop with the law and the reference of the phase that is wanted",
     ),
     "no loop": (
         lambda: taut.linearise(planar),  # type: ignore[call-overload]

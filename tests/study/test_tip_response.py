@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 
 import numpy as np
@@ -40,7 +41,8 @@ def test_the_impedance_of_one_axis_is_the_sampled_mass_damper_and_spring() -> No
         assert tip.Z(omega) == pytest.approx(m * (z - 1.0) ** 2 / (T * T * z) + B * (z - 1.0) / (T * z) + K, rel=1e-9)
         assert tip.Y(omega) * tip.Z(omega) == pytest.approx(np.ones(5))
         assert tip.unit == "N/m"
-        assert tip.asked is None
+        s = 1j * omega
+        assert tip.asked_Z(omega) == pytest.approx(m * s * s + B * s + K, rel=1e-12)
 
 
 def test_an_impedance_law_gives_what_it_promises(impedance: taut.Loop) -> None:
@@ -117,6 +119,57 @@ def test_an_environment_joins_one_that_is_there_with_its_numbers() -> None:
     assert 1.0 / (both.C @ still)[row, column] == pytest.approx(1700.0)
 
 
+def test_a_law_that_sags_is_measured_and_touched_where_it_rests() -> None:
+    """The reference is held at at=, and the tool hangs below: not once more below."""
+    loop = loop_of(laws.PID(kp=60.0, kd=12.0), taut.load_arm("planar2"))
+    tip = taut.tip_impedance(loop, at=[0.4, 0.9], direction=[1.0, 0.0, 0.0])
+    assert np.abs(tip.lin.moved).max() > 0.1
+    omega = np.array([2.0, 20.0])
+    assert pytest.approx(tip.Z(omega), rel=1e-4) == tip.measure(omega).Z
+    both = tip.with_environment(stiffness=(70.0, 0.0, 30.0), damping=2.0)
+    assert both.q == pytest.approx(tip.lin.q, abs=1e-8)
+    held = tip.with_environment(mass=0.5, stiffness=(70.0, 0.0, 30.0))
+    assert held.q == pytest.approx(tip.lin.q, abs=1e-8)
+    # Springs beside each other: compliances of tool and environment in series of their inverses, in all directions.
+    free, k = tip.matrix(0.0)[0].real, np.diag([70.0, 0.0, 30.0, 0.0, 0.0, 0.0])
+    together = free @ np.linalg.inv(np.eye(6) + k @ free)
+    still = both.frequency_response(0.0, input="disturbance.wrench", output="tip.p")[0].real
+    assert still == pytest.approx(together[:3], rel=1e-6, abs=1e-9)
+
+
+def test_what_no_force_moves_is_infinitely_hard() -> None:
+    arm = taut.load_arm("planar2")
+    drives = Plant(arm, takes="velocity", friction=None, actuation=taut.Actuation(bandwidth=100.0))
+    tip = taut.tip_impedance(loop_of(laws.VelocityPI(kp=10.0), arm, drives), at=[0.4, 0.9], direction=Z_AXIS)
+    omega = np.array([0.0, 1.0, 100.0])
+    assert np.isinf(tip.Z(omega)).all()
+    assert np.abs(tip.measure(omega[1:]).Y).max() < 1e-12
+    assert tip.lin.drifting == {}  # the weight that its brakes held is a command of the first tick only
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert [text.get_text() for text in tip.lin.plot().axes[3].texts] == ["no force moves it"]
+    free = taut.tip_impedance(
+        loop_of(laws.GravityCompensation(kd=1.0), arm), at=[0.4, 0.9], direction=[1.0, 0.0, 0.0]
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert free.Z(0.0)[0] == 0.0
+        assert np.isinf(free.Y(0.0)[0])
+        assert np.isinf(free.matrix(0.0)[0, 0, 0])
+    integral = planar_tip(kp=60.0, kd=5.0, ki=30.0)
+    assert np.isinf(integral.Z(0.0)[0])
+    assert np.isfinite(integral.Z(1e-3)[0])
+
+
+def test_an_environment_by_itself_stands_in_the_table_too() -> None:
+    wall = taut.TipEnvironment(mass=0.5, damping=20.0, stiffness=2000.0)
+    assert wall.Z([10.0]) == pytest.approx(2000.0 - 50.0 + 200.0j)
+    assert wall.Y([10.0]) == pytest.approx(1.0 / wall.Z([10.0]))
+    assert np.isinf(taut.TipEnvironment(mass=1.0).Y(0.0)[0])
+    loops = {"soft": loop_of(laws.Impedance(K=(800.0, 30.0), zeta=0.7), planar), "wall": wall}
+    assert taut.rank_tips(loops, direction=Z_AXIS).names == ("wall", "soft")
+
+
 def test_motion_control_is_hard_to_move_and_force_control_easy() -> None:
     arm = taut.load_arm("panda")
     free = Plant(arm, friction=None, environment=taut.Push())
@@ -136,6 +189,13 @@ def test_the_table_of_a_response_has_what_is_asked_beside_it(impedance: taut.Loo
     assert lines[1].split()[0] == "0.1"
 
 
+planar = taut.load_arm("planar2")
+
+
+def tip_of(law: taut.Law, name: str = "planar2") -> taut.TipResponse:
+    return taut.tip_impedance(loop_of(law, taut.load_arm(name)), direction=Z_AXIS, within=2.0)
+
+
 def planar_tip(**gains: float) -> taut.TipResponse:
     arm = taut.load_arm("planar2")
     return taut.tip_impedance(loop_of(laws.GravityPID(**gains), arm), at=[0.4, 0.9], direction=[1.0, 0.0, 0.0])
@@ -150,8 +210,37 @@ MISUSE: dict[str, tuple[Callable[[], object], str]] = {
         "direction or pose",
     ),
     "nothing asked": (
-        lambda: planar_tip(kp=60.0, kd=5.0).asked_Z(1.0),
-        "GravityPID promises no impedance at the tool; taut.laws.Impedance and Admittance do",
+        lambda: tip_of(laws.Stiffness(K=(800.0, 30.0), kd=5.0)).asked_Z(1.0),
+        "Stiffness promises no impedance at the arm's tool in closed form; tip.Z is what it has",
+    ),
+    "another tool": (
+        lambda: tip_of(laws.TaskComputedTorque(kp=100.0, kd=20.0, tool="panda_link8"), "panda").asked_Z(1.0),
+        "TaskComputedTorque promises no impedance at the arm's tool in closed form; tip.Z is what it has",
+    ),
+    "asked at rest": (
+        lambda: planar_tip(kp=60.0, kd=5.0).asked_Z(0.0),
+        "what is asked needs frequencies above zero; got 0",
+    ),
+    "half the rate": (
+        lambda: planar_tip(kp=60.0, kd=5.0).measure(1000.0 * np.pi),
+        "a sweep needs frequencies below 3138.45 rad/s: at half the rate all ticks may fall on zeros of the sine; got "
+        "3141.59",
+    ),
+    "no frequencies": (
+        lambda: taut.rank_tips({"one": loop_of(laws.PID(kp=9.0), planar)}, direction=Z_AXIS, omega=[]),
+        "omega must be one frequency or (k,) of them [rad/s]; got shape (0,)",
+    ),
+    "negative mass": (
+        lambda: taut.TipEnvironment(mass=-1.0),
+        "environment.mass must be >= 0 [kg]; got -1.0",
+    ),
+    "three masses": (
+        lambda: taut.TipEnvironment(mass=[1.0, 1.0, 1.0]),
+        "environment.mass must be one number, along the direction that is looked at; got shape (3,)",
+    ),
+    "nothing there": (
+        taut.TipEnvironment,
+        "an environment needs a mass, a damping or a stiffness above zero",
     ),
     "at rest": (lambda: planar_tip(kp=60.0, kd=5.0).measure(0.0), "a sweep needs frequencies above zero; got 0"),
     "unstable": (

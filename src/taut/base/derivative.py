@@ -25,20 +25,32 @@ Tangent = int | None
 """The node of a derivative, or None where it is zero."""
 
 
-def tangents(graph: Graph, outputs: Sequence[int], seeds: Mapping[int, int]) -> list[int]:
+def tangents(graph: Graph, outputs: Sequence[int], seeds: Mapping[int, int], *, means: bool = False) -> list[int]:
     """The nodes of the directional derivatives of `outputs`.
 
     Args:
         graph: The graph, which grows.
         outputs: Nodes to differentiate.
         seeds: Derivative of each independent node in the wanted direction.
+        means: Give a function of infinite slope, whose argument does not change, the derivative zero. So the length
+            of a vector that is zero has the mean of the slopes on both sides, in place of none.
     """
     known: dict[int, Tangent] = dict(seeds)
     for i in graph.live(outputs):
         if i not in known:
-            known[i] = _tangent(graph, i, known)
+            way = _tangent(graph, i, known)
+            if means and way is not None and graph.ops[i] in _STEEP:
+                way = _where_moved(graph, known[graph.a[i]], way)
+            known[i] = way
     zero = graph.const(0.0)
     return [zero if (tangent := known[i]) is None else tangent for i in outputs]
+
+
+def _where_moved(g: Graph, moved: Tangent, way: int) -> int:
+    """A derivative, or zero where the argument does not change."""
+    assert moved is not None
+    zero = g.const(0.0)
+    return g.select(g.compare(int(Op.EQ), moved, zero), zero, way)
 
 
 def _tangent(g: Graph, i: int, known: Mapping[int, Tangent]) -> Tangent:
@@ -109,6 +121,8 @@ _CHAIN: Final[dict[Op, Callable[[Graph, int, int], int]]] = {
     Op.LOG: lambda g, x, _: g.div(g.const(1.0), x),
     Op.TANH: lambda g, _, y: g.sub(g.const(1.0), g.mul(y, y)),
 }
+
+_STEEP: Final = frozenset({int(Op.SQRT), int(Op.ASIN), int(Op.ACOS)})  # infinite slopes at the ends of what they take
 
 
 # -------------------------------------------------------------------- of a function

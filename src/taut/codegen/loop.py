@@ -10,9 +10,9 @@ import numpy as np
 from taut.base.types import Float64Array
 from taut.codegen.kernel import verified
 from taut.codegen.layout import Block
-from taut.codegen.llvm import declarations, kernel
 from taut.codegen.native import NativeModule, compiled, level_for
-from taut.codegen.program import Function, Program, trace
+from taut.codegen.period import Period, write_period
+from taut.codegen.program import Function
 from taut.codegen.text import Writer
 
 __all__ = ["FloatLoop", "NativeLoop"]
@@ -94,22 +94,23 @@ class NativeLoop:
         example: tuple[Float64Array, Float64Array, Float64Array],
         ticks: int | None = None,
     ) -> None:
-        program = trace(step, inputs, parameters, memory)
-        inner = trace(substep, inputs, parameters, memory) if repeats else None
-        self.outputs = program.outputs
-        self.operations = program.operations + (inner.operations * repeats if inner else 0)
-        self._length = program.operations + (inner.operations if inner else 0)
-        content = b"loop" + program.content + (inner.content + repeats.to_bytes(8, "little") if inner else b"")
-        checks = [verified("the loop", step, program, lambda: _samples(example))]
-        if inner is not None:
-            checks.append(verified("the plant", substep, inner, lambda: _samples(example), "substep"))
+        period = Period(step, substep, repeats, inputs, parameters, memory)
+        self.outputs = period.step.outputs
+        self.operations, self._length = period.operations, period.length
+        checks = [verified("the loop", step, period.step, lambda: _samples(example))]
+        if period.inner is not None:
+            checks.append(verified("the plant", substep, period.inner, lambda: _samples(example), "substep"))
 
         def verify(module: NativeModule) -> None:
             for check in checks:
                 check(module)
 
-        names = ("loop", "kernel", *(("substep",) if inner is not None else ()))
-        self._at = functools.partial(compiled, content, lambda: _module_text(program, inner, repeats), names, verify)
+        names = ("loop", "kernel", *(("substep",) if repeats else ()))
+
+        def text() -> str:
+            return "\n".join([period.text(), loop_text(memory.size, repeats)])
+
+        self._at = functools.partial(compiled, b"loop" + period.content, text, names, verify)
         self._level, self._ticks = -1, 0
         self.expect(ticks)
 
@@ -157,13 +158,6 @@ def _samples(
     return [(inputs, parameters, m) for m in (memory, *near)]
 
 
-def _module_text(program: Program, inner: Program | None, repeats: int) -> str:
-    parts = [declarations(), kernel(program, "kernel")]
-    if inner is not None:
-        parts.append(kernel(inner, "substep"))
-    return "\n".join([*parts, loop_text(program.memory.size, repeats if inner is not None else 0)])
-
-
 def loop_text(memory_size: int, repeats: int) -> str:
     """LLVM text of `loop`: `kernel`, then `substep` `repeats` times, for each row of inputs and outputs.
 
@@ -181,19 +175,8 @@ def loop_text(memory_size: int, repeats: int) -> str:
         " %in = getelementptr double, ptr %inputs, i64 %in_at",
         " %out_at = mul i64 %k, %output_stride",
         " %out = getelementptr double, ptr %outputs, i64 %out_at",
-        " call void @kernel(ptr %in, ptr %parameters, ptr %memory, ptr %new, ptr %out)",
     )
-    if repeats:
-        w.line(
-            " br label %inner",
-            "inner:",
-            " %i = phi i64 [0, %head], [%i1, %inner]",
-            " call void @substep(ptr %in, ptr %parameters, ptr %new, ptr %new, ptr %out)",
-            " %i1 = add i64 %i, 1",
-            f" %again = icmp slt i64 %i1, {repeats}",
-            " br i1 %again, label %inner, label %check",
-            "check:",
-        )
+    write_period(w, "%parameters", "%memory", repeats, "check")
     wrong = w.not_finite("%new", memory_size)
     if wrong is None:
         w.line(" br label %kept")

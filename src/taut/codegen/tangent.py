@@ -18,9 +18,9 @@ from taut.base.graph import Op
 from taut.base.scalar import Condition, active_graph, to_node, to_symbol
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
-from taut.codegen.llvm import declarations, kernel
 from taut.codegen.native import QUICK, available, compiled
-from taut.codegen.program import Function, Program, Values, trace
+from taut.codegen.period import Period, write_period
+from taut.codegen.program import Function, Program, Values
 from taut.codegen.text import Writer
 
 __all__ = ["TANGENT", "StepTangent", "tangent_block", "with_tangent"]
@@ -38,7 +38,7 @@ def with_tangent(function: Function, outputs: Collection[str]) -> Function:
     """A function as its values and their derivatives along a direction, for tracing.
 
     It takes blocks with a direction, see `tangent_block`, and gives all outputs, the derivatives of those in
-    `outputs`, and the new memory with its derivative.
+    `outputs`, and the new memory with its derivative. The length of a vector that is zero has the mean of its slopes.
     """
 
     def both(inputs: Values, parameters: Values, memory: Values) -> tuple[Values, Values]:
@@ -61,7 +61,7 @@ def with_tangent(function: Function, outputs: Collection[str]) -> Function:
             for value in values.values()
             for x in value.flat
         ]
-        found = iter(tangents(graph, nodes, seeds))
+        found = iter(tangents(graph, nodes, seeds, means=True))
         ways_out: dict[str, Any] = {}
         for path, value in values.items():
             symbols = [to_symbol(graph, next(found)) for _ in range(value.size)]
@@ -109,24 +109,17 @@ class StepTangent:
     ) -> None:
         blocks = (tangent_block(inputs), tangent_block(parameters, directed), tangent_block(memory))
         self.inputs, self.parameters, self.memory = blocks
-        self._repeats = repeats
-        self._program = trace(with_tangent(step, outputs), *blocks)
-        self._inner = trace(with_tangent(substep, ()), *blocks) if repeats else None
-        self.outputs = self._program.outputs
-        self.operations = self._program.operations + (self._inner.operations * repeats if self._inner else 0)
+        self._period = Period(with_tangent(step, outputs), with_tangent(substep, ()), repeats, *blocks)
+        self.outputs, self.operations = self._period.step.outputs, self._period.operations
         self._native: Callable[..., None] | None = None
         if engine == "native" and available():
-            inner = b"" if self._inner is None else self._inner.content + repeats.to_bytes(8, "little")
-            self._module = compiled(b"tangent" + self._program.content + inner, self._text, ("rows",), level=QUICK)
+            self._module = compiled(b"tangent" + self._period.content, self._text, ("rows",), level=QUICK)
             kinds = [ctypes.c_int64, *[ctypes.c_void_p] * 5]
             self._native = ctypes.CFUNCTYPE(None, *kinds)(self._module["rows"])
 
     def _text(self) -> str:
-        parts = [declarations(), kernel(self._program, "kernel")]
-        if self._inner is not None:
-            parts.append(kernel(self._inner, "substep"))
         sizes = [block.size for block in (self.inputs, self.parameters, self.memory, self.outputs)]
-        return "\n".join([*parts, _rows_text(sizes, self._repeats)])
+        return "\n".join([self._period.text(), _rows_text(sizes, self._period.repeats)])
 
     def rows(
         self, inputs: Float64Array, parameters: Float64Array, memory: Float64Array
@@ -143,10 +136,10 @@ class StepTangent:
     def _plain_rows(
         self, inputs: Float64Array, parameters: Float64Array, memory: Float64Array
     ) -> tuple[Float64Array, Float64Array]:
-        out, new = _evaluated(self._program, inputs, parameters, memory)
-        for _ in range(self._repeats):
-            assert self._inner is not None
-            _, new = _evaluated(self._inner, inputs, parameters, new)
+        out, new = _evaluated(self._period.step, inputs, parameters, memory)
+        for _ in range(self._period.repeats):
+            assert self._period.inner is not None
+            _, new = _evaluated(self._period.inner, inputs, parameters, new)
         return out, new
 
 
@@ -163,21 +156,8 @@ def _rows_text(sizes: list[int], repeats: int) -> str:
     places = [("in", "inputs", sizes[0]), ("p", "parameters", sizes[1]), ("old", "memory", sizes[2])]
     for name, block, size in [*places, ("new", "after", sizes[2]), ("out", "outputs", sizes[3])]:
         w.line(f" %{name}_at = mul i64 %k, {size}", f" %{name} = getelementptr double, ptr %{block}, i64 %{name}_at")
-    w.line(" call void @kernel(ptr %in, ptr %p, ptr %old, ptr %new, ptr %out)")
-    if repeats:
-        w.line(
-            " br label %inner",
-            "inner:",
-            " %i = phi i64 [0, %head], [%i1, %inner]",
-            " call void @substep(ptr %in, ptr %p, ptr %new, ptr %new, ptr %out)",
-            " %i1 = add i64 %i, 1",
-            f" %again = icmp slt i64 %i1, {repeats}",
-            " br i1 %again, label %inner, label %done",
-        )
-    else:
-        w.line(" br label %done")
+    write_period(w, "%p", "%old", repeats, "done")
     w.line(
-        "done:",
         " %next = add i64 %k, 1",
         " %last = icmp sge i64 %next, %count",
         " br i1 %last, label %end, label %head",

@@ -171,10 +171,13 @@ class Actuation:
             RangeError: It is not a whole number of them.
         """
         taps = self.delay / dt
-        if abs(taps - round(taps)) > 1e-6 or round(taps) > MOST_TAPS:
+        whole = abs(taps - round(taps)) <= 1e-6
+        if not whole or round(taps) > MOST_TAPS:
+            other = "a higher control rate, or taut.SampledLoop(delay=...), which takes any"
+            way_out = "" if whole else f"; a part of a period needs {other}"
             raise RangeError(
                 f"actuation.delay must be a whole number of control periods of {dt:g} s, at most {MOST_TAPS}; "
-                f"got {self.delay:g} s",
+                f"got {self.delay:g} s{way_out}",
                 name="actuation.delay",
                 value=self.delay,
             )

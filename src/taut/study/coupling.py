@@ -31,7 +31,7 @@ class Coupling:
         inertia: 0 to 1, one less the smallest eigenvalue of D^-1/2 M D^-1/2, with D the diagonal of M, and M with
             rotors and payload: 0 for axes whose accelerations are decoupled.
         crosstalk: (n, n) the largest size over all frequencies of the response of each joint (row) to the reference
-            of each (column) [1, m/rad, rad/m].
+            of each (column).
         sag: (n,) what the weight moves each joint by, until the loop rests [rad | m].
         share: The most crosstalk of different joints that counts as enough.
     """
@@ -55,6 +55,8 @@ class Coupling:
         return self.worst[0] <= self.share
 
     def __str__(self) -> str:
+        if len(self.joints) == 1:
+            return f"joint '{self.joints[0]}' is alone: there is nothing that it could be coupled to"
         size, moved, other = self.worst
         word = "is enough" if self.enough else "is not enough"
         i = int(np.argmax(np.abs(self.sag)))
@@ -82,7 +84,8 @@ def coupling(loop: Loop, *, at: ArrayLike | None = None, share: float = ENOUGH, 
         within: [rad | m] how far from `at` the equilibrium may be.
 
     Raises:
-        UsageError: A law that follows no joint positions; an unstable loop.
+        UsageError: A law that follows no joint positions; joints of metres beside joints of radians; an unstable
+            loop.
         RangeError: No equilibrium near `at`.
 
     Example:
@@ -101,6 +104,12 @@ def coupling(loop: Loop, *, at: ArrayLike | None = None, share: float = ENOUGH, 
     if "ref.q[0]" not in lin.inputs:
         raise UsageError(
             f"coupling is for laws that follow joint positions; {type(loop.side.law).__name__} does not", name="loop"
+        )
+    if len(set(loop.plant.arm.units)) > 1:
+        raise UsageError(
+            "coupling compares joints of one kind, and this arm has some in rad and some in m, whose shares of each "
+            "other have units; look at lin.frequency_response(omega, input='ref.q', output='q') of taut.linearise",
+            name="loop",
         )
     if not lin.stable:
         raise UsageError(

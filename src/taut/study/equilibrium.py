@@ -138,9 +138,12 @@ def _at_rest(map_: LoopMap, at: Point, found: Derivative, wrong: Float64Array, s
             rule=f"an equilibrium within {within:g}",
         )
     names = map_.state_coordinates.names
+    # What only had to follow once, such as a command that holds until the next, does not change again.
+    later = map_.after(at, found.memory[np.newaxis])[0]
+    again = np.abs(map_.state_coordinates.difference(later, found.memory))
     drifting = {
         names[j]: float(found.residual[j])
-        for j in np.flatnonzero(wrong > TOLD)
+        for j in np.flatnonzero((wrong > TOLD) & (again > TOLD))
         if not names[j].startswith("plant.work.") and names[j] != "plant.t"
     }
     return Rest(point=at, found=found, drifting=drifting)

@@ -9,22 +9,22 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from taut.base.checks import finite_array
-from taut.base.errors import RangeError, missing_extra, unknown_name
+from taut.base.errors import UsageError, missing_extra, unknown_name
 from taut.base.types import ArrayLike, Float64Array
 from taut.plant.disturbance import COMMAND
+from taut.study.frequency import Complex, at_a_pole, checked_frequencies
 from taut.study.margins import Margins, margins_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Complex", "LinearLoop", "Mode"]
+__all__ = ["LinearLoop", "Mode"]
 
-Complex = NDArray[np.complex128]
 AT_ONCE: Final = 1e-6  # a pole of this modulus is gone in a period
 ROUNDING: Final = 1e-8  # of a modulus of one
+SPLIT: Final = 1e-5  # by how much rounding sets three equal poles apart
 REAL: Final = 1e-7  # an imaginary part below this share is rounding, of a pole that comes more than once
 FEW: Final = 8  # frequencies for which a factorisation each is quicker than one for all
 TELLS: Final = 0.05  # the least share of a state that a report names
@@ -193,7 +193,8 @@ class LinearLoop:
             output: Likewise.
 
         Returns:
-            (k,) where both are single ones, else (k, outputs, inputs).
+            (k,) where both are single ones, else (k, outputs, inputs); infinite at a pole that the input sets off
+            and the output shows.
 
         Raises:
             UnknownNameError: No such input or output.
@@ -208,9 +209,18 @@ class LinearLoop:
     def response(self, omega: Float64Array, B: Float64Array, C: Float64Array, D: Float64Array) -> Complex:
         """(k, p, m) of other inputs and outputs at the same states."""
         z = np.exp(1j * omega * self.dt)
+        out = np.zeros((len(z), len(C), B.shape[1]), dtype=np.complex128)
+        near = np.abs(z[:, np.newaxis] - self.poles).min(axis=1, initial=np.inf) < SPLIT
+        for k in np.flatnonzero(near):
+            out[k] = at_a_pole(self.A, B, C, z[k]) + D
+        out[~near] = self._regular(z[~near], B, C) + D
+        return out
+
+    def _regular(self, z: Complex, B: Float64Array, C: Float64Array) -> Complex:
+        """(k, p, m) C (z I - A)^-1 B where that is."""
         if len(z) <= FEW:
-            each = [np.linalg.solve(one * np.eye(len(self.A)) - self.A, B) for one in z]
-            return np.asarray(C @ np.stack(each) + D, dtype=np.complex128)
+            each = [C @ np.linalg.solve(one * np.eye(len(self.A)) - self.A, B) for one in z]
+            return np.array(each, dtype=np.complex128).reshape(len(z), len(C), B.shape[1])
         T, Q = self._schur
         n, k, m = len(T), len(z), B.shape[1]
         right = Q.conj().T @ B
@@ -218,7 +228,7 @@ class LinearLoop:
         for i in range(n - 1, -1, -1):  # (z I - T) solved = right, from the last row on, at all frequencies at once
             below = T[i, i + 1 :] @ solved[i + 1 :].reshape(n - i - 1, k * m)
             solved[i] = (right[i] + below.reshape(k, m)) / (z - T[i, i])[:, np.newaxis]
-        out: Complex = ((C @ Q) @ solved.reshape(n, k * m)).reshape(len(C), k, m).transpose(1, 0, 2) + D
+        out: Complex = ((C @ Q) @ solved.reshape(n, k * m)).reshape(len(C), k, m).transpose(1, 0, 2)
         return out
 
     @cached_property
@@ -252,8 +262,8 @@ class LinearLoop:
         Raises:
             UnknownNameError: None.
         """
-        if isinstance(joint, int) and not isinstance(joint, bool) and 0 <= joint < len(self.joints):
-            return joint
+        if isinstance(joint, (int, np.integer)) and not isinstance(joint, bool) and 0 <= joint < len(self.joints):
+            return int(joint)
         if joint in self.joints:
             return self.joints.index(str(joint))
         raise unknown_name("the loop", "joint", str(joint), self.joints)
@@ -268,8 +278,11 @@ class LinearLoop:
         """(ticks, outputs) from a deviation of the states, without inputs.
 
         Raises:
+            UsageError: Not a number of ticks.
             ShapeError: Not one number for each state.
         """
+        if isinstance(ticks, bool) or not isinstance(ticks, (int, np.integer)) or ticks < 1:
+            raise UsageError(f"ticks must be a whole number of at least 1; got {ticks!r}", name="ticks")
         x = np.array(finite_array("state", state, shape=(len(self.states),)))
         out = np.zeros((ticks, len(self.outputs)))
         for k in range(ticks):
@@ -326,27 +339,6 @@ class LinearLoop:
                 f"* {name} changes by {x:.3g} in each period, without effect" for name, x in self.drifting.items()
             ]
         return "\n".join(lines)
-
-
-def checked_frequencies(omega: ArrayLike, dt: float) -> Float64Array:
-    """(k,) frequencies [rad/s] up to half the rate.
-
-    Raises:
-        RangeError: Negative, or beyond it.
-    """
-    w = np.atleast_1d(finite_array("omega", omega, unit="rad/s"))
-    most = np.pi / dt
-    wrong = (w < 0.0) | (w > most * (1.0 + 1e-12))
-    if wrong.any():
-        value = float(w[wrong][0])
-        raise RangeError(
-            f"omega must be between 0 and {most:.6g} rad/s, half the rate, beyond which a sampled loop knows no "
-            f"sine; got {value:g}",
-            name="omega",
-            value=value,
-            rule="0 <= omega <= pi / dt",
-        )
-    return w
 
 
 def _places(kind: str, name: str, names: Sequence[str]) -> tuple[int, ...]:

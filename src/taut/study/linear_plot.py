@@ -78,6 +78,9 @@ def _compliance(ax: Axes, lin: LinearLoop, omega: Float64Array) -> None:
     if not any(name.startswith("disturbance.wrench") for name in lin.inputs):
         return
     Y = np.abs(lin.frequency_response(omega, input="disturbance.wrench", output="tip.p"))
+    if not Y.any():
+        ax.text(0.5, 0.5, "no force moves it", transform=ax.transAxes, ha="center", color=INK)
+        return
     for i, style in enumerate(("solid", DASHED, (0.0, (1.0, 1.5)))):
         if Y[:, i, i].max() > 0.0:
             ax.loglog(omega, Y[:, i, i], color=INK, linewidth=1.2, linestyle=style, label=AXES[i])

@@ -7,18 +7,19 @@ from typing import Final, overload
 
 import numpy as np
 
+from taut.arm.angles import require_radians
 from taut.base.checks import finite_array, positive_scalar
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.feed import ReferenceFeed
 from taut.control.reference import Hold, Sample
-from taut.loop import DT, Loop, state_at_start
+from taut.loop import DT, Loop
 from taut.record.run import Run
 from taut.runtime.fused import FusedRun
 from taut.study.equilibrium import Rest, moving_states, resting, telling
 from taut.study.linear_loop import LinearLoop
-from taut.study.loop_map import Derivative, LoopMap, Point, finite_derivative, loop_map
+from taut.study.loop_map import Derivative, LoopMap, Point, beside, finite_derivative, loop_map
 from taut.study.sides import sides_of, smooth
 
 __all__ = ["linearise", "rest_of"]
@@ -65,7 +66,7 @@ def linearise(
         loop: The loop. Its parameters count as they are now.
         at: (n,) joint positions to begin at [rad | m]; home if left out.
         along: A run of this loop, from its own start, without events.
-        times: (k,) or one [s], with `along`.
+        times: (k,) or one [s], with `along`: of the ticks nearest to them.
         with_respect_to: Paths of parameters that are inputs of the model too: "law.kp", "plant.payload.mass".
         within: [rad | m] how far from `at` the equilibrium may be.
 
@@ -89,8 +90,7 @@ def linearise(
     References:
         Griewank and Walther, Evaluating Derivatives (2008), chapter 3. Khalil, Nonlinear systems (2002), section 1.2.
     """
-    wanted = (with_respect_to,) if isinstance(with_respect_to, str) else tuple(with_respect_to)
-    map_ = loop_map(loop, wanted)
+    map_ = loop_map(loop, with_respect_to)
     if along is not None:
         if at is not None:
             raise UsageError("give at= for an equilibrium or along= for a run, not both", name="along")
@@ -100,13 +100,12 @@ def linearise(
     if times is not None:
         raise UsageError("times= goes with along=run; an equilibrium has no time", name="times")
     rest = rest_of(loop, map_, at, within)
-    start = state_at_start(loop.plant.arm, at, None)[0]
-    return _model(map_, rest.point, rest.found, start=start, drifting=rest.drifting)
+    return _model(map_, rest.point, rest.found, start=_pose(loop, at), drifting=rest.drifting)
 
 
 def rest_of(loop: Loop, map_: LoopMap, at: ArrayLike | None, within: float) -> Rest:
     """Where a loop rests near joint positions, its reference held."""
-    q, v = state_at_start(loop.plant.arm, at, None)
+    q = _pose(loop, at)
     within = positive_scalar("within", within, unit="rad | m")
     if not isinstance(loop.ref, (Sample, Hold)):
         raise UsageError(
@@ -119,16 +118,26 @@ def rest_of(loop: Loop, map_: LoopMap, at: ArrayLike | None, within: float) -> R
     inputs = np.zeros((1, map_.inputs.size))
     feed = ReferenceFeed(loop.ref, side.law.reference, side.arm, loop.dt, side.at_rest(q))
     feed.fill(subtree(map_.inputs.views(inputs), "ref"), 0, lambda: None)
-    memory = map_.start(q, v, inputs[0], values)
+    memory = map_.start(q, np.zeros_like(q), inputs[0], values)
     return resting(map_, Point(inputs=inputs[0], parameters=values, memory=memory), within)
+
+
+def _pose(loop: Loop, at: ArrayLike | None) -> Float64Array:
+    """(n,) where to begin: home if nothing is given."""
+    arm = loop.plant.arm
+    if at is None:
+        return arm.home
+    q = finite_array("at", at, shape=(arm.n,), joints=arm.joint_names, unit="rad | m")
+    require_radians("at", q, arm)
+    return q
 
 
 def _along(loop: Loop, map_: LoopMap, run: Run, times: ArrayLike) -> tuple[LinearLoop, ...]:
     if not isinstance(run, Run):  # callers without a type checker
         raise UsageError(f"along= takes a taut.Run; got {type(run).__name__}", name="along")
     wanted = finite_array("times", times, unit="s")
-    if wanted.ndim > 1:
-        raise ShapeError(f"times must be one time or (k,); got shape {wanted.shape}", name="times")
+    if wanted.ndim > 1 or not wanted.size:
+        raise ShapeError(f"times must be one time or (k,) of them [s]; got shape {wanted.shape}", name="times")
     ticks = np.rint(np.atleast_1d(wanted) / loop.dt).astype(int)
     for time, tick in zip(np.atleast_1d(wanted), ticks, strict=True):
         if not 0 <= tick < len(run):
@@ -186,12 +195,18 @@ def _model(
 ) -> LinearLoop:
     """The states that matter, and their matrices."""
     names, outputs = map_.state_coordinates.names, map_.output_coordinates.names
-    seen, moved = telling(found.A, found.C), moving_states(found.A, found.B)
+    # Of all states first: on a kink that only rounding sees, the law may take another way at the very point, so that
+    # some seem to have no effect.
+    whole, slopes = smooth(map_, point, found, list(range(len(names))))
+    seen, moved = telling(whole.A, whole.C), moving_states(whole.A, whole.B)
     needed = seen & moved
     for path in ("plant.q", "plant.v"):  # also of an arm that sticks
         needed[map_.state_coordinates.places[path]] = True
     keep = [int(i) for i in np.flatnonzero(needed)]
-    found, slopes = smooth(map_, point, found, keep)
+    slopes = slopes.among(keep)
+    if whole is not found:
+        nearer = beside(map_, point, found, keep)  # the fewer are moved, the more exact
+        found = whole if slopes.misses(nearer) else nearer
     left = {name: UNMOVED if seen[i] else UNSEEN for i, name in enumerate(names) if not needed[i]}
     q = np.array(map_.memory.views(point.memory)["plant.q"])
     return LinearLoop(

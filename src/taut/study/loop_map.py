@@ -159,7 +159,8 @@ class LoopMap:
         side, plant = loop.side, loop.plant
         if isinstance(side.law, Phases):
             raise UsageError(
-                "a task of phases has no one linear model; make a taut.Loop with the law of the phase that is wanted",
+                "a task of phases has no one linear model: which law acts, and with what reference, changes with its "
+                "guards; make a taut.Loop with the law and the reference of the phase that is wanted",
                 name="loop",
             )
         self.steps = tuple(path for path in loop.parameters if path.endswith(STEPS))
@@ -316,13 +317,20 @@ def loop_map(loop: Loop, with_respect_to: Iterable[str] = ()) -> LoopMap:
     """The map of a loop, compiled once however often it is asked for.
 
     Raises:
-        UsageError: Not a loop.
+        UsageError: Not a loop, or not paths.
     """
     if not isinstance(loop, Loop):  # callers without a type checker
         raise UsageError(
             f"a taut.Loop(ctrl, plant, ref, duration=...) is needed; got {type(loop).__name__}", name="loop"
         )
-    wanted = (with_respect_to,) if isinstance(with_respect_to, str) else tuple(with_respect_to)
+    named = (with_respect_to,) if isinstance(with_respect_to, str) else with_respect_to
+    paths = tuple(named) if isinstance(named, Iterable) else (named,)
+    if not all(isinstance(path, str) for path in paths):
+        raise UsageError(
+            f"with_respect_to takes paths of parameters, such as ('law.kp',); got {with_respect_to!r}",
+            name="with_respect_to",
+        )
+    wanted = tuple(dict.fromkeys(paths))
     known = _MAPS.setdefault(loop, {})
     if wanted not in known:
         known[wanted] = LoopMap(loop, wanted)

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from taut.arm.description import Arm
 from taut.base.derivative import jacobian
 from taut.base.errors import UsageError
-from taut.base.types import Array, Float64Array, Vector
-from taut.codegen.function import native
+from taut.base.paths import subtree
+from taut.base.types import Float64Array, Vector
+from taut.codegen.layout import Block
+from taut.codegen.loop import FloatLoop, NativeLoop
+from taut.codegen.native import available
 from taut.maths import dynamics as dyn
 from taut.maths.model import PayloadValues, model_of
 from taut.record.run import Run
@@ -19,6 +25,8 @@ __all__ = ["Lyapunov", "lyapunov"]
 
 LAWS: Final = ("GravityPID", "GravityCompensation")
 VISCOUS: Final = "plant.friction.viscous"
+ROUNDING: Final = 1e-12  # of V
+GEARS: Final = "actuation.transmission."
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,14 +50,17 @@ class Lyapunov:
 
     @property
     def worst(self) -> float:
-        """The largest difference of both rates, over the largest rate: 0 where the proof's assumptions hold."""
-        size = float(np.abs(self.expected).max(initial=0.0))
-        return float(np.abs(self.rate - self.expected).max(initial=0.0)) / size if size else 0.0
+        """The largest difference of both rates, over the largest of either: 0 where the proof's assumptions hold."""
+        off = float(np.abs(self.rate - self.expected).max(initial=0.0))
+        size = max(float(np.abs(x).max(initial=0.0)) for x in (self.expected, self.rate))
+        ticks = np.diff(self.t)
+        rounding = ROUNDING * float(self.V.max()) / float(ticks[0]) if len(ticks) else 0.0
+        return off / size if size > rounding else 0.0
 
     @property
     def falls(self) -> bool:
         """Whether V never grows from one tick to the next by more than rounding."""
-        return bool((np.diff(self.V) <= 1e-12 * max(float(self.V[0]), 1e-300)).all())
+        return bool((np.diff(self.V) <= ROUNDING * max(float(self.V[0]), 1e-300)).all())
 
     def __str__(self) -> str:
         word = "falls throughout" if self.falls else "does not fall throughout"
@@ -74,8 +85,9 @@ def lyapunov(run: Run) -> Lyapunov:
         run: Of `GravityPID` with ki = 0 or `GravityCompensation`, on a plant with viscous friction at most.
 
     Raises:
-        UsageError: A run of another law, with an integral, with a reference that moves, with dry friction, or that
-            was loaded from a file and has no arm.
+        UsageError: A run of another law, with an integral, with a reference that moves, with events, with dry
+            friction or gears that lose power or give way, on a plant that compensates gravity itself, or that was
+            loaded from a file and has no arm.
 
     Example:
         >>> import taut
@@ -95,55 +107,101 @@ def lyapunov(run: Run) -> Lyapunov:
     law, values = str(run.info.get("law", "")).partition("(")[0], run.info.get("parameters", {})
     _check(run, law, values)
     n = run.n
-    kp = _matrix(values.get("law.kp", 0.0), n)
-    kd = _matrix(values["law.kd"], n) + _matrix(values.get(VISCOUS, 0.0), n)
+    assert run.arm is not None
+    kp, viscous = _matrix(values.get("law.kp", 0.0), n), np.broadcast_to(values.get(VISCOUS, 0.0), (n,))
+    kd = _matrix(values["law.kd"], n) + np.diag(viscous)
     e = np.zeros_like(run.q) if law == "GravityCompensation" else run.error
     assert e is not None
-    assert run.arm is not None
-    model = model_of(run.arm)
-    payload = PayloadValues.of({x: np.array(values[f"plant.payload.{x}"]) for x in ("mass", "com", "inertia")})
-    viscous = np.diag(_matrix(values.get(VISCOUS, 0.0), n))
-
-    def parts(q: Vector, v: Vector, tau: Vector) -> Array:
-        """Kinetic energy, and its rate under a torque."""
-
-        def kinetic(s: Vector) -> Any:
-            return 0.5 * (v @ (dyn.mass_matrix(model, q + s[0] * v, payload) @ v))
-
-        moved = jacobian(kinetic, np.zeros(1))[0]
-        push = tau - dyn.bias(model, q, v, payload) - viscous * v
-        return np.array([kinetic(np.zeros(1)), v @ push + moved], dtype=object)
-
-    of = native(parts, q=n, v=n, tau=n)
-    found = np.stack([of(q, v, tau) for q, v, tau in zip(run.q, run.v, run.tau, strict=True)])
-    spring = 0.5 * np.einsum("ki,ij,kj->k", e, kp, e)
+    kinetic, rate, g = _energies(run.arm).of(run, viscous, subtree(values, "plant.payload"))
+    if g.any() and not run.terms["gravity"].any():
+        raise UsageError(
+            "eq. 10.24 is of a law that compensates gravity, and in this run the plant did; make both without adds",
+            name="run",
+        )
     return Lyapunov(
         t=run.t,
-        V=spring + found[:, 0],
-        kinetic=found[:, 0],
-        rate=found[:, 1] - np.einsum("ki,ij,kj->k", e, kp, run.v),
+        V=0.5 * np.einsum("ki,ij,kj->k", e, kp, e) + kinetic,
+        kinetic=kinetic,
+        rate=rate - np.einsum("ki,ij,kj->k", e, kp, run.v),
         expected=-np.einsum("ki,ij,kj->k", run.v, kd, run.v),
     )
 
 
+class _Energies:
+    """The kinetic energy of an arm, its rate under the torques that act, and its weight, of all ticks at once."""
+
+    def __init__(self, arm: Arm) -> None:
+        n = arm.n
+        self._inputs = Block.of({"q": (n,), "v": (n,), "tau": (n,)})
+        self._numbers = Block.of({"viscous": (n,), "mass": (), "com": (3,), "inertia": (6,)})
+        self._model = model_of(arm)
+        example = np.cos(np.arange(self._inputs.size)), np.ones(self._numbers.size), np.zeros(0)
+        kind = NativeLoop if available() else FloatLoop
+        self._loop = kind(self._step, self._step, 0, self._inputs, self._numbers, Block(), example)
+
+    def _step(
+        self, inputs: Mapping[str, Any], numbers: Mapping[str, Any], memory: Mapping[str, Any]
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        q, v = inputs["q"], inputs["v"]
+        payload = PayloadValues.of(numbers)
+
+        def kinetic(s: Vector) -> Any:
+            return 0.5 * (v @ (dyn.mass_matrix(self._model, q + s[0] * v, payload) @ v))
+
+        push = inputs["tau"] - dyn.bias(self._model, q, v, payload) - numbers["viscous"] * v
+        moved = jacobian(kinetic, np.zeros(1))[0]  # v . M-dot v / 2
+        g = dyn.gravity_torque(self._model, q, payload)
+        return {"kinetic": kinetic(np.zeros(1)), "rate": v @ push + moved, "g": g}, {**memory}
+
+    def of(
+        self, run: Run, viscous: Float64Array, payload: Mapping[str, Any]
+    ) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """(k,) [J] and (k,) [W], and (k, n) the weight [N m | N]."""
+        rows, found = np.hstack([run.q, run.v, run.tau]), np.zeros((len(run), self._loop.outputs.size))
+        numbers = self._numbers.pack({"viscous": viscous, **payload})
+        self._loop.run(rows, numbers, np.zeros(0), found)
+        views = self._loop.outputs.views(found)
+        return views["kinetic"], views["rate"], views["g"]
+
+
+_ENERGIES: Final[WeakKeyDictionary[Arm, _Energies]] = WeakKeyDictionary()
+
+
+def _energies(arm: Arm) -> _Energies:
+    """Those of an arm, compiled once however often they are asked for."""
+    known = _ENERGIES.get(arm)
+    if known is None:
+        known = _ENERGIES[arm] = _Energies(arm)
+    return known
+
+
 def _check(run: Run, law: str, values: Any) -> None:
-    if law not in LAWS:
+    if law not in LAWS or "law.kd" not in values:
         raise UsageError(
-            f"eq. 10.24 is for PD control with gravity compensation, {' or '.join(LAWS)}; this run is of "
-            f"{law or '?'}",
+            f"eq. 10.24 is for PD control with gravity compensation, {' or '.join(LAWS)} alone; this run is of "
+            f"{run.info.get('law', '?')}",
             name="run",
         )
     if np.any(np.asarray(values.get("law.ki", 0.0))):
         raise UsageError(f"eq. 10.24 is for ki = 0; this run has law.ki = {values['law.ki']}", name="law.ki")
     if run.arm is None:
         raise UsageError("this run was loaded from a file and has no arm; make it anew with taut.run", name="run")
-    wanted = getattr(run.reference, "q", None)
-    if law == "GravityPID" and wanted is not None and np.ptp(wanted, axis=0).max() > 0.0:
+    if run.info.get("events"):
+        raise UsageError("eq. 10.24 is for gains that stay, and this run has events; run it without", name="run")
+    wanted, rate = getattr(run.reference, "q", None), getattr(run.reference, "v", None)
+    moves = wanted is not None and np.ptp(wanted, axis=0).max() > 0.0
+    if law == "GravityPID" and (moves or (rate is not None and np.any(rate))):
         raise UsageError("eq. 10.24 is for a set-point, and the reference of this run moves", name="run")
     dry = [path for path in values if path.startswith("plant.friction.") and path != VISCOUS]
     if dry:
         raise UsageError(
             f"eq. 10.27 knows no dry friction, and the plant has {', '.join(sorted(dry))}; run it with friction=None",
+            name="run",
+        )
+    if any(path.startswith(GEARS) for path in values):
+        raise UsageError(
+            "eq. 10.27 knows no gears that lose power, have play or give way; run it on a plant without a "
+            "transmission",
             name="run",
         )
     if any(path.startswith(("environment.", "contact.")) for path in values):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -20,8 +21,11 @@ __all__ = ["Slopes", "sides_of", "smooth"]
 NOTHING: Final = 1e-9  # of a limit's term, in units of the command
 RESTING: Final = 1e-9  # [rad/s | m/s]
 APART: Final = 1e-6  # of a state's size: how far to look on each side
+NEARER: Final = 3e-8  # likewise, where a kink is between
 KINK: Final = 1e-2  # of the larger slope: by how much two sides differ
-FLAT: Final = 1e-6  # a slope below this is none
+FLAT: Final = 3e-5  # a slope below this is none: so far off, curves have slopes of that size
+FARTHER: Final = 3.0  # times as far, where slopes of a curve differ by as much more, and those of a kink do not
+CURVED: Final = 2.0  # times as much: a curve
 MOST: Final = 6
 
 
@@ -43,20 +47,29 @@ class Slopes:
     up: Float64Array
     down: Float64Array
     least: Float64Array  # (k,) a difference of slopes below it is rounding, for each that follows
+    near: bool = False  # whether a smaller way off the derivative is right
+    curved: Flags  # (k, k) where the slopes differ as those of a curve do, by more the farther one goes
 
     @classmethod
-    def at(cls, map_: LoopMap, at: Point, found: Derivative, states: list[int]) -> Slopes:
-        """By differences on each side."""
-        coordinates = map_.state_coordinates
-        values = coordinates.read(at.memory, at.memory[np.newaxis])[0]
-        steps = APART * (1.0 + np.abs(values[states]))
-        ways = coordinates.basis(at.memory)[states] * steps[:, np.newaxis]
-        after = map_.after(at, at.memory + np.concatenate([ways, -ways]))
-        each = coordinates.read(found.memory, after - found.memory)[:, states] / np.tile(steps, 2)[:, np.newaxis]
-        up, down = each[: len(states)], -each[len(states) :]
+    def at(cls, map_: LoopMap, at: Point, found: Derivative, states: list[int], apart: float = APART) -> Slopes:
+        """By differences on each side, so far off."""
+        up, down = _slopes(map_, at, found, states, states, apart)
         # What an entry of the memory loses by rounding, over a step, is no kink.
-        scale = np.minimum(np.abs(up).max(axis=0), np.abs(down).max(axis=0))
-        return cls(states=states, up=up, down=down, least=KINK * scale + FLAT)
+        scale = np.minimum(np.abs(up).max(axis=0, initial=0.0), np.abs(down).max(axis=0, initial=0.0))
+        curved = np.zeros(up.shape, dtype=bool)
+        out = cls(states=states, up=up, down=down, least=KINK * scale + FLAT, curved=curved)
+        rows = np.flatnonzero(out.differ(up, down).any(axis=1))
+        if len(rows):
+            ends = _slopes(map_, at, found, [states[i] for i in rows], states, FARTHER * apart)
+            curved[rows] = np.abs(ends[0] - ends[1]) > CURVED * np.abs(up - down)[rows]
+        return out
+
+    def among(self, states: list[int]) -> Slopes:
+        """Those of some states."""
+        kept = [self.states.index(i) for i in states]
+        both = np.ix_(kept, kept)
+        parts = {name: getattr(self, name)[both] for name in ("up", "down", "curved")}
+        return dataclasses.replace(self, states=states, least=self.least[kept], **parts)
 
     def differ(self, one: Float64Array, other: Float64Array) -> Flags:
         """(k, k) where two kinds of slopes do."""
@@ -69,6 +82,19 @@ class Slopes:
         return bool((self.differ(A, self.up) & self.differ(A, self.down) & ~self.differ(self.up, self.down)).any())
 
 
+def _slopes(
+    map_: LoopMap, at: Point, found: Derivative, moved: list[int], states: list[int], apart: float
+) -> tuple[Float64Array, Float64Array]:
+    """(m, k) how the states follow those that are moved, upwards and downwards, by differences so far apart."""
+    coordinates = map_.state_coordinates
+    values = coordinates.read(at.memory, at.memory[np.newaxis])[0]
+    steps = apart * (1.0 + np.abs(values[moved]))
+    ways = coordinates.basis(at.memory)[moved] * steps[:, np.newaxis]
+    after = map_.after(at, at.memory + np.concatenate([ways, -ways]))
+    each = coordinates.read(found.memory, after - found.memory)[:, states] / np.tile(steps, 2)[:, np.newaxis]
+    return each[: len(moved)], -each[len(moved) :]
+
+
 def smooth(map_: LoopMap, at: Point, found: Derivative, states: list[int]) -> tuple[Derivative, Slopes]:
     """The derivative, as the mean of two points beside it where the point itself is a kink that only rounding sees.
 
@@ -77,6 +103,8 @@ def smooth(map_: LoopMap, at: Point, found: Derivative, states: list[int]) -> tu
     slopes = Slopes.at(map_, at, found, states)
     if not slopes.misses(found):
         return found, slopes
+    if not Slopes.at(map_, at, found, states, NEARER).misses(found):
+        return found, dataclasses.replace(slopes, near=True)
     mean = beside(map_, at, found, states)
     return (found if slopes.misses(mean) else mean), slopes
 
@@ -128,7 +156,14 @@ def _kinks(map_: LoopMap, found: Derivative, slopes: Slopes) -> list[str]:
     """States whose slopes on the two sides differ, which is no derivative of the loop but of one of its sides."""
     names = [map_.state_coordinates.names[i] for i in slopes.states]
     A = found.A[np.ix_(slopes.states, slopes.states)].T
-    differ = slopes.differ(slopes.up, slopes.down)
+    differ = slopes.differ(slopes.up, slopes.down) & ~slopes.curved
+    if not differ.any() and slopes.near:
+        missed = slopes.differ(A, slopes.up) & slopes.differ(A, slopes.down)
+        name = names[int(np.argmax(missed.any(axis=1)))]
+        return [
+            f"the loop has a kink near here, {APART:g} of {name} away or less, as where a law paces what jumps; the "
+            "model is of smaller deviations"
+        ]
     if not differ.any() and slopes.misses(found):
         return ["the loop has a kink here, and the model stands on neither side of it"]
     out = []

@@ -12,7 +12,8 @@ from taut.base.types import Float64Array
 from taut.codegen.loop import FloatLoop, NativeLoop
 from taut.loop import Loop
 from taut.plant.disturbance import WRENCH
-from taut.study.linear_loop import Complex, LinearLoop
+from taut.study.frequency import Complex
+from taut.study.linear_loop import LinearLoop
 from taut.study.linearise import WITHIN, rest_of
 from taut.study.loop_map import loop_map, small_turns
 
@@ -39,7 +40,9 @@ def swept(loop: Loop, lin: LinearLoop, direction: Float64Array, omega: Float64Ar
         RangeError: A run that would be too long, or that diverged.
     """
     map_ = loop_map(loop)
-    point = rest_of(loop, map_, lin.q, WITHIN).point
+    # What is held is the start of the model's own search, not where a law that sags came to rest.
+    within = WITHIN + float(np.abs(lin.moved).max())
+    point = rest_of(loop, map_, lin.q - lin.moved, within).point
     blocks = (map_.inputs, map_.parameters, map_.memory)
     kind = NativeLoop if loop.engine == "native" else FloatLoop
     made = kind(

@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from taut.base.checks import finite_array, positive_scalar
-from taut.base.errors import RangeError, UsageError
+from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.felt import FeltImpedance, felt_impedance
+from taut.control.describe import title
 from taut.loop import Loop
 from taut.maths.model import PayloadValues
 from taut.maths.snapshot import Snapshot
-from taut.plant.environment import Environment, Environments, added
-from taut.plant.environment_held import Handle
-from taut.plant.environment_springs import Damper, Spring
-from taut.plant.rigid import RigidPlant
-from taut.study.linear_loop import Complex, LinearLoop, checked_frequencies
+from taut.study.frequency import Complex, checked_frequencies
+from taut.study.linear_loop import LinearLoop
 from taut.study.linearise import WITHIN, linearise
 from taut.study.sweep import swept
 from taut.study.tip import direction_of
+from taut.study.tip_asked import AskedAdmittance, asked_admittance
+from taut.study.tip_environment import TipEnvironment, environment_at, inverse, joined
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,6 +31,9 @@ __all__ = ["TipMeasurement", "TipRanking", "TipResponse", "rank_tips", "tip_impe
 
 REACH: Final = 1e-6  # of the Jacobian: below it a direction cannot be moved in
 SMALL: Final = 1e-4  # [m | rad] that a sweep moves the tool by
+NOTHING: Final = 1e-12  # of the largest response: rounding
+SLOW: Final = 1e-5  # of half the rate
+MOST: Final = 0.999  # of half the rate
 HERTZ: Final = 2.0 * np.pi
 
 
@@ -46,7 +47,7 @@ class TipMeasurement:
     @property
     def Z(self) -> Complex:
         """(k,) F / X."""
-        return 1.0 / self.Y
+        return inverse(self.Y)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,15 +56,16 @@ class TipResponse:
 
     Law:          X = Y F, F = Z X, with Y = d^T Y_tool d of the six by six response of the tool and Z = 1 / Y
 
-    Asked is what the law promises: of `Impedance` and `Admittance` D s^2 + B s + K, in the directions that the arm
-    can move in. Predicted is the sampled loop as it is simulated, exactly: with hold, delay, filters, drives,
-    integrator. Measured is a sine sweep in simulation, on request.
+    Asked is what the law's closed loop is in continuous time: of `Impedance` and `Admittance` D s^2 + B s + K, of
+    ComputedTorque M (s^2 + kd s + kp + ki / s) through J, and so on; drives, filters and friction are not in it.
+    Predicted is the sampled loop as it is simulated, exactly: with hold, delay, filters, drives, integrator. Measured
+    is a sine sweep in simulation, on request. Steps of encoders and amplifiers, and noise, are in neither.
 
     Args:
         loop: The loop.
         lin: Its linear model.
         direction: (6,) unit vector in world axes: a force, or a moment.
-        asked: What the law promises; None where it promises nothing.
+        asked: s (k,) to (k, 6, 6) the response that the law promises; None where it promises none in closed form.
         reach: (6, r) the motions of the tool that the arm can make there.
 
     References:
@@ -73,7 +75,7 @@ class TipResponse:
     loop: Loop
     lin: LinearLoop
     direction: Float64Array
-    asked: FeltImpedance | None
+    asked: AskedAdmittance | None
     reach: Float64Array
 
     @property
@@ -87,49 +89,63 @@ class TipResponse:
         Raises:
             RangeError: A frequency beyond half the rate, or negative.
         """
-        return np.asarray(self.matrix(omega) @ self.direction @ self.direction, dtype=np.complex128)
+        w, d = checked_frequencies(omega, self.lin.dt), self.direction
+        B, C, D = self._tool
+        return self.lin.response(w, (B @ d)[:, np.newaxis], (d @ C)[np.newaxis], (d @ D @ d).reshape(1, 1))[:, 0, 0]
 
     def Z(self, omega: ArrayLike) -> Complex:
-        """(k,) predicted impedance F / X [N/m | N m/rad]."""
-        return 1.0 / self.Y(omega)
+        """(k,) predicted impedance F / X [N/m | N m/rad]; infinite where the tool does not move, as of stiff drives.
+
+        Raises:
+            RangeError: A frequency beyond half the rate, or negative.
+        """
+        Y = self.Y(omega)
+        size = float(np.abs(self.Y(np.geomspace(SLOW, 1.0, 5)[:-1] * np.pi / self.lin.dt)).max())
+        return inverse(np.where(np.abs(Y) < NOTHING * size, 0.0, Y))
 
     def matrix(self, omega: ArrayLike) -> Complex:
         """(k, 6, 6) predicted response of the tool, position first, to a wrench, force first; in world axes."""
-        lin, w = self.lin, checked_frequencies(omega, self.lin.dt)
+        return self.lin.response(checked_frequencies(omega, self.lin.dt), *self._tool)
+
+    @property
+    def _tool(self) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """B (n, 6) of a wrench, C (6, n) of the tool's position and rotation, D (6, 6)."""
+        lin = self.lin
         rows = [*lin.rows("tip.p"), *lin.rows("tip.rotation")]
         columns = list(lin.columns("disturbance.wrench"))
-        return lin.response(w, lin.B[:, columns], lin.C[rows], lin.D[np.ix_(rows, columns)])
+        return lin.B[:, columns], lin.C[rows], lin.D[np.ix_(rows, columns)]
 
     def asked_Y(self, omega: ArrayLike) -> Complex:
         """(k,) what the law promises.
 
         Raises:
             UsageError: It promises nothing.
+            RangeError: A frequency that is not above zero, or beyond half the rate.
         """
         if self.asked is None:
             raise UsageError(
-                f"{type(self.loop.side.law).__name__} promises no impedance at the tool; taut.laws.Impedance and "
-                "Admittance do",
+                f"{title(self.loop.side.law)} promises no impedance at the arm's tool in closed form; tip.Z is what "
+                "it has",
                 name="asked",
             )
-        w = np.atleast_1d(finite_array("omega", omega, unit="rad/s"))
-        U, s = self.reach, 1j * w[:, np.newaxis, np.newaxis]
-        inside = (U.T @ x @ U for x in (self.asked.D, self.asked.B, self.asked.K))
-        D, B, K = inside
-        way = U.T @ self.direction
-        moved = np.linalg.solve(s * s * D + s * B + K, np.broadcast_to(way[:, np.newaxis], (len(w), len(way), 1)))
-        return np.asarray(moved[:, :, 0] @ way, dtype=np.complex128)
+        w = checked_frequencies(omega, self.lin.dt)
+        if (w == 0.0).any():
+            raise RangeError("what is asked needs frequencies above zero; got 0", name="omega", value=0.0, rule="> 0")
+        return np.asarray(
+            self.asked(np.asarray(1j * w, dtype=np.complex128)) @ self.direction @ self.direction, dtype=np.complex128
+        )
 
     def asked_Z(self, omega: ArrayLike) -> Complex:
         """(k,) 1 / asked_Y."""
-        return 1.0 / self.asked_Y(omega)
+        return inverse(self.asked_Y(omega))
 
     def measure(self, omega: ArrayLike, *, amplitude: float | None = None) -> TipMeasurement:
         """A sine sweep in simulation, one run for each frequency: the tool's motion fitted over whole periods.
 
         Args:
-            omega: (k,) or one [rad/s], up to half the rate.
-            amplitude: Of the force [N | N m]; what moves the tool by 0.1 mm or 0.1 mrad if left out.
+            omega: (k,) or one [rad/s], above zero and below half the rate.
+            amplitude: Of the force [N | N m]; what moves the tool by 0.1 mm or 0.1 mrad if left out, and 1 where it
+                does not move.
 
         Raises:
             RangeError: A frequency that has no meaning; an unstable loop, whose answer grows without end.
@@ -137,6 +153,13 @@ class TipResponse:
         w = checked_frequencies(omega, self.lin.dt)
         if (w == 0.0).any():
             raise RangeError("a sweep needs frequencies above zero; got 0", name="omega", value=0.0, rule="> 0")
+        if (w > MOST * np.pi / self.lin.dt).any():
+            raise RangeError(
+                f"a sweep needs frequencies below {MOST * np.pi / self.lin.dt:.6g} rad/s: at half the rate all ticks "
+                f"may fall on zeros of the sine; got {w.max():g}",
+                name="omega",
+                value=float(w.max()),
+            )
         if not self.lin.stable:
             raise RangeError(
                 f"the loop is unstable (a pole of modulus {self.lin.radius:.6g}), so that no sine settles; measure a "
@@ -145,7 +168,8 @@ class TipResponse:
                 value=self.lin.radius,
             )
         if amplitude is None:
-            sizes = SMALL / np.abs(self.Y(w))
+            Z = np.abs(self.Z(w))
+            sizes = np.where(np.isfinite(Z), SMALL * Z, 1.0)
         else:
             sizes = np.full(len(w), positive_scalar("amplitude", amplitude, unit="N | N m"))
         return TipMeasurement(omega=w, Y=swept(self.loop, self.lin, self.direction, w, sizes))
@@ -156,24 +180,21 @@ class TipResponse:
         """The linear model of the loop with something at its tool: its poles are those of both together.
 
         The environment is a `taut.Handle` where it has mass, else a spring and a damper to where the tool is;
-        the plant simulates it in each of its steps.
+        the plant simulates it in each of its steps. A handle's mass has a stiff grip, see there.
 
         Args:
             mass: [kg].
-            damping: (3,) in world axes or scalar [N s/m].
-            stiffness: (3,) in world axes or scalar [N/m].
+            damping: A number or (3,) in world axes [N s/m]; without mass also (linear, angular) [N s/m, N m s/rad],
+                six or (6, 6).
+            stiffness: Likewise [N/m, N m/rad].
             within: [rad | m] how far from here it may rest.
 
         Raises:
             RangeError: Numbers that have no meaning, or no equilibrium.
         """
-        at = {"stiffness": stiffness, "damping": damping}
-        more: Environment
-        if mass:
-            more = Handle(mass=mass, **at)
-        else:
-            more = Spring(stiffness=stiffness) + Damper(damping=damping)
-        return linearise(with_environment(self.loop, more), at=self.lin.q, within=within)
+        more = environment_at(self.loop, self.lin.q, mass, damping, stiffness)
+        within = positive_scalar("within", within, unit="rad | m") + float(np.abs(self.lin.moved).max())
+        return linearise(joined(self.loop, more), at=self.lin.q - self.lin.moved, within=within)
 
     def plot(self, measured: TipMeasurement | None = None) -> Figure:
         """Bode of Z: what is asked, what is predicted and, where there was a sweep, what was measured."""
@@ -238,40 +259,11 @@ def tip_impedance(
             name="direction",
         )
     law = loop.side.law.bound(subtree(loop.parameters, "law"))
-    asked = felt_impedance(law, x) if getattr(law, "tool", None) is None else None
-    return TipResponse(loop=loop, lin=lin, direction=way, asked=asked, reach=reach)
+    return TipResponse(loop=loop, lin=lin, direction=way, asked=asked_admittance(law, x, reach), reach=reach)
 
 
 def _payload(loop: Loop) -> PayloadValues:
     return PayloadValues.of(subtree(loop.parameters, "model.payload"))
-
-
-@dataclass(frozen=True)
-class _Kept:
-    """A controller as a loop takes it."""
-
-    side: Any
-    parameters: Mapping[str, Float64Array]
-    engine: str
-
-
-def with_environment(loop: Loop, more: Environment) -> Loop:
-    """The same loop with something more at its tool, and all its parameters as they are.
-
-    Raises:
-        UsageError: A plant of another kind.
-    """
-    plant = loop.plant
-    if not isinstance(plant, RigidPlant):
-        raise UsageError(f"only a taut.RigidPlant takes another environment; got {plant.name}", name="loop")
-    old = plant.environment
-    new = dataclasses.replace(plant, environment=more if old is None else added(old, more))
-    out = Loop(_Kept(loop.side, loop.side.parameters, loop.engine), new, loop.ref, duration=loop.duration)
-    inside = "" if old is None or isinstance(old, Environments) else f"{type(old).__name__}."
-    for path, value in loop.parameters.items():
-        head, _, rest = path.partition(".")
-        out.parameters[f"environment.{inside}{rest}" if head == "environment" else path] = value
-    return out
 
 
 # -------------------------------------------------------------------- laws side by side
@@ -305,28 +297,40 @@ class TipRanking:
 
 
 def rank_tips(
-    loops: Mapping[str, Loop], *, at: ArrayLike | None = None, direction: ArrayLike, omega: ArrayLike = (HERTZ,)
+    loops: Mapping[str, Loop | TipEnvironment],
+    *,
+    at: ArrayLike | None = None,
+    direction: ArrayLike,
+    omega: ArrayLike = (HERTZ,),
+    within: float = WITHIN,
 ) -> TipRanking:
     """Which laws make the tool hard to move, and which easy: the size of Z along a direction, the highest first.
 
     Motion control is high and force control low: Delta X = Y Delta F, section 10.5.
 
     Args:
-        loops: Loops by name, all with a reference that stays.
+        loops: Loops by name, all with a reference that stays; and environments to compare them with.
         at: (n,) joint positions [rad | m]; home if left out.
         direction: (3,) of a force, or (6,) of a force or a moment, in world axes.
         omega: (k,) [rad/s]; they are ranked by the first.
+        within: [rad | m] how far from `at` the equilibria may be.
 
     Raises:
         UsageError: No loop.
+        ShapeError: No frequencies.
         RangeError: As of `tip_impedance`.
     """
     if not isinstance(loops, Mapping) or not loops:
         raise UsageError("rank_tips takes loops by name: {'motion': loop, ...}", name="loops")
     w = np.atleast_1d(finite_array("omega", omega, unit="rad/s"))
-    found = {name: tip_impedance(loop, at=at, direction=direction) for name, loop in loops.items()}
-    Z = {name: tip.Z(w) for name, tip in found.items()}
+    if w.ndim != 1 or not len(w):
+        raise ShapeError(f"omega must be one frequency or (k,) of them [rad/s]; got shape {w.shape}", name="omega")
+    unit = "N/m" if direction_of(direction)[:3].any() else "N m/rad"
+    Z: dict[str, Complex] = {}
+    for name, each in loops.items():
+        if isinstance(each, TipEnvironment):
+            Z[name] = each.Z(w)
+        else:
+            Z[name] = tip_impedance(each, at=at, direction=direction, within=within).Z(w)
     names = tuple(sorted(Z, key=lambda name: -abs(Z[name][0])))
-    return TipRanking(
-        names=names, omega=w, Z=np.stack([Z[name] for name in names]), unit=next(iter(found.values())).unit
-    )
+    return TipRanking(names=names, omega=w, Z=np.stack([Z[name] for name in names]), unit=unit)
