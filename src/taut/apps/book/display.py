@@ -8,17 +8,15 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from taut.apps.book.drawing import arrow, box, panels, words
+from taut.apps.book.drawing import arrow, box, legend, panels, words
 from taut.apps.book.page import Entry, Page, Row, row
-from taut.apps.book.tick import two_poles
+from taut.apps.book.simulation import simulated, two_poles
 from taut.arm.load import load_arm
 from taut.control.joint import PID
 from taut.control.reference import JointMotion
 from taut.control.sensing import Sensing
 from taut.controller import compile
-from taut.plant.rigid import RigidPlant
 from taut.record.style import DASHED, INK, SMALL, colour, prepared
-from taut.runtime.simulate import run
 from taut.study.limits import stiffness_limits
 
 __all__ = ["ENTRIES"]
@@ -58,11 +56,11 @@ def fig_10_17() -> Page:
     z = load_arm("gantry3").subset(["z"]).with_body("z", mass=MASS)
     slide = z.with_joints(viscous=DAMPING).with_gravity([0.0, 0.0, 0.0])
     ctrl = compile(PID(kp=1.0, kd=VIRTUAL), slide, rate=RATE, sensing=Sensing(velocity="difference"))
-    plant = RigidPlant(slide, integrator="rk4")
     for factor in (0.8, 1.2):
         K = factor * told[2].stable
         ctrl.parameters["law.kp"] = K
-        out = run(ctrl, plant, JointMotion(q=[0.0]), duration=0.4, q0=[1e-3], progress=False)
+        rest = JointMotion(q=[0.0])
+        out = simulated(ctrl, slide, rest, duration=0.4, q0=[1e-3], friction="arm", integrator="rk4")
         got = float(np.exp(max(two_poles(out.q[100:, 0], 1.0).real)))
         states = "oscillatory in stiff virtual environments" if factor > 1.0 else ""
         name = f"growth of a swing in a tick, K = {factor:g} of the limit"
@@ -80,7 +78,7 @@ def fig_10_17() -> Page:
     )
     right.set_xticks([250.0, 1000.0, 2000.0, 4000.0])
     right.set_ylim(0.0, None)
-    right.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
+    legend(right)
     note = (
         "Chosen: a display of 0.2 kg with 1 N s/m that shows a spring and 0.5 N s/m, with differenced positions. "
         "More of it is on the page about haptics."

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["arrow", "block", "box", "canvas", "frame", "junction", "law_diagram", "panels", "words"]
+__all__ = ["arrow", "block", "box", "canvas", "frame", "junction", "law_diagram", "legend", "panels", "words"]
 
 PAPER: Final = "#F4F6F8"
 BLOCK: Final = "#FFFFFF"
@@ -40,6 +40,11 @@ def canvas(width: float, height: float, scale: float = 1.0) -> tuple[Figure, Axe
     ax.set_aspect("equal")
     ax.axis("off")
     return figure, ax
+
+
+def legend(ax: Axes, **options: Any) -> None:
+    """What the lines of a panel are."""
+    ax.legend(**{"fontsize": SMALL, "frameon": False, "labelcolor": INK, **options})
 
 
 def words(ax: Axes, x: float, y: float, text: str, *, size: float = SMALL, **options: Any) -> None:

@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 from scipy.optimize import brentq
 
-from taut.apps.book.drawing import panels
-from taut.apps.book.link import KD, B, M, link, simulated
-from taut.apps.book.page import Entry, Page, Row, row
-from taut.apps.book.tick import two_poles
+from taut.apps.book.drawing import legend, panels
+from taut.apps.book.link import KD, B, M, link, on_link
+from taut.apps.book.page import ROOTS, Entry, Page, Row, row
+from taut.apps.book.simulation import two_poles
 from taut.arm.load import load_arm
 from taut.control.joint import PID
 from taut.control.reference import JointMotion
@@ -24,7 +24,6 @@ from taut.study.stability_plots import draw_locus
 __all__ = ["ENTRIES", "settling"]
 
 FORMULA: Final = "the formula"
-ROOTS: Final = "numpy.roots"
 STIFF_KD: Final = 10.0  # [N m s/rad] figure 10.5
 ZETAS: Final = (1.5, 1.0, 0.5)  # of its roots "1", "2" and "3"
 
@@ -69,7 +68,7 @@ def eq_10_10() -> Page:
     wanted = np.roots([1.0, (B + KD) / M, 5.0 / M])
     upper = wanted[wanted.imag.argmax()]
     got = d.poles[d.poles.imag.argmax()]
-    run = simulated(PID(kp=5.0, kd=KD), plant=link(gravity=False), ref=JointMotion(q=[0.0]), duration=1.0, q0=[1.0])
+    run = on_link(PID(kp=5.0, kd=KD), plant=link(gravity=False), ref=JointMotion(q=[0.0]), duration=1.0, q0=[1.0])
     fitted = two_poles(run.q[::10, 0], 1e-3)
     found = fitted[fitted.imag.argmax()]
     slip = "slip: -zeta omega_n +- omega_d, without the j"
@@ -139,7 +138,7 @@ def fig_10_4() -> Page:
     mass = 3.0
     d = second_order(M=mass, zeta=zeta, omega_n=omega_n)
     start = -0.1
-    run = simulated(
+    run = on_link(
         PID(kp=d.kp, kd=d.kd), plant=slide, ref=JointMotion(q=[start + step]), duration=2.0, q0=[start]
     )  # fmt: skip
     e = (start + step - run.q[:, 0]) / step
@@ -178,7 +177,7 @@ def fig_10_4() -> Page:
         "", (run.t[k], e[k]), (run.t[k], sag), arrowprops={"arrowstyle": "<->", "color": INK, "linewidth": 0.9}
     )
     ax.text(run.t[k] + 0.02, 0.5 * (e[k] + sag), "overshoot", fontsize=SMALL, color=INK, va="center")
-    ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
+    legend(ax)
     ax.set_xlim(0.0, 1.5)
     note = "Chosen: a slide of 3 kg that its weight pulls down, zeta = 0.25, omega_n = 20 rad/s, a step of 0.2 m."
     return Page(rows=rows, figure=figure, note=note)
@@ -203,7 +202,7 @@ def fig_10_5() -> Page:
             row(f'"{k + 1}", zeta = {zeta:g}: Kp', "N m/rad", d.kp, critical / zeta**2, "critical Kp / zeta^2"),
             row(f'"{k + 1}": real part of the slower root', "1/s", max(d.poles.real), slow.real, ROOTS, rel=1e-6),
         ]
-        run = simulated(
+        run = on_link(
             PID(kp=d.kp, kd=STIFF_KD), plant=link(gravity=False), ref=JointMotion(q=[1.0]), duration=6.0, q0=[0.0]
         )  # fmt: skip
         T = settling(zeta) / d.omega_n
@@ -222,7 +221,7 @@ def fig_10_5() -> Page:
         right.plot(run.t, 1.0 - run.q[:, 0], color=colour(k), linewidth=1.5, label=f'"{k + 1}", zeta = {zeta:g}')
     right.axhline(0.0, color=INK, linewidth=0.6)
     right.set_xlim(0.0, 1.5)
-    right.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
+    legend(right)
     note = (
         "Kd = 10 N m s/rad in a horizontal plane. The chapter: the settling time is unaffected as Kp is increased "
         "beyond critical damping. That is 4 tau; the exact settling time changes, as the rows say."

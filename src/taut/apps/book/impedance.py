@@ -11,12 +11,12 @@ from typing import Any, Final
 import numpy as np
 from scipy.linalg import expm
 
-from taut.apps.book.drawing import panels
+from taut.apps.book.drawing import legend, panels
 from taut.apps.book.link import M, link
-from taut.apps.book.multi_joint import Q, V, compared
+from taut.apps.book.multi_joint import Q, V
 from taut.apps.book.oracle import engine, panda
-from taut.apps.book.page import Entry, Page, Row, row
-from taut.apps.book.tick import ticked
+from taut.apps.book.page import MUJOCO, Entry, Page, Row, compared, row
+from taut.apps.book.simulation import simulated, ticked, total
 from taut.arm.description import Arm
 from taut.arm.load import load_arm
 from taut.base import math as tm
@@ -33,17 +33,14 @@ from taut.control.task import TaskComputedTorque
 from taut.control.task_reference import TaskMotion
 from taut.controller import compile
 from taut.maths.snapshot import Snapshot, snapshot
-from taut.plant.rigid import RigidPlant
 from taut.record.run import Run
-from taut.record.style import DASHED, INK, SMALL, colour, prepared
-from taut.runtime.simulate import run
+from taut.record.style import DASHED, INK, colour, prepared
 
 __all__ = ["ENTRIES", "Pushed"]
 
 D, B, K = 2.0, 20.0, 400.0  # [kg], [N s/m], [N/m] chosen
 ANGULAR: Final = (0.05, 0.5, 10.0)  # [kg m^2], [N m s/rad], [N m/rad]
 CLOSED_FORM: Final = "scipy.linalg.expm of 10.46"
-MUJOCO: Final = "MuJoCo: mj_fullM, qfrc_bias, mj_jacSite"
 Values = Mapping[str, Any]
 FAST: Final = 10000.0  # [Hz]
 
@@ -86,10 +83,8 @@ def displayed(environment: Pushed, duration: float, rate: float = FAST) -> Run:
     law = Impedance(D=(D, ANGULAR[0]), B=(B, ANGULAR[1]), K=(K, ANGULAR[2]))
     arm = slides()
     pose = snapshot(arm, np.zeros(3)).T()
-    plant = RigidPlant(arm, friction=None, environment=environment)
-    return run(
-        compile(law, arm, rate=rate), plant, TaskMotion(pose=pose), duration=duration, q0=np.zeros(3), progress=False
-    )
+    ref = TaskMotion(pose=pose)
+    return simulated(law, arm, ref, rate=rate, duration=duration, q0=np.zeros(3), environment=environment)
 
 
 def answer(m: float, b: float, k: float, force: float, t: float) -> float:
@@ -184,7 +179,7 @@ def eq_10_47() -> Page:
     ax.axhline(K, color=colour(2), linewidth=0.9, linestyle=DASHED, label="k")
     ax.loglog(fine, D * fine**2, color=colour(1), linewidth=0.9, linestyle=DASHED, label="m w²")
     ax.set_ylim(50.0, 4e4)
-    ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
+    legend(ax)
     return Page(rows=tuple(rows), figure=figure, note="Numbers of equation 10.46; the push is a cosine of 10 N.")
 
 
@@ -192,8 +187,7 @@ def eq_10_48() -> Page:
     law = Impedance(D=(D, ANGULAR[0]), B=(B, ANGULAR[1]), K=(K, ANGULAR[2]))
     arm = panda()
     pose = snapshot(arm, arm.home).T()
-    plant = RigidPlant(arm, friction=None, environment=Pushed(axis=1, force=8.0))
-    out = run(compile(law, arm), plant, TaskMotion(pose=pose), duration=2.0, progress=False)
+    out = simulated(law, arm, TaskMotion(pose=pose), duration=2.0, environment=Pushed(axis=1, force=8.0))
     moved = out.task.p[:, 1] - np.asarray(pose.p)[1]
     rows = [
         row(
@@ -226,7 +220,7 @@ def eq_10_49() -> Page:
     m = engine().at(Q, V)
     ref = TaskMotion(pose=Pose(m.p + np.array([0.02, -0.01, 0.03]), R=m.R), twist=[0.1, 0.2, -0.1, 0.0, 0.0, 0.0])
     ctrl = ticked(Impedance(B=(B, ANGULAR[1]), K=(K, ANGULAR[2]), null=None), panda(), Q, V, ref)
-    told = np.sum(list(ctrl.terms.values()), axis=0)
+    told = total(ctrl.terms)
     X = np.array([0.02, -0.01, 0.03, 0.0, 0.0, 0.0])
     gains = [np.array([each[0]] * 3 + [each[1]] * 3) for each in ((K, ANGULAR[2]), (B, ANGULAR[1]))]
     spring = gains[0] * X + gains[1] * (ref.twist - m.J @ V)
@@ -283,8 +277,7 @@ class MeasuredInertia(Law):
 def echoed(factor: float) -> float:
     """By how much the acceleration changes from one tick to the next, with D a multiple of M."""
     arm = link(gravity=False, b=0.0)
-    ctrl = compile(MeasuredInertia(D=factor * M), arm)
-    out = run(ctrl, RigidPlant(arm, friction=None), duration=0.02, q0=[0.0], v0=[1e-3], progress=False)
+    out = simulated(MeasuredInertia(D=factor * M), arm, duration=0.02, q0=[0.0], v0=[1e-3])
     a = np.diff(out.v[:, 0])
     return float(a[10] / a[9])
 
@@ -296,14 +289,7 @@ def accepted(factor: float) -> bool:
     law = Impedance(D=(factor * mass, 1.0), B=(10.0, 1.0), K=(10.0, 1.0), feedback="acceleration")
     pose = snapshot(arm, [0.0]).T()
     try:
-        run(
-            compile(law, arm),
-            RigidPlant(arm, friction=None),
-            TaskMotion(pose=pose),
-            duration=0.01,
-            q0=[0.0],
-            progress=False,
-        )
+        simulated(law, arm, TaskMotion(pose=pose), duration=0.01, q0=[0.0])
     except RangeError:
         return False
     return True
@@ -316,25 +302,31 @@ def eq_10_50() -> Page:
     )  # fmt: skip
     arm = panda()
     pose = snapshot(arm, arm.home).T()
-    ctrl = compile(law, arm)
     F_ext = np.array([0.0, 8.0, 0.0, 0.0, 0.0, 0.0])
-    ctrl.step(arm.home, np.zeros(7), TaskMotion(pose=pose), F_ext=F_ext)
-    dt = ctrl.dt
-    first = ctrl.memory["law.twist"][1] / dt
-    plant = RigidPlant(arm, friction=None, environment=Pushed(axis=1, force=8.0))
-    out = run(ctrl, plant, TaskMotion(pose=pose), duration=2.0, progress=False)
+    first = {}
+    for dt in (1e-3, 1e-6):
+        ctrl = compile(law, arm, rate=1.0 / dt, engine="float")
+        ctrl.step(arm.home, np.zeros(7), TaskMotion(pose=pose), F_ext=F_ext)
+        first[dt] = float(ctrl.memory["law.twist"][1]) / dt
+    out = simulated(law, arm, TaskMotion(pose=pose), duration=2.0, environment=Pushed(axis=1, force=8.0))
     moved = out.task.p[:, 1] - np.asarray(pose.p)[1]
     rows = [
         row(
-            "acceleration of the model in the first tick",
+            "acceleration of the model in the first tick, 1 ms",
             "m/s^2",
-            first,
-            8.0 / (D + 0.5 * B * dt + 0.25 * K * dt * dt),
+            first[1e-3],
+            8.0 / (D + 0.5 * B * 1e-3 + 0.25 * K * 1e-6),
             "D^-1 F_ext, implicit midpoint rule",
             rel=1e-9,
         ),
         row(
-            "the same as dt falls", "m/s^2", first, 8.0 / D, "D^-1 F_ext", rel=0.01, states="D^-1 (F_ext - B V - K X)"
+            "the same in a tick of 1 us",
+            "m/s^2",
+            first[1e-6],
+            8.0 / D,
+            "D^-1 F_ext",
+            rel=1e-5,
+            states="D^-1 (F_ext - B V - K X)",
         ),
     ]
     rows += [

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from taut.apps.book.drawing import arrow, panels, words
-from taut.apps.book.link import KD, KI, KP, SAMPLED, B, M, R, controller, link, simulated, solved, weight
-from taut.apps.book.page import Entry, Page, Row, row
-from taut.apps.book.tick import two_poles
+from taut.apps.book.drawing import arrow, legend, panels, words
+from taut.apps.book.link import KD, KI, KP, SAMPLED, B, M, R, controller, link, on_link, solved, weight
+from taut.apps.book.page import ODE, ROOTS, Entry, Page, Row, row
+from taut.apps.book.simulation import two_poles
 from taut.arm.load import load_arm
 from taut.control.joint import PID
 from taut.control.reference import JointMotion
@@ -26,8 +26,6 @@ from taut.study.stability_plots import draw_locus
 
 __all__ = ["ENTRIES"]
 
-ODE: Final = "SciPy's DOP853 of equation 10.3"
-ROOTS: Final = "numpy.roots"
 HOME: Final = -math.pi / 2.0  # [rad] where figure 10.6 starts
 LONG: Final = 12.0  # [s]
 RATE: Final = 100.0  # [Hz] of the loop with a delay
@@ -36,7 +34,7 @@ BOUND: Final = (B + KD) * KP / M  # [N m/(rad s)] of Ki
 
 def figure_10_6(ki: float) -> Run:
     """A run of figure 10.6."""
-    return simulated(PID(kp=KP, kd=KD, ki=ki), ref=JointMotion(q=[0.0]), duration=LONG, q0=[HOME])
+    return on_link(PID(kp=KP, kd=KD, ki=ki), ref=JointMotion(q=[0.0]), duration=LONG, q0=[HOME])
 
 
 def written_10_6(ki: float, times: np.ndarray) -> np.ndarray:
@@ -60,7 +58,7 @@ def eq_10_11() -> Page:
 def constant_disturbance(ki: float) -> Run:
     """The weight of a slide of 3 kg, which is the same everywhere; critically damped."""
     slide = load_arm("gantry3").subset(["z"]).with_joints(viscous=0.0)
-    return simulated(
+    return on_link(
         PID(kp=300.0, kd=60.0, ki=ki), plant=slide, ref=JointMotion(q=[0.1]), duration=10.0, q0=[0.0]
     )  # fmt: skip
 
@@ -106,7 +104,7 @@ def eq_10_14() -> Page:
         wanted = np.roots([M, B + KD, KP, ki])
         pole = wanted[wanted.real.argmax()]
         ctrl.parameters["law.ki"] = ki
-        run = simulated(ctrl, plant=link(gravity=False), ref=JointMotion(q=[0.0]), duration=30.0, q0=[0.01])
+        run = on_link(ctrl, plant=link(gravity=False), ref=JointMotion(q=[0.0]), duration=30.0, q0=[0.01])
         got = max(two_poles(run.between(6.0, 30.0).q[::100, 0], 0.01).real)
         rows.append(
             row(
@@ -191,7 +189,7 @@ def fig_10_6() -> Page:
                     linestyle="-" if whole else DASHED, linewidth=1.3 if whole else 1.0,
                 )  # fmt: skip
     for ax in axes[:2]:
-        ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK, ncols=1 if ax is axes[0] else 2)
+        legend(ax, ncols=1 if ax is axes[0] else 2)
         ax.set_xlim(0.0, LONG)
     axes[1].set_ylim(-3.0, 5.0)
     ax = axes[2]
@@ -270,7 +268,7 @@ def following() -> Page:
     figure, (ax,) = panels(1, 2.5)
     prepared(ax, "error while a sine is followed", "error [rad]", "t [s]")
     for k, ki in enumerate((0.0, KI)):
-        run = simulated(
+        run = on_link(
             PID(kp=KP, kd=KD, ki=ki), plant=link(gravity=False), ref=sine, duration=10.0 * math.pi, q0=[0.0]
         )  # fmt: skip
         s = 1j * w
@@ -282,7 +280,7 @@ def following() -> Page:
             )
         )
         ax.plot(run.t, run.error[:, 0] if run.error is not None else [], color=colour(k), linewidth=1.4, label=name)
-    ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
+    legend(ax)
     note = (
         "The chapter: integral control does not eliminate tracking error along arbitrary trajectories. Here it even "
         "grows. Chosen: 0.5 rad at 2 rad/s in a horizontal plane, gains of figure 10.6."
@@ -314,7 +312,7 @@ def delayed() -> Page:
     ]
     for factor in (0.95, 1.05):
         taps = round(RATE * factor * border)
-        run = simulated(
+        run = on_link(
             controller(PID(kp=KP, kd=KD), link(gravity=False), rate=RATE), plant=link(gravity=False),
             ref=JointMotion(q=[0.0]), duration=24.0, q0=[0.1], actuation=Actuation(delay=taps / RATE),
         )  # fmt: skip

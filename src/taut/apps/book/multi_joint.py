@@ -9,22 +9,19 @@ from typing import Final
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from taut.apps.book.drawing import panels
+from taut.apps.book.drawing import legend, panels
 from taut.apps.book.oracle import TWO_LINKS, engine, panda, two_links
-from taut.apps.book.page import Entry, Page, Row, row
-from taut.apps.book.tick import ticked
+from taut.apps.book.page import MUJOCO, TWO_BY_HAND, Entry, Page, Row, compared, row
+from taut.apps.book.simulation import simulated, ticked, total
 from taut.arm.load import load_arm
 from taut.base.types import Float64Array
 from taut.control.friction import FrictionCompensation
 from taut.control.joint import PID, ComputedTorque, GravityPID
 from taut.control.reference import JointMotion
 from taut.control.trajectory import Sine
-from taut.controller import compile
 from taut.maths.snapshot import snapshot
-from taut.plant.rigid import RigidPlant
 from taut.record.run import Run
-from taut.record.style import DASHED, INK, SMALL, colour, prepared
-from taut.runtime.simulate import run
+from taut.record.style import DASHED, INK, colour, prepared
 
 __all__ = ["ENTRIES", "Q", "V"]
 
@@ -33,29 +30,7 @@ V: Final = np.array([0.5, -0.3, 0.4, 0.2, -0.6, 0.7, -0.4])  # [rad/s]
 A: Final = np.array([1.0, 0.5, -0.7, 0.9, -0.4, 0.3, 1.1])  # [rad/s^2]
 B: Final = np.array([0.5, 0.5, 0.4, 0.4, 0.2, 0.2, 0.1])  # [N m s/rad]
 REF: Final = JointMotion(q=Q + 0.05, v=V - 0.1, a=A)
-MUJOCO: Final = "MuJoCo: mj_fullM, qfrc_bias"
-BY_HAND: Final = "two links, written out"
 DIFFER: Final = "the joint that differs most"
-
-
-def compared(
-    told: Float64Array, wanted: Float64Array, unit: str, source: str, what: str, rel: float = 1e-9
-) -> list[Row]:
-    """Two rows for a vector: its length, and the entry that is farthest off, beside the largest."""
-    worst = int(np.argmax(np.abs(told - wanted)))
-    scale = float(np.abs(wanted).max())
-    return [
-        row(f"{what}: length", unit, np.linalg.norm(told), np.linalg.norm(wanted), source, rel=rel),
-        row(
-            f"{what}: entry {worst + 1}, which differs most",
-            unit,
-            told[worst],
-            wanted[worst],
-            source,
-            rel=0.0,
-            near=rel * scale,
-        ),
-    ]
 
 
 def eq_10_20() -> Page:
@@ -66,14 +41,14 @@ def eq_10_20() -> Page:
     rows = compared(np.asarray(tau) + friction, m.M @ A + m.h + B * V, "N m", MUJOCO, "torque of the Panda")
     x = snapshot(two_links(), [0.3, 0.8], [1.0, -0.7])
     q, v = np.array([0.3, 0.8]), np.array([1.0, -0.7])
-    rows += compared(np.asarray(x.Cv), TWO_LINKS.Cv(q, v), "N m", BY_HAND, "C v of two links")
-    rows += compared(np.asarray(x.g), TWO_LINKS.g(q), "N m", BY_HAND, "g of two links")
+    rows += compared(np.asarray(x.Cv), TWO_LINKS.Cv(q, v), "N m", TWO_BY_HAND, "C v of two links")
+    rows += compared(np.asarray(x.g), TWO_LINKS.g(q), "N m", TWO_BY_HAND, "g of two links")
     return Page(rows=tuple(rows), note="Chosen: states, accelerations, and viscous friction of the Panda's joints.")
 
 
 def eq_10_21() -> Page:
     ctrl = ticked(ComputedTorque(kp=100.0, kd=20.0, ki=50.0), panda(), Q, V, REF)
-    told = np.sum(list(ctrl.terms.values()), axis=0)
+    told = total(ctrl.terms)
     m = engine().at(Q, V)
     e = REF.q - Q
     wanted = m.M @ (A + 100.0 * e + 50.0 * e * 1e-3 + 20.0 * (REF.v - V)) + m.h
@@ -85,7 +60,7 @@ def eq_10_21() -> Page:
 
 def eq_10_22() -> Page:
     ctrl = ticked(GravityPID(kp=80.0, kd=12.0, ki=30.0), panda(), Q, V, REF)
-    told = np.sum(list(ctrl.terms.values()), axis=0)
+    told = total(ctrl.terms)
     e = REF.q - Q
     wanted = 80.0 * e + 30.0 * e * 1e-3 + 12.0 * (REF.v - V) + engine().at(Q, np.zeros(7)).h
     return Page(
@@ -105,9 +80,8 @@ RATE: Final = 20000.0  # [Hz]
 @cache
 def falling() -> Run:
     """Two links under PD control with gravity compensation, from afar."""
-    ctrl = compile(GravityPID(kp=KP, kd=KD), two_links(), rate=RATE)
-    plant = RigidPlant(two_links(), friction=None, integrator="rk4")
-    return run(ctrl, plant, JointMotion(q=GOAL), duration=LONG, q0=START, progress=False)
+    law, goal = GravityPID(kp=KP, kd=KD), JointMotion(q=GOAL)
+    return simulated(law, two_links(), goal, rate=RATE, duration=LONG, q0=START, integrator="rk4")
 
 
 @cache
@@ -156,7 +130,7 @@ def eq_10_24() -> Page:
     e, M = GOAL - q, TWO_LINKS.M(q)
     wanted = 0.5 * (e @ (KP * e)) + 0.5 * (v @ M @ v)
     return Page(
-        rows=(row("error energy V of two links", "J", energy(q, v), wanted, BY_HAND),),
+        rows=(row("error energy V of two links", "J", energy(q, v), wanted, TWO_BY_HAND),),
         note="Gains and goal of equation 10.23.",
     )
 
@@ -168,7 +142,11 @@ def eq_10_25() -> Page:
     wanted = 0.5 * ((GOAL - q) @ (KP * (GOAL - q))) + 0.5 * (v @ TWO_LINKS.M(q) @ v)
     rows = (
         row(
-            "V at the start", "J", energy(out.q[0], out.v[0]), 0.5 * ((GOAL - START) @ (KP * (GOAL - START))), BY_HAND
+            "V at the start",
+            "J",
+            energy(out.q[0], out.v[0]),
+            0.5 * ((GOAL - START) @ (KP * (GOAL - START))),
+            TWO_BY_HAND,
         ),
         row(
             "V after 0.4 s",
@@ -192,7 +170,7 @@ def eq_10_26() -> Page:
     a = np.linalg.solve(M, KP * e - KD * v - TWO_LINKS.Cv(q, v))
     wanted = -v @ (KP * e) + v @ M @ a + 0.5 * v @ TWO_LINKS.M_rate(q, v) @ v
     return Page(
-        rows=(row("rate of V at 0.15 s, by differences", "W", change, wanted, BY_HAND, rel=2e-3),),
+        rows=(row("rate of V at 0.15 s, by differences", "W", change, wanted, TWO_BY_HAND, rel=2e-3),),
         note="Numbers of equation 10.23.",
     )
 
@@ -204,10 +182,7 @@ def eq_10_27() -> Page:
     q, v = np.array([0.3, 0.8]), np.array([1.0, -0.7])
     C = np.asarray(snapshot(two_links(), q, v).C)
     skew = TWO_LINKS.M_rate(q, v) - 2.0 * C
-    moved = run(
-        compile(GravityPID(kp=KP, kd=KD), two_links(), rate=1000.0), RigidPlant(two_links(), friction=None),
-        JointMotion(q=GOAL), duration=0.001, q0=START, progress=False,
-    )  # fmt: skip
+    moved = simulated(GravityPID(kp=KP, kd=KD), two_links(), JointMotion(q=GOAL), duration=0.001, q0=START)
     a = moved.v[1] * moved.rate
     wanted = np.linalg.solve(TWO_LINKS.M(START), KP * (GOAL - START))
     rows = [
@@ -241,11 +216,11 @@ def eq_10_27() -> Page:
     left.plot(
         times, V_run[0] - y[4], color=INK, linewidth=0.9, linestyle=DASHED, label="V(0) less the integral of v . Kd v"
     )
-    left.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
+    legend(left)
     prepared(right, "errors", "error [rad]", "t [s]")
     for i in (0, 1):
         right.plot(out.t, GOAL[i] - out.q[:, i], color=colour(i), linewidth=1.3, label=f"joint {i + 1}")
-    right.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
+    legend(right)
     note = (
         "Where theta-dot = 0 off the goal, the spring ensures that theta-ddot is not zero, so that theta-dot becomes "
         "so; the chapter writes that theta-dot is not zero. Numbers of equation 10.23."
@@ -260,25 +235,10 @@ def sec_10_2_2_1() -> Page:
     gantry = load_arm("gantry3").with_joints(viscous=0.0)
     goal = np.array([0.2, -0.1, 0.15])
     law, duration = PID(kp=400.0, kd=60.0, ki=100.0), 1.0
-    whole = run(
-        compile(law, gantry),
-        RigidPlant(gantry),
-        JointMotion(q=goal),
-        duration=duration,
-        q0=np.zeros(3),
-        progress=False,
-    )
+    whole = simulated(law, gantry, JointMotion(q=goal), duration=duration, q0=np.zeros(3))
     rows = []
     for i, name in enumerate(gantry.joint_names):
-        alone = gantry.subset([name])
-        single = run(
-            compile(law, alone),
-            RigidPlant(alone),
-            JointMotion(q=[goal[i]]),
-            duration=duration,
-            q0=[0.0],
-            progress=False,
-        )
+        single = simulated(law, gantry.subset([name]), JointMotion(q=[goal[i]]), duration=duration, q0=[0.0])
         apart = np.abs(whole.q[:, i] - single.q[:, 0])
         worst = int(np.argmax(apart)) if apart.any() else -1
         rows.append(
@@ -299,7 +259,7 @@ def sec_10_2_2_1() -> Page:
                 "",
                 told,
                 by_hand,
-                BY_HAND,
+                TWO_BY_HAND,
                 states="nearly diagonal" if G > 1.0 else "",
             )
         )
@@ -312,7 +272,7 @@ def sec_10_2_2_1() -> Page:
                 "",
                 change,
                 wanted_change,
-                BY_HAND,
+                TWO_BY_HAND,
                 states="small" if G > 1.0 else "",
             )
         )
@@ -334,9 +294,8 @@ SINE: Final = Sine(center=GOAL, amplitude=0.5, frequency=0.5)
 def _followed(name: str, law: PID | ComputedTorque) -> Row:
     """The largest error along a sine, beside SciPy's."""
     first = SINE.at(0.0)
-    out = run(
-        compile(law, two_links(), rate=10000.0), RigidPlant(two_links(), friction=None, integrator="rk4"), SINE,
-        duration=2.0, q0=first.q, v0=first.v, progress=False,
+    out = simulated(
+        law, two_links(), SINE, rate=10000.0, duration=2.0, q0=first.q, v0=first.v, integrator="rk4"
     )  # fmt: skip
 
     def rate(t: float, y: Float64Array) -> Float64Array:

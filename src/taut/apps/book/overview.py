@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from taut.apps.book.drawing import arrow, block, box, canvas, panels, words
-from taut.apps.book.link import WRONG_R, B, M, controller, link, simulated, weight
+from taut.apps.book.drawing import arrow, block, box, canvas, legend, panels, words
+from taut.apps.book.link import WRONG_R, B, M, controller, link, on_link, weight
 from taut.apps.book.page import Entry, Page, Row, row
-from taut.apps.book.tick import rms, ticked, total
+from taut.apps.book.simulation import rms, ticked, total
 from taut.control.joint import ComputedTorque
 from taut.control.reference import JointMotion
 from taut.control.trajectory import Sine
@@ -33,7 +33,7 @@ def fig_10_1() -> Page:
     _whole(ax, 3.2, list(ctrl.terms))
     words(ax, 0.1, 1.75, "(b) simplified: ideal sensors, and a controller that directly gives torques", ha="left")
     _simplified(ax, 1.0)
-    tau = total(ctrl.terms)
+    tau = total(ctrl.terms)[0]
     a = KP * 0.2 - KD * 0.2 + 0.2 * 1e-3
     rows = (
         row(
@@ -117,7 +117,7 @@ def sec_10_1() -> Page:
     got, wanted = [], []
     for rate in RATES:
         ctrl = controller(ComputedTorque(kp=KP, kd=KD), link(r=WRONG_R), rate=rate, differenced=True)
-        run = simulated(ctrl, plant=link(), ref=sine, duration=LONG, q0=[0.0], v0=[SIZE * PACE], substeps=4)
+        run = on_link(ctrl, plant=link(), ref=sine, duration=LONG, q0=[0.0], v0=[SIZE * PACE], substeps=4)
         assert run.error is not None
         got.append(rms(run.error[:, 0]))
         wanted.append(written(rate))
@@ -139,7 +139,7 @@ def sec_10_1() -> Page:
     ax.set_ylim(0.0, None)
     ax.set_xticks(RATES, [f"{rate:g}" for rate in RATES])
     ax.minorticks_off()
-    ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
+    legend(ax)
     note = (
         "The chapter: higher update rates are of limited benefit. What is left at high rates is the error of the "
         "model. Chosen: feedback linearisation with Kp = 400, Kd = 40 and differenced positions, r = 0.08 m in the "

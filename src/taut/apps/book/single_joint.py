@@ -20,12 +20,12 @@ from taut.apps.book.link import (
     R,
     controller,
     link,
-    simulated,
+    on_link,
     solved,
     weight,
 )
-from taut.apps.book.page import Entry, Page, row
-from taut.apps.book.tick import ticked
+from taut.apps.book.page import BY_HAND, ODE, Entry, Page, row
+from taut.apps.book.simulation import ticked
 from taut.base.types import Float64Array
 from taut.control.command import Torque
 from taut.control.friction import FrictionCompensation
@@ -41,8 +41,6 @@ __all__ = ["ENTRIES", "ConstantTorque", "pseudocode"]
 
 THETA, V, A = 0.7, 1.3, -0.4  # [rad], [rad/s], [rad/s^2] a state of the link, chosen
 STATE: Final = f"Chosen: theta = {THETA} rad, theta-dot = {V} rad/s, theta-ddot = {A} rad/s^2."
-BY_HAND: Final = "the equation, written out"
-ODE: Final = "SciPy's DOP853 of equation 10.3"
 
 
 class ConstantTorque(Law):
@@ -71,7 +69,7 @@ def eq_10_2() -> Page:
 
 def eq_10_3() -> Page:
     torque, duration = 0.8, 1.5
-    run = simulated(ConstantTorque(tau=torque), ref=JointMotion(q=[0.0]), duration=duration, q0=[THETA], v0=[V])
+    run = on_link(ConstantTorque(tau=torque), ref=JointMotion(q=[0.0]), duration=duration, q0=[THETA], v0=[V])
     wanted = solved(lambda *_: torque, np.zeros_like, times=np.array([0.0, duration]), q0=THETA, v0=V)
     rows = (
         row("angle after 1.5 s under 0.8 N m", "rad", run.q[-1, 0], wanted.theta[-1], ODE),
@@ -154,7 +152,7 @@ def eq_10_6() -> Page:
 def eq_10_7() -> Page:
     sine, duration = Sine(center=[0.0], amplitude=0.5, frequency=0.2), 2.0
     plane = link(gravity=False)
-    run = simulated(PID(kp=KP, kd=KD), plant=plane, ref=sine, duration=duration, q0=[0.0])
+    run = on_link(PID(kp=KP, kd=KD), plant=plane, ref=sine, duration=duration, q0=[0.0])
     w = 2.0 * math.pi * 0.2
 
     def tau(t: float, theta: float, v: float, _: float) -> float:
@@ -167,7 +165,7 @@ def eq_10_7() -> Page:
 
 def eq_10_8() -> Page:
     plane, duration = link(gravity=False), 1.0
-    run = simulated(PID(kp=KP, kd=KD), plant=plane, ref=JointMotion(q=[1.0]), duration=duration, q0=[0.0])
+    run = on_link(PID(kp=KP, kd=KD), plant=plane, ref=JointMotion(q=[1.0]), duration=duration, q0=[0.0])
     s = (B + KD) / (2.0 * M)  # both roots: critically damped
     wanted = (1.0 + s * duration) * math.exp(-s * duration)
     rows = (
