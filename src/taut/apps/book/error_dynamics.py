@@ -176,7 +176,7 @@ def fig_10_4() -> Page:
     ax.annotate(
         "", (run.t[k], e[k]), (run.t[k], sag), arrowprops={"arrowstyle": "<->", "color": INK, "linewidth": 0.9}
     )
-    ax.text(run.t[k] + 0.02, 0.5 * (e[k] + sag), "overshoot", fontsize=SMALL, color=INK, va="center")
+    ax.text(run.t[k] + 0.085, e[k] + 0.1, "overshoot", fontsize=SMALL, color=INK, va="center")
     legend(ax)
     ax.set_xlim(0.0, 1.5)
     note = "Chosen: a slide of 3 kg that its weight pulls down, zeta = 0.25, omega_n = 20 rad/s, a step of 0.2 m."

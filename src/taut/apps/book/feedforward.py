@@ -214,11 +214,12 @@ def fig_10_12() -> Page:
         axes[0].plot(run.t, run.q[:, 0], color=colour(k), linewidth=1.3)
         axes[1].plot(run.t, run.error[:, 0], color=colour(k), linewidth=1.3, label=name)
         axes[2].bar(k, run.metrics.effort[0], color=colour(k))
-    axes[0].plot(run.t, desired(2, run.t)[0], color=INK, linewidth=0.9, linestyle=DASHED)
+    axes[0].plot(run.t, desired(2, run.t)[0], color=INK, linewidth=0.9, linestyle=DASHED, label="desired")
     axes[2].set_xticks([])
+    names, wanted_too = (axes[k].get_legend_handles_labels() for k in (1, 0))
     figure.legend(
-        *axes[1].get_legend_handles_labels(), loc="outside upper left", ncols=4, fontsize=SMALL, frameon=False,
-        labelcolor=INK, columnspacing=1.2, handlelength=1.6,
+        names[0] + wanted_too[0], names[1] + wanted_too[1], loc="outside upper left", ncols=5, fontsize=SMALL,
+        frameon=False, labelcolor=INK, columnspacing=1.2, handlelength=1.6,
     )  # fmt: skip
     error = {name: (rms(run.q[:, 0] - desired(2, run.t)[0]), rms(written.e)) for name, (run, written) in runs.items()}
     effort = {name: (run.metrics.effort[0], written.effort[-1]) for name, (run, written) in runs.items()}

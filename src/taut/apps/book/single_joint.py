@@ -201,19 +201,26 @@ def fig_10_2() -> Page:
     ax.fill(*outline.T, facecolor="#E4EBF2", edgecolor=INK, linewidth=1.0)
     ax.plot(0.0, 0.0, "o", color=INK, markersize=7.0)
     ax.plot(*centre, "o", color=colour(3), markersize=6.0)
-    for place, letter in ((centre + 0.012 * across - 0.014 * along, "m"), (0.5 * centre + 0.03 * across, "r")):
+    ends = [place + 0.03 * across for place in (np.zeros(2), centre)]
+    for one, other in (ends, ends[::-1]):
+        arrow(ax, tuple(one), tuple(other), width=0.8)
+    beside = centre + np.array([0.015, -0.007])
+    for place, letter in ((beside, "m"), (0.5 * (ends[0] + ends[1]) + 0.011 * across, "r")):
         words(ax, float(place[0]), float(place[1]), letter, size=SMALL + 1.0)
+    motor = 0.038 * np.array([[math.cos(a), math.sin(a)] for a in np.linspace(-0.75 * math.pi, -0.2 * math.pi, 30)])
+    arrow(ax, *[tuple(each) for each in motor.tolist()], width=1.4)
+    words(ax, 0.0, -0.05, r"$\tau$", size=SMALL + 2.0)
     ax.plot([0.0, 0.24], [0.0, 0.0], color=INK, linewidth=0.6, linestyle="--")
     turn = np.linspace(0.0, theta, 30)
     ax.plot(0.13 * np.cos(turn), 0.13 * np.sin(turn), color=INK, linewidth=0.9)
     words(ax, 0.148 * math.cos(0.5 * theta), 0.148 * math.sin(0.5 * theta), r"$\theta$", size=SMALL + 2.0)
     arrow(ax, (0.3, 0.14), (0.3, 0.04), width=1.6)
     words(ax, 0.318, 0.09, "g", size=SMALL + 1.0)
-    frame(ax, np.zeros(2), np.eye(2), "s", length=0.05)
+    frame(ax, np.zeros(2), np.eye(2), "s", aside=np.array([-0.045, 0.0]), length=0.05)
     R_W = np.asarray(T.R)
-    frame(ax, centre, R_W[np.ix_([0, 2], [0, 2])], "b", length=0.05)
-    ax.set_xlim(-0.06, 0.35)
-    ax.set_ylim(-0.06, 0.17)
+    frame(ax, centre, R_W[np.ix_([0, 2], [0, 2])], "b", aside=-0.022 * along, length=0.05)
+    ax.set_xlim(-0.09, 0.35)
+    ax.set_ylim(-0.07, 0.17)
     return Page(
         rows=rows,
         figure=figure,
