@@ -20,12 +20,14 @@ from taut.apps.book import (
     force,
     friction,
     gearing,
+    high_low,
     hybrid,
     impedance,
     integral,
     multi_joint,
     overview,
     single_joint,
+    task_errors,
     task_space,
 )
 from taut.apps.book.page import Entry, Page, Row
@@ -43,11 +45,13 @@ CONTENTS: Final[tuple[Entry, ...]] = (
     *gearing.ENTRIES,
     *multi_joint.ENTRIES,
     *task_space.ENTRIES,
+    *task_errors.ENTRIES,
     *force.ENTRIES,
     *constraints.ENTRIES,
     *hybrid.ENTRIES,
     *display.ENTRIES,
     *impedance.ENTRIES,
+    *high_low.ENTRIES,
 )
 """In the order of the chapter."""
 DPI: Final = 150

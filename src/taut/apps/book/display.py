@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from taut.apps.book.drawing import arrow, box, legend, panels, words
+from taut.apps.book.oracle import held_radius
 from taut.apps.book.page import Entry, Page, Row, row
 from taut.apps.book.simulation import simulated, two_poles
 from taut.arm.load import load_arm
@@ -26,13 +26,8 @@ POLES: Final = "poles of the held mass"
 
 
 def radius(stiffness: float, rate: float) -> float:
-    """Largest modulus of the poles of a mass under u = -K x - B v, held over a tick, with v differenced."""
-    T = 1.0 / rate
-    held = expm(np.array([[0.0, 1.0, 0.0], [0.0, -DAMPING / MASS, 1.0 / MASS], [0.0, 0.0, 0.0]]) * T)
-    loop = np.zeros((3, 3))  # of x, v and the x before
-    loop[:2, :2], loop[2, 0] = held[:2, :2], 1.0
-    loop[:2] -= np.outer(held[:2, 2], [stiffness + VIRTUAL / T, 0.0, -VIRTUAL / T])
-    return float(np.abs(np.linalg.eigvals(loop)).max())
+    """Largest modulus of the display's poles."""
+    return held_radius(MASS, DAMPING, stiffness, VIRTUAL, rate)
 
 
 def stiffest(rate: float) -> float:

@@ -11,8 +11,9 @@ from scipy.optimize import brentq
 
 from taut.apps.book.drawing import arrow, legend, panels, words
 from taut.apps.book.link import KD, KI, KP, SAMPLED, B, M, R, controller, link, on_link, solved, weight
+from taut.apps.book.oracle import held_radius
 from taut.apps.book.page import ODE, ROOTS, Entry, Page, Row, row
-from taut.apps.book.simulation import two_poles
+from taut.apps.book.simulation import looped, two_poles
 from taut.arm.load import load_arm
 from taut.control.joint import PID
 from taut.control.reference import JointMotion
@@ -20,7 +21,10 @@ from taut.control.trajectory import Sine
 from taut.plant.actuation import Actuation
 from taut.record.run import Run
 from taut.record.style import DASHED, INK, SMALL, colour, prepared
+from taut.study.linear_loop import LinearLoop
+from taut.study.linearise import linearise
 from taut.study.locus import locus
+from taut.study.sampled_errors import SampledErrorDynamics
 from taut.study.second_order import second_order
 from taut.study.stability_plots import draw_locus
 
@@ -98,7 +102,25 @@ def eq_10_13() -> Page:
 def eq_10_14() -> Page:
     pd = second_order(M=M, b=B, kp=KP, kd=KD)
     rows: list[Row] = [row("bound of Ki", "N m/(rad s)", pd.largest_ki, BOUND, "(b + Kd) Kp / M")]
-    ctrl = controller(PID(kp=KP, kd=KD, ki=KI), link(gravity=False))
+    plane = link(gravity=False)
+    ctrl = controller(PID(kp=KP, kd=KD, ki=KI), plane)
+    loop = looped(ctrl, plane, JointMotion(q=[0.0]), friction="arm", integrator="rk4")
+
+    def compiled(ki: float) -> LinearLoop:
+        loop.parameters["law.ki"] = ki
+        return linearise(loop, at=[0.0])
+
+    (border,) = locus(compiled, [0.8 * BOUND, 1.2 * BOUND]).borders
+    rows.append(
+        row(
+            "Ki at which taut.laws.PID loses stability",
+            "N m/(rad s)",
+            border.value,
+            BOUND,
+            "(b + Kd) Kp / M",
+            rel=1e-3,
+        )
+    )
     for factor in (0.9, 1.1):
         ki = factor * BOUND
         wanted = np.roots([M, B + KD, KP, ki])
@@ -281,7 +303,8 @@ def following() -> Page:
         )
         assert run.error is not None
         ax.plot(run.t[::100], run.error[::100, 0], color=colour(k), linewidth=1.4, label=name)
-    legend(ax)
+    ax.set_ylim(-0.32, 0.42)
+    legend(ax, ncols=2)
     note = (
         "The chapter: integral control does not eliminate tracking error along arbitrary trajectories. Here it even "
         "grows. Chosen: 0.5 rad at 2 rad/s in a horizontal plane, gains of figure 10.6."
@@ -328,6 +351,44 @@ def delayed() -> Page:
     return Page(rows=tuple(rows), note=note)
 
 
+def bounded() -> Page:
+    """Critically damped designs at 100 Hz with differenced positions: in the book any of them is stable."""
+
+    def sampled(omega_n: float) -> SampledErrorDynamics:
+        return second_order(M=M, b=B, omega_n=omega_n, zeta=1.0).sampled(rate=RATE, velocity="difference")
+
+    def radius(omega_n: float) -> float:
+        return held_radius(M, B, M * omega_n**2, 2.0 * M * omega_n - B, RATE)
+
+    (border,) = locus(sampled, [1.0, 100.0]).borders
+    wanted = brentq(lambda omega_n: radius(omega_n) - 1.0, 1.0, 100.0)
+    source = "poles of the held link, bisected"
+    claim = "instability due to the finite servo rate"
+    rows = [
+        row("omega_n up to which zeta = 1 is stable at 100 Hz", "rad/s", border.value, wanted, source, rel=1e-6),
+        row("Kp there", "N m/rad", sampled(border.value).gains.kp, M * wanted**2, source, rel=1e-6),
+        row(
+            "the same in continuous time: stable", "0 or 1", sampled(border.value).continuous.stable, 1.0, "Re s < 0"
+        ),
+    ]
+    plane, rest = link(gravity=False), JointMotion(q=[0.0])
+    for factor in (0.95, 1.05):
+        omega_n = factor * border.value
+        law = PID(kp=M * omega_n**2, kd=2.0 * M * omega_n - B)
+        run = on_link(
+            controller(law, plane, rate=RATE, differenced=True), plant=plane, ref=rest, duration=1.5, q0=[1e-3],
+            substeps=4,
+        )  # fmt: skip
+        got = float(np.exp(max(two_poles(run.q[60:, 0], 1.0).real)))
+        name = f"growth of a swing in a tick, omega_n = {factor:g} of that"
+        rows.append(row(name, "", got, radius(omega_n), "poles of the held link", rel=1e-4, states=claim))
+    note = (
+        "According to the simple model Kp and Kd could grow without bound. With a servo of 100 Hz and differenced "
+        "positions as in figure 10.8 they cannot, even with a torque that has no limits. In a horizontal plane."
+    )
+    return Page(rows=tuple(rows), note=note)
+
+
 ENTRIES: Final = (
     Entry(id="eq-10.11", title="the link in gravity under PD control", make=eq_10_11),
     Entry(id="fig-10.6", title="PD and PID control in gravity", make=fig_10_6),
@@ -342,4 +403,5 @@ ENTRIES: Final = (
         part="sine",
     ),
     Entry(id="sec-10.2.1.1", title="delayed feedback destabilises", make=delayed, part="delay"),
+    Entry(id="sec-10.2.1.1", title="practical bounds on gains", make=bounded, part="bounds"),
 )

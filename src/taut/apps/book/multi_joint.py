@@ -22,6 +22,7 @@ from taut.control.trajectory import Sine
 from taut.maths.snapshot import snapshot
 from taut.record.run import Run
 from taut.record.style import DASHED, INK, colour, prepared
+from taut.study.lyapunov import Lyapunov, lyapunov
 
 __all__ = ["ENTRIES", "Q", "V"]
 
@@ -98,10 +99,16 @@ def written() -> tuple[Float64Array, Float64Array]:
     return times, got.y
 
 
+@cache
+def found() -> Lyapunov:
+    """V along that run, and its rate at each tick."""
+    return lyapunov(falling())
+
+
 def energy(q: Float64Array, v: Float64Array) -> float:
-    """V of equation 10.24, by this library's mass matrix [J]."""
+    """V of equation 10.24, written out [J]."""
     e = GOAL - q
-    return float(0.5 * e @ (KP * e) + 0.5 * v @ np.asarray(snapshot(two_links(), q, v).M) @ v)
+    return float(0.5 * e @ (KP * e) + 0.5 * v @ TWO_LINKS.M(q) @ v)
 
 
 def eq_10_23() -> Page:
@@ -126,59 +133,44 @@ def eq_10_23() -> Page:
 
 
 def eq_10_24() -> Page:
-    q, v = np.array([0.3, 0.8]), np.array([1.0, -0.7])
-    e, M = GOAL - q, TWO_LINKS.M(q)
-    wanted = 0.5 * (e @ (KP * e)) + 0.5 * (v @ M @ v)
+    out, k = falling(), round(0.15 * RATE)
+    wanted = energy(out.q[k], out.v[k])
     return Page(
-        rows=(row("error energy V of two links", "J", energy(q, v), wanted, TWO_BY_HAND),),
-        note="Gains and goal of equation 10.23.",
+        rows=(row("error energy V of two links, after 0.15 s", "J", found().V[k], wanted, TWO_BY_HAND),),
+        note="By taut.lyapunov. The run of equation 10.23.",
     )
 
 
 def eq_10_25() -> Page:
-    out, (times, y) = falling(), written()
-    k, at = round(0.4 * RATE), int(np.searchsorted(times, 0.4 - 1e-9))
-    q, v = y[:2, at], y[2:4, at]
-    wanted = 0.5 * ((GOAL - q) @ (KP * (GOAL - q))) + 0.5 * (v @ TWO_LINKS.M(q) @ v)
+    times, y = written()
+    at = int(np.searchsorted(times, 0.4 - 1e-9))
+    ode = "SciPy's DOP853 of 10.23, written out"
+    V, e = found().V, GOAL - START
     rows = (
-        row(
-            "V at the start",
-            "J",
-            energy(out.q[0], out.v[0]),
-            0.5 * ((GOAL - START) @ (KP * (GOAL - START))),
-            TWO_BY_HAND,
-        ),
-        row(
-            "V after 0.4 s",
-            "J",
-            energy(out.q[k], out.v[k]),
-            wanted,
-            "SciPy's DOP853 of 10.23, written out",
-            rel=0.0,
-            near=5e-3,
-        ),
+        row("V at the start", "J", V[0], 0.5 * (e @ (KP * e)), TWO_BY_HAND),
+        row("V after 0.4 s", "J", V[round(0.4 * RATE)], energy(y[:2, at], y[2:4, at]), ode, rel=0.0, near=5e-3),
     )
     return Page(rows=rows, note="Numbers of equation 10.23.")
 
 
 def eq_10_26() -> Page:
-    out = falling()
-    k = round(0.15 * RATE)
-    change = (energy(out.q[k + 1], out.v[k + 1]) - energy(out.q[k - 1], out.v[k - 1])) * 0.5 * RATE
+    out, k = falling(), round(0.15 * RATE)
     q, v = out.q[k], out.v[k]
     M, e = TWO_LINKS.M(q), GOAL - q
     a = np.linalg.solve(M, KP * e - KD * v - TWO_LINKS.Cv(q, v))
     wanted = -v @ (KP * e) + v @ M @ a + 0.5 * v @ TWO_LINKS.M_rate(q, v) @ v
-    return Page(
-        rows=(row("rate of V at 0.15 s, by differences", "W", change, wanted, TWO_BY_HAND, rel=2e-3),),
-        note="Numbers of equation 10.23.",
+    V = found().V
+    rows = (
+        row("rate of V at 0.15 s", "W", found().rate[k], wanted, TWO_BY_HAND),
+        row("the same by differences of V", "W", 0.5 * RATE * (V[k + 1] - V[k - 1]), wanted, TWO_BY_HAND, rel=2e-3),
     )
+    return Page(rows=rows, note="Numbers of equation 10.23.")
 
 
 def eq_10_27() -> Page:
     out, (times, y) = falling(), written()
-    steps = out.q[:: round(0.01 * RATE)], out.v[:: round(0.01 * RATE)]
-    V_run = np.array([energy(q, v) for q, v in zip(*steps, strict=True)])
+    k, some = round(0.15 * RATE), slice(None, None, round(0.01 * RATE))
+    V = found().V
     q, v = np.array([0.3, 0.8]), np.array([1.0, -0.7])
     C = np.asarray(snapshot(two_links(), q, v).C)
     skew = TWO_LINKS.M_rate(q, v) - 2.0 * C
@@ -186,10 +178,10 @@ def eq_10_27() -> Page:
     a = moved.v[1] * moved.rate
     wanted = np.linalg.solve(TWO_LINKS.M(START), KP * (GOAL - START))
     rows = [
-        row("V lost in 8 s", "J", V_run[0] - V_run[-1], y[4, -1], "integral of v . Kd v by SciPy", rel=1e-3),
-        row(
-            "rises of V over 800 steps of 10 ms", "", int((np.diff(V_run) > 1e-9).sum()), 0, "the chapter: decreasing"
-        ),
+        row("rate of V at 0.15 s", "W", found().rate[k], -out.v[k] @ (KD * out.v[k]), "-v . Kd v", rel=1e-6),
+        row("both at their worst, apart, over the largest rate", "", found().worst, 0.0, "-v . Kd v", near=1e-6),
+        row("V lost in 0.4 s", "J", V[0] - V[round(0.4 * RATE)], y[4, 40], "integral of v . Kd v by SciPy", rel=1e-3),
+        row("ticks after which V is larger", "", int((np.diff(V) > 1e-9).sum()), 0, "the chapter: decreasing"),
         row(
             "largest entry of M-dot - 2 C, less its skew part",
             "",
@@ -210,16 +202,15 @@ def eq_10_27() -> Page:
         row("error in the end", "rad", np.abs(out.q[-1] - GOAL).max(), 0.0, "the chapter: converges", near=1e-3),
     ]
     figure, (left, right) = panels(2, 2.5)
-    t = out.t[:: round(0.01 * RATE)]
     prepared(left, "error energy", "V [J]", "t [s]")
-    left.plot(t, V_run, color=colour(0), linewidth=1.5, label="of the run")
+    left.plot(out.t[some], V[some], color=colour(0), linewidth=1.5, label="of the run")
     left.plot(
-        times, V_run[0] - y[4], color=INK, linewidth=0.9, linestyle=DASHED, label="V(0) less the integral of v . Kd v"
+        times, V[0] - y[4], color=INK, linewidth=0.9, linestyle=DASHED, label="V(0) less the integral of v . Kd v"
     )
     legend(left)
     prepared(right, "errors", "error [rad]", "t [s]")
     for i in (0, 1):
-        right.plot(out.t, GOAL[i] - out.q[:, i], color=colour(i), linewidth=1.3, label=f"joint {i + 1}")
+        right.plot(out.t[some], GOAL[i] - out.q[some, i], color=colour(i), linewidth=1.3, label=f"joint {i + 1}")
     legend(right)
     note = (
         "Where theta-dot = 0 off the goal, the spring ensures that theta-ddot is not zero, so that theta-dot becomes "

@@ -12,11 +12,27 @@ from taut.base.types import ArrayLike, Float64Array
 from taut.control.law import Law
 from taut.control.reference import Sample
 from taut.controller import Controller, compile
+from taut.loop import Loop
 from taut.plant.rigid import RigidPlant
 from taut.record.run import Run
 from taut.runtime.simulate import run
 
-__all__ = ["one_pole", "rms", "simulated", "ticked", "total", "two_poles"]
+__all__ = ["looped", "one_pole", "rms", "simulated", "ticked", "total", "two_poles"]
+
+
+def looped(
+    law: Law | Controller,
+    arm: Arm,
+    ref: object = None,
+    *,
+    rate: float = 1000.0,
+    plant: Arm | None = None,
+    duration: float = 1.0,
+    **options: Any,
+) -> Loop:
+    """A law for an arm on a rigid plant of the same arm or another, without friction if no more is said."""
+    ctrl = law if isinstance(law, Controller) else compile(law, arm, rate=rate)
+    return Loop(ctrl, RigidPlant(plant or arm, **{"friction": None, **options}), ref, duration=duration)
 
 
 def simulated(
@@ -31,7 +47,7 @@ def simulated(
     plant: Arm | None = None,
     **options: Any,
 ) -> Run:
-    """A run of a law for an arm, on a rigid plant of the same arm or another, without friction if no more is said.
+    """A run of such a loop.
 
     Args:
         law: Or a controller of it, whose rate it then is.
@@ -44,9 +60,8 @@ def simulated(
         plant: What there really is; `arm` if left out.
         **options: Of the `RigidPlant`.
     """
-    ctrl = law if isinstance(law, Controller) else compile(law, arm, rate=rate)
-    sink = RigidPlant(plant or arm, **{"friction": None, **options})
-    return run(ctrl, sink, ref, duration=duration, q0=q0, v0=v0, progress=False)
+    loop = looped(law, arm, ref, rate=rate, plant=plant, duration=duration, **options)
+    return run(loop, q0=q0, v0=v0, progress=False)
 
 
 def ticked(law: Law, arm: Arm, q: ArrayLike, v: ArrayLike, ref: Sample, **measured: ArrayLike) -> Controller:
