@@ -87,7 +87,7 @@ def test_higher_rates_stop_paying() -> None:
     errors = numbers(execute("10_1_servo_rate").text, r"RMS error # mrad")
     assert len(errors) == 6
     assert errors[3] < 0.3 * errors[0]
-    assert errors[5] > 0.9 * errors[3]
+    assert errors[5] > 0.95 * errors[4]
 
 
 def test_gravity_leaves_an_error_that_an_integral_takes_away() -> None:
