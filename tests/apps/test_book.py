@@ -307,6 +307,16 @@ class TestThePanda:
         lost = computed(book, "eq-10.27", "V lost in 0.4 s")
         assert lost == pytest.approx(80.1 - computed(book, "eq-10.25", "V after 0.4 s"), rel=1e-9)  # 80.1 J by hand
 
+    def test_gears_decouple_two_links(self, book: list[contents.Made]) -> None:
+        direct, geared = (computed(book, "sec-10.2.2.1", f"goal of another, at most, G = {G}") for G in (1, 100))
+        assert direct > 0.5
+        assert geared < 0.01
+
+    def test_a_flexible_transmission_raises_the_order(self, book: list[contents.Made]) -> None:
+        assert computed(book, "sec-10.6", "flexible") - computed(book, "sec-10.6", "rigid") == 2
+        two = control.tf([5.0, 2000.0], [1.0, 5.0 * 3.0, 2000.0 * 3.0])  # 1 / M + 1 / G^2 I_motor = 3
+        assert computed(book, "sec-10.6", "imaginary part") == pytest.approx(two.poles()[0].imag, rel=1e-3)
+
 
 class TestTheEnvironment:
     def test_motion_control_is_stiff_and_force_control_soft(self, book: list[contents.Made]) -> None:

@@ -25,6 +25,7 @@ from taut.apps.book import (
     impedance,
     integral,
     multi_joint,
+    other_topics,
     overview,
     single_joint,
     task_errors,
@@ -52,6 +53,7 @@ CONTENTS: Final[tuple[Entry, ...]] = (
     *display.ENTRIES,
     *impedance.ENTRIES,
     *high_low.ENTRIES,
+    *other_topics.ENTRIES,
 )
 """In the order of the chapter."""
 DPI: Final = 150

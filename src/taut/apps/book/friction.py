@@ -23,18 +23,18 @@ LAWS: Final = {
     "(e) static, kinetic, viscous": Friction(coulomb=KINETIC, static=STATIC, viscous=VISCOUS),
     "(f) Stribeck": Friction(coulomb=KINETIC, static=STATIC, viscous=VISCOUS, stribeck=STRIBECK),
 }
-SPEEDS: Final = (0.05, 1.0)  # [rad/s]
+SPEEDS: Final = (0.05, -1.0)  # [rad/s]
 REST: Final = JointMotion(q=[0.0])
 STICKING: Final = "semi-implicit-euler"
 EQUATION: Final = "the law of the panel, written out"
 
 
 def torque(panel: str, v: float) -> float:
-    """What each panel says of a joint that moves at v > 0 [N m]."""
+    """What each panel says of a joint that moves [N m]."""
     dry = {"(a) viscous": 0.0}.get(panel, KINETIC)
     if panel == "(f) Stribeck":
         dry = KINETIC + (STATIC - KINETIC) * math.exp(-((v / STRIBECK) ** 2))
-    return dry + (VISCOUS * v if "viscous" in panel or panel == "(f) Stribeck" else 0.0)
+    return math.copysign(dry, v) + (VISCOUS * v if "viscous" in panel or panel == "(f) Stribeck" else 0.0)
 
 
 def fig_10_14() -> Page:

@@ -199,7 +199,7 @@ def fig_10_6() -> Page:
     prepared(axes[0], "error", "error [rad]", "t [s]")
     prepared(axes[1], "terms", "torque [N m]", "t [s]")
     for k, (name, run) in enumerate(runs.items()):
-        axes[0].plot(run.t, e[name], color=colour(k), linewidth=1.5, label=name)
+        axes[0].plot(run.t[::50], e[name][::50], color=colour(k), linewidth=1.5, label=name)
     axes[0].axhline(0.0, color=INK, linewidth=0.6)
     styles = {"P": colour(2), "I": colour(3), "D": colour(4)}
     for name, run in runs.items():
@@ -207,7 +207,7 @@ def fig_10_6() -> Page:
             if name == "PID" or term != "I":
                 whole = name == "PID"
                 axes[1].plot(
-                    run.t, values[:, 0], color=styles[term], label=f"{name} {term}",
+                    run.t[::50], values[::50, 0], color=styles[term], label=f"{name} {term}",
                     linestyle="-" if whole else DASHED, linewidth=1.3 if whole else 1.0,
                 )  # fmt: skip
     for ax in axes[:2]:
