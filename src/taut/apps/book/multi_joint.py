@@ -284,8 +284,8 @@ def sec_10_2_2_1() -> Page:
         rows.append(_followed(law_name, control))
     note = (
         "A gantry is three single joints, to rounding; gears make the mass matrix nearly diagonal and nearly "
-        "constant: by taut.coupling, for joints that PD control makes equally fast, without gravity. Chosen: PID with "
-        "kp = 400, kd = 60, ki = 100; rotors of 1e-3 kg m^2."
+        "constant: by taut.coupling, for joints that PD control makes equally fast, without gravity. Chosen: PID "
+        "with kp = 400, kd = 60, ki = 100; rotors of 1e-3 kg m^2."
     )
     return Page(rows=tuple(rows), note=note)
 
