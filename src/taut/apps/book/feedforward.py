@@ -297,7 +297,7 @@ def fig_10_11() -> Page:
         row("all terms together", "N m", total(terms)[0], tau, BY_HAND),
     )
     figure = law_diagram(list(terms), "feedback linearisation: the terms of taut.laws.ComputedTorque", inertia=True)
-    return Page(rows=rows, figure=figure)
+    return Page(rows=rows, figure=figure, note="Numbers of equation 10.18; without friction.")
 
 
 def fig_10_13() -> Page:

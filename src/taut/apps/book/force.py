@@ -74,7 +74,8 @@ def eq_10_34() -> Page:
     ctrl = ticked(ForceControl(feedback="none", null=None), panda(), Q, np.zeros(7), REST)
     told = total(ctrl.terms)
     m = engine().at(Q, np.zeros(7))
-    return Page(rows=tuple(compared(told, m.h + m.J.T @ F, "N m", MUJOCO, "torque of the Panda")))
+    rows = compared(told, m.h + m.J.T @ F, "N m", MUJOCO, "torque of the Panda")
+    return Page(rows=tuple(rows), note="The wrench of equation 10.33.")
 
 
 def eq_10_35() -> Page:

@@ -237,7 +237,8 @@ def fig_10_3() -> Page:
         row("term D", "N m", ctrl.terms["D"][0], -KD * V, BY_HAND),
     )
     figure = law_diagram(list(ctrl.terms), "PID: the terms of taut.laws.PID", inertia=False)
-    return Page(rows=rows, figure=figure)
+    note = "Chosen: theta_d = 1.0 rad, theta = 0.2 rad, theta-dot = 1.3 rad/s; gains of figure 10.6."
+    return Page(rows=rows, figure=figure, note=note)
 
 
 def fig_10_8() -> Page:
