@@ -206,6 +206,12 @@ class TestOneJoint:
         )
         assert computed(book, "sec-10.1", "RMS error at 5000 Hz") == pytest.approx(left, rel=0.05)  # of the model's r
 
+    def test_a_low_pass_takes_the_jitter_of_an_encoder(self, book: list[contents.Made]) -> None:
+        """One tick in twenty shows 1 rad/s and all others none."""
+        alone = computed(book, "sec-10.1", "jitter, differenced")
+        assert alone == pytest.approx(math.sqrt(0.05 * (1.0 - 0.05)), rel=1e-3)
+        assert computed(book, "sec-10.1", "jitter, with a low-pass") < 0.2 * alone
+
     def test_gears(self, book: list[contents.Made]) -> None:
         assert computed(book, "sec-10.2.1.5", "that is the link's") == pytest.approx(99.9, abs=0.01)
         assert computed(book, "sec-10.2.1.5", "the motor's inertia over") == pytest.approx(10.0)

@@ -6,15 +6,19 @@ import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.signal import butter, lfilter
 
 from taut.apps.book.drawing import arrow, block, box, canvas, legend, panels, words
 from taut.apps.book.link import WRONG_R, B, M, controller, link, on_link, weight
 from taut.apps.book.page import Entry, Page, Row, row
 from taut.apps.book.simulation import rms, ticked, total
 from taut.control.friction import FrictionCompensation
-from taut.control.joint import ComputedTorque
+from taut.control.joint import PID, ComputedTorque
 from taut.control.reference import JointMotion
+from taut.control.sensing import Sensing
 from taut.control.trajectory import Sine
+from taut.control.velocity import Difference
+from taut.controller import compile
 from taut.record.style import COLOURS, INK, SMALL, colour, prepared
 
 if TYPE_CHECKING:
@@ -154,7 +158,39 @@ def sec_10_1() -> Page:
     return Page(rows=tuple(rows), figure=figure, note=note)
 
 
+# -------------------------------------------------------------------- velocity by differences
+
+STEP, PACE_SLOW, CUTOFF, TICKS = 1e-3, 0.05, 20.0, 2000  # [rad] of an encoder, [rad/s], [Hz], of 1 ms
+
+
+def jitter() -> Page:
+    """A joint that turns slowly, seen by a coarse encoder, differenced with and without a low-pass."""
+    seen = STEP * np.round(PACE_SLOW * 1e-3 * np.arange(TICKS) / STEP)
+    rest, half = JointMotion(q=[0.0]), TICKS // 2
+    differenced = np.diff(seen, prepend=seen[0]) * 1e3
+    wanted = {"differenced": differenced, "with a low-pass": lfilter(*butter(1, CUTOFF, fs=1e3), differenced)}
+    rows: list[Row] = []
+    figure, (ax,) = panels(1, 2.3)
+    prepared(ax, "velocity by differences, from an encoder of 1 mrad", "velocity [rad/s]", "t [s]")
+    ways = (
+        ("differenced", Difference(), "NumPy's diff", "high frequency jitter due to quantization"),
+        ("with a low-pass", Difference(cutoff=CUTOFF), "SciPy's butter and lfilter", "to reduce it"),
+    )
+    for k, (name, velocity, source, claim) in enumerate(ways):
+        ctrl = compile(PID(kp=0.0, kd=1.0), link(), rate=1e3, sensing=Sensing(velocity=velocity))
+        told = -np.array([ctrl.step([q], ref=rest)[0] for q in seen])
+        what, want = f"RMS of the velocity's jitter, {name}", wanted[name][half:].std()
+        rows.append(row(what, "rad/s", told[half:].std(), want, source, rel=1e-6, states=claim))
+        t = 1e-3 * np.arange(half, half + 200)
+        ax.plot(t, told[half : half + 200], color=colour(k), linewidth=0.8 + 0.8 * k, label=name)
+    ax.axhline(PACE_SLOW, color=INK, linewidth=0.9, label="true")
+    legend(ax)
+    note = "Chosen: 0.05 rad/s, an encoder of 1 mrad, 1 kHz, a low-pass of 20 Hz."
+    return Page(rows=tuple(rows), figure=figure, note=note)
+
+
 ENTRIES: Final = (
     Entry(id="fig-10.1", title="a robot control system", make=fig_10_1),
     Entry(id="sec-10.1", title="higher servo rates stop paying", make=sec_10_1, part="rates"),
+    Entry(id="sec-10.1", title="jitter of differenced positions", make=jitter, part="jitter"),
 )
