@@ -13,6 +13,7 @@ from typing import Any, Final
 from rich.table import Table
 
 from taut.apps.book import (
+    claims,
     constraints,
     display,
     error_dynamics,
@@ -41,6 +42,7 @@ CONTENTS: Final[tuple[Entry, ...]] = (
     *single_joint.ENTRIES,
     *error_dynamics.ENTRIES,
     *integral.ENTRIES,
+    *claims.ENTRIES,
     *feedforward.ENTRIES,
     *friction.ENTRIES,
     *gearing.ENTRIES,

@@ -184,7 +184,8 @@ def jitter() -> Page:
         t = 1e-3 * np.arange(half, half + 200)
         ax.plot(t, told[half : half + 200], color=colour(k), linewidth=0.8 + 0.8 * k, label=name)
     ax.axhline(PACE_SLOW, color=INK, linewidth=0.9, label="true")
-    legend(ax)
+    ax.set_ylim(-0.1, 1.4)
+    legend(ax, ncols=3)
     note = "Chosen: 0.05 rad/s, an encoder of 1 mrad, 1 kHz, a low-pass of 20 Hz."
     return Page(rows=tuple(rows), figure=figure, note=note)
 
