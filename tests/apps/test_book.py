@@ -111,6 +111,7 @@ class TestOneJoint:
             e = 0.5 * e + 0.5 * MASS * G * R * math.cos(e) / KP
         assert computed(book, "eq-10.11", "at rest") == pytest.approx(e, rel=1e-6)
         assert computed(book, "fig-10.6", "PD: error in the end") == pytest.approx(e, rel=1e-6)
+        assert computed(book, "eq-10.11", "ten times as large") < 0.11 * e
         y = rk4(lambda t, q, v, s: (-KP * q + KI * s - KD * v, -q), -0.5 * math.pi, 12.0)
         assert computed(book, "fig-10.6", "PID: least error") == pytest.approx(-y[:, 0].max(), rel=1e-3)
         assert computed(book, "fig-10.6", "PID: overshoot") == pytest.approx(

@@ -31,9 +31,9 @@ LONG: Final = 12.0  # [s]
 BOUND: Final = (B + KD) * KP / M  # [N m/(rad s)] of Ki
 
 
-def figure_10_6(ki: float) -> Run:
+def figure_10_6(ki: float, kp: float = KP) -> Run:
     """A run of figure 10.6."""
-    return on_link(PID(kp=KP, kd=KD, ki=ki), ref=JointMotion(q=[0.0]), duration=LONG, q0=[HOME])
+    return on_link(PID(kp=kp, kd=KD, ki=ki), ref=JointMotion(q=[0.0]), duration=LONG, q0=[HOME])
 
 
 def written_10_6(ki: float, times: np.ndarray) -> np.ndarray:
@@ -46,12 +46,15 @@ def written_10_6(ki: float, times: np.ndarray) -> np.ndarray:
 
 
 def eq_10_11() -> Page:
-    run = figure_10_6(0.0)
-    wanted = brentq(lambda e: KP * e - weight(-e), 0.0, 1.0)
-    rows = (
-        row("error at rest of PD control", "rad", -run.q[-1, 0], wanted, "root of Kp e = m g r cos(theta)", rel=1e-6),
-    )
-    return Page(rows=rows, note="The goal is theta = 0; gains of figure 10.6.")
+    rows = []
+    for kp, name, states in (
+        (KP, "error at rest of PD control", ""),
+        (10.0 * KP, "with Kp ten times as large", "small"),
+    ):
+        wanted = brentq(lambda e, kp=kp: kp * e - weight(-e), 0.0, 1.0)
+        rested = -figure_10_6(0.0, kp).q[-1, 0]
+        rows.append(row(name, "rad", rested, wanted, "root of Kp e = m g r cos(theta)", rel=1e-6, states=states))
+    return Page(rows=tuple(rows), note="The goal is theta = 0; gains of figure 10.6.")
 
 
 def constant_disturbance(ki: float) -> Run:
