@@ -156,6 +156,10 @@ class TestWhatIsRefused:
             (16, 0.0, "dt must be > 0 [s]; got 0.0"),
             (17, 0, "intRes must be between 1 and 100000; got 0"),
             (17, 2.5, "intRes must be a whole number; got 2.5"),
+            (10, [1.0, 2.0], "gtilde must have shape (3,) [m/s^2]; got shape (2,)"),
+            (11, MLIST[:2], "Mtildelist must have shape (4, 4, 4); got shape (2, 4, 4)"),
+            (12, -GLIST, "Mtildelist and Gtildelist: link 'link1': mass must be finite and >= 0 [kg]; got -3.7"),
+            (13, 1e9, "the arm is gone in row 2 of 12: steps of 0.00606 s are too long for these gains; make intRes"),
         ]
         for place, value, text in changes:
             args = list(arguments(UNIT, 0.0))

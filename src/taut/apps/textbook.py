@@ -15,7 +15,7 @@ import numpy as np
 
 from taut.arm.description import Arm
 from taut.base.checks import finite_array, finite_scalar, positive_scalar
-from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.errors import ModelError, NumericalError, RangeError, ShapeError, UsageError
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.codegen.function import NativeFunction, native
 from taut.control.joint import ComputedTorque as ComputedTorqueLaw
@@ -27,6 +27,7 @@ from taut.maths.model import model_of
 __all__ = ["ComputedTorque", "SimulateControl"]
 
 MOST_STEPS: Final = 100_000  # of intRes
+FAR: Final = 1e9  # [rad | m] where no arm is
 
 
 def ComputedTorque(
@@ -168,12 +169,13 @@ def SimulateControl(
         ShapeError: Lists and matrices that do not fit together.
         RangeError: Numbers that are not finite, gains below zero, a dt or intRes that is not above.
         ModelError: An inertia or a screw axis that no rigid body or joint has.
+        NumericalError: A run that leaves all numbers.
 
     References:
         Chapter, equation 10.21 and figure 10.13.
     """
     arm, length = _arm(Mlist, Glist, Slist, g)
-    model, _ = _arm(Mtildelist, Gtildelist, Slist, gtilde)
+    model = _model(Mtildelist, Gtildelist, Slist, gtilde)
     n = arm.n
     q = length * finite_array("thetalist", thetalist, shape=(n,))
     v = length * finite_array("dthetalist", dthetalist, shape=(n,))
@@ -194,6 +196,11 @@ def SimulateControl(
         for _ in range(intRes):
             a = accelerate(q, v, tau, np.roll(F_tip[i], 3))
             q, v = q + h * v, v + h * a
+        if not (np.abs(q) < FAR).all():
+            raise NumericalError(
+                f"the arm is gone in row {i} of {len(torques)}: steps of {h:.3g} s are too long for these gains; "
+                "make intRes larger, or dt or the gains smaller"
+            )
         torques[i], angles[i] = length * tau, q / length
     return torques, angles
 
@@ -211,6 +218,18 @@ def _arm(Mlist: ArrayLike, Glist: ArrayLike, Slist: ArrayLike, g: ArrayLike) -> 
     length = np.where(turns > 0.0, turns, slides)
     length = np.where(length > 0.0, length, 1.0)
     return Arm.from_screws(Mlist, Glist, S / length, gravity), length
+
+
+def _model(Mtildelist: ArrayLike, Gtildelist: ArrayLike, Slist: ArrayLike, gtilde: ArrayLike) -> Arm:
+    """The model, whose errors have the names with a tilde."""
+    gravity = finite_array("gtilde", gtilde, shape=(3,), unit="m/s^2")
+    try:
+        return _arm(Mtildelist, Gtildelist, Slist, gravity)[0]
+    except ModelError as wrong:
+        raise ModelError("Mtildelist and Gtildelist", wrong.problems) from wrong
+    except (ShapeError, RangeError) as wrong:
+        text = str(wrong).replace("Mlist", "Mtildelist").replace("Glist", "Gtildelist")
+        raise type(wrong)(text, name=wrong.name, value=wrong.value, rule=wrong.rule) from wrong
 
 
 def _accelerations(arm: Arm) -> NativeFunction:

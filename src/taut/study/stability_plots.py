@@ -62,8 +62,10 @@ def draw_locus(ax: Axes, locus: Locus, mark: Float64Array, unit: str = "") -> No
             continue
         s = crossing.pole
         ax.plot(s.real, s.imag, "D", color=INK, markersize=3.5, zorder=4)
-        label = f"{locus.name} = {crossing.value:.4g}"
-        ax.annotate(label, (s.real, s.imag), xytext=(4.0, 4.0), textcoords="offset points", fontsize=SMALL, color=INK)
+        ax.annotate(
+            f"{locus.name} = {crossing.value:.4g}{unit}", (s.real, s.imag), xytext=(-6.0, 3.0), ha="right",
+            textcoords="offset points", fontsize=SMALL, color=INK,
+        )  # fmt: skip
 
 
 def of_map(found: StabilityMap, units: tuple[str, str], *, log: bool) -> Figure:

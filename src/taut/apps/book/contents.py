@@ -13,6 +13,7 @@ from typing import Any, Final
 from rich.table import Table
 
 from taut.apps.book import (
+    claims,
     constraints,
     display,
     error_dynamics,
@@ -20,12 +21,15 @@ from taut.apps.book import (
     force,
     friction,
     gearing,
+    high_low,
     hybrid,
     impedance,
     integral,
     multi_joint,
+    other_topics,
     overview,
     single_joint,
+    task_errors,
     task_space,
 )
 from taut.apps.book.page import Entry, Page, Row
@@ -38,16 +42,20 @@ CONTENTS: Final[tuple[Entry, ...]] = (
     *single_joint.ENTRIES,
     *error_dynamics.ENTRIES,
     *integral.ENTRIES,
+    *claims.ENTRIES,
     *feedforward.ENTRIES,
     *friction.ENTRIES,
     *gearing.ENTRIES,
     *multi_joint.ENTRIES,
     *task_space.ENTRIES,
+    *task_errors.ENTRIES,
     *force.ENTRIES,
     *constraints.ENTRIES,
     *hybrid.ENTRIES,
     *display.ENTRIES,
     *impedance.ENTRIES,
+    *high_low.ENTRIES,
+    *other_topics.ENTRIES,
 )
 """In the order of the chapter."""
 DPI: Final = 150

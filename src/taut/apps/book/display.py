@@ -5,20 +5,18 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from taut.apps.book.drawing import arrow, box, panels, words
+from taut.apps.book.drawing import arrow, box, legend, panels, words
+from taut.apps.book.oracle import held_radius
 from taut.apps.book.page import Entry, Page, Row, row
-from taut.apps.book.tick import two_poles
+from taut.apps.book.simulation import simulated, two_poles
 from taut.arm.load import load_arm
 from taut.control.joint import PID
 from taut.control.reference import JointMotion
 from taut.control.sensing import Sensing
 from taut.controller import compile
-from taut.plant.rigid import RigidPlant
 from taut.record.style import DASHED, INK, SMALL, colour, prepared
-from taut.runtime.simulate import run
 from taut.study.limits import stiffness_limits
 
 __all__ = ["ENTRIES"]
@@ -28,13 +26,8 @@ POLES: Final = "poles of the held mass"
 
 
 def radius(stiffness: float, rate: float) -> float:
-    """Largest modulus of the poles of a mass under u = -K x - B v, held over a tick, with v differenced."""
-    T = 1.0 / rate
-    held = expm(np.array([[0.0, 1.0, 0.0], [0.0, -DAMPING / MASS, 1.0 / MASS], [0.0, 0.0, 0.0]]) * T)
-    loop = np.zeros((3, 3))  # of x, v and the x before
-    loop[:2, :2], loop[2, 0] = held[:2, :2], 1.0
-    loop[:2] -= np.outer(held[:2, 2], [stiffness + VIRTUAL / T, 0.0, -VIRTUAL / T])
-    return float(np.abs(np.linalg.eigvals(loop)).max())
+    """Largest modulus of the display's poles."""
+    return held_radius(MASS, DAMPING, stiffness, VIRTUAL, rate)
 
 
 def stiffest(rate: float) -> float:
@@ -58,11 +51,11 @@ def fig_10_17() -> Page:
     z = load_arm("gantry3").subset(["z"]).with_body("z", mass=MASS)
     slide = z.with_joints(viscous=DAMPING).with_gravity([0.0, 0.0, 0.0])
     ctrl = compile(PID(kp=1.0, kd=VIRTUAL), slide, rate=RATE, sensing=Sensing(velocity="difference"))
-    plant = RigidPlant(slide, integrator="rk4")
     for factor in (0.8, 1.2):
         K = factor * told[2].stable
         ctrl.parameters["law.kp"] = K
-        out = run(ctrl, plant, JointMotion(q=[0.0]), duration=0.4, q0=[1e-3], progress=False)
+        rest = JointMotion(q=[0.0])
+        out = simulated(ctrl, slide, rest, duration=0.4, q0=[1e-3], friction="arm", integrator="rk4")
         got = float(np.exp(max(two_poles(out.q[100:, 0], 1.0).real)))
         states = "oscillatory in stiff virtual environments" if factor > 1.0 else ""
         name = f"growth of a swing in a tick, K = {factor:g} of the limit"
@@ -80,7 +73,7 @@ def fig_10_17() -> Page:
     )
     right.set_xticks([250.0, 1000.0, 2000.0, 4000.0])
     right.set_ylim(0.0, None)
-    right.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
+    legend(right)
     note = (
         "Chosen: a display of 0.2 kg with 1 N s/m that shows a spring and 0.5 N s/m, with differenced positions. "
         "More of it is on the page about haptics."
@@ -106,8 +99,8 @@ def _display(ax: Any) -> None:
     words(ax, 1.05, 0.26, "b", size=SMALL + 1.0)
     box(ax, 2.5, 1.0, 1.0, 1.2)
     words(ax, 2.5, 1.0, "m", size=SMALL + 1.0, zorder=3)
-    arrow(ax, (3.7, 1.0), (3.02, 1.0), width=1.6)
-    words(ax, 3.45, 1.2, "f: the hand", ha="center")
+    arrow(ax, (3.0, 1.0), (3.68, 1.0), width=1.6)
+    words(ax, 3.5, 1.2, "f: the hand", ha="center")
     arrow(ax, (2.5, 1.85), (3.1, 1.85))
     words(ax, 3.2, 1.85, "x")
     ax.set_xlim(-0.1, 4.0)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["arrow", "block", "box", "canvas", "frame", "junction", "law_diagram", "panels", "words"]
+__all__ = ["arrow", "block", "box", "canvas", "frame", "junction", "law_diagram", "legend", "panels", "words"]
 
 PAPER: Final = "#F4F6F8"
 BLOCK: Final = "#FFFFFF"
@@ -40,6 +40,11 @@ def canvas(width: float, height: float, scale: float = 1.0) -> tuple[Figure, Axe
     ax.set_aspect("equal")
     ax.axis("off")
     return figure, ax
+
+
+def legend(ax: Axes, **options: Any) -> None:
+    """What the lines of a panel are."""
+    ax.legend(**{"fontsize": SMALL, "frameon": False, "labelcolor": INK, **options})
 
 
 def words(ax: Axes, x: float, y: float, text: str, *, size: float = SMALL, **options: Any) -> None:
@@ -79,7 +84,9 @@ def junction(ax: Axes, x: float, y: float) -> None:
     words(ax, x, y - 0.015, "Σ", size=SMALL, zorder=4)
 
 
-def frame(ax: Axes, origin: Float64Array, axes: Float64Array, name: str, *, length: float = 0.1) -> None:
+def frame(
+    ax: Axes, origin: Float64Array, axes: Float64Array, name: str, *, aside: Float64Array, length: float = 0.1
+) -> None:
     """The two axes of a frame that lie in the page, and its letter.
 
     Args:
@@ -87,12 +94,13 @@ def frame(ax: Axes, origin: Float64Array, axes: Float64Array, name: str, *, leng
         origin: (2,) in the page.
         axes: (2, 2) its axes in the page, by columns.
         name: Its letter.
+        aside: (2,) where that stands, from the origin.
         length: Of the arrows.
     """
     for k in (0, 1):
         end = origin + length * axes[:, k]
         arrow(ax, tuple(origin), tuple(end), ink=colour(k), width=1.6)
-    x, y = (origin - 0.28 * length * axes.sum(axis=1)).tolist()
+    x, y = (origin + aside).tolist()
     words(ax, x, y, f"{{{name}}}", zorder=6)
 
 
@@ -123,16 +131,17 @@ def law_diagram(terms: Sequence[str], title: str, *, inertia: bool) -> Figure:
     of_error = [name for name in terms if name in OF_ERROR]
     of_state = [name for name in terms if name in OF_STATE]
     ahead = [name for name in terms if name not in (*of_error, *of_state)]
-    height = max(3.2, 2.1 + ROW * len(of_error))
-    figure, ax = canvas(9.6, height, 0.78)
-    middle = 0.5 * height - 0.1
-    words(ax, 0.1, height - 0.15, title, ha="left", size=SMALL + 0.5)
+    sum_x, half = 3.85, 0.5 * ROW * max(len(of_error) - 1, 0) + 0.45
+    torque_x = sum_x + len(ahead) + (2.0 if inertia else 0.0)
+    arm_x = torque_x + 1.65
+    middle = 0.15 + (max(half, 1.45) if of_state else half)
+    figure, ax = canvas(max(arm_x + 1.05, 7.2), middle + (max(half, 1.45) if ahead else half) + 0.3, 0.78)
+    words(ax, 0.1, ax.get_ylim()[1] - 0.15, title, ha="left", size=SMALL + 0.5)
     words(ax, 0.35, middle + 0.2, r"$\theta_d$")
     arrow(ax, (0.15, middle), (0.87, middle))
     junction(ax, 1.0, middle)
     words(ax, 1.35, middle + 0.2, r"$\theta_e$")
     ys = [middle + ROW * (0.5 * (len(of_error) - 1) - k) for k in range(len(of_error))]
-    sum_x = 3.85
     for name, y in zip(of_error, ys, strict=True):
         arrow(ax, (1.13, middle), (1.6, middle), (1.6, y), (1.95, y))
         block(ax, 2.55, y, LABELS[name], width=1.2)
@@ -155,14 +164,13 @@ def law_diagram(terms: Sequence[str], title: str, *, inertia: bool) -> Figure:
     for name in of_state:
         block(ax, x, middle - 0.95, LABELS.get(name, name), width=1.15)
         arrow(ax, (x, middle - 0.72), (x, middle - 0.14))
-    arrow(ax, (x + 0.13, middle), (8.1, middle))
-    words(ax, 0.5 * (x + 0.13 + 8.1), middle + 0.18, r"$\tau$")
-    block(ax, 8.55, middle, "arm", width=0.9, height=0.7)
-    arrow(ax, (9.0, middle), (9.5, middle))
-    words(ax, 9.3, middle + 0.2, r"$\theta, \dot{\theta}$")
-    low = min(middle - 1.45, min(ys, default=middle) - 0.45)
-    arrow(ax, (9.2, middle), (9.2, low), (1.0, low), (1.0, middle - 0.14))
+    arrow(ax, (x + 0.13, middle), (arm_x - 0.45, middle))
+    words(ax, 0.5 * (x + arm_x - 0.32), middle + 0.18, r"$\tau$")
+    block(ax, arm_x, middle, "arm", width=0.9, height=0.7)
+    arrow(ax, (arm_x + 0.45, middle), (arm_x + 0.95, middle))
+    words(ax, arm_x + 0.75, middle + 0.2, r"$\theta, \dot{\theta}$")
+    arrow(ax, (arm_x + 0.65, middle), (arm_x + 0.65, 0.15), (1.0, 0.15), (1.0, middle - 0.14))
     for k in range(len(of_state)):
-        arrow(ax, (x - 0.1 * k, low), (x - 0.1 * k, middle - 1.18))
+        arrow(ax, (x - 0.1 * k, 0.15), (x - 0.1 * k, middle - 1.18))
     words(ax, 0.86, middle - 0.24, "−")
     return figure

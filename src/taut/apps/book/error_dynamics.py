@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from scipy.optimize import brentq
 
-from taut.apps.book.drawing import panels
-from taut.apps.book.link import KD, B, M, link, simulated
-from taut.apps.book.page import Entry, Page, Row, row
-from taut.apps.book.tick import two_poles
+from taut.apps.book.drawing import legend, panels
+from taut.apps.book.link import FAST, KD, B, M, link, on_link
+from taut.apps.book.page import ROOTS, Entry, Page, Row, row
+from taut.apps.book.simulation import looped, two_poles
 from taut.arm.load import load_arm
 from taut.control.joint import PID
 from taut.control.reference import JointMotion
 from taut.record.style import DASHED, DOTTED, INK, SMALL, colour, prepared
+from taut.study.design import design
+from taut.study.linearise import linearise
 from taut.study.locus import locus
 from taut.study.routh import routh
 from taut.study.second_order import second_order
@@ -24,7 +26,6 @@ from taut.study.stability_plots import draw_locus
 __all__ = ["ENTRIES", "settling"]
 
 FORMULA: Final = "the formula"
-ROOTS: Final = "numpy.roots"
 STIFF_KD: Final = 10.0  # [N m s/rad] figure 10.5
 ZETAS: Final = (1.5, 1.0, 0.5)  # of its roots "1", "2" and "3"
 
@@ -49,6 +50,8 @@ def settling(zeta: float) -> float:
 
 def eq_10_9() -> Page:
     d = second_order(M=M, b=B, kp=5.0, kd=KD)
+    gains: Any = design(PID, link(gravity=False), zeta=1.0, omega_n=(B + KD) / (2.0 * M), friction="arm").law
+    kp, kd = gains.kp.as_array()[0], gains.kd.as_array()[0]
     rows = (
         row("damping ratio", "", d.zeta, (B + KD) / (2.0 * math.sqrt(5.0 * M)), FORMULA),
         row("natural frequency", "rad/s", d.omega_n, math.sqrt(5.0 / M), FORMULA),
@@ -60,6 +63,8 @@ def eq_10_9() -> Page:
             "figure 10.6",
             states="2.205",
         ),
+        row("the same of taut.design, with omega_n = 2.1 rad/s", "N m/rad", kp, 2.205, "figure 10.6"),
+        row("and its Kd", "N m s/rad", kd, 2.0, "figure 10.6", states="2"),
     )
     return Page(rows=rows, note="Chosen: Kp = 5 N m/rad, Kd = 2 N m s/rad, which is underdamped.")
 
@@ -69,13 +74,19 @@ def eq_10_10() -> Page:
     wanted = np.roots([1.0, (B + KD) / M, 5.0 / M])
     upper = wanted[wanted.imag.argmax()]
     got = d.poles[d.poles.imag.argmax()]
-    run = simulated(PID(kp=5.0, kd=KD), plant=link(gravity=False), ref=JointMotion(q=[0.0]), duration=1.0, q0=[1.0])
+    plane, rest = link(gravity=False), JointMotion(q=[0.0])
+    run = on_link(PID(kp=5.0, kd=KD), plant=plane, ref=rest, duration=1.0, q0=[1.0])
     fitted = two_poles(run.q[::10, 0], 1e-3)
     found = fitted[fitted.imag.argmax()]
+    (mode,) = linearise(
+        looped(PID(kp=5.0, kd=KD), plane, rest, rate=FAST, friction="arm", integrator="rk4"), at=[0.0]
+    ).modes
     slip = "slip: -zeta omega_n +- omega_d, without the j"
     rows = (
         row("real part of the roots", "1/s", got.real, upper.real, ROOTS),
         row("imaginary part of the roots", "1/s", got.imag, upper.imag, ROOTS, states=slip),
+        row("real part, of the loop linearised", "1/s", mode.s.real, upper.real, ROOTS, rel=1e-3),
+        row("imaginary part, of the loop linearised", "1/s", mode.s.imag, upper.imag, ROOTS, rel=1e-3),
         row("real part, fitted to a run", "1/s", found.real, upper.real, ROOTS, rel=1e-3),
         row("imaginary part, fitted to a run", "1/s", found.imag, upper.imag, ROOTS, rel=1e-3),
     )
@@ -126,7 +137,7 @@ def sec_10_2_1_1() -> Page:
         wanted = 100.0 * math.exp(-math.pi * zeta / math.sqrt(1.0 - zeta**2))
         rows.append(row(f"overshoot, zeta = {zeta:g}", "%", d.overshoot, wanted, "exp(-pi zeta / sqrt(1 - zeta^2))"))
     note = (
-        "4 tau is a rule for the envelope. The exact settling time is 5.83 / omega_n at zeta = 1 and 3.61 / omega_n "
+        "4 tau is a rule for the envelope. The exact settling time is 5.83 / omega_n at zeta = 1 and 3.60 / omega_n "
         "at 0.78, where 4 tau would be 4 and 5.1."
     )
     return Page(rows=tuple(rows), note=note)
@@ -139,7 +150,7 @@ def fig_10_4() -> Page:
     mass = 3.0
     d = second_order(M=mass, zeta=zeta, omega_n=omega_n)
     start = -0.1
-    run = simulated(
+    run = on_link(
         PID(kp=d.kp, kd=d.kd), plant=slide, ref=JointMotion(q=[start + step]), duration=2.0, q0=[start]
     )  # fmt: skip
     e = (start + step - run.q[:, 0]) / step
@@ -177,8 +188,8 @@ def fig_10_4() -> Page:
     ax.annotate(
         "", (run.t[k], e[k]), (run.t[k], sag), arrowprops={"arrowstyle": "<->", "color": INK, "linewidth": 0.9}
     )
-    ax.text(run.t[k] + 0.02, 0.5 * (e[k] + sag), "overshoot", fontsize=SMALL, color=INK, va="center")
-    ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
+    ax.text(run.t[k] + 0.085, e[k] + 0.1, "overshoot", fontsize=SMALL, color=INK, va="center")
+    legend(ax)
     ax.set_xlim(0.0, 1.5)
     note = "Chosen: a slide of 3 kg that its weight pulls down, zeta = 0.25, omega_n = 20 rad/s, a step of 0.2 m."
     return Page(rows=rows, figure=figure, note=note)
@@ -203,7 +214,7 @@ def fig_10_5() -> Page:
             row(f'"{k + 1}", zeta = {zeta:g}: Kp', "N m/rad", d.kp, critical / zeta**2, "critical Kp / zeta^2"),
             row(f'"{k + 1}": real part of the slower root', "1/s", max(d.poles.real), slow.real, ROOTS, rel=1e-6),
         ]
-        run = simulated(
+        run = on_link(
             PID(kp=d.kp, kd=STIFF_KD), plant=link(gravity=False), ref=JointMotion(q=[1.0]), duration=6.0, q0=[0.0]
         )  # fmt: skip
         T = settling(zeta) / d.omega_n
@@ -222,7 +233,7 @@ def fig_10_5() -> Page:
         right.plot(run.t, 1.0 - run.q[:, 0], color=colour(k), linewidth=1.5, label=f'"{k + 1}", zeta = {zeta:g}')
     right.axhline(0.0, color=INK, linewidth=0.6)
     right.set_xlim(0.0, 1.5)
-    right.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
+    legend(right)
     note = (
         "Kd = 10 N m s/rad in a horizontal plane. The chapter: the settling time is unaffected as Kp is increased "
         "beyond critical damping. That is 4 tau; the exact settling time changes, as the rows say."

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import expm
 
-from taut.apps.book.drawing import law_diagram, panels
+from taut.apps.book.drawing import law_diagram, legend, panels
 from taut.apps.book.link import (
     KD,
     KI,
@@ -22,14 +22,14 @@ from taut.apps.book.link import (
     Solved,
     controller,
     link,
-    simulated,
+    on_link,
     solved,
     task,
     weight,
 )  # fmt: skip
-from taut.apps.book.page import Entry, Page, Row, row
+from taut.apps.book.page import BY_HAND, ODE, Entry, Page, Row, row
+from taut.apps.book.simulation import rms, ticked, total
 from taut.apps.book.single_joint import WANTED, angles
-from taut.apps.book.tick import rms, ticked, total
 from taut.base.types import Float64Array
 from taut.control.friction import FrictionCompensation
 from taut.control.joint import PID, ComputedTorque, FeedForward
@@ -42,8 +42,6 @@ from taut.record.style import DASHED, INK, SMALL, colour, prepared
 
 __all__ = ["ENTRIES"]
 
-BY_HAND: Final = "the equation, written out"
-ODE: Final = "SciPy's DOP853 of equation 10.3"
 LINE_BY_LINE: Final = "the pseudocode, line by line"
 STATE: Final = JointMotion(q=[0.9], v=[0.5], a=[-1.2])  # desired, chosen
 THETA, V = 0.7, 1.3  # [rad], [rad/s] actual, chosen
@@ -68,7 +66,7 @@ def eq_10_15() -> Page:
 def eq_10_16() -> Page:
     law = FeedForward() + FrictionCompensation(at="ref")
     ctrl = ticked(law, link(r=WRONG_R), [THETA], [V], STATE)
-    tau = total(ctrl.terms)
+    tau = total(ctrl.terms)[0]
     wanted = model_torque(0.9, 0.5, -1.2)
     return Page(rows=(row("torque at theta_d = 0.9, 0.5, -1.2", "N m", tau, wanted, BY_HAND),), note=FRICTION)
 
@@ -102,7 +100,7 @@ def fed_forward(number: int, plant_model: float = WRONG_R) -> tuple[Run, Solved]
     """A task by feedforward alone, as a run and by SciPy."""
     law = FeedForward() + FrictionCompensation(at="ref")
     start = float(desired(number, np.zeros(1))[0][0])
-    run = simulated(law, model=link(r=plant_model), plant=link(), ref=task(number), duration=math.pi, q0=[start])
+    run = on_link(law, model=link(r=plant_model), plant=link(), ref=task(number), duration=math.pi, q0=[start])
 
     def tau(t: float, *_: float) -> float:
         q, v, a = (float(each) for each in desired(number, np.asarray(t)))
@@ -135,7 +133,7 @@ def fig_10_10() -> Page:
         prepared(ax, f"Task {number}", "angle [rad]", "t [s]")
         ax.plot(run.t, desired(number, run.t)[0], color=INK, linewidth=0.9, linestyle=DASHED, label="desired")
         ax.plot(run.t, run.q[:, 0], color=colour(k), linewidth=1.5, label="actual")
-        ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
+        legend(ax)
     rows.append(
         row(
             "largest error of Task 2 over that of Task 1", "",
@@ -208,7 +206,7 @@ def fig_10_12() -> Page:
     prepared(axes[2], "effort", "integral of tau^2 [(N m)^2 s]", "")
     runs: dict[str, tuple[Run, Solved]] = {}
     for k, (name, each) in enumerate(controllers().items()):
-        run = simulated(each.law, model=link(r=WRONG_R), plant=link(), ref=task(2), duration=math.pi, q0=[start])
+        run = on_link(each.law, model=link(r=WRONG_R), plant=link(), ref=task(2), duration=math.pi, q0=[start])
         written = solved(each.tau, lambda t: desired(2, t)[0], times=run.t, q0=start)
         runs[name] = run, written
         rows += of_run(name, run, written, "slip: gains are taken from figure 10.6" if "gains" in name else "")
@@ -216,11 +214,12 @@ def fig_10_12() -> Page:
         axes[0].plot(run.t, run.q[:, 0], color=colour(k), linewidth=1.3)
         axes[1].plot(run.t, run.error[:, 0], color=colour(k), linewidth=1.3, label=name)
         axes[2].bar(k, run.metrics.effort[0], color=colour(k))
-    axes[0].plot(run.t, desired(2, run.t)[0], color=INK, linewidth=0.9, linestyle=DASHED)
+    axes[0].plot(run.t, desired(2, run.t)[0], color=INK, linewidth=0.9, linestyle=DASHED, label="desired")
     axes[2].set_xticks([])
+    names, wanted_too = (axes[k].get_legend_handles_labels() for k in (1, 0))
     figure.legend(
-        *axes[1].get_legend_handles_labels(), loc="outside upper left", ncols=4, fontsize=SMALL, frameon=False,
-        labelcolor=INK, columnspacing=1.2, handlelength=1.6,
+        names[0] + wanted_too[0], names[1] + wanted_too[1], loc="outside upper left", ncols=5, fontsize=SMALL,
+        frameon=False, labelcolor=INK, columnspacing=1.2, handlelength=1.6,
     )  # fmt: skip
     error = {name: (rms(run.q[:, 0] - desired(2, run.t)[0]), rms(written.e)) for name, (run, written) in runs.items()}
     effort = {name: (run.metrics.effort[0], written.effort[-1]) for name, (run, written) in runs.items()}
@@ -248,7 +247,7 @@ def eq_10_17() -> Page:
     law = ComputedTorque(kp=kp, kd=kd, ki=ki) + FrictionCompensation(at="meas")
     sine = Sine(center=[0.3], amplitude=0.8, frequency=0.7)
     first = sine.at(0.0)
-    run = simulated(law, ref=sine, duration=at, q0=first.q - 0.1, v0=first.v)
+    run = on_link(law, ref=sine, duration=at, q0=first.q - 0.1, v0=first.v)
     A = np.array([[0.0, 1.0, 0.0], [-kp, -kd, -ki], [1.0, 0.0, 0.0]])
     wanted = (expm(A * at) @ np.array([0.1, 0.0, 0.0]))[0]
     assert run.error is not None
@@ -285,7 +284,7 @@ def eq_10_18() -> Page:
 def eq_10_19() -> Page:
     terms, _, tau = linearised()
     return Page(
-        rows=(row("torque", "N m", total(terms), tau, BY_HAND),),
+        rows=(row("torque", "N m", total(terms)[0], tau, BY_HAND),),
         note="Numbers of equation 10.18; without friction.",
     )
 
@@ -295,10 +294,10 @@ def fig_10_11() -> Page:
     rows = (
         row("acceleration fed forward", "rad/s^2", terms["feedforward"][0] / M, -1.2, "theta-ddot_d"),
         row("acceleration of the feedback", "rad/s^2", sum(terms[name][0] for name in "PID") / M, a + 1.2, BY_HAND),
-        row("all terms together", "N m", total(terms), tau, BY_HAND),
+        row("all terms together", "N m", total(terms)[0], tau, BY_HAND),
     )
     figure = law_diagram(list(terms), "feedback linearisation: the terms of taut.laws.ComputedTorque", inertia=True)
-    return Page(rows=rows, figure=figure)
+    return Page(rows=rows, figure=figure, note="Numbers of equation 10.18; without friction.")
 
 
 def fig_10_13() -> Page:

@@ -7,29 +7,25 @@ from typing import Final
 
 import numpy as np
 
-from taut.apps.book.drawing import panels
-from taut.apps.book.multi_joint import Q, V, compared
+from taut.apps.book.drawing import legend, panels
+from taut.apps.book.multi_joint import Q, V
 from taut.apps.book.oracle import TWO_LINKS, engine, panda, two_links
-from taut.apps.book.page import Entry, Page, row
+from taut.apps.book.page import MUJOCO, Entry, Page, compared, row
+from taut.apps.book.simulation import one_pole, simulated, ticked, total
 from taut.apps.book.single_joint import ConstantTorque
-from taut.apps.book.tick import one_pole, ticked
 from taut.arm.load import load_arm
 from taut.control.force import ForceControl
 from taut.control.task_force import TaskForce
-from taut.controller import Controller, compile
 from taut.maths.constraint import Constraint
 from taut.maths.snapshot import snapshot
 from taut.plant.contact import RigidContact
 from taut.plant.environment import Environments
 from taut.plant.environment_springs import Damper, Spring
-from taut.plant.rigid import RigidPlant
 from taut.record.run import Run
-from taut.record.style import DASHED, INK, SMALL, colour, prepared
-from taut.runtime.simulate import run
+from taut.record.style import DASHED, INK, colour, prepared
 
 __all__ = ["ENTRIES", "pressing_down"]
 
-MUJOCO: Final = "MuJoCo: mj_fullM, qfrc_bias, mj_jacSite"
 F: Final = np.array([5.0, -3.0, -10.0, 0.3, 0.2, -0.1])  # [N, N m] of the arm on what it touches
 KFP, KFI = 0.5, 3.0  # [1], [1/s] those of MATHS: the pole is -2, the chapter's is -6
 UNKNOWN: Final = 0.5  # [kg] that the law does not know
@@ -44,8 +40,8 @@ def eq_10_32() -> Page:
     v = np.linalg.solve(TWO_LINKS.J(q), np.array([0.4, 0.0]))
     board = Constraint.plane(point=[0.0, 0.0, height], normal=[0.0, 0.0, 1.0])
     tau = 3.0
-    plant = RigidPlant(arm, friction=None, contact=RigidContact(constraint=board))
-    out = run(compile(ConstantTorque(tau=tau), arm), plant, duration=0.002, q0=q, v0=v, progress=False)
+    contact = RigidContact(constraint=board)
+    out = simulated(ConstantTorque(tau=tau), arm, duration=0.002, q0=q, v0=v, contact=contact)
     A_q, M = TWO_LINKS.J(q)[1:], TWO_LINKS.M(q)
     bias = TWO_LINKS.Jdot_v(q, v)[1]
     free = np.linalg.solve(M, tau - TWO_LINKS.h(q, v))
@@ -76,16 +72,17 @@ def eq_10_33() -> Page:
 
 def eq_10_34() -> Page:
     ctrl = ticked(ForceControl(feedback="none", null=None), panda(), Q, np.zeros(7), REST)
-    told = np.sum(list(ctrl.terms.values()), axis=0)
+    told = total(ctrl.terms)
     m = engine().at(Q, np.zeros(7))
-    return Page(rows=tuple(compared(told, m.h + m.J.T @ F, "N m", MUJOCO, "torque of the Panda")))
+    rows = compared(told, m.h + m.J.T @ F, "N m", MUJOCO, "torque of the Panda")
+    return Page(rows=tuple(rows), note="The wrench of equation 10.33.")
 
 
 def eq_10_35() -> Page:
     F_app = 0.8 * F
     law = ForceControl(kfp=KFP, kfi=KFI, null=None)
     ctrl = ticked(law, panda(), Q, np.zeros(7), REST, F_app=F_app)
-    told = np.sum(list(ctrl.terms.values()), axis=0)
+    told = total(ctrl.terms)
     m = engine().at(Q, np.zeros(7))
     F_e = F - F_app
     wanted = m.h + m.J.T @ (F + KFP * F_e + KFI * F_e * 1e-3)
@@ -96,20 +93,15 @@ def eq_10_35() -> Page:
 
 
 @cache
-def pressing_controller(kfi: float) -> Controller:
-    """Force control of the Panda with damping."""
-    return compile(ForceControl(kfp=KFP, kfi=kfi, kdamp=KDAMP, e_int_max=(4.0, 0.2)), panda())
-
-
-@cache
 def pressing_down(kfi: float) -> Run:
     """A Panda that presses, and carries what its law does not know."""
     held = Environments(
         spring=Spring(stiffness=[2e4, 2e4, 2e4, 500.0, 500.0, 5.0]),
         damper=Damper(damping=[400.0, 400.0, 400.0, 6.0, 6.0, 0.05]),
     )
-    plant = RigidPlant(panda().with_payload(mass=UNKNOWN), friction=None, environment=held)
-    return run(pressing_controller(kfi), plant, REST, duration=3.0, progress=False)
+    law = ForceControl(kfp=KFP, kfi=kfi, kdamp=KDAMP, e_int_max=(4.0, 0.2))
+    loaded = panda().with_payload(mass=UNKNOWN)
+    return simulated(law, panda(), REST, plant=loaded, duration=3.0, environment=held)
 
 
 def force_error(out: Run) -> np.ndarray:
@@ -163,7 +155,7 @@ def eq_10_37() -> Page:
             out.t[there], line, color=INK if not k_color else colour(1), linewidth=0.9, linestyle=DASHED, label=name
         )
     ax.set_ylim(1e-4, 20.0)
-    ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
+    legend(ax)
     note = "Kfp = 0.5, Kfi = 3 1/s, as in equation 10.36: the pole is -2, not -6 1/s."
     return Page(rows=rows, figure=figure, note=note)
 
@@ -173,7 +165,7 @@ def eq_10_38() -> Page:
     V_tool = engine().at(Q, V).J @ V
     law = ForceControl(kfp=KFP, kfi=KFI, kdamp=KDAMP, null=None)
     ctrl = ticked(law, panda(), Q, V, REST, F_app=0.8 * F)
-    told = np.sum(list(ctrl.terms.values()), axis=0)
+    told = total(ctrl.terms)
     m, K, dt = engine().at(Q, np.zeros(7)), np.diag(KDAMP), 1e-3
     F_e = 0.2 * F
     damping = np.linalg.solve(np.eye(6) + dt * K @ np.linalg.inv(m.Lambda), K @ V_tool)
@@ -181,13 +173,17 @@ def eq_10_38() -> Page:
     rows = compared(told, wanted, "N m", MUJOCO, "torque of the Panda", 1e-6)
     gantry = load_arm("gantry3").with_joints(viscous=0.0)
     kdamp = np.array([50.0, 50.0, 50.0, 1.0, 1.0, 1.0])
-    free = run(
-        compile(ForceControl(feedback="none", kdamp=kdamp), gantry), RigidPlant(gantry, friction=None),
-        TaskForce(F_app=[10.0, 0.0, 0.0, 0.0, 0.0, 0.0]), duration=2.5, progress=False,
-    )  # fmt: skip
-    rows.append(
-        row("speed of a gantry that presses on nothing", "m/s", free.v[-1, 0], 10.0 / 50.0, "F_d / Kdamp", rel=0.01)
+    push = TaskForce(F_app=[10.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    damped, free = (
+        simulated(ForceControl(feedback="none", kdamp=gain), gantry, push, duration=2.5).v[-1, 0]
+        for gain in (kdamp, 0.0 * kdamp)
     )
+    mass = gantry.bodies[0].mass + gantry.bodies[1].mass + gantry.bodies[2].mass
+    name = "speed of a gantry that presses on nothing for 2.5 s"
+    rows += [
+        row(name, "m/s", damped, 10.0 / 50.0, "F_d / Kdamp", rel=0.01, states="acceleration is limited"),
+        row(f"{name}, Kdamp = 0", "m/s", free, 10.0 * 2.5 / mass, "F_d t / m", states="the robot will accelerate"),
+    ]
     note = (
         "The damping is that at the end of the tick, (I + Kdamp Lambda^-1 dt)^-1 Kdamp V, which is the chapter's as "
         "dt falls. Chosen: Kdamp = (40, 2) and 0.1 about z; the gantry has 10 N and 50 N s/m."

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from taut.apps.book.link import M, controller, link, simulated
+from taut.apps.book.link import M, controller, link, on_link
 from taut.apps.book.page import Entry, Page, Row, row
 from taut.apps.book.single_joint import ConstantTorque
 from taut.arm.friction import Friction
@@ -23,18 +23,18 @@ LAWS: Final = {
     "(e) static, kinetic, viscous": Friction(coulomb=KINETIC, static=STATIC, viscous=VISCOUS),
     "(f) Stribeck": Friction(coulomb=KINETIC, static=STATIC, viscous=VISCOUS, stribeck=STRIBECK),
 }
-SPEEDS: Final = (0.05, 1.0)  # [rad/s]
+SPEEDS: Final = (0.05, -1.0)  # [rad/s]
 REST: Final = JointMotion(q=[0.0])
 STICKING: Final = "semi-implicit-euler"
 EQUATION: Final = "the law of the panel, written out"
 
 
 def torque(panel: str, v: float) -> float:
-    """What each panel says of a joint that moves at v > 0 [N m]."""
+    """What each panel says of a joint that moves [N m]."""
     dry = {"(a) viscous": 0.0}.get(panel, KINETIC)
     if panel == "(f) Stribeck":
         dry = KINETIC + (STATIC - KINETIC) * math.exp(-((v / STRIBECK) ** 2))
-    return dry + (VISCOUS * v if "viscous" in panel or panel == "(f) Stribeck" else 0.0)
+    return math.copysign(dry, v) + (VISCOUS * v if "viscous" in panel or panel == "(f) Stribeck" else 0.0)
 
 
 def fig_10_14() -> Page:
@@ -44,7 +44,7 @@ def fig_10_14() -> Page:
         arm = link(gravity=False).with_friction(friction)
         for v in SPEEDS:
             ctrl.parameters["law.tau"] = 1.0
-            run = simulated(ctrl, plant=arm, ref=REST, duration=1e-3, q0=[0.0], v0=[v], integrator=STICKING)
+            run = on_link(ctrl, plant=arm, ref=REST, duration=1e-3, q0=[0.0], v0=[v], integrator=STICKING)
             a = (run.v[1, 0] - run.v[0, 0]) * run.rate
             rows.append(
                 row(f"{panel}: friction at {v:g} rad/s", "N m", 1.0 - M * a, torque(panel, v), EQUATION, near=1e-4)
@@ -52,7 +52,7 @@ def fig_10_14() -> Page:
     arm = link(gravity=False).with_friction(LAWS["(d) static and kinetic"])
     for tau in (0.99 * STATIC, 1.01 * STATIC, -0.99 * STATIC, -1.01 * STATIC):
         ctrl.parameters["law.tau"] = tau
-        run = simulated(ctrl, plant=arm, ref=REST, duration=0.5, q0=[0.0], integrator=STICKING)
+        run = on_link(ctrl, plant=arm, ref=REST, duration=0.5, q0=[0.0], integrator=STICKING)
         breaks = abs(tau) > STATIC
         wanted = 0.5 * (tau - math.copysign(KINETIC, tau)) / M if breaks else 0.0
         slip = "slip: tau_fric >= |b_static|" if tau < 0.0 and breaks else ""

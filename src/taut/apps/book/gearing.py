@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from taut.apps.book.drawing import panels
-from taut.apps.book.link import controller, simulated
+from taut.apps.book.drawing import legend, panels
+from taut.apps.book.link import controller, on_link
 from taut.apps.book.page import Entry, Page, row
 from taut.apps.book.single_joint import ConstantTorque
 from taut.arm.builtin import one_joint
@@ -18,7 +18,7 @@ from taut.arm.gears import matched_ratio, reflected_inertia
 from taut.control.reference import JointMotion
 from taut.maths.gearing import rotor_share
 from taut.maths.snapshot import snapshot
-from taut.record.style import DOTTED, INK, SMALL, colour, prepared
+from taut.record.style import DOTTED, INK, colour, prepared
 
 __all__ = ["ENTRIES"]
 
@@ -35,7 +35,7 @@ def geared(ratio: float, *, load: float = 0.0, b: float = 0.0) -> Arm:
 def acceleration(ratio: float, motor_torque: float = 1.0, load: float = 0.0) -> float:
     """Of a run of the geared link, under a torque of the motor [rad/s^2]."""
     arm = geared(ratio, load=load)
-    run = simulated(
+    run = on_link(
         controller(ConstantTorque(tau=ratio * motor_torque), arm, rate=1000.0),
         plant=arm,
         ref=REST,
@@ -109,7 +109,7 @@ def sec_10_2_1_5() -> Page:
     ax.plot(some, [acceleration(G) for G in some.tolist()], "o", color=colour(1), markersize=4.0, label="runs")
     ax.axvline(matched, color=colour(0), linewidth=1.0, linestyle=DOTTED, label=f"inertia matched, {matched:.3g}")
     ax.set_xscale("log")
-    ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
+    legend(ax)
     return Page(
         rows=tuple(rows), figure=figure, note="I_link = 1 kg m^2 and I_motor = 1e-3 kg m^2, as in the chapter."
     )
@@ -120,7 +120,7 @@ def first_order() -> Page:
     rows = []
     for G, b in ((1.0, 0.1), (100.0, 1000.0)):
         arm = geared(G, b=b)
-        run = simulated(
+        run = on_link(
             controller(ConstantTorque(tau=1.0), arm, rate=1000.0),
             plant=arm,
             ref=REST,

@@ -8,10 +8,9 @@ from typing import Any, Final
 import numpy as np
 
 from taut.apps.book.constraints import eraser
-from taut.apps.book.multi_joint import compared
 from taut.apps.book.oracle import EngineState, engine, panda
-from taut.apps.book.page import Entry, Page, row
-from taut.apps.book.tick import ticked
+from taut.apps.book.page import Entry, Page, compared, row
+from taut.apps.book.simulation import simulated, ticked, total
 from taut.arm.load import load_arm
 from taut.base.pose import Pose
 from taut.base.types import Float64Array
@@ -21,15 +20,12 @@ from taut.control.task import TaskComputedTorque
 from taut.control.task_error import Coordinates
 from taut.control.task_reference import TaskMotion
 from taut.control.task_trajectory import Line
-from taut.controller import compile
 from taut.maths.constrained import force_projector
 from taut.maths.constraint import Constraint
 from taut.maths.onto import onto
 from taut.maths.snapshot import snapshot
 from taut.plant.contact import RigidContact
-from taut.plant.rigid import RigidPlant
 from taut.record.run import Run
-from taut.runtime.simulate import run
 
 __all__ = ["ENTRIES"]
 
@@ -134,8 +130,8 @@ def pressed() -> tuple[Run, Float64Array]:
     law = HybridMotionForce(
         constraint=constraint, motion=TaskComputedTorque(kp=400.0, kd=40.0, singularity="plain"), kfp=0.3, kfi=10.0
     )
-    plant = RigidPlant(panda(), friction=None, contact=RigidContact(constraint=constraint))
-    return run(compile(law, panda()), plant, pressing(stroke, 10.0), q0=q0, duration=0.6, progress=False), q0
+    contact = RigidContact(constraint=constraint)
+    return simulated(law, panda(), pressing(stroke, 10.0), q0=q0, duration=0.6, contact=contact), q0
 
 
 def eq_10_40() -> Page:
@@ -291,7 +287,7 @@ def eq_10_45() -> Page:
     motion = TaskMotion(pose=Pose(m.p + np.array([0.01, -0.02, 0.0]), R=m.R), twist=[0.1, 0.05, 0.0, 0.0, 0.0, 0.0])
     F_app = np.array([0.5, 0.2, -8.0, 0.0, 0.0, 0.0])
     ctrl = ticked(law, panda(), q, v, pressing(motion, 10.0), F_ext=-F_app)  # type: ignore[arg-type]
-    told = np.sum(list(ctrl.terms.values()), axis=0)
+    told = total(ctrl.terms)
     X = np.concatenate([np.asarray(motion.p) - m.p, np.zeros(3)])
     F_motion = m.Lambda @ (100.0 * X + 20.0 * (motion.twist - m.J @ v))
     lam_e = -10.0 - F_app[2]

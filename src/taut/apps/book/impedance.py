@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -11,12 +10,12 @@ from typing import Any, Final
 import numpy as np
 from scipy.linalg import expm
 
-from taut.apps.book.drawing import panels
+from taut.apps.book.drawing import legend, panels
 from taut.apps.book.link import M, link
-from taut.apps.book.multi_joint import Q, V, compared
+from taut.apps.book.multi_joint import Q, V
 from taut.apps.book.oracle import engine, panda
-from taut.apps.book.page import Entry, Page, Row, row
-from taut.apps.book.tick import ticked
+from taut.apps.book.page import MUJOCO, Entry, Page, Row, compared, row
+from taut.apps.book.simulation import looped, simulated, ticked, total
 from taut.arm.description import Arm
 from taut.arm.load import load_arm
 from taut.base import math as tm
@@ -33,37 +32,33 @@ from taut.control.task import TaskComputedTorque
 from taut.control.task_reference import TaskMotion
 from taut.controller import compile
 from taut.maths.snapshot import Snapshot, snapshot
-from taut.plant.rigid import RigidPlant
-from taut.record.run import Run
-from taut.record.style import DASHED, INK, SMALL, colour, prepared
-from taut.runtime.simulate import run
+from taut.record.style import DASHED, INK, colour, prepared
+from taut.study.tip_response import TipResponse, tip_impedance
 
-__all__ = ["ENTRIES", "Pushed"]
+__all__ = ["ENTRIES", "FAST", "B", "K", "Pushed", "along_x", "slides", "still"]
 
 D, B, K = 2.0, 20.0, 400.0  # [kg], [N s/m], [N/m] chosen
 ANGULAR: Final = (0.05, 0.5, 10.0)  # [kg m^2], [N m s/rad], [N m/rad]
+POLYNOMIAL: Final = "m s^2 + b s + k"
 CLOSED_FORM: Final = "scipy.linalg.expm of 10.46"
-MUJOCO: Final = "MuJoCo: mj_fullM, qfrc_bias, mj_jacSite"
 Values = Mapping[str, Any]
 FAST: Final = 10000.0  # [Hz]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pushed:
-    """A force on the tool's origin along one axis of the world: force cos(w t).
+    """A constant force on the tool's origin along one axis of the world.
 
     Args:
         axis: 0, 1 or 2.
-        force: Its amplitude [N].
-        w: [rad/s]; constant if zero.
+        force: Its size [N].
     """
 
     axis: int = 0
     force: float = 10.0
-    w: float = 0.0
 
     def parameters(self) -> dict[str, Float64Array]:
-        return {"force": np.array(self.force), "w": np.array(self.w)}
+        return {"force": np.array(self.force)}
 
     def start(self, T_WE: Pose) -> dict[str, Any]:  # noqa: ARG002
         return {}
@@ -71,8 +66,7 @@ class Pushed:
     def wrench(
         self, T_WE: Pose, twist: Any, t: Any, memory: Values, parameters: Values, dt: Any  # noqa: ARG002
     ) -> tuple[Any, dict[str, Any]]:  # fmt: skip
-        push = parameters["force"] * tm.cos(parameters["w"] * t)
-        return tm.array([push if k == self.axis else 0.0 for k in range(6)]), {}
+        return tm.array([parameters["force"] if k == self.axis else 0.0 for k in range(6)]), {}
 
 
 @cache
@@ -81,15 +75,13 @@ def slides() -> Arm:
     return load_arm("gantry3").with_joints(viscous=0.0)
 
 
-def displayed(environment: Pushed, duration: float, rate: float = FAST) -> Run:
-    """A gantry that shows a mass, a damper and a spring, pushed."""
-    law = Impedance(D=(D, ANGULAR[0]), B=(B, ANGULAR[1]), K=(K, ANGULAR[2]))
-    arm = slides()
-    pose = snapshot(arm, np.zeros(3)).T()
-    plant = RigidPlant(arm, friction=None, environment=environment)
-    return run(
-        compile(law, arm, rate=rate), plant, TaskMotion(pose=pose), duration=duration, q0=np.zeros(3), progress=False
-    )
+VIRTUAL: Final = Impedance(D=(D, ANGULAR[0]), B=(B, ANGULAR[1]), K=(K, ANGULAR[2]))
+"""A mass, a damper and a spring that an arm shows at its tool."""
+
+
+def still(arm: Arm) -> TaskMotion:
+    """Where the tool is at home."""
+    return TaskMotion(pose=snapshot(arm, arm.home).T())
 
 
 def answer(m: float, b: float, k: float, force: float, t: float) -> float:
@@ -99,12 +91,13 @@ def answer(m: float, b: float, k: float, force: float, t: float) -> float:
 
 
 def eq_10_46() -> Page:
-    out = displayed(Pushed(), 0.5)
+    arm = slides()
+    out = simulated(VIRTUAL, arm, still(arm), rate=FAST, duration=0.5, environment=Pushed())
     rows = [
         row(
             f"where the tool is {t:g} s after a push of 10 N",
             "m",
-            out.q[round(t * FAST), 0],
+            out.q[round(t * FAST), 0] - arm.home[0],
             answer(D, B, K, 10.0, t),
             CLOSED_FORM,
             rel=5e-3,
@@ -113,88 +106,56 @@ def eq_10_46() -> Page:
     ]
     return Page(
         rows=tuple(rows),
-        note="Chosen: m = 2 kg, b = 20 N s/m, k = 400 N/m a gantry of 21 kg along x, a wrist sensor, 10 kHz.",
+        note="Chosen: m = 2 kg, b = 20 N s/m, k = 400 N/m; a gantry of 21 kg along x, a wrist sensor, 10 kHz.",
     )
 
 
-def impedance_at(w: float) -> complex:
-    """F / X of the displayed environment at a frequency, from a run [N/m]."""
-    turn = 2.0 * math.pi / w
-    out = displayed(Pushed(w=w), 1.5 + turn)
-    last = out.between(out.t[-1] - turn, out.t[-1] - 1.0 / out.rate)
-    wave = np.exp(-1j * w * last.t)
-    return complex(np.mean(10.0 * np.cos(w * last.t) * wave) / np.mean(last.q[:, 0] * wave))
+def asked(w: Any) -> Any:
+    """m s^2 + b s + k at s = j w [N/m]."""
+    return D * (1j * w) ** 2 + B * 1j * w + K
+
+
+def along_x(law: Law, ref: Sample, rate: float = FAST) -> TipResponse:
+    """How the gantry's tool answers a force along x."""
+    wrist = Pushed(force=0.0)
+    return tip_impedance(looped(law, slides(), ref, rate=rate, environment=wrist), direction=[1.0, 0.0, 0.0])
 
 
 def eq_10_47() -> Page:
-    rows: list[Row] = []
     ws = np.geomspace(1.5, 90.0, 5)
-    told = np.array([impedance_at(float(w)) for w in ws])
-    wanted = D * (1j * ws) ** 2 + B * 1j * ws + K
-    for k, states in ((0, "dominated by the spring"), (2, ""), (4, "dominated by the mass")):
-        rows.append(
-            row(
-                f"|Z| at {ws[k]:.3g} rad/s",
-                "N/m",
-                abs(told[k]),
-                abs(wanted[k]),
-                "|m s^2 + b s + k|",
-                rel=0.01,
-                states=states,
-            )
-        )
-        rows.append(
-            row(
-                f"phase of Z at {ws[k]:.3g} rad/s",
-                "rad",
-                np.angle(told[k]),
-                np.angle(wanted[k]),
-                "m s^2 + b s + k",
-                rel=0.01,
-                near=1e-3,
-            )
-        )
-    rows += [
-        row(
-            "|Z| at 1.5 rad/s over k",
-            "",
-            abs(told[0]) / K,
-            abs(wanted[0]) / K,
-            "m s^2 + b s + k",
-            rel=0.01,
-            states="near 1",
-        ),
-        row(
-            "|Z| at 90 rad/s over m w^2",
-            "",
-            abs(told[4]) / (D * ws[4] ** 2),
-            abs(wanted[4]) / (D * ws[4] ** 2),
-            "m s^2 + b s + k",
-            rel=0.01,
-            states="near 1",
-        ),
-    ]
+    tip = along_x(VIRTUAL, still(slides()))
+    measured, wanted = tip.measure(ws), asked(ws)
+    claims = {0: "dominated by the spring", 4: "dominated by the mass"}
+    rows: list[Row] = []
+    for way, told in (("linearised", tip.Z(ws)), ("by a sweep of runs", measured.Z)):
+        for k in (0, 2, 4):
+            name = f"Z at {ws[k]:.3g} rad/s, {way}"
+            size, turn = (abs(told[k]), abs(wanted[k])), (np.angle(told[k]), np.angle(wanted[k]))
+            rows += [
+                row(f"|{name.replace(' at', '| at')}", "N/m", *size, POLYNOMIAL, rel=0.01, states=claims.get(k, "")),
+                row(f"phase of {name}", "rad", *turn, POLYNOMIAL, rel=0.01),
+            ]
+    for name, k, part in (("|Z| at 1.5 rad/s over k", 0, K), ("|Z| at 90 rad/s over m w^2", 4, D * ws[4] ** 2)):
+        told, want = abs(measured.Z[k]) / part, abs(wanted[k]) / part
+        rows.append(row(name, "", told, want, POLYNOMIAL, rel=0.01, states="near 1"))
     figure, (ax,) = panels(1, 2.5)
     prepared(ax, "impedance at the tool", "|F / X| [N/m]", "w [rad/s]")
     fine = np.geomspace(1.0, 120.0, 200)
-    ax.loglog(
-        fine, np.abs(D * (1j * fine) ** 2 + B * 1j * fine + K), color=INK, linewidth=0.9, label="|m s² + b s + k|"
-    )
-    ax.loglog(ws, np.abs(told), "o", color=colour(0), markersize=4.5, label="runs")
+    ax.loglog(fine, np.abs(asked(fine)), color=INK, linewidth=0.9, label="|m s² + b s + k|")
+    ax.loglog(ws, np.abs(measured.Z), "o", color=colour(0), markersize=4.5, label="runs")
     ax.axhline(K, color=colour(2), linewidth=0.9, linestyle=DASHED, label="k")
     ax.loglog(fine, D * fine**2, color=colour(1), linewidth=0.9, linestyle=DASHED, label="m w²")
     ax.set_ylim(50.0, 4e4)
-    ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
-    return Page(rows=tuple(rows), figure=figure, note="Numbers of equation 10.46; the push is a cosine of 10 N.")
+    legend(ax)
+    note = "Numbers of equation 10.46. taut.tip_impedance has both: the linearised loop, and a sweep of pushes."
+    return Page(rows=tuple(rows), figure=figure, note=note)
 
 
 def eq_10_48() -> Page:
-    law = Impedance(D=(D, ANGULAR[0]), B=(B, ANGULAR[1]), K=(K, ANGULAR[2]))
     arm = panda()
-    pose = snapshot(arm, arm.home).T()
-    plant = RigidPlant(arm, friction=None, environment=Pushed(axis=1, force=8.0))
-    out = run(compile(law, arm), plant, TaskMotion(pose=pose), duration=2.0, progress=False)
-    moved = out.task.p[:, 1] - np.asarray(pose.p)[1]
+    p = still(arm).p
+    out = simulated(VIRTUAL, arm, still(arm), duration=2.0, environment=Pushed(axis=1, force=8.0))
+    moved = out.task.p[:, 1] - p[1]
     rows = [
         row(
             f"tool of a Panda {t:g} s after a push of 8 N along y",
@@ -211,7 +172,7 @@ def eq_10_48() -> Page:
         row(
             "what it moves across, in the end",
             "m",
-            np.abs(out.task.p[-1, [0, 2]] - np.asarray(pose.p)[[0, 2]]).max(),
+            np.abs(out.task.p[-1, [0, 2]] - p[[0, 2]]).max(),
             0.0,
             "10.48: nothing",
             near=2e-4,
@@ -226,7 +187,7 @@ def eq_10_49() -> Page:
     m = engine().at(Q, V)
     ref = TaskMotion(pose=Pose(m.p + np.array([0.02, -0.01, 0.03]), R=m.R), twist=[0.1, 0.2, -0.1, 0.0, 0.0, 0.0])
     ctrl = ticked(Impedance(B=(B, ANGULAR[1]), K=(K, ANGULAR[2]), null=None), panda(), Q, V, ref)
-    told = np.sum(list(ctrl.terms.values()), axis=0)
+    told = total(ctrl.terms)
     X = np.array([0.02, -0.01, 0.03, 0.0, 0.0, 0.0])
     gains = [np.array([each[0]] * 3 + [each[1]] * 3) for each in ((K, ANGULAR[2]), (B, ANGULAR[1]))]
     spring = gains[0] * X + gains[1] * (ref.twist - m.J @ V)
@@ -283,8 +244,7 @@ class MeasuredInertia(Law):
 def echoed(factor: float) -> float:
     """By how much the acceleration changes from one tick to the next, with D a multiple of M."""
     arm = link(gravity=False, b=0.0)
-    ctrl = compile(MeasuredInertia(D=factor * M), arm)
-    out = run(ctrl, RigidPlant(arm, friction=None), duration=0.02, q0=[0.0], v0=[1e-3], progress=False)
+    out = simulated(MeasuredInertia(D=factor * M), arm, duration=0.02, q0=[0.0], v0=[1e-3])
     a = np.diff(out.v[:, 0])
     return float(a[10] / a[9])
 
@@ -294,16 +254,8 @@ def accepted(factor: float) -> bool:
     arm = slides().subset(["x"])
     mass = float(snapshot(arm, [0.0]).M[0, 0])
     law = Impedance(D=(factor * mass, 1.0), B=(10.0, 1.0), K=(10.0, 1.0), feedback="acceleration")
-    pose = snapshot(arm, [0.0]).T()
     try:
-        run(
-            compile(law, arm),
-            RigidPlant(arm, friction=None),
-            TaskMotion(pose=pose),
-            duration=0.01,
-            q0=[0.0],
-            progress=False,
-        )
+        simulated(law, arm, still(arm), duration=0.01)
     except RangeError:
         return False
     return True
@@ -315,26 +267,32 @@ def eq_10_50() -> Page:
         D=(D, ANGULAR[0]), B=(B, ANGULAR[1]), K=(K, ANGULAR[2]),
     )  # fmt: skip
     arm = panda()
-    pose = snapshot(arm, arm.home).T()
-    ctrl = compile(law, arm)
+    rest = still(arm)
     F_ext = np.array([0.0, 8.0, 0.0, 0.0, 0.0, 0.0])
-    ctrl.step(arm.home, np.zeros(7), TaskMotion(pose=pose), F_ext=F_ext)
-    dt = ctrl.dt
-    first = ctrl.memory["law.twist"][1] / dt
-    plant = RigidPlant(arm, friction=None, environment=Pushed(axis=1, force=8.0))
-    out = run(ctrl, plant, TaskMotion(pose=pose), duration=2.0, progress=False)
-    moved = out.task.p[:, 1] - np.asarray(pose.p)[1]
+    first = {}
+    for dt in (1e-3, 1e-6):
+        ctrl = compile(law, arm, rate=1.0 / dt, engine="float")
+        ctrl.step(arm.home, np.zeros(7), rest, F_ext=F_ext)
+        first[dt] = float(ctrl.memory["law.twist"][1]) / dt
+    out = simulated(law, arm, rest, duration=2.0, environment=Pushed(axis=1, force=8.0))
+    moved = out.task.p[:, 1] - rest.p[1]
     rows = [
         row(
-            "acceleration of the model in the first tick",
+            "acceleration of the model in the first tick, 1 ms",
             "m/s^2",
-            first,
-            8.0 / (D + 0.5 * B * dt + 0.25 * K * dt * dt),
+            first[1e-3],
+            8.0 / (D + 0.5 * B * 1e-3 + 0.25 * K * 1e-6),
             "D^-1 F_ext, implicit midpoint rule",
             rel=1e-9,
         ),
         row(
-            "the same as dt falls", "m/s^2", first, 8.0 / D, "D^-1 F_ext", rel=0.01, states="D^-1 (F_ext - B V - K X)"
+            "the same in a tick of 1 us",
+            "m/s^2",
+            first[1e-6],
+            8.0 / D,
+            "D^-1 F_ext",
+            rel=1e-5,
+            states="D^-1 (F_ext - B V - K X)",
         ),
     ]
     rows += [

@@ -1,4 +1,4 @@
-"""Section 10.2.1.1, continued: gravity, the integral, its bound, and what the text only claims."""
+"""Section 10.2.1.1, continued: gravity, the integral, and its bound."""
 
 from __future__ import annotations
 
@@ -9,34 +9,31 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from taut.apps.book.drawing import arrow, panels, words
-from taut.apps.book.link import KD, KI, KP, SAMPLED, B, M, R, controller, link, simulated, solved, weight
-from taut.apps.book.page import Entry, Page, Row, row
-from taut.apps.book.tick import two_poles
+from taut.apps.book.drawing import arrow, legend, panels, words
+from taut.apps.book.link import KD, KI, KP, SAMPLED, B, M, R, controller, link, on_link, solved, weight
+from taut.apps.book.page import ODE, ROOTS, Entry, Page, Row, row
+from taut.apps.book.simulation import looped, two_poles
 from taut.arm.load import load_arm
 from taut.control.joint import PID
 from taut.control.reference import JointMotion
-from taut.control.trajectory import Sine
-from taut.plant.actuation import Actuation
 from taut.record.run import Run
 from taut.record.style import DASHED, INK, SMALL, colour, prepared
+from taut.study.linear_loop import LinearLoop
+from taut.study.linearise import linearise
 from taut.study.locus import locus
 from taut.study.second_order import second_order
 from taut.study.stability_plots import draw_locus
 
 __all__ = ["ENTRIES"]
 
-ODE: Final = "SciPy's DOP853 of equation 10.3"
-ROOTS: Final = "numpy.roots"
 HOME: Final = -math.pi / 2.0  # [rad] where figure 10.6 starts
 LONG: Final = 12.0  # [s]
-RATE: Final = 100.0  # [Hz] of the loop with a delay
 BOUND: Final = (B + KD) * KP / M  # [N m/(rad s)] of Ki
 
 
-def figure_10_6(ki: float) -> Run:
+def figure_10_6(ki: float, kp: float = KP) -> Run:
     """A run of figure 10.6."""
-    return simulated(PID(kp=KP, kd=KD, ki=ki), ref=JointMotion(q=[0.0]), duration=LONG, q0=[HOME])
+    return on_link(PID(kp=kp, kd=KD, ki=ki), ref=JointMotion(q=[0.0]), duration=LONG, q0=[HOME])
 
 
 def written_10_6(ki: float, times: np.ndarray) -> np.ndarray:
@@ -49,18 +46,21 @@ def written_10_6(ki: float, times: np.ndarray) -> np.ndarray:
 
 
 def eq_10_11() -> Page:
-    run = figure_10_6(0.0)
-    wanted = brentq(lambda e: KP * e - weight(-e), 0.0, 1.0)
-    rows = (
-        row("error at rest of PD control", "rad", -run.q[-1, 0], wanted, "root of Kp e = m g r cos(theta)", rel=1e-6),
-    )
-    return Page(rows=rows, note="The goal is theta = 0; gains of figure 10.6.")
+    rows = []
+    for kp, name, states in (
+        (KP, "error at rest of PD control", ""),
+        (10.0 * KP, "with Kp ten times as large", "small"),
+    ):
+        wanted = brentq(lambda e, kp=kp: kp * e - weight(-e), 0.0, 1.0)
+        rested = -figure_10_6(0.0, kp).q[-1, 0]
+        rows.append(row(name, "rad", rested, wanted, "root of Kp e = m g r cos(theta)", rel=1e-6, states=states))
+    return Page(rows=tuple(rows), note="The goal is theta = 0; gains of figure 10.6.")
 
 
 def constant_disturbance(ki: float) -> Run:
     """The weight of a slide of 3 kg, which is the same everywhere; critically damped."""
     slide = load_arm("gantry3").subset(["z"]).with_joints(viscous=0.0)
-    return simulated(
+    return on_link(
         PID(kp=300.0, kd=60.0, ki=ki), plant=slide, ref=JointMotion(q=[0.1]), duration=10.0, q0=[0.0]
     )  # fmt: skip
 
@@ -100,13 +100,31 @@ def eq_10_13() -> Page:
 def eq_10_14() -> Page:
     pd = second_order(M=M, b=B, kp=KP, kd=KD)
     rows: list[Row] = [row("bound of Ki", "N m/(rad s)", pd.largest_ki, BOUND, "(b + Kd) Kp / M")]
-    ctrl = controller(PID(kp=KP, kd=KD, ki=KI), link(gravity=False))
+    plane = link(gravity=False)
+    ctrl = controller(PID(kp=KP, kd=KD, ki=KI), plane)
+    loop = looped(ctrl, plane, JointMotion(q=[0.0]), friction="arm", integrator="rk4")
+
+    def compiled(ki: float) -> LinearLoop:
+        loop.parameters["law.ki"] = ki
+        return linearise(loop, at=[0.0])
+
+    (border,) = locus(compiled, [0.8 * BOUND, 1.2 * BOUND]).borders
+    rows.append(
+        row(
+            "Ki at which taut.laws.PID loses stability",
+            "N m/(rad s)",
+            border.value,
+            BOUND,
+            "(b + Kd) Kp / M",
+            rel=1e-3,
+        )
+    )
     for factor in (0.9, 1.1):
         ki = factor * BOUND
         wanted = np.roots([M, B + KD, KP, ki])
         pole = wanted[wanted.real.argmax()]
         ctrl.parameters["law.ki"] = ki
-        run = simulated(ctrl, plant=link(gravity=False), ref=JointMotion(q=[0.0]), duration=30.0, q0=[0.01])
+        run = on_link(ctrl, plant=link(gravity=False), ref=JointMotion(q=[0.0]), duration=30.0, q0=[0.01])
         got = max(two_poles(run.between(6.0, 30.0).q[::100, 0], 0.01).real)
         rows.append(
             row(
@@ -179,7 +197,7 @@ def fig_10_6() -> Page:
     prepared(axes[0], "error", "error [rad]", "t [s]")
     prepared(axes[1], "terms", "torque [N m]", "t [s]")
     for k, (name, run) in enumerate(runs.items()):
-        axes[0].plot(run.t, e[name], color=colour(k), linewidth=1.5, label=name)
+        axes[0].plot(run.t[::50], e[name][::50], color=colour(k), linewidth=1.5, label=name)
     axes[0].axhline(0.0, color=INK, linewidth=0.6)
     styles = {"P": colour(2), "I": colour(3), "D": colour(4)}
     for name, run in runs.items():
@@ -187,11 +205,11 @@ def fig_10_6() -> Page:
             if name == "PID" or term != "I":
                 whole = name == "PID"
                 axes[1].plot(
-                    run.t, values[:, 0], color=styles[term], label=f"{name} {term}",
+                    run.t[::50], values[::50, 0], color=styles[term], label=f"{name} {term}",
                     linestyle="-" if whole else DASHED, linewidth=1.3 if whole else 1.0,
                 )  # fmt: skip
     for ax in axes[:2]:
-        ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK, ncols=1 if ax is axes[0] else 2)
+        legend(ax, ncols=1 if ax is axes[0] else 2)
         ax.set_xlim(0.0, LONG)
     axes[1].set_ylim(-3.0, 5.0)
     ax = axes[2]
@@ -251,84 +269,6 @@ def fig_10_7() -> Page:
     return Page(rows=rows, figure=figure, note=note)
 
 
-# -------------------------------------------------------------------- what the text only claims
-
-
-def amplitude(run: Run, w: float) -> float:
-    """Of the error's part at a frequency, over the last whole turns of a run."""
-    turn = 2.0 * math.pi / w
-    last = run.between(run.t[-1] - 2.0 * turn, run.t[-1] - 1.0 / run.rate)
-    assert last.error is not None
-    phase = np.exp(-1j * w * last.t)
-    return float(abs(2.0 * np.mean(last.error[:, 0] * phase)))
-
-
-def following() -> Page:
-    w, size = 2.0, 0.5
-    sine = Sine(center=[0.0], amplitude=size, frequency=w / (2.0 * math.pi))
-    rows = []
-    figure, (ax,) = panels(1, 2.5)
-    prepared(ax, "error while a sine is followed", "error [rad]", "t [s]")
-    for k, ki in enumerate((0.0, KI)):
-        run = simulated(
-            PID(kp=KP, kd=KD, ki=ki), plant=link(gravity=False), ref=sine, duration=10.0 * math.pi, q0=[0.0]
-        )  # fmt: skip
-        s = 1j * w
-        wanted = size * abs((M * s**2 + B * s) * s / (M * s**3 + (B + KD) * s**2 + KP * s + ki))
-        name = f"Ki = {ki:g}"
-        rows.append(
-            row(
-                f"amplitude of the error, {name}", "rad", amplitude(run, w), wanted, "the transfer function", rel=2e-3
-            )
-        )
-        ax.plot(run.t, run.error[:, 0] if run.error is not None else [], color=colour(k), linewidth=1.4, label=name)
-    ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
-    note = (
-        "The chapter: integral control does not eliminate tracking error along arbitrary trajectories. Here it even "
-        "grows. Chosen: 0.5 rad at 2 rad/s in a horizontal plane, gains of figure 10.6."
-    )
-    return Page(rows=tuple(rows), figure=figure, note=note)
-
-
-def delayed() -> Page:
-    d = second_order(M=M, b=B, kp=KP, kd=KD)
-
-    def gain(w: float) -> float:
-        s = 1j * w
-        return abs((KP + KD * s) / (M * s**2 + B * s)) - 1.0
-
-    crossover = brentq(gain, 0.1, 100.0)
-    s = 1j * crossover
-    margin = math.pi + float(np.angle((KP + KD * s) / (M * s**2 + B * s)))
-    border = (margin % (2.0 * math.pi)) / crossover
-    found = d.sampled(rate=RATE).largest_stable_delay
-    rows = [
-        row(
-            "delay up to which PD control is stable",
-            "s",
-            found,
-            border - 0.5 / RATE,
-            "phase margin / crossover, less half a tick",
-            rel=0.002,
-        )
-    ]
-    for factor in (0.95, 1.05):
-        taps = round(RATE * factor * border)
-        run = simulated(
-            controller(PID(kp=KP, kd=KD), link(gravity=False), rate=RATE), plant=link(gravity=False),
-            ref=JointMotion(q=[0.0]), duration=24.0, q0=[0.1], actuation=Actuation(delay=taps / RATE),
-        )  # fmt: skip
-        late, early = (float(np.abs(run.between(*ends).q).max()) for ends in ((18.0, 24.0), (10.0, 16.0)))
-        rows.append(
-            row(f"swing grows with a delay of {taps / RATE:g} s", "0 or 1", late > early, factor > 1.0, "that border")
-        )
-    note = (
-        "The chapter: delayed feedback can cause instability. Gains of figure 10.6, which are critically damped "
-        "without a delay, in a horizontal plane at 100 Hz."
-    )
-    return Page(rows=tuple(rows), note=note)
-
-
 ENTRIES: Final = (
     Entry(id="eq-10.11", title="the link in gravity under PD control", make=eq_10_11),
     Entry(id="fig-10.6", title="PD and PID control in gravity", make=fig_10_6),
@@ -336,11 +276,4 @@ ENTRIES: Final = (
     Entry(id="eq-10.13", title="third-order error dynamics", make=eq_10_13),
     Entry(id="eq-10.14", title="their characteristic equation, and the bound of Ki", make=eq_10_14),
     Entry(id="fig-10.7", title="root locus over Ki", make=fig_10_7),
-    Entry(
-        id="sec-10.2.1.1",
-        title="an integral does not remove the tracking error of a sine",
-        make=following,
-        part="sine",
-    ),
-    Entry(id="sec-10.2.1.1", title="delayed feedback destabilises", make=delayed, part="delay"),
 )

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from taut.apps.book.simulation import simulated
 from taut.arm.builtin import one_joint
 from taut.arm.description import Arm
 from taut.base.types import ArrayLike, Float64Array
@@ -18,9 +19,7 @@ from taut.control.law import Law
 from taut.control.sensing import Sensing
 from taut.control.trajectory import Sine
 from taut.controller import Controller, compile
-from taut.plant.rigid import RigidPlant
 from taut.record.run import Run
-from taut.runtime.simulate import run
 
 __all__ = [
     "B",
@@ -37,7 +36,7 @@ __all__ = [
     "WRONG_R",
     "controller",
     "link",
-    "simulated",
+    "on_link",
     "solved",
     "task",
     "weight",
@@ -73,7 +72,7 @@ def controller(law: Law, arm: Arm, *, rate: float = FAST, differenced: bool = Fa
     return compile(law, arm, rate=rate, sensing=Sensing(velocity="difference") if differenced else None)
 
 
-def simulated(
+def on_link(
     law: Law | Controller,
     *,
     model: Arm | None = None,
@@ -84,11 +83,13 @@ def simulated(
     v0: ArrayLike | None = None,
     **options: Any,
 ) -> Run:
-    """A run of a law on the link, with measured velocity and a plant that is integrated to fourth order."""
+    """A run of a law on the link, or on another arm of one joint, that stands for continuous time.
+
+    Ticks are 0.1 ms long, the velocity is measured, the plant has its friction and is integrated to fourth order.
+    """
     real = plant or link()
-    ctrl = law if isinstance(law, Controller) else controller(law, model or real)
-    sink = RigidPlant(real, **{"integrator": "rk4", **options})
-    return run(ctrl, sink, ref, duration=duration, q0=q0, v0=v0, progress=False)
+    options = {"friction": "arm", "integrator": "rk4", **options}
+    return simulated(law, model or real, ref, plant=real, rate=FAST, duration=duration, q0=q0, v0=v0, **options)
 
 
 # -------------------------------------------------------------------- the same by SciPy

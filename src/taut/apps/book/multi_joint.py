@@ -9,22 +9,21 @@ from typing import Final
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from taut.apps.book.drawing import panels
+from taut.apps.book.drawing import legend, panels
 from taut.apps.book.oracle import TWO_LINKS, engine, panda, two_links
-from taut.apps.book.page import Entry, Page, Row, row
-from taut.apps.book.tick import ticked
+from taut.apps.book.page import MUJOCO, TWO_BY_HAND, Entry, Page, Row, compared, row
+from taut.apps.book.simulation import looped, simulated, ticked, total
 from taut.arm.load import load_arm
 from taut.base.types import Float64Array
 from taut.control.friction import FrictionCompensation
 from taut.control.joint import PID, ComputedTorque, GravityPID
 from taut.control.reference import JointMotion
 from taut.control.trajectory import Sine
-from taut.controller import compile
 from taut.maths.snapshot import snapshot
-from taut.plant.rigid import RigidPlant
 from taut.record.run import Run
-from taut.record.style import DASHED, INK, SMALL, colour, prepared
-from taut.runtime.simulate import run
+from taut.record.style import DASHED, INK, colour, prepared
+from taut.study.coupling import coupling
+from taut.study.lyapunov import Lyapunov, lyapunov
 
 __all__ = ["ENTRIES", "Q", "V"]
 
@@ -33,29 +32,7 @@ V: Final = np.array([0.5, -0.3, 0.4, 0.2, -0.6, 0.7, -0.4])  # [rad/s]
 A: Final = np.array([1.0, 0.5, -0.7, 0.9, -0.4, 0.3, 1.1])  # [rad/s^2]
 B: Final = np.array([0.5, 0.5, 0.4, 0.4, 0.2, 0.2, 0.1])  # [N m s/rad]
 REF: Final = JointMotion(q=Q + 0.05, v=V - 0.1, a=A)
-MUJOCO: Final = "MuJoCo: mj_fullM, qfrc_bias"
-BY_HAND: Final = "two links, written out"
 DIFFER: Final = "the joint that differs most"
-
-
-def compared(
-    told: Float64Array, wanted: Float64Array, unit: str, source: str, what: str, rel: float = 1e-9
-) -> list[Row]:
-    """Two rows for a vector: its length, and the entry that is farthest off, beside the largest."""
-    worst = int(np.argmax(np.abs(told - wanted)))
-    scale = float(np.abs(wanted).max())
-    return [
-        row(f"{what}: length", unit, np.linalg.norm(told), np.linalg.norm(wanted), source, rel=rel),
-        row(
-            f"{what}: entry {worst + 1}, which differs most",
-            unit,
-            told[worst],
-            wanted[worst],
-            source,
-            rel=0.0,
-            near=rel * scale,
-        ),
-    ]
 
 
 def eq_10_20() -> Page:
@@ -66,14 +43,14 @@ def eq_10_20() -> Page:
     rows = compared(np.asarray(tau) + friction, m.M @ A + m.h + B * V, "N m", MUJOCO, "torque of the Panda")
     x = snapshot(two_links(), [0.3, 0.8], [1.0, -0.7])
     q, v = np.array([0.3, 0.8]), np.array([1.0, -0.7])
-    rows += compared(np.asarray(x.Cv), TWO_LINKS.Cv(q, v), "N m", BY_HAND, "C v of two links")
-    rows += compared(np.asarray(x.g), TWO_LINKS.g(q), "N m", BY_HAND, "g of two links")
+    rows += compared(np.asarray(x.Cv), TWO_LINKS.Cv(q, v), "N m", TWO_BY_HAND, "C v of two links")
+    rows += compared(np.asarray(x.g), TWO_LINKS.g(q), "N m", TWO_BY_HAND, "g of two links")
     return Page(rows=tuple(rows), note="Chosen: states, accelerations, and viscous friction of the Panda's joints.")
 
 
 def eq_10_21() -> Page:
     ctrl = ticked(ComputedTorque(kp=100.0, kd=20.0, ki=50.0), panda(), Q, V, REF)
-    told = np.sum(list(ctrl.terms.values()), axis=0)
+    told = total(ctrl.terms)
     m = engine().at(Q, V)
     e = REF.q - Q
     wanted = m.M @ (A + 100.0 * e + 50.0 * e * 1e-3 + 20.0 * (REF.v - V)) + m.h
@@ -85,7 +62,7 @@ def eq_10_21() -> Page:
 
 def eq_10_22() -> Page:
     ctrl = ticked(GravityPID(kp=80.0, kd=12.0, ki=30.0), panda(), Q, V, REF)
-    told = np.sum(list(ctrl.terms.values()), axis=0)
+    told = total(ctrl.terms)
     e = REF.q - Q
     wanted = 80.0 * e + 30.0 * e * 1e-3 + 12.0 * (REF.v - V) + engine().at(Q, np.zeros(7)).h
     return Page(
@@ -105,9 +82,8 @@ RATE: Final = 20000.0  # [Hz]
 @cache
 def falling() -> Run:
     """Two links under PD control with gravity compensation, from afar."""
-    ctrl = compile(GravityPID(kp=KP, kd=KD), two_links(), rate=RATE)
-    plant = RigidPlant(two_links(), friction=None, integrator="rk4")
-    return run(ctrl, plant, JointMotion(q=GOAL), duration=LONG, q0=START, progress=False)
+    law, goal = GravityPID(kp=KP, kd=KD), JointMotion(q=GOAL)
+    return simulated(law, two_links(), goal, rate=RATE, duration=LONG, q0=START, integrator="rk4")
 
 
 @cache
@@ -124,10 +100,16 @@ def written() -> tuple[Float64Array, Float64Array]:
     return times, got.y
 
 
+@cache
+def found() -> Lyapunov:
+    """V along that run, and its rate at each tick."""
+    return lyapunov(falling())
+
+
 def energy(q: Float64Array, v: Float64Array) -> float:
-    """V of equation 10.24, by this library's mass matrix [J]."""
+    """V of equation 10.24, written out [J]."""
     e = GOAL - q
-    return float(0.5 * e @ (KP * e) + 0.5 * v @ np.asarray(snapshot(two_links(), q, v).M) @ v)
+    return float(0.5 * e @ (KP * e) + 0.5 * v @ TWO_LINKS.M(q) @ v)
 
 
 def eq_10_23() -> Page:
@@ -152,69 +134,55 @@ def eq_10_23() -> Page:
 
 
 def eq_10_24() -> Page:
-    q, v = np.array([0.3, 0.8]), np.array([1.0, -0.7])
-    e, M = GOAL - q, TWO_LINKS.M(q)
-    wanted = 0.5 * (e @ (KP * e)) + 0.5 * (v @ M @ v)
+    out, k = falling(), round(0.15 * RATE)
+    wanted = energy(out.q[k], out.v[k])
     return Page(
-        rows=(row("error energy V of two links", "J", energy(q, v), wanted, BY_HAND),),
-        note="Gains and goal of equation 10.23.",
+        rows=(row("error energy V of two links, after 0.15 s", "J", found().V[k], wanted, TWO_BY_HAND),),
+        note="By taut.lyapunov. The run of equation 10.23.",
     )
 
 
 def eq_10_25() -> Page:
-    out, (times, y) = falling(), written()
-    k, at = round(0.4 * RATE), int(np.searchsorted(times, 0.4 - 1e-9))
-    q, v = y[:2, at], y[2:4, at]
-    wanted = 0.5 * ((GOAL - q) @ (KP * (GOAL - q))) + 0.5 * (v @ TWO_LINKS.M(q) @ v)
+    times, y = written()
+    at = int(np.searchsorted(times, 0.4 - 1e-9))
+    ode = "SciPy's DOP853 of 10.23, written out"
+    V, e = found().V, GOAL - START
     rows = (
-        row(
-            "V at the start", "J", energy(out.q[0], out.v[0]), 0.5 * ((GOAL - START) @ (KP * (GOAL - START))), BY_HAND
-        ),
-        row(
-            "V after 0.4 s",
-            "J",
-            energy(out.q[k], out.v[k]),
-            wanted,
-            "SciPy's DOP853 of 10.23, written out",
-            rel=0.0,
-            near=5e-3,
-        ),
+        row("V at the start", "J", V[0], 0.5 * (e @ (KP * e)), TWO_BY_HAND),
+        row("V after 0.4 s", "J", V[round(0.4 * RATE)], energy(y[:2, at], y[2:4, at]), ode, rel=0.0, near=5e-3),
     )
     return Page(rows=rows, note="Numbers of equation 10.23.")
 
 
 def eq_10_26() -> Page:
-    out = falling()
-    k = round(0.15 * RATE)
-    change = (energy(out.q[k + 1], out.v[k + 1]) - energy(out.q[k - 1], out.v[k - 1])) * 0.5 * RATE
+    out, k = falling(), round(0.15 * RATE)
     q, v = out.q[k], out.v[k]
     M, e = TWO_LINKS.M(q), GOAL - q
     a = np.linalg.solve(M, KP * e - KD * v - TWO_LINKS.Cv(q, v))
     wanted = -v @ (KP * e) + v @ M @ a + 0.5 * v @ TWO_LINKS.M_rate(q, v) @ v
-    return Page(
-        rows=(row("rate of V at 0.15 s, by differences", "W", change, wanted, BY_HAND, rel=2e-3),),
-        note="Numbers of equation 10.23.",
+    V = found().V
+    rows = (
+        row("rate of V at 0.15 s", "W", found().rate[k], wanted, TWO_BY_HAND),
+        row("the same by differences of V", "W", 0.5 * RATE * (V[k + 1] - V[k - 1]), wanted, TWO_BY_HAND, rel=2e-3),
     )
+    return Page(rows=rows, note="Numbers of equation 10.23.")
 
 
 def eq_10_27() -> Page:
     out, (times, y) = falling(), written()
-    steps = out.q[:: round(0.01 * RATE)], out.v[:: round(0.01 * RATE)]
-    V_run = np.array([energy(q, v) for q, v in zip(*steps, strict=True)])
+    k, some = round(0.15 * RATE), slice(None, None, round(0.01 * RATE))
+    V = found().V
     q, v = np.array([0.3, 0.8]), np.array([1.0, -0.7])
     C = np.asarray(snapshot(two_links(), q, v).C)
     skew = TWO_LINKS.M_rate(q, v) - 2.0 * C
-    moved = run(
-        compile(GravityPID(kp=KP, kd=KD), two_links(), rate=1000.0), RigidPlant(two_links(), friction=None),
-        JointMotion(q=GOAL), duration=0.001, q0=START, progress=False,
-    )  # fmt: skip
+    moved = simulated(GravityPID(kp=KP, kd=KD), two_links(), JointMotion(q=GOAL), duration=0.001, q0=START)
     a = moved.v[1] * moved.rate
     wanted = np.linalg.solve(TWO_LINKS.M(START), KP * (GOAL - START))
     rows = [
-        row("V lost in 8 s", "J", V_run[0] - V_run[-1], y[4, -1], "integral of v . Kd v by SciPy", rel=1e-3),
-        row(
-            "rises of V over 800 steps of 10 ms", "", int((np.diff(V_run) > 1e-9).sum()), 0, "the chapter: decreasing"
-        ),
+        row("rate of V at 0.15 s", "W", found().rate[k], -out.v[k] @ (KD * out.v[k]), "-v . Kd v", rel=1e-6),
+        row("both at their worst, apart, over the largest rate", "", found().worst, 0.0, "-v . Kd v", near=1e-6),
+        row("V lost in 0.4 s", "J", V[0] - V[round(0.4 * RATE)], y[4, 40], "integral of v . Kd v by SciPy", rel=1e-3),
+        row("ticks after which V is larger", "", int((np.diff(V) > 1e-9).sum()), 0, "the chapter: decreasing"),
         row(
             "largest entry of M-dot - 2 C, less its skew part",
             "",
@@ -235,17 +203,16 @@ def eq_10_27() -> Page:
         row("error in the end", "rad", np.abs(out.q[-1] - GOAL).max(), 0.0, "the chapter: converges", near=1e-3),
     ]
     figure, (left, right) = panels(2, 2.5)
-    t = out.t[:: round(0.01 * RATE)]
     prepared(left, "error energy", "V [J]", "t [s]")
-    left.plot(t, V_run, color=colour(0), linewidth=1.5, label="of the run")
+    left.plot(out.t[some], V[some], color=colour(0), linewidth=1.5, label="of the run")
     left.plot(
-        times, V_run[0] - y[4], color=INK, linewidth=0.9, linestyle=DASHED, label="V(0) less the integral of v . Kd v"
+        times, V[0] - y[4], color=INK, linewidth=0.9, linestyle=DASHED, label="V(0) less the integral of v . Kd v"
     )
-    left.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
+    legend(left)
     prepared(right, "errors", "error [rad]", "t [s]")
     for i in (0, 1):
-        right.plot(out.t, GOAL[i] - out.q[:, i], color=colour(i), linewidth=1.3, label=f"joint {i + 1}")
-    right.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
+        right.plot(out.t[some], GOAL[i] - out.q[some, i], color=colour(i), linewidth=1.3, label=f"joint {i + 1}")
+    legend(right)
     note = (
         "Where theta-dot = 0 off the goal, the spring ensures that theta-ddot is not zero, so that theta-dot becomes "
         "so; the chapter writes that theta-dot is not zero. Numbers of equation 10.23."
@@ -256,29 +223,22 @@ def eq_10_27() -> Page:
 # -------------------------------------------------------------------- decentralised control
 
 
+def crosstalk(M: Float64Array, kp: Float64Array, kd: Float64Array) -> float:
+    """The largest response, over all frequencies, of one of two joints under PD control to the goal of the other."""
+    P, D, worst = np.diag(kp), np.diag(kd), 0.0
+    for s in 1j * np.geomspace(1.0, 500.0, 2000):
+        worst = max(worst, np.abs((np.linalg.solve(M * s * s + D * s + P, P))[[0, 1], [1, 0]]).max())
+    return worst
+
+
 def sec_10_2_2_1() -> Page:
     gantry = load_arm("gantry3").with_joints(viscous=0.0)
     goal = np.array([0.2, -0.1, 0.15])
     law, duration = PID(kp=400.0, kd=60.0, ki=100.0), 1.0
-    whole = run(
-        compile(law, gantry),
-        RigidPlant(gantry),
-        JointMotion(q=goal),
-        duration=duration,
-        q0=np.zeros(3),
-        progress=False,
-    )
+    whole = simulated(law, gantry, JointMotion(q=goal), duration=duration, q0=np.zeros(3))
     rows = []
     for i, name in enumerate(gantry.joint_names):
-        alone = gantry.subset([name])
-        single = run(
-            compile(law, alone),
-            RigidPlant(alone),
-            JointMotion(q=[goal[i]]),
-            duration=duration,
-            q0=[0.0],
-            progress=False,
-        )
+        single = simulated(law, gantry.subset([name]), JointMotion(q=[goal[i]]), duration=duration, q0=[0.0])
         apart = np.abs(whole.q[:, i] - single.q[:, 0])
         worst = int(np.argmax(apart)) if apart.any() else -1
         rows.append(
@@ -292,17 +252,18 @@ def sec_10_2_2_1() -> Page:
         arm = two_links().with_gears(G, rotor)
         q = np.array([0.3, 0.8])
         M, wanted = np.asarray(snapshot(arm, q).M), TWO_LINKS.M(q) + G**2 * rotor * np.eye(2)
-        told, by_hand = (abs(m[0, 1]) / math.sqrt(m[0, 0] * m[1, 1]) for m in (M, wanted))
-        rows.append(
+        kp, kd = 400.0 * np.diag(M), 40.0 * np.diag(M)
+        level = arm.with_gravity([0.0, 0.0, 0.0])
+        found = coupling(looped(PID(kp=kp, kd=kd), level, JointMotion(q=q), rate=RATE), at=q)
+        by_hand = abs(wanted[0, 1]) / math.sqrt(wanted[0, 0] * wanted[1, 1])
+        name, claim = "coupling |M12| / sqrt(M11 M22) of two links", "nearly diagonal" if G > 1.0 else ""
+        rows += [
+            row(f"{name}, G = {G:g}", "", found.inertia, by_hand, TWO_BY_HAND, states=claim),
             row(
-                f"coupling |M12| / sqrt(M11 M22) of two links, G = {G:g}",
-                "",
-                told,
-                by_hand,
-                BY_HAND,
-                states="nearly diagonal" if G > 1.0 else "",
-            )
-        )
+                f"what a joint follows of the goal of another, at most, G = {G:g}", "", found.worst[0],
+                crosstalk(wanted, kp, kd), "(M s^2 + Kd s + Kp)^-1 Kp", rel=5e-3, states=claim,
+            ),
+        ]  # fmt: skip
         stretched = np.array([0.3, 0.0])
         change = float(np.asarray(snapshot(arm, stretched).M)[0, 0] / M[0, 0] - 1.0)
         wanted_change = (TWO_LINKS.M(stretched)[0, 0] + G**2 * rotor) / wanted[0, 0] - 1.0
@@ -312,7 +273,7 @@ def sec_10_2_2_1() -> Page:
                 "",
                 change,
                 wanted_change,
-                BY_HAND,
+                TWO_BY_HAND,
                 states="small" if G > 1.0 else "",
             )
         )
@@ -323,7 +284,8 @@ def sec_10_2_2_1() -> Page:
         rows.append(_followed(law_name, control))
     note = (
         "A gantry is three single joints, to rounding; gears make the mass matrix nearly diagonal and nearly "
-        "constant. Chosen: PID with kp = 400, kd = 60, ki = 100; rotors of 1e-3 kg m^2."
+        "constant: by taut.coupling, for joints that PD control makes equally fast, without gravity. Chosen: PID "
+        "with kp = 400, kd = 60, ki = 100; rotors of 1e-3 kg m^2."
     )
     return Page(rows=tuple(rows), note=note)
 
@@ -334,9 +296,8 @@ SINE: Final = Sine(center=GOAL, amplitude=0.5, frequency=0.5)
 def _followed(name: str, law: PID | ComputedTorque) -> Row:
     """The largest error along a sine, beside SciPy's."""
     first = SINE.at(0.0)
-    out = run(
-        compile(law, two_links(), rate=10000.0), RigidPlant(two_links(), friction=None, integrator="rk4"), SINE,
-        duration=2.0, q0=first.q, v0=first.v, progress=False,
+    out = simulated(
+        law, two_links(), SINE, rate=10000.0, duration=2.0, q0=first.q, v0=first.v, integrator="rk4"
     )  # fmt: skip
 
     def rate(t: float, y: Float64Array) -> Float64Array:

@@ -8,13 +8,14 @@ from functools import cache, cached_property
 from typing import Any, Final
 
 import numpy as np
+from scipy.linalg import expm
 
 from taut.arm.description import Arm
 from taut.arm.load import load_arm
 from taut.base.types import ArrayLike, Float64Array
 from taut.runtime.drivers.mujoco import MujocoPlant
 
-__all__ = ["TWO_LINKS", "Engine", "TwoLinks", "engine", "panda", "two_links"]
+__all__ = ["TWO_LINKS", "Engine", "TwoLinks", "engine", "held_radius", "panda", "two_links"]
 
 G: Final = 9.81  # [m/s^2]
 
@@ -29,6 +30,16 @@ def two_links() -> Arm:
 def panda() -> Arm:
     """The Panda of the catalogue without friction."""
     return load_arm("panda").with_joints(viscous=0.0, coulomb=0.0)
+
+
+def held_radius(mass: float, damping: float, K: float, B: float, rate: float) -> float:
+    """Largest modulus of the poles of a mass under u = -K x - B v, held over a tick, with v differenced."""
+    T = 1.0 / rate
+    held = expm(np.array([[0.0, 1.0, 0.0], [0.0, -damping / mass, 1.0 / mass], [0.0, 0.0, 0.0]]) * T)
+    loop = np.zeros((3, 3))  # of x, v and the x before
+    loop[:2, :2], loop[2, 0] = held[:2, :2], 1.0
+    loop[:2] -= np.outer(held[:2, 2], [K + B / T, 0.0, -B / T])
+    return float(np.abs(np.linalg.eigvals(loop)).max())
 
 
 @dataclass(frozen=True, kw_only=True)

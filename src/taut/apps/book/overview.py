@@ -6,14 +6,19 @@ import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.signal import butter, lfilter
 
-from taut.apps.book.drawing import arrow, block, box, canvas, panels, words
-from taut.apps.book.link import WRONG_R, B, M, controller, link, simulated, weight
+from taut.apps.book.drawing import arrow, block, box, canvas, legend, panels, words
+from taut.apps.book.link import WRONG_R, B, M, controller, link, on_link, weight
 from taut.apps.book.page import Entry, Page, Row, row
-from taut.apps.book.tick import rms, ticked, total
-from taut.control.joint import ComputedTorque
+from taut.apps.book.simulation import rms, ticked, total
+from taut.control.friction import FrictionCompensation
+from taut.control.joint import PID, ComputedTorque
 from taut.control.reference import JointMotion
+from taut.control.sensing import Sensing
 from taut.control.trajectory import Sine
+from taut.control.velocity import Difference
+from taut.controller import compile
 from taut.record.style import COLOURS, INK, SMALL, colour, prepared
 
 if TYPE_CHECKING:
@@ -33,7 +38,7 @@ def fig_10_1() -> Page:
     _whole(ax, 3.2, list(ctrl.terms))
     words(ax, 0.1, 1.75, "(b) simplified: ideal sensors, and a controller that directly gives torques", ha="left")
     _simplified(ax, 1.0)
-    tau = total(ctrl.terms)
+    tau = total(ctrl.terms)[0]
     a = KP * 0.2 - KD * 0.2 + 0.2 * 1e-3
     rows = (
         row(
@@ -101,7 +106,7 @@ def written(rate: float) -> float:
         measured = (theta - previous) / dt if k else 0.0
         previous = theta
         errors.append(q - theta)
-        tau = M * (a + KP * (q - theta) + KD * (qdot - measured)) + float(weight(theta, WRONG_R))
+        tau = M * (a + KP * (q - theta) + KD * (qdot - measured)) + float(weight(theta, WRONG_R)) + B * measured
         for _ in range(steps):
             k1v, k1a = v, acceleration(theta, v, tau)
             k2v, k2a = v + 0.5 * h * k1a, acceleration(theta + 0.5 * h * k1v, v + 0.5 * h * k1a, tau)
@@ -116,8 +121,9 @@ def sec_10_1() -> Page:
     sine = Sine(center=[0.0], amplitude=SIZE, frequency=PACE / (2.0 * math.pi))
     got, wanted = [], []
     for rate in RATES:
-        ctrl = controller(ComputedTorque(kp=KP, kd=KD), link(r=WRONG_R), rate=rate, differenced=True)
-        run = simulated(ctrl, plant=link(), ref=sine, duration=LONG, q0=[0.0], v0=[SIZE * PACE], substeps=4)
+        law = ComputedTorque(kp=KP, kd=KD) + FrictionCompensation(at="meas")
+        ctrl = controller(law, link(r=WRONG_R), rate=rate, differenced=True)
+        run = on_link(ctrl, plant=link(), ref=sine, duration=LONG, q0=[0.0], v0=[SIZE * PACE], substeps=4)
         assert run.error is not None
         got.append(rms(run.error[:, 0]))
         wanted.append(written(rate))
@@ -126,7 +132,11 @@ def sec_10_1() -> Page:
         row(f"RMS error at {rate:g} Hz", "rad", mine, theirs, tick_by_tick, rel=1e-6)
         for rate, mine, theirs in zip(RATES, got, wanted, strict=True)
     ]
-    for (low, high), states in (((0, 3), "hundreds to a few thousands of Hz"), ((3, 5), "of limited benefit")):
+    for (low, high), states in (
+        ((0, 3), "hundreds to a few thousands of Hz"),
+        ((3, 5), "of limited benefit"),
+        ((4, 5), "of limited benefit"),
+    ):
         name = f"error at {RATES[high]:g} Hz over that at {RATES[low]:g} Hz"
         rows.append(
             row(name, "", got[high] / got[low], wanted[high] / wanted[low], tick_by_tick, rel=1e-6, states=states)
@@ -139,16 +149,49 @@ def sec_10_1() -> Page:
     ax.set_ylim(0.0, None)
     ax.set_xticks(RATES, [f"{rate:g}" for rate in RATES])
     ax.minorticks_off()
-    ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
+    legend(ax)
     note = (
         "The chapter: higher update rates are of limited benefit. What is left at high rates is the error of the "
-        "model. Chosen: feedback linearisation with Kp = 400, Kd = 40 and differenced positions, r = 0.08 m in the "
-        "model, 0.8 rad at 4 rad/s."
+        "model. Chosen: feedback linearisation and FrictionCompensation, Kp = 400, Kd = 40, differenced positions, "
+        "r = 0.08 m in the model, 0.8 rad at 4 rad/s."
     )
+    return Page(rows=tuple(rows), figure=figure, note=note)
+
+
+# -------------------------------------------------------------------- velocity by differences
+
+STEP, PACE_SLOW, CUTOFF, TICKS = 1e-3, 0.05, 20.0, 2000  # [rad] of an encoder, [rad/s], [Hz], of 1 ms
+
+
+def jitter() -> Page:
+    """A joint that turns slowly, seen by a coarse encoder, differenced with and without a low-pass."""
+    seen = STEP * np.round(PACE_SLOW * 1e-3 * np.arange(TICKS) / STEP)
+    rest, half = JointMotion(q=[0.0]), TICKS // 2
+    differenced = np.diff(seen, prepend=seen[0]) * 1e3
+    wanted = {"differenced": differenced, "with a low-pass": lfilter(*butter(1, CUTOFF, fs=1e3), differenced)}
+    rows: list[Row] = []
+    figure, (ax,) = panels(1, 2.3)
+    prepared(ax, "velocity by differences, from an encoder of 1 mrad", "velocity [rad/s]", "t [s]")
+    ways = (
+        ("differenced", Difference(), "NumPy's diff", "high frequency jitter due to quantization"),
+        ("with a low-pass", Difference(cutoff=CUTOFF), "SciPy's butter and lfilter", "to reduce it"),
+    )
+    for k, (name, velocity, source, claim) in enumerate(ways):
+        ctrl = compile(PID(kp=0.0, kd=1.0), link(), rate=1e3, sensing=Sensing(velocity=velocity))
+        told = -np.array([ctrl.step([q], ref=rest)[0] for q in seen])
+        what, want = f"RMS of the velocity's jitter, {name}", wanted[name][half:].std()
+        rows.append(row(what, "rad/s", told[half:].std(), want, source, rel=1e-6, states=claim))
+        t = 1e-3 * np.arange(half, half + 200)
+        ax.plot(t, told[half : half + 200], color=colour(k), linewidth=0.8 + 0.8 * k, label=name)
+    ax.axhline(PACE_SLOW, color=INK, linewidth=0.9, label="true")
+    ax.set_ylim(-0.1, 1.4)
+    legend(ax, ncols=3)
+    note = "Chosen: 0.05 rad/s, an encoder of 1 mrad, 1 kHz, a low-pass of 20 Hz."
     return Page(rows=tuple(rows), figure=figure, note=note)
 
 
 ENTRIES: Final = (
     Entry(id="fig-10.1", title="a robot control system", make=fig_10_1),
     Entry(id="sec-10.1", title="higher servo rates stop paying", make=sec_10_1, part="rates"),
+    Entry(id="sec-10.1", title="jitter of differenced positions", make=jitter, part="jitter"),
 )

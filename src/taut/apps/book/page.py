@@ -4,12 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from taut.base.types import Float64Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Entry", "Page", "Row", "row"]
+__all__ = ["BY_HAND", "MUJOCO", "ODE", "ROOTS", "TWO_BY_HAND", "Entry", "Page", "Row", "compared", "row"]
+
+BY_HAND: Final = "the equation, written out"
+TWO_BY_HAND: Final = "two links, written out"
+ROOTS: Final = "numpy.roots"
+ODE: Final = "SciPy's DOP853 of equation 10.3"
+MUJOCO: Final = "MuJoCo: mj_fullM, qfrc_bias, mj_jacSite"
+"""By which other way a number is expected, where several entries have the same."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +100,26 @@ def row(
         within=rel * abs(wanted) + near,
         states=states,
     )
+
+
+def compared(
+    told: Float64Array, wanted: Float64Array, unit: str, source: str, what: str, rel: float = 1e-9
+) -> list[Row]:
+    """Two rows for a vector: its length, and the entry that is farthest off, beside the largest."""
+    worst = int(np.argmax(np.abs(told - wanted)))
+    scale = float(np.abs(wanted).max())
+    return [
+        row(f"{what}: length", unit, np.linalg.norm(told), np.linalg.norm(wanted), source, rel=rel),
+        row(
+            f"{what}: entry {worst + 1}, which differs most",
+            unit,
+            told[worst],
+            wanted[worst],
+            source,
+            rel=0.0,
+            near=rel * scale,
+        ),
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)

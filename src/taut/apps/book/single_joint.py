@@ -20,12 +20,12 @@ from taut.apps.book.link import (
     R,
     controller,
     link,
-    simulated,
+    on_link,
     solved,
     weight,
 )
-from taut.apps.book.page import Entry, Page, row
-from taut.apps.book.tick import ticked
+from taut.apps.book.page import BY_HAND, ODE, Entry, Page, row
+from taut.apps.book.simulation import ticked
 from taut.base.types import Float64Array
 from taut.control.command import Torque
 from taut.control.friction import FrictionCompensation
@@ -41,8 +41,6 @@ __all__ = ["ENTRIES", "ConstantTorque", "pseudocode"]
 
 THETA, V, A = 0.7, 1.3, -0.4  # [rad], [rad/s], [rad/s^2] a state of the link, chosen
 STATE: Final = f"Chosen: theta = {THETA} rad, theta-dot = {V} rad/s, theta-ddot = {A} rad/s^2."
-BY_HAND: Final = "the equation, written out"
-ODE: Final = "SciPy's DOP853 of equation 10.3"
 
 
 class ConstantTorque(Law):
@@ -71,7 +69,7 @@ def eq_10_2() -> Page:
 
 def eq_10_3() -> Page:
     torque, duration = 0.8, 1.5
-    run = simulated(ConstantTorque(tau=torque), ref=JointMotion(q=[0.0]), duration=duration, q0=[THETA], v0=[V])
+    run = on_link(ConstantTorque(tau=torque), ref=JointMotion(q=[0.0]), duration=duration, q0=[THETA], v0=[V])
     wanted = solved(lambda *_: torque, np.zeros_like, times=np.array([0.0, duration]), q0=THETA, v0=V)
     rows = (
         row("angle after 1.5 s under 0.8 N m", "rad", run.q[-1, 0], wanted.theta[-1], ODE),
@@ -154,7 +152,7 @@ def eq_10_6() -> Page:
 def eq_10_7() -> Page:
     sine, duration = Sine(center=[0.0], amplitude=0.5, frequency=0.2), 2.0
     plane = link(gravity=False)
-    run = simulated(PID(kp=KP, kd=KD), plant=plane, ref=sine, duration=duration, q0=[0.0])
+    run = on_link(PID(kp=KP, kd=KD), plant=plane, ref=sine, duration=duration, q0=[0.0])
     w = 2.0 * math.pi * 0.2
 
     def tau(t: float, theta: float, v: float, _: float) -> float:
@@ -167,7 +165,7 @@ def eq_10_7() -> Page:
 
 def eq_10_8() -> Page:
     plane, duration = link(gravity=False), 1.0
-    run = simulated(PID(kp=KP, kd=KD), plant=plane, ref=JointMotion(q=[1.0]), duration=duration, q0=[0.0])
+    run = on_link(PID(kp=KP, kd=KD), plant=plane, ref=JointMotion(q=[1.0]), duration=duration, q0=[0.0])
     s = (B + KD) / (2.0 * M)  # both roots: critically damped
     wanted = (1.0 + s * duration) * math.exp(-s * duration)
     rows = (
@@ -203,19 +201,26 @@ def fig_10_2() -> Page:
     ax.fill(*outline.T, facecolor="#E4EBF2", edgecolor=INK, linewidth=1.0)
     ax.plot(0.0, 0.0, "o", color=INK, markersize=7.0)
     ax.plot(*centre, "o", color=colour(3), markersize=6.0)
-    for place, letter in ((centre + 0.012 * across - 0.014 * along, "m"), (0.5 * centre + 0.03 * across, "r")):
+    ends = [place + 0.03 * across for place in (np.zeros(2), centre)]
+    for one, other in (ends, ends[::-1]):
+        arrow(ax, tuple(one), tuple(other), width=0.8)
+    beside = centre + np.array([0.015, -0.007])
+    for place, letter in ((beside, "m"), (0.5 * (ends[0] + ends[1]) + 0.011 * across, "r")):
         words(ax, float(place[0]), float(place[1]), letter, size=SMALL + 1.0)
+    motor = 0.038 * np.array([[math.cos(a), math.sin(a)] for a in np.linspace(-0.75 * math.pi, -0.2 * math.pi, 30)])
+    arrow(ax, *[tuple(each) for each in motor.tolist()], width=1.4)
+    words(ax, 0.0, -0.05, r"$\tau$", size=SMALL + 2.0)
     ax.plot([0.0, 0.24], [0.0, 0.0], color=INK, linewidth=0.6, linestyle="--")
     turn = np.linspace(0.0, theta, 30)
     ax.plot(0.13 * np.cos(turn), 0.13 * np.sin(turn), color=INK, linewidth=0.9)
     words(ax, 0.148 * math.cos(0.5 * theta), 0.148 * math.sin(0.5 * theta), r"$\theta$", size=SMALL + 2.0)
     arrow(ax, (0.3, 0.14), (0.3, 0.04), width=1.6)
     words(ax, 0.318, 0.09, "g", size=SMALL + 1.0)
-    frame(ax, np.zeros(2), np.eye(2), "s", length=0.05)
+    frame(ax, np.zeros(2), np.eye(2), "s", aside=np.array([-0.045, 0.0]), length=0.05)
     R_W = np.asarray(T.R)
-    frame(ax, centre, R_W[np.ix_([0, 2], [0, 2])], "b", length=0.05)
-    ax.set_xlim(-0.06, 0.35)
-    ax.set_ylim(-0.06, 0.17)
+    frame(ax, centre, R_W[np.ix_([0, 2], [0, 2])], "b", aside=-0.022 * along, length=0.05)
+    ax.set_xlim(-0.09, 0.35)
+    ax.set_ylim(-0.07, 0.17)
     return Page(
         rows=rows,
         figure=figure,
@@ -232,7 +237,8 @@ def fig_10_3() -> Page:
         row("term D", "N m", ctrl.terms["D"][0], -KD * V, BY_HAND),
     )
     figure = law_diagram(list(ctrl.terms), "PID: the terms of taut.laws.PID", inertia=False)
-    return Page(rows=rows, figure=figure)
+    note = "Chosen: theta_d = 1.0 rad, theta = 0.2 rad, theta-dot = 1.3 rad/s; gains of figure 10.6."
+    return Page(rows=rows, figure=figure, note=note)
 
 
 def fig_10_8() -> Page:

@@ -9,11 +9,11 @@ from typing import Any, Final
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from taut.apps.book.drawing import panels
-from taut.apps.book.multi_joint import Q, V, compared
+from taut.apps.book.drawing import legend, panels
+from taut.apps.book.multi_joint import Q, V
 from taut.apps.book.oracle import TWO_LINKS, engine, panda, two_links
-from taut.apps.book.page import Entry, Page, Row, row
-from taut.apps.book.tick import ticked, two_poles
+from taut.apps.book.page import MUJOCO, TWO_BY_HAND, Entry, Page, Row, compared, row
+from taut.apps.book.simulation import simulated, ticked, total, two_poles
 from taut.base import math as tm
 from taut.base.pose import Pose
 from taut.base.types import Float64Array
@@ -30,15 +30,11 @@ from taut.controller import Controller, compile
 from taut.maths.snapshot import Snapshot, snapshot
 from taut.maths.spatial import rotated
 from taut.maths.task_inertia import TaskInertia
-from taut.plant.rigid import RigidPlant
 from taut.record.run import Run
-from taut.record.style import INK, SMALL, colour, prepared
-from taut.runtime.simulate import run
+from taut.record.style import INK, colour, prepared
 
 __all__ = ["ENTRIES", "AsWritten"]
 
-MUJOCO: Final = "MuJoCo: mj_fullM, qfrc_bias, mj_jacSite"
-BY_HAND: Final = "two links, written out"
 W: Final = 1.5  # [rad/s] of the circle that two links follow
 CENTRE, RADIUS = np.array([0.55, 0.1]), 0.1  # [m] x and z
 
@@ -106,7 +102,7 @@ def eq_10_29() -> Page:
     ctrl, t = followed()
     told, wanted = ctrl.memory["law.v_des"], joints(t)[1]
     rows = [
-        row(f"speed of joint {i + 1} after 0.4 s", "rad/s", told[i], wanted[i], f"J^-1 V, {BY_HAND}", near=1e-5)
+        row(f"speed of joint {i + 1} after 0.4 s", "rad/s", told[i], wanted[i], f"J^-1 V, {TWO_BY_HAND}", near=1e-5)
         for i in (0, 1)
     ]
     return Page(rows=tuple(rows), note="The circle of equation 10.28.")
@@ -121,7 +117,7 @@ def eq_10_30() -> Page:
             "rad/s^2",
             told[i],
             wanted[i],
-            f"J^-1 (V-dot - J-dot v), {BY_HAND}",
+            f"J^-1 (V-dot - J-dot v), {TWO_BY_HAND}",
             near=1e-4,
         )
         for i in (0, 1)
@@ -144,7 +140,7 @@ def eq_10_31() -> Page:
     """The decoupled error, with Lambda, gamma and eta of MuJoCo."""
     ref = target()
     ctrl = ticked(TaskComputedTorque(kp=100.0, kd=20.0, ki=50.0, null=None), panda(), Q, V, ref)
-    told = np.sum(list(ctrl.terms.values()), axis=0)
+    told = total(ctrl.terms)
     m = engine().at(Q, V)
     X = np.concatenate([np.asarray(ref.p) - m.p, Rotation.from_matrix(np.asarray(ref.R) @ m.R.T).as_rotvec()])
     a = ref.acceleration + 100.0 * X + 50.0 * X * 1e-3 + 20.0 * (ref.twist - m.J @ V)
@@ -159,10 +155,12 @@ def eq_10_31() -> Page:
         told_M, wanted_M = (np.linalg.eigvalsh(np.asarray(M))[0] for M in (x.M, TWO_LINKS.M(q)))
         states = "slip: M loses rank at a dynamic singularity" if name == "stretched" else ""
         rows.append(
-            row(f"two links, {name}: least eigenvalue of M", "kg m^2", told_M, wanted_M, BY_HAND, states=states)
+            row(f"two links, {name}: least eigenvalue of M", "kg m^2", told_M, wanted_M, TWO_BY_HAND, states=states)
         )
         told_J, wanted_J = (np.linalg.svd(each)[1][-1] for each in (J, TWO_LINKS.J(q)))
-        rows.append(row(f"two links, {name}: least singular value of J", "m", told_J, wanted_J, BY_HAND, near=1e-12))
+        rows.append(
+            row(f"two links, {name}: least singular value of J", "m", told_J, wanted_J, TWO_BY_HAND, near=1e-12)
+        )
     note = (
         "The chapter speaks of a dynamic singularity where M loses rank. M never does: J loses rank there, and "
         "Lambda is unbounded. Chosen: the error of the third choice, a Panda, kp = 100, kd = 20, ki = 50; h "
@@ -220,10 +218,7 @@ def spun(law: Law) -> tuple[Run, Any]:
     towards = np.linalg.lstsq(
         J, np.array([[0.0, 0.0, 0.0, *w], [0.0, 0.0, 0.0, 0.006, -0.009, 0.006]]).T, rcond=None
     )[0]
-    out = run(
-        compile(law, arm), RigidPlant(arm, friction=None), Spinning(T, w), duration=0.5, q0=arm.home + towards[:, 1],
-        v0=towards[:, 0], progress=False,
-    )  # fmt: skip
+    out = simulated(law, arm, Spinning(T, w), duration=0.5, q0=arm.home + towards[:, 1], v0=towards[:, 0])
     errors = []
     for t, R in zip(out.t, out.task.R, strict=True):
         across = Rotation.from_matrix(R.T @ Rotation.from_rotvec(w * t).as_matrix() @ np.asarray(T.R)).as_rotvec()
@@ -279,7 +274,7 @@ def transported() -> Page:
             )
         ax.plot(out.t, 1e3 * errors.real, color=colour(k), linewidth=1.4, label=name)
     ax.axhline(0.0, color=INK, linewidth=0.6)
-    ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
+    legend(ax)
     note = (
         "With the body error the desired acceleration must be transported to the tool, Ad V-dot_d + ad_{V_e}(Ad "
         "V_d). Fed as it is, a target that spins at 3 rad/s adds +-3j to kd = 16 across its axis. A Panda, kp = 100."
