@@ -31,6 +31,7 @@ FAULTS: Final = {
     "winds up": "the integral grows while the command is cut, and the joint overshoots",
     "saturates": "the command is cut at a limit while the error is there",
     "loses rank": "the task asks for a direction that the Jacobian has lost",
+    "wrong surface": "the surface is not where a hybrid law states its constraint",
     "jumps at start": "the first torque is far from the one that held the arm",
     "runs late": "periods are longer than the controller was made for",
 }
@@ -108,6 +109,7 @@ class Finding:
         text: What was seen, in a sentence.
         remedy: What to do about it, in a sentence.
         follows: The name of the finding that this one follows from, where there is one.
+        phase: Of a task, the phases in which it was found.
     """
 
     name: str
@@ -119,6 +121,7 @@ class Finding:
     remedy: str
     picture: Picture
     follows: str | None = None
+    phase: str | None = None
 
     def plot(self) -> Figure:
         """The evidence, as a matplotlib Figure."""
@@ -135,10 +138,12 @@ class Finding:
             "text": self.text,
             "remedy": self.remedy,
             "follows": self.follows,
+            "phase": self.phase,
         }
 
     def __str__(self) -> str:
         where = "" if self.joint is None else f" at '{self.joint}'"
+        where += "" if self.phase is None else f" in {self.phase}"
         numbers = ", ".join(f"{name} {number}" for name, number in self.evidence.items())
         after = "" if self.follows is None else f"; it follows from '{self.follows}'"
         return (
