@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FAULTS", "Finding", "Number", "Picture"]
 
+LETTERS: Final = 100  # of a line of a picture's title
 FAULTS: Final = {
     "wrong sign": "a term pushes away from the target, or a joint turns against its torque",
     "oscillates": "a line in the feedback that dies out slowly, lasts or grows",
@@ -69,9 +71,11 @@ class Picture:
         from matplotlib.figure import Figure
         from matplotlib.lines import Line2D
 
-        figure = Figure(figsize=(WIDTH, 2.7), dpi=150, layout="constrained")
-        figure.suptitle(title, fontsize=9.0, color=INK, x=0.01, ha="left")
-        ax = prepared(figure.subplots(), self.title, self.ylabel, "t [s]")
+        lines = textwrap.wrap(title.replace("$", r"\$"), LETTERS)
+        figure = Figure(figsize=(WIDTH, 2.6 + 0.17 * len(lines)), dpi=150, layout="constrained")
+        figure.suptitle("\n".join(lines), fontsize=9.0, color=INK, x=0.01, ha="left")
+        (body,) = figure.subfigures(1, 1, squeeze=False)[:, 0]  # whose legend keeps off the title
+        ax = prepared(body.subplots(), self.title, self.ylabel, "t [s]")
         handles = []
         for i, (name, y) in enumerate(self.curves.items()):
             line(ax, self.t, y, colour(i))
@@ -84,7 +88,7 @@ class Picture:
         if self.marked is not None:
             for first, last in _stretches(self.marked):
                 ax.axvspan(self.t[first], self.t[last], color="#D9D9D9", alpha=0.5, linewidth=0.0)
-        legend_above(figure, handles)
+        legend_above(body, handles)
         ax.margins(x=0.01)
         return figure
 
