@@ -315,10 +315,10 @@ def test_a_run_that_ended_in_a_fault_says_so_first(
     ctrl = taut.compile(taut.laws.PID(kp=1e9, kd=1e7), arm)
     bad = taut.run(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=[1.0, 1.0]), duration=1.0)
     bad.save("bad.mcap")
-    assert main(["report", "bad.mcap"]) == 1
+    assert main(["report", "bad.mcap"]) == 2
     told = capsys.readouterr()
     assert told.out == "report   report.html\n"
-    assert "the run did not go to its end, and the report is of what came before: the simulation diverged" in told.err
+    assert "'bad.mcap' is no whole run, and the report is of what there is: the simulation diverged" in told.err
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     check_alone(text)
     assert text.index("<b>Fault:</b> the simulation diverged") < text.index("<h2>")
