@@ -7,6 +7,7 @@ import dataclasses
 import io
 import json
 import re
+import shutil
 from pathlib import Path
 
 import html5lib
@@ -197,6 +198,61 @@ def test_anything_that_prints_and_plots_has_a_report(tmp_path: Path) -> None:
     assert ("kp", "100.0") in {tuple(cell.text for cell in e) for e in tree(text) if e.tag == HTML + "tr"}
 
 
+def test_a_design_has_a_report_whose_lines_design_it_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two poses, and gains beyond a limit: everything that `print` says, as tables, and the same words again."""
+    arm = taut.load_arm("planar2")
+    d = taut.design(taut.laws.GravityPID, arm, zeta=1.0, omega_n=10.0, at=[[0.3, 0.5], [0.2, 1.4]], rate=500.0)
+    text = taut.report(d, tmp_path / "d.html").read_text(encoding="utf-8")
+    check_alone(text)
+    rows = {tuple(cell.text for cell in e) for e in tree(text) if e.tag == HTML + "tr"}
+    one = d.achieved[0]
+    numbers = (one.designed.settling, one.predicted.settling, one.simulated.settling)
+    assert ("settling", one.direction, "s", *(f"{x:.4g}" for x in numbers)) in rows
+    assert {row[0] for row in rows} >= {each.name for each in d.limits}
+    assert ("asked: omega_n", "10") in rows
+    (shown,) = pictures(text)
+    assert shown.std() > 0.05
+    lines = page_of(d).repeat
+    exec(lines, {})
+    assert capsys.readouterr().out.strip() == d.report().strip()
+
+
+def test_a_linear_loop_has_a_report(tmp_path: Path) -> None:
+    arm = taut.load_arm("one_joint")
+    ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)
+    lin = taut.linearise(taut.Loop(ctrl, taut.RigidPlant(arm, friction=None), duration=1.0), at=arm.home)
+    text = taut.report(lin, tmp_path / "lin.html").read_text(encoding="utf-8")
+    check_alone(text)
+    rows = {tuple(cell.text for cell in e) for e in tree(text) if e.tag == HTML + "tr"}
+    assert {row[0].partition(".")[0] for row in rows} >= {"-9", "-11"}  # the poles of the loop as it is sampled
+    assert ("period", "0.001 s") in rows
+    assert "the loop is stable" in words_of(text)
+    assert len(pictures(text)) == 1
+
+
+def test_a_report_fits_a_phone_and_asks_nothing_of_the_network(run: taut.Run, tmp_path: Path) -> None:
+    """In a real browser, where there is one: no wider than the screen, and no request but for the file."""
+    chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    sync_api = pytest.importorskip("playwright.sync_api")
+    if chromium is None:
+        pytest.skip("no browser is installed")
+    file = taut.report(run, tmp_path / "run.html")
+    with sync_api.sync_playwright() as started:
+        browser = started.chromium.launch(
+            executable_path=chromium, args=["--no-sandbox", "--disable-background-networking", "--disable-gpu"]
+        )
+        page = browser.new_page(viewport={"width": 390, "height": 844})
+        asked: list[str] = []
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto(file.as_uri())
+        wider = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+        browser.close()
+    assert wider == 0
+    assert [url for url in asked if not url.startswith("data:")] == [file.as_uri()]
+
+
 def test_whatever_stands_in_a_text_stays_a_text() -> None:
     nasty = "a</pre><script>alert(1)</script>&amp;\"'\x00\x1b[31m\ud800 /home/x/y.py"
     page = Page(
@@ -259,10 +315,10 @@ def test_a_run_that_ended_in_a_fault_says_so_first(
     ctrl = taut.compile(taut.laws.PID(kp=1e9, kd=1e7), arm)
     bad = taut.run(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=[1.0, 1.0]), duration=1.0)
     bad.save("bad.mcap")
-    assert main(["report", "bad.mcap"]) == 1
+    assert main(["report", "bad.mcap"]) == 2
     told = capsys.readouterr()
     assert told.out == "report   report.html\n"
-    assert "the run did not go to its end, and the report is of what came before: the simulation diverged" in told.err
+    assert "'bad.mcap' is no whole run, and the report is of what there is: the simulation diverged" in told.err
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     check_alone(text)
     assert text.index("<b>Fault:</b> the simulation diverged") < text.index("<h2>")

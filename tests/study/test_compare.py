@@ -11,6 +11,7 @@ import pytest
 import taut
 from taut.apps.compare_laws import law_of_text
 from taut.base.errors import MatchError, RangeError, ScenarioError, UnknownNameError, UsageError
+from taut.study.compare_grade import Mark
 from taut.study.compare_truth import PlantChange
 
 
@@ -189,6 +190,52 @@ def test_a_wrong_term_is_found_with_its_joint_and_time(planar: taut.Loop) -> Non
     assert told.command.size == pytest.approx(abs(coriolis[k, i]), rel=1e-9)
     assert (told.command.t, told.command.joint) == (told.reference_run.t[k], loop.side.arm.joint_names[i])
     assert "term 'nonlinear' differs by" in told.report()
+
+
+def test_what_depends_on_time_is_graded_at_its_time(planar: taut.Loop) -> None:
+    """Two dithers of another frequency: A |sin a t - sin b t| is largest where the closed form says, not at t = 0."""
+    laws = [f"PID(kp=200, kd=20) + Dither(amplitude=[2, 0], frequency=[{f}, 1])" for f in (4.0, 5.0)]
+    grade = taut.grade(laws[0], laws[1], planar)
+    t = np.arange(1001) * 1e-3
+    gap = 2.0 * np.abs(np.sin(2.0 * np.pi * 4.0 * t) - np.sin(2.0 * np.pi * 5.0 * t))
+    assert grade.wrong_term == "dither"
+    assert grade.terms[0].size == pytest.approx(gap.max(), rel=1e-9)
+    assert grade.terms[0].t == pytest.approx(t[np.argmax(gap)])
+
+
+def test_errors_that_are_nothing_are_the_same(planar: taut.Loop) -> None:
+    """One that is 2e-10 of the peak beside one that is 1e-10: no teacher marks that as twice as large."""
+    mark = Mark(figure="steady_error", unit="rad", law=2e-8, reference=1e-8, tolerance=0.05, least=1e-6)
+    assert (mark.ok, mark.off) == (True, 0.0)
+    other = dataclasses.replace(mark, least=1e-12)
+    assert (other.ok, other.off_text) == (False, "+100.00 %")
+    assert dataclasses.replace(other, law=1.0).off_text == "over +10000 %"
+    grade = taut.grade("PID(kp=200, kd=20)", "PID(kp=201, kd=20)", planar)
+    least = {one.figure: one.least for one in grade.marks}
+    peak = next(one.reference for one in grade.marks if one.figure == "peak_error")
+    assert least["steady_error"] == pytest.approx(1e-6 * peak)
+    assert least["chatter"] == 1e-9
+
+
+def test_laws_side_by_side_have_the_errors_of_the_worst() -> None:
+    arm = taut.load_arm("gantry3")
+    first, *rest = arm.joint_names
+    gains = {"soft": 100.0, "stiff": 400.0}
+    laws = {
+        name: taut.SideBySide(
+            one=(taut.laws.GravityPID(kp=kp, kd=20.0), [first]),
+            others=(taut.laws.GravityPID(kp=400.0, kd=80.0), rest),
+        )
+        for name, kp in gains.items()
+    }
+    ref = taut.together(one=taut.JointMotion(q=arm.home[:1] + 0.1), others=taut.JointMotion(q=arm.home[1:] + 0.01))
+    loop = taut.Loop(taut.compile(laws["soft"], arm), taut.RigidPlant(arm), ref, duration=0.5)
+    told = taut.compare(laws, loop, by="rms_error", noise={}, model=None)
+    assert told.ranking == ("stiff", "soft")
+    for entry in told.entries.values():
+        each = [math.sqrt(np.mean(np.sum(entry.run.part(p).error ** 2, axis=1))) for p in ("one", "others")]
+        assert entry.numbers["rms_error"]["m"] == pytest.approx(max(each), rel=1e-12)
+    told.plot()
 
 
 def test_the_same_law_in_other_words_passes(planar: taut.Loop) -> None:

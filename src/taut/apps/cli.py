@@ -260,6 +260,7 @@ def _report(arguments: argparse.Namespace) -> int:
     from taut.record.files import checked_target
     from taut.record.read_log import load_run
     from taut.record.report import report
+    from taut.record.report_run import faults_of
 
     checked_target("report", arguments.out, (".html", ".htm"))
     run = load_run(arguments.run)
@@ -268,10 +269,10 @@ def _report(arguments: argparse.Namespace) -> int:
         _print_json({"report": str(arguments.out), "outcome": run.outcome.json()})
     else:
         print(f"report   {arguments.out}")
-    if not run.outcome.ok:
-        _tell(f"the run did not go to its end, and the report is of what came before: {run.outcome}")
-        return FAILED
-    return DONE
+    faults = faults_of(run)
+    for fault in faults:
+        _tell(f"'{arguments.run}' is no whole run, and the report is of what there is: {fault}")
+    return WRONG if faults else DONE
 
 
 def _scenarios(arguments: argparse.Namespace) -> int:

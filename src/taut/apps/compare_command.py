@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from taut.apps.name_value import named_values
 from taut.base.errors import UsageError, unknown_name
 
 if TYPE_CHECKING:
@@ -82,8 +82,15 @@ def add_compare(command: argparse.ArgumentParser, engines: Sequence[str]) -> Non
 
 
 def _share(text: str) -> float:
-    """0.05, or 5%."""
-    value = float(text.removesuffix("%"))
+    """0.05, or 5%.
+
+    Raises:
+        ArgumentTypeError: Neither, which argparse makes a sentence of.
+    """
+    try:
+        value = float(text.removesuffix("%"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"takes a share, such as 0.05 or 5%; got {text!r}") from None
     return 0.01 * value if text.endswith("%") else value
 
 
@@ -104,7 +111,7 @@ def compare_from(arguments: argparse.Namespace, say: Callable[[str], None]) -> C
     given = _given(arguments)
     common: dict[str, Any] = {
         "case": arguments.case,
-        "parameters": _values(arguments.set, "--set", "plant.payload.mass=1.0"),
+        "parameters": named_values(arguments.set, "--set", "plant.payload.mass=1.0"),
         "seed": arguments.seed,
         "engine": arguments.engine,
         "say": say,
@@ -181,31 +188,10 @@ def _given(arguments: argparse.Namespace) -> dict[str, Law | Run | str]:
     return out
 
 
-def _number(text: str) -> Any:
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text
-
-
-def _values(texts: Sequence[str], option: str, example: str) -> dict[str, Any]:
-    """Values by name, from NAME=VALUE."""
-    out: dict[str, Any] = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        number = _number(value)
-        if not equals or isinstance(number, (bool, str, dict, type(None))):
-            raise UsageError(f"{option} takes NAME=VALUE such as {example}; got {text!r}")
-        if name in out:
-            raise UsageError(f"{option} must be given once for each name; got {name!r} twice")
-        out[name.strip()] = number
-    return out
-
-
 def _noise(texts: Sequence[str]) -> dict[str, Any] | None:
     if list(texts) == ["none"]:
         return {}
-    return _values(texts, "--noise", "position=1e-5") or None
+    return named_values(texts, "--noise", "position=1e-5") or None
 
 
 def _model(text: str | None) -> WrongModel | None:
@@ -217,7 +203,7 @@ def _model(text: str | None) -> WrongModel | None:
         return USUAL
     if text == "none":
         return None
-    numbers = _values(text.split(","), "--model", "mass=0.2,friction=0.2,trials=5")
+    numbers = named_values(text.split(","), "--model", "mass=0.2,friction=0.2,trials=5")
     for name in numbers:
         if name not in OF_MODEL:
             raise unknown_name("a wrong model", "number", name, OF_MODEL)

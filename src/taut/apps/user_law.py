@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
-import json
 import sys
 from collections.abc import Iterator, Sequence
-from typing import Any
 
+from taut.apps.name_value import named_values
 from taut.base.checks import readable_file
 from taut.base.errors import FileError, TautError, UsageError, unknown_name
 from taut.control.law import Law
@@ -44,12 +43,7 @@ def load_law(place: str, gains: Sequence[str]) -> Law:
     own = {key: value for key, value in found.items() if value.__module__ == module_name}
     if name not in own:
         raise unknown_name(f"law file '{file}'", "law", name, own)
-    given: dict[str, Any] = {}
-    for text in gains:
-        gain, value = _gain(text)
-        if gain in given:
-            raise UsageError(f"--gain must be given once for each gain; got {gain!r} twice", name="gain")
-        given[gain] = value
+    given = named_values(gains, "--gain", "kp=100 or kp=[100,50]", of="gain", words=True)
     with _blamed(f"law '{name}' of '{file}' cannot be made", str(file)):
         return own[name](**given)
 
@@ -66,14 +60,3 @@ def _blamed(what: str, file: str) -> Iterator[None]:
     except BaseException as cause:
         words = " ".join(f"{type(cause).__name__}: {cause}".split()).rstrip(":")
         raise FileError(f"{what}: {words}", name=file) from cause
-
-
-def _gain(text: str) -> tuple[str, Any]:
-    name, equals, value = text.partition("=")
-    try:
-        number = json.loads(value)
-    except (ValueError, RecursionError):  # no JSON, or a number with thousands of digits
-        number = value
-    if not equals or isinstance(number, (bool, dict, type(None))):
-        raise UsageError(f"--gain takes NAME=VALUE such as kp=100 or kp=[100,50]; got {text!r}", name="gain")
-    return name.strip(), number

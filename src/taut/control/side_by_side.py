@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Final, Self
 
 from taut.arm.description import Arm
 from taut.base import math as tm
@@ -18,6 +18,7 @@ from taut.maths.snapshot import Snapshot
 
 __all__ = ["SideBySide", "together"]
 
+TOGETHER: Final = "Together["  # the names of such kinds of samples begin with it
 Parts = tuple[tuple[str, type[Sample], int], ...]
 """Name of each part, the kind of its sample, and its number of joints; 0 where the sample does not depend on it."""
 
@@ -243,7 +244,14 @@ def _sized(parts: Parts) -> Parts:
 @cache
 def _kind(parts: Parts) -> type[_AnyTogether]:
     slots = [f"{name}_{field}" for name, kind, n in parts for field in kind.fields(n)]
-    return type("Together", (_AnyTogether,), {"parts": parts, "__slots__": (*(name for name, _, _ in parts), *slots)})
+    words = ",".join(f"{name}:{kind.__name__}:{n}" for name, kind, n in parts)
+    body = {"parts": parts, "__slots__": (*(name for name, _, _ in parts), *slots)}
+    return type(f"{TOGETHER}{words}]", (_AnyTogether,), body)
+
+
+def together_kind(parts: Parts) -> type[Sample]:
+    """The kind of sample that laws side by side follow: for each its name, kind and number of joints."""
+    return _kind(parts)
 
 
 def _joined(samples: Mapping[str, Sample]) -> _AnyTogether:

@@ -16,6 +16,7 @@ from taut.base.paths import subtree
 from taut.base.types import Array, Float64Array
 from taut.control.phase_sample import PhaseSample, phase_sample
 from taut.control.reference import Sample
+from taut.control.side_by_side import TOGETHER, together_kind
 from taut.record.description import description_from, outcome_from, unsealed
 from taut.record.mcap_reader import Contents, contents_of, messages, read_chunk
 from taut.record.mcap_writer import MAGIC
@@ -71,6 +72,12 @@ def _read(file: IO[bytes], path: Path) -> Run:
     size = path.stat().st_size
     first = file.read(len(MAGIC))
     file.seek(max(0, size - len(MAGIC)))
+    if first.startswith(b"PK") and path.suffix == ".npz":
+        raise FileError(
+            f"'{path}' is a NumPy archive of a run's arrays, without its settings; give the log that "
+            "run.save('run.mcap') writes, or taut.run(..., log=)",
+            name=str(path),
+        )
     if first != MAGIC and file.read() != MAGIC:
         raise FileError(f"log '{path}' is no MCAP file: it starts with {first!r}", name=str(path))
     found = contents_of(file, size)
@@ -140,11 +147,19 @@ def _sample_class(description: Description, path: Path) -> type[Sample]:
 
 
 def _candidates(name: str) -> Iterator[type[Sample]]:
-    """The classes of that name; that of a task's samples is made by the kinds in its name."""
+    """The classes of that name; those of tasks and of laws side by side are made by the kinds in it."""
     if name.startswith(f"{PhaseSample.__name__}["):
         words = name.partition("[")[2].removesuffix("]").split(",")
         for kinds in itertools.product(*(list(_candidates(word)) for word in words)):
             yield phase_sample(kinds)
+        return
+    if name.startswith(TOGETHER):
+        parts = [word.rsplit(":", 2) for word in name.removeprefix(TOGETHER).removesuffix("]").split(",")]
+        if all(len(part) == 3 and part[2].isdecimal() for part in parts):
+            for kinds in itertools.product(*(list(_candidates(kind)) for _, kind, _ in parts)):
+                yield together_kind(
+                    tuple((part, kind, int(n)) for (part, _, n), kind in zip(parts, kinds, strict=True))
+                )
         return
     named = [kind for kind in _subclasses(Sample) if kind.__name__ == name]
     yield from reversed(named)  # a dataclass with slots leaves its first draft behind, which came before it

@@ -56,8 +56,8 @@ def report(
     their folders, and no machine.
 
     Args:
-        x: A `taut.Run`, a `taut.Comparison`, a `taut.Grade`; or anything with `plot()` or `report()`, such as a
-            linear model of a loop, error dynamics, a map, a design: its words, its figure, and `tables()` if it has
+        x: A `taut.Run`, a `taut.Comparison`, a `taut.Grade`, a `taut.Design`, a `taut.LinearLoop`; or anything with
+            `plot()` or `report()`, such as error dynamics or a map: its words, its figure, and `tables()` if it has
             that. What has `report_page()` says itself what its report holds.
         path: Where to, ending in .html, in a folder that exists. What is there stays until the new file is whole.
         title: A title, instead of the usual one.

@@ -21,7 +21,7 @@ from taut.record.run import Run
 from taut.record.style import short
 from taut.record.table import number_text
 
-__all__ = ["SCENARIO", "law_in_python", "meaning", "page_of_run"]
+__all__ = ["SCENARIO", "faults_of", "law_in_python", "meaning", "page_of_run"]
 
 SCENARIO: Final = "scenario"  # in run.info: name, law, case and text of the scenario that it is a run of
 FEWEST_TICKS: Final = 2
@@ -57,7 +57,7 @@ def page_of_run(run: Run, *, log: str = "run.mcap") -> Page:
             f"{len(run)} ticks at {run.rate:g} Hz, {span:g} s, {run.n} joints. {str(run.outcome)[:1].upper()}"
             f"{str(run.outcome)[1:]}.",
         ),
-        faults=tuple(_faults(run)),
+        faults=faults_of(run),
         tables=tuple(_tables(run)),
         pictures=(Picture(title="The run over time", figure=run.plot()),),
         settings=_settings(run),
@@ -65,6 +65,11 @@ def page_of_run(run: Run, *, log: str = "run.mcap") -> Page:
         repeat=_repeat(run, scenario, log),
         versions=dict(info.get(VERSIONS, {})),
     )
+
+
+def faults_of(run: Run) -> tuple[str, ...]:
+    """Why a run is no whole one: a fault, gaps."""
+    return tuple(_faults(run))
 
 
 def _faults(run: Run) -> Iterator[str]:

@@ -16,6 +16,7 @@ from taut.control.phase import Phase
 from taut.control.reference import Hold, Reference, as_reference
 from taut.controller import Controller, compile
 from taut.loop import Loop, ModelPlant, check_fit, require_no_reference, state_at_start
+from taut.record.arm_numbers import DYNAMICS, arm_numbers
 from taut.record.progress import Progress
 from taut.record.report_page import VERSIONS, stated, versions
 from taut.record.run import Run
@@ -94,6 +95,7 @@ def run(
         "seed": int(seed),
         "law": repr(law),
         "arm": ctrl.side.arm.name,
+        DYNAMICS: arm_numbers(ctrl.side.arm),
         "plant": target.name,
         "events": [event.json() for _, event in due],
         "sensing": stated(ctrl.side.sensing),

@@ -14,6 +14,7 @@ from taut.base.types import ArrayLike
 from taut.control.law import Law
 from taut.controller import Controller
 from taut.plant.sensors import SENSORS
+from taut.record.phases import PHASES
 from taut.record.report_page import stated
 from taut.record.run import Run
 from taut.study.compare_numbers import FIGURES, Numbers, main_error, of_model, of_noise, of_run
@@ -309,6 +310,13 @@ def require_runs(name: str, run: object) -> None:
     """
     if not isinstance(run, Run):
         raise UsageError(f"'{name}' must be a law or a taut.Run; got {type(run).__name__}", name=name)
+    if PHASES in run.info:
+        phases = ", ".join(dict.fromkeys(window.name for window in run.phases))
+        raise UsageError(
+            f"run '{name}' is one of a task, whose phases ({phases}) follow each its own; compare one of them, "
+            "run.phase(name)",
+            name=name,
+        )
     if not run.outcome.ok:
         raise UsageError(
             f"run '{name}' did not go to its end, so that its figures are not those of the others: {run.outcome}",

@@ -18,7 +18,7 @@ from taut.controller import compile
 from taut.record.run import Run
 from taut.record.table import number_text
 from taut.study.compare import settings_of
-from taut.study.compare_numbers import FIGURES, Numbers, of_run
+from taut.study.compare_numbers import ERRORS, FIGURES, Numbers, of_run
 from taut.study.compare_setting import Setting, blamed
 from taut.study.compare_words import aligned
 
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 __all__ = ["Difference", "Grade", "Mark", "grade_law"]
 
 TOLERANCE: Final = 0.05
+NOTHING: Final = 1e-6  # of the peak error
+MOST_SHOWN: Final = 1e4  # [%] beyond which how far off a figure is says no more
 ROUNDING: Final = 1e-9  # in the unit of the figure: what arithmetic alone may leave
 
 
@@ -42,14 +44,23 @@ class Mark:
     law: float
     reference: float
     tolerance: float
+    least: float = ROUNDING  # what differs by less is the same
 
     @property
     def off(self) -> float:
         """How far it is, as a share of the reference's."""
         gap = self.law - self.reference
-        if abs(gap) <= ROUNDING:
+        if abs(gap) <= self.least:
             return 0.0
         return gap / abs(self.reference) if self.reference else math.copysign(math.inf, gap)
+
+    @property
+    def off_text(self) -> str:
+        """That in per cent."""
+        if not math.isfinite(self.off):
+            return "-"
+        share = 100.0 * self.off
+        return f"{share:+.2f} %" if abs(share) < MOST_SHOWN else f"over {math.copysign(MOST_SHOWN, share):+g} %"
 
     @property
     def ok(self) -> bool:
@@ -142,7 +153,7 @@ class Grade:
                 mark.unit,
                 number_text(mark.law),
                 number_text(mark.reference),
-                f"{100.0 * mark.off:+.2f} %" if math.isfinite(mark.off) else "-",
+                mark.off_text,
                 "pass" if mark.ok else "fail",
             )
             for mark in self.marks
@@ -265,6 +276,8 @@ def grade_law(
 
 
 def _marks(law: Numbers, reference: Numbers, tolerance: float) -> list[Mark]:
+    """A mark for each figure of the reference; errors that differ by a millionth of their peak are the same."""
+    peaks = {name: peak for error, (rms, peak) in ERRORS.items() for name in (rms, peak, f"steady_{error}")}
     return [
         Mark(
             figure=figure,
@@ -272,6 +285,7 @@ def _marks(law: Numbers, reference: Numbers, tolerance: float) -> list[Mark]:
             law=law.get(figure, {}).get(unit, math.nan),
             reference=value,
             tolerance=tolerance,
+            least=max(ROUNDING, NOTHING * reference.get(peaks.get(figure, ""), {}).get(unit, 0.0)),
         )
         for figure, values in reference.items()
         for unit, value in values.items()
@@ -285,7 +299,7 @@ def _commands(name: str, law: Law, setting: Setting, run: Run) -> dict[str, Floa
         kernel = ctrl.recording_kernel()
         inputs, outputs = (kernel.blocks.views(block) for block in ("inputs", "outputs"))
         given = {f"ref.{field}": getattr(run.reference, field) for field in type(run.reference).fields(run.n)}
-        given |= {"q": run.q, "v": run.v, "tau_meas": run.tau, **run.extra}
+        given |= {"t": run.t, "q": run.q, "v": run.v, "tau_meas": run.tau, **run.extra}
         rows = {path: np.empty((len(run), *view.shape)) for path, view in outputs.items()}
         taken = [(view, given[path]) for path, view in inputs.items() if path in given]
         for k in range(len(run)):
@@ -296,6 +310,13 @@ def _commands(name: str, law: Law, setting: Setting, run: Run) -> dict[str, Floa
             kernel.tick()
             for path, view in outputs.items():
                 rows[path][k] = view
+        bad = np.flatnonzero(~np.isfinite(rows["command"]).all(axis=1))
+        if bad.size:
+            raise UsageError(
+                "its command is not finite in the states of the reference's run, from "
+                f"t = {run.t[bad[0]]:g} s on; let it bear them",
+                name=name,
+            )
     return {"command": rows["command"], **subtree(rows, "terms")}
 
 

@@ -7,7 +7,10 @@ import statistics
 from collections.abc import Mapping, Sequence
 from typing import Final, TypeAlias
 
+import numpy as np
+
 from taut.record.metrics import MEASURES, Measure
+from taut.record.part import PARTS
 from taut.record.run import Run
 
 __all__ = ["ERRORS", "FIGURES", "Numbers", "main_error", "of_model", "of_noise", "of_run"]
@@ -61,13 +64,22 @@ def of_run(run: Run) -> dict[str, dict[str, float]]:
     """What a run shows; a figure without a meaning in it is left out, and all are of one that failed."""
     if not run.outcome.ok:
         return {}
-    out = {name: run.metrics.by_unit(name) for pair in ERRORS.values() for name in pair}
-    last = run.between(run.t[-1] - LAST * (run.t[-1] - run.t[0]), run.t[-1]).metrics
-    out |= {name: last.by_unit(of) for name, of in STEADY.items()}
+    out = {name: _worst(run, name) for pair in ERRORS.values() for name in pair}
+    last = run.between(run.t[-1] - LAST * (run.t[-1] - run.t[0]), run.t[-1])
+    out |= {name: _worst(last, of) for name, of in STEADY.items()}
     out |= {name: run.metrics.by_unit(name) for name in OF_TORQUE}
     share = 100.0 / run.metrics.duration
     out["saturation"] = {"% of ticks": share * run.metrics.overall["saturation_time"]}
     return _known(out)
+
+
+def _worst(run: Run, name: str) -> dict[str, float]:
+    """A metric by unit; of laws side by side, which have their own references, the largest of theirs."""
+    out: dict[str, float] = {}
+    for one in [run.part(part) for part in run.info.get(PARTS, ())] or [run]:
+        for unit, value in one.metrics.by_unit(name).items():
+            out[unit] = float(np.fmax(out.get(unit, math.nan), value))
+    return out
 
 
 def _known(numbers: Numbers) -> dict[str, dict[str, float]]:

@@ -12,6 +12,7 @@ from taut.base.errors import UsageError
 from taut.base.types import Array, Float64Array
 from taut.record.compare import draw_bars, draw_norms, error_norms
 from taut.record.force import force_error
+from taut.record.part import PARTS
 from taut.record.run import Run
 from taut.record.style import INK, SMALL, WIDTH, colour, legend_above, prepared, short_name, wrapped
 from taut.record.task_plot import is_task_run
@@ -52,7 +53,7 @@ def _figure(runs: Mapping[str, Run], entries: Mapping[str, Entry], title: str) -
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-    errors = [error_norms(run) if _has_error(run) else {} for run in runs.values()]
+    errors = [_error_norms(run) for run in runs.values()]
     torques = [_torque_norms(run) for run in runs.values()]
     left, right = _heads(errors), _heads(torques)
     bars = _bars(entries)
@@ -72,7 +73,9 @@ def _figure(runs: Mapping[str, Run], entries: Mapping[str, Entry], title: str) -
                     words = "norm of the tracking error"
                 shown = [part.get(heads[row]) for part in parts]
                 draw_norms(runs, shown, prepared(ax, words, f"[{unit}]"))
-                ax.set_xlabel("t [s]", fontsize=SMALL, color=INK)
+                if row == len(heads) - 1:
+                    ax.set_xlabel("t [s]", fontsize=SMALL, color=INK)
+                    ax.tick_params(labelbottom=True)
     names = [
         Line2D([], [], color=colour(i), linewidth=2.0, label=short_name(name, 30)) for i, name in enumerate(runs)
     ]
@@ -81,8 +84,14 @@ def _figure(runs: Mapping[str, Run], entries: Mapping[str, Entry], title: str) -
     return figure
 
 
-def _has_error(run: Run) -> bool:
-    return run.error is not None or is_task_run(run) or force_error(run) is not None
+def _error_norms(run: Run) -> dict[Head, Float64Array]:
+    """(k,) norms of the errors that a run has; of laws side by side those of all of them together."""
+    out: dict[Head, Float64Array] = {}
+    for one in [run.part(part) for part in run.info.get(PARTS, ())] or [run]:
+        if one.error is not None or is_task_run(one) or force_error(one) is not None:
+            for head, norm in error_norms(one).items():
+                out[head] = np.hypot(out[head], norm) if head in out else norm
+    return out
 
 
 def _heads(parts: Sequence[Mapping[Head, Float64Array]]) -> list[Head]:

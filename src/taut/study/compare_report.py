@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 from taut.record.metrics import MEASURES
@@ -64,7 +63,7 @@ def page_of_grade(grade: Grade) -> Page:
             "pass" if mark.ok else "fail",
             number_text(mark.law),
             number_text(mark.reference),
-            f"{100.0 * mark.off:+.2f} %" if math.isfinite(mark.off) else "-",
+            mark.off_text,
         )
         for mark in grade.marks
     ]

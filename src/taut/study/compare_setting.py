@@ -96,7 +96,7 @@ class Setting:
         if isinstance(law, Phases):
             raise UsageError(
                 f"law '{name}' is a task, whose phases have references of their own; compare takes laws that follow "
-                "one reference",
+                "one reference, and phases of recorded runs, run.phase(name)",
                 name=name,
             )
         self.check_kind(name, law)

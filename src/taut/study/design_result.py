@@ -18,6 +18,8 @@ from taut.study.design_trial import Numbers, Response
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from taut.record.report_page import Page
+
 __all__ = ["Achieved", "AtPose", "Design", "Pressed", "Stiff"]
 
 
@@ -131,6 +133,12 @@ class Design:
         from taut.study.design_words import as_json
 
         return as_json(self)
+
+    def report_page(self) -> Page:
+        """What `taut.report` makes of it."""
+        from taut.study.design_report import page_of_design
+
+        return page_of_design(self)
 
     def plot(self) -> Figure:
         """Steps of each direction, simulated over what was designed, and the torque that they take."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -16,23 +16,27 @@ from taut.control.limiting import LIMIT_TERMS
 from taut.record.phases import PHASES
 from taut.record.run import Run
 from taut.study.diagnosis_case import Case
+from taut.study.diagnosis_chatter import chatter_findings
 from taut.study.diagnosis_finding import FAULTS, Finding, Number
+from taut.study.diagnosis_hybrid import surface_findings
 from taut.study.diagnosis_limits import limit_findings, period_findings
 from taut.study.diagnosis_load import load_findings, sign_findings
 from taut.study.diagnosis_model import model_of_run
-from taut.study.diagnosis_swing import chatter_findings, swing_findings
+from taut.study.diagnosis_phases import SHORT, SHORT_TIME, Judged, of_phases
+from taut.study.diagnosis_swing import swing_findings
 
 __all__ = ["Diagnosis", "doctor"]
 
 FEWEST: Final = 16  # ticks that say anything
-SHORT: Final = 64  # ticks under which most tests have nothing to go by
-SHORT_TIME: Final = 0.2  # [s]
+COMMANDS: Final = {"velocity": "velocities", "position": "positions"}
 WILD: Final = 1e3  # [rad/s | m/s] no arm is as fast: what comes after is the simulation's
 CAUSES: Final[Mapping[str, frozenset[str]]] = {
     "wrong sign": frozenset(FAULTS) - {"wrong sign", "runs late"},
     "runs late": frozenset({"oscillates", "saturates"}),
     "loses rank": frozenset({"oscillates", "saturates", "jumps at start", "chatters"}),
-    "oscillates": frozenset({"saturates", "chatters", "winds up", "jumps at start", "sticks", "sags"}),
+    "oscillates": frozenset({"saturates", "chatters", "winds up", "sticks", "sags"}),
+    "sticks": frozenset({"sags"}),
+    "wrong surface": frozenset({"sags", "sticks", "winds up"}),
     "stick-slip": frozenset({"sticks", "sags", "winds up"}),
     "backlash": frozenset({"saturates", "sticks", "sags"}),
     "chatters": frozenset({"saturates"}),
@@ -53,12 +57,14 @@ class Diagnosis:
             the feedback's effort.
         problems: What keeps the run from being judged as a whole: a fault, gaps, too few ticks. Findings are then
             what can be said of the rest.
-        looked_at: The figures that were looked at, by name.
+        notes: What was not looked for, because the run does not tell enough of it.
+        looked_at: The figures that were looked at, by name; those of a task by phase.
         model: Where the model comes from that the torques were compared with.
     """
 
     findings: tuple[Finding, ...]
     problems: tuple[str, ...]
+    notes: tuple[str, ...]
     looked_at: Mapping[str, Number]
     model: str
 
@@ -73,6 +79,7 @@ class Diagnosis:
             "healthy": self.healthy,
             "findings": [finding.json() for finding in self.findings],
             "problems": list(self.problems),
+            "notes": list(self.notes),
             "looked_at": {name: number.json() for name, number in self.looked_at.items()},
             "model": self.model,
         }
@@ -82,6 +89,7 @@ class Diagnosis:
         lines += [f"{i}. {finding}" for i, finding in enumerate(self.findings, start=1)]
         if not self.findings:
             lines.append("nothing found")
+        lines += [f"not looked for: {note}" for note in self.notes]
         lines.append("looked at: " + ", ".join(f"{name} {number}" for name, number in self.looked_at.items()))
         lines.append(f"model: {self.model}")
         return "\n".join(lines)
@@ -107,7 +115,12 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
     * saturates: a limit cuts in a twentieth of the run while the error counts
     * loses rank: the smallest singular value is under the border of `sizes_of`, and the law gives something up
     * jumps at start: feedback begins with a quarter of the effort
+    * wrong surface: in contact, phi of a hybrid law's constraint is 2 mm or 2 mrad RMS
     * runs late: one period in a hundred is longer than one and a half
+
+    A task is judged phase by phase, each visit by what that phase was asked for; a hybrid law by its error along the
+    constraint; a law that promises an impedance by where the measured wrench should have taken the tool; laws side
+    by side by the error of each.
 
     Args:
         run: From `taut.run` or `taut.load_run`.
@@ -118,7 +131,7 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
         The diagnosis; `str()` of it is a report.
 
     Raises:
-        UsageError: No run, one of a task of phases, or an arm that is none.
+        UsageError: No run, or an arm that is none.
         MatchError: An arm with other joints.
         RangeError: A run of fewer than 16 ticks, of which nothing can be said.
 
@@ -138,13 +151,6 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
     """
     if not isinstance(run, Run):
         raise UsageError(f"doctor takes a Run from taut.run or taut.load_run; got {type(run).__name__}", name="run")
-    if PHASES in run.info:
-        names = ", ".join(dict.fromkeys(window.name for window in run.phases))
-        raise UsageError(
-            f"the run is one of a task, whose law changes from phase to phase ({names}); look at one of them: "
-            "taut.doctor(run.phase(name))",
-            name="run",
-        )
     if len(run) < FEWEST:
         raise RangeError(
             f"a run of {FEWEST} ticks at least is needed to say anything; got {len(run)}; record it for longer",
@@ -160,16 +166,40 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
             f"{len(sane)} ticks, {len(sane) / run.rate:.3g} s, are too short: what needs {SHORT} ticks, "
             f"{SHORT_TIME:g} s or a settled arm was not judged"
         )
-    model, words = model_of_run(sane, arm)
-    case = Case(run=sane, model=model)
     with np.errstate(over="ignore"):
         late = [] if gaps else list(period_findings(run.t, run.rate))
-        signs = list(sign_findings(case))
-        swings = list(swing_findings(case))
-        found = [*late, *signs, *swings, *chatter_findings(case, bool(swings))]
-        found += [*limit_findings(case), *load_findings(case)]
-        looked_at = _looked_at(case)
-    return Diagnosis(findings=_ordered(found), problems=tuple(problems), looked_at=looked_at, model=words)
+        told = of_phases(sane, lambda one: _judged(one, arm)) if PHASES in run.info else _judged(sane, arm)
+    return Diagnosis(
+        findings=_ordered([*late, *told.found]),
+        problems=tuple(problems),
+        notes=tuple(dict.fromkeys(told.notes)),
+        looked_at=told.looked_at,
+        model=told.model,
+    )
+
+
+def _judged(run: Run, arm: Arm | None) -> Judged:
+    """What all tests but that of the clock say of a run of one law."""
+    model, words = model_of_run(run, arm)
+    case = Case(run=run, model=model)
+    swings = list(swing_findings(case))
+    found = [*sign_findings(case), *swings, *chatter_findings(case, bool(swings)), *limit_findings(case)]
+    found += [*surface_findings(case), *load_findings(case)]
+    return Judged(found=tuple(found), notes=tuple(_not_looked_for(case)), looked_at=_looked_at(case), model=words)
+
+
+def _not_looked_for(case: Case) -> Iterator[str]:
+    """What a run does not tell enough of."""
+    if case.of_torque and case.limits_of_effort is None:
+        yield "jumps at start, for the effort limits of the arm are not known"
+    if case.error is None and case.of_hybrid:
+        yield "what shows in the error along a constraint, which is known with a model and computed torque alone"
+    elif case.error is None and not case.of_force:
+        yield "what shows in an error, for it is not known what the law was asked for"
+    if not case.of_torque:
+        yield f"what shows in torques, for the law commands {COMMANDS.get(case.run.kind, case.run.kind)}"
+    elif case.model is not None and case.in_contact:
+        yield "gravity and payload, for the arm touched something, and no column tells with which wrench"
 
 
 def _without_gaps(run: Run) -> tuple[Run, list[str]]:

@@ -10,23 +10,29 @@ import numpy as np
 
 from taut.arm.angles import short_way
 from taut.base.types import Float64Array
+from taut.control.hybrid_motion import HybridMotion
 from taut.control.limiting import LIMIT_TERMS
+from taut.control.task_force import TaskForce
 from taut.control.task_reference import TaskMotion
 from taut.maths.chain import Chain
+from taut.record.felt import deviation_promised
 from taut.record.force import force_error
+from taut.record.part import PARTS
 from taut.record.run import Run
 from taut.record.task import TOOL
-from taut.study.diagnosis_model import ArmModel
+from taut.study.diagnosis_hybrid import along_error
+from taut.study.diagnosis_model import ArmModel, Fit
 
 __all__ = ["MODEL_TERMS", "Case", "tail"]
 
 MODEL_TERMS: Final = frozenset(
     {"gravity", "nonlinear", "feedforward", "friction", "inertia", "curvature", "chain", "force_nonlinear", "force"}
-)
-"""Terms that a law takes from its model or its reference; what is left is feedback."""
+) | {"wrench", "sensor", "lead", "dither"}
+"""Terms that a law takes from its model, its reference, a measured wrench or a clock; what is left is feedback."""
 BAND: Final = 0.02  # of the motion asked for: the chapter's 2 %
 WAY: Final = 1e-3  # [m] at the tool, below which an error is none
 TAIL: Final = 0.1  # of the run: what is called its end
+PINNED: Final = 1e-9  # of its largest: torques that are as large
 EFFORT_SHARE: Final = 1e-9  # of the largest torque: below it a joint has done nothing
 
 
@@ -69,8 +75,22 @@ class Case:
         return isinstance(self.run.reference.motion, TaskMotion) and TOOL in self.run.info
 
     @cached_property
+    def of_hybrid(self) -> bool:
+        """Whether the law keeps to a constraint, against which a motion is none of its errors."""
+        return isinstance(self.run.reference, HybridMotion)
+
+    @cached_property
     def error(self) -> Float64Array | None:
-        """(k, n) error of the joints [rad | m]; of a task the joint motion that would take it away, J^+ X_e."""
+        """(k, n) error of the joints [rad | m]; of a task the joint motion that would take it away, J^+ X_e.
+
+        Of a law that promises an impedance, against where the wrench that was measured should have taken the tool; of
+        a hybrid law, what it has along its constraint; of laws side by side, each of its own. None where it is not
+        known what a law was asked for.
+        """
+        if PARTS in self.run.info:
+            return self._of_parts("error")
+        if self.of_hybrid:
+            return None if self.model is None else along_error(self.run, self.model.mass_matrices)
         if self.run.error is not None:
             return self.run.error
         if not self.of_task:
@@ -79,16 +99,34 @@ class Case:
         assert task.position_error is not None
         assert task.rotation_error is not None
         X = np.concatenate([task.position_error, task.rotation_error], axis=1)
+        promised = deviation_promised(self.run)
+        if promised is not None:
+            X = X + promised
         inverse = np.linalg.pinv(task.J, rcond=1e-2)
         return np.asarray(np.einsum("kij,kj->ki", inverse, X))
+
+    def _of_parts(self, name: str) -> Float64Array | None:
+        """(k, n) the errors, or (n,) the tolerances, of laws side by side, in the columns of their joints."""
+        out = np.zeros_like(self.run.q)
+        for part in self.run.info[PARTS]:
+            own = self.run.part(part)
+            values = getattr(Case(run=own, model=None), name)
+            if values is None:
+                return None
+            out[:, [self.run.joint_names.index(joint) for joint in own.joint_names]] = values
+        return out if name == "error" else out[0]
 
     @cached_property
     def tolerance(self) -> Float64Array:
         """(n,) what counts as an error of a joint: 2 % of what it was asked to move, at least 1 mm at the tool."""
+        if PARTS in self.run.info:
+            of_parts = self._of_parts("tolerance")
+            assert of_parts is not None
+            return of_parts
         least = np.array([WAY if unit == "m" else WAY / self.length for unit in self.run.units])
         if self.error is None:
             return least
-        wanted = getattr(self.run.reference, "q", None)
+        wanted = getattr(self.run.reference.motion, "q", None)
         asked = np.abs(self.error[0])
         if wanted is not None:
             asked = asked + np.ptp(short_way(np.asarray(wanted) - self.run.q[0], self.run.continuous), axis=0)
@@ -106,6 +144,9 @@ class Case:
     @cached_property
     def moving_reference(self) -> Float64Array:
         """(k, m) the speed that the reference asks for, of whatever it is about; zeros where it rests."""
+        if PARTS in self.run.info:
+            parts = [Case(run=self.run.part(part), model=None).moving_reference for part in self.run.info[PARTS]]
+            return np.concatenate(parts, axis=1)
         for name in ("v", "twist"):
             value = getattr(self.run.reference.motion, name, None)
             if value is not None:
@@ -116,6 +157,11 @@ class Case:
     def force_error(self) -> Float64Array | None:
         """(k, 6) error of the force that the arm applies, where one is asked for."""
         return force_error(self.run)
+
+    @property
+    def of_force(self) -> bool:
+        """Whether the reference is a force and no motion."""
+        return isinstance(self.run.reference, TaskForce)
 
     @cached_property
     def in_contact(self) -> bool:
@@ -137,21 +183,64 @@ class Case:
         return np.asarray(sum(self.feedback_terms.values(), np.zeros_like(self.run.q)))
 
     @cached_property
+    def feedback_of_motion(self) -> Float64Array:
+        """(k, n) the feedback without what presses against the constraint of a hybrid law."""
+        pressed = [v for name, v in self.feedback_terms.items() if name.startswith("force_") or name == "one_sided"]
+        return np.asarray(self.feedback - sum(pressed, np.zeros_like(self.run.q)))
+
+    @cached_property
     def cut(self) -> Float64Array:
         """(k, n) what limits added to the command."""
         cuts = [self.run.terms[name] for name in LIMIT_TERMS if name in self.run.terms]
         return np.asarray(sum(cuts, np.zeros_like(self.run.q)))
 
     @cached_property
+    def pinned(self) -> Float64Array:
+        """(k, n) what the drives did not give at their own limit: torques that stay at their largest."""
+        if not self.of_torque:
+            return np.zeros_like(self.run.q)
+        tau, command = self.run.tau, self.run.command
+        at = (np.abs(tau) >= (1.0 - PINNED) * np.max(np.abs(tau), axis=0)) & (np.abs(command) > 1.01 * np.abs(tau))
+        return np.where(at, tau - command, 0.0)
+
+    @cached_property
+    def limits_of_effort(self) -> Float64Array | None:
+        """(n,) the effort limit of each joint, the arm's, else the controller's; None where not all are known."""
+        known = self.run.info.get("limits", {}).get("effort", {})
+        given = np.array([known.get(joint, np.nan) for joint in self.run.joint_names])
+        stated = np.asarray(self.run.info.get("parameters", {}).get("limits.tau", np.nan), dtype=np.float64)
+        if stated.shape in ((), (self.n,)):
+            given = np.where(np.isnan(given), stated, given)
+        return given if self.of_torque and np.isfinite(given).all() else None
+
+    @cached_property
     def size(self) -> Float64Array:
         """(n,) the effort limit of each joint, or else its largest torque: what its torques are weighed with."""
-        known = self.run.info.get("limits", {}).get("effort", {})
+        if self.limits_of_effort is not None:
+            return self.limits_of_effort
         most = np.max(np.abs(self.run.tau), axis=0)
-        most = np.maximum(most, EFFORT_SHARE * max(float(most.max()), 1.0))
-        given = np.array([known.get(joint, np.nan) for joint in self.run.joint_names])
-        if not self.of_torque or np.isnan(given).any():
-            return np.asarray(np.maximum(most, EFFORT_SHARE))
-        return given
+        return np.asarray(np.maximum(most, EFFORT_SHARE * max(float(most.max()), 1.0)))
+
+    @cached_property
+    def fit(self) -> Fit | None:
+        """What explains the torques beyond the model; None without one, or where they are not those of the arm."""
+        if self.model is None or not self.of_torque or self.in_contact:
+            return None
+        return self.model.fit(self.size)
+
+    @cached_property
+    def pushed(self) -> Float64Array:
+        """(k, n) J^T F_ext, what the measured wrench asks of the joints; zeros where none was measured."""
+        if "F_ext" not in self.run.extra or self.tool is None:
+            return np.zeros_like(self.run.q)
+        return np.asarray(np.einsum("kij,ki->kj", self.tool.jacobians(self.run.q), self.run.extra["F_ext"]))
+
+    @cached_property
+    def tool(self) -> Chain | None:
+        """The arm's tool, at which F_ext is measured: the model's, else the frame that the law controls."""
+        if self.model is not None:
+            return self.model.tool
+        return Chain.of_json(self.run.info[TOOL]) if TOOL in self.run.info else None
 
     @cached_property
     def effort(self) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FAULTS", "Finding", "Number", "Picture"]
 
+LETTERS: Final = 100  # of a line of a picture's title
 FAULTS: Final = {
     "wrong sign": "a term pushes away from the target, or a joint turns against its torque",
     "oscillates": "a line in the feedback that dies out slowly, lasts or grows",
@@ -31,6 +33,7 @@ FAULTS: Final = {
     "winds up": "the integral grows while the command is cut, and the joint overshoots",
     "saturates": "the command is cut at a limit while the error is there",
     "loses rank": "the task asks for a direction that the Jacobian has lost",
+    "wrong surface": "the surface is not where a hybrid law states its constraint",
     "jumps at start": "the first torque is far from the one that held the arm",
     "runs late": "periods are longer than the controller was made for",
 }
@@ -68,9 +71,11 @@ class Picture:
         from matplotlib.figure import Figure
         from matplotlib.lines import Line2D
 
-        figure = Figure(figsize=(WIDTH, 2.7), dpi=150, layout="constrained")
-        figure.suptitle(title, fontsize=9.0, color=INK, x=0.01, ha="left")
-        ax = prepared(figure.subplots(), self.title, self.ylabel, "t [s]")
+        lines = textwrap.wrap(title.replace("$", r"\$"), LETTERS)
+        figure = Figure(figsize=(WIDTH, 2.6 + 0.17 * len(lines)), dpi=150, layout="constrained")
+        figure.suptitle("\n".join(lines), fontsize=9.0, color=INK, x=0.01, ha="left")
+        (body,) = figure.subfigures(1, 1, squeeze=False)[:, 0]  # whose legend keeps off the title
+        ax = prepared(body.subplots(), self.title, self.ylabel, "t [s]")
         handles = []
         for i, (name, y) in enumerate(self.curves.items()):
             line(ax, self.t, y, colour(i))
@@ -83,7 +88,7 @@ class Picture:
         if self.marked is not None:
             for first, last in _stretches(self.marked):
                 ax.axvspan(self.t[first], self.t[last], color="#D9D9D9", alpha=0.5, linewidth=0.0)
-        legend_above(figure, handles)
+        legend_above(body, handles)
         ax.margins(x=0.01)
         return figure
 
@@ -108,6 +113,7 @@ class Finding:
         text: What was seen, in a sentence.
         remedy: What to do about it, in a sentence.
         follows: The name of the finding that this one follows from, where there is one.
+        phase: Of a task, the phases in which it was found.
     """
 
     name: str
@@ -119,6 +125,7 @@ class Finding:
     remedy: str
     picture: Picture
     follows: str | None = None
+    phase: str | None = None
 
     def plot(self) -> Figure:
         """The evidence, as a matplotlib Figure."""
@@ -135,10 +142,12 @@ class Finding:
             "text": self.text,
             "remedy": self.remedy,
             "follows": self.follows,
+            "phase": self.phase,
         }
 
     def __str__(self) -> str:
         where = "" if self.joint is None else f" at '{self.joint}'"
+        where += "" if self.phase is None else f" in {self.phase}"
         numbers = ", ".join(f"{name} {number}" for name, number in self.evidence.items())
         after = "" if self.follows is None else f"; it follows from '{self.follows}'"
         return (

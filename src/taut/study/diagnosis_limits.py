@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from taut.base.types import Float64Array
+from taut.base.types import Array, Float64Array
 from taut.control.limiting import LIMIT_TERMS
 from taut.maths.singularity import BORDER, sizes_of
 from taut.study.diagnosis_case import Case
@@ -22,7 +22,6 @@ OF_PEAK: Final = 0.5  # of the run's largest feedback that is there in the first
 AMPLIFIED: Final = 3.0  # times the feedback, near a singularity, of that elsewhere
 LATE: Final = 1.5  # periods
 LATE_SHARE: Final = 0.01  # of the periods
-PINNED: Final = 1e-9  # of its largest: torques that are as large
 REMEDIES: Final = {
     "torque_limit": "ask for less acceleration or load, or take an arm or gains that need less torque",
     "rate_limit": "follow a trajectory of bounded jerk in place of a step, or raise tau_dot to what the drives bear",
@@ -47,10 +46,7 @@ def _cuts(case: Case) -> dict[str, Float64Array]:
     run = case.run
     out = {name: run.terms[name] for name in LIMIT_TERMS if name in run.terms}
     if case.of_torque:
-        missing = run.tau - run.command
-        peak = np.max(np.abs(run.tau), axis=0)
-        pinned = (np.abs(run.tau) >= (1.0 - PINNED) * peak) & (np.abs(run.command) > 1.01 * np.abs(run.tau))
-        out["torque"] = np.where(pinned, missing, 0.0)
+        out["torque"] = case.pinned
     return out
 
 
@@ -118,7 +114,7 @@ def _winds_up(case: Case) -> Finding | None:
     if "I" not in run.terms or case.error is None:
         return None
     integral, cuts = run.terms["I"], _cuts(case)
-    cut = np.sum(list(cuts.values()), axis=0)
+    cut = np.asarray(sum(cuts.values(), np.zeros_like(run.q)))
     best: tuple[float, int, float, float, int] | None = None
     for i in range(case.n):
         into = -np.sign(cut[1:, i])
@@ -179,10 +175,11 @@ def _jumps(case: Case) -> Finding | None:
     """A first tick in which feedback gives a quarter of the effort at once, and half of all that it ever gives.
 
     Before it the arm was held by what the model's terms give, so that the jump is what feedback adds after limits. A
-    quarter of the effort is 25 ms of the rate that `Limits.of(arm, rate=True)` allows.
+    quarter of the effort is 25 ms of the rate that `Limits.of(arm, rate=True)` allows. Of an arm whose effort nobody
+    stated no torque is a jump.
     """
     run = case.run
-    if not case.of_torque:
+    if case.limits_of_effort is None:
         return None
     given = case.feedback + case.cut
     first = np.abs(given[0]) / case.size
@@ -199,7 +196,13 @@ def _jumps(case: Case) -> Finding | None:
     part[:end, bad] = case.feedback[:end, bad]
     term = max(case.feedback_terms, key=lambda name: abs(case.feedback_terms[name][0, i]))
     joint, unit = run.joint_names[i], run.effort_units[i]
-    error = 0.0 if case.error is None else float(case.error[0, i])
+    away = "for its target is elsewhere"
+    known = {}
+    if case.error is not None and abs(case.error[0, i]) > case.tolerance[i]:
+        known = {"error at the start": Number(float(case.error[0, i]), run.units[i])}
+        away = f"for the reference starts {case.error[0, i]:.3g} {run.units[i]} away"
+    elif term == "D":
+        away = "for the reference starts with another velocity than the arm"
     slow = abs(float(given[0, i])) / (10.0 * case.size[i])
     return Finding(
         name="jumps at start",
@@ -209,10 +212,9 @@ def _jumps(case: Case) -> Finding | None:
         evidence={
             "jump": Number(float(given[0, i]), unit),
             "of the effort": Number(100.0 * float(first[i]), "%"),
-            "error at the start": Number(error, run.units[i]),
+            **known,
         },
-        text=f"'{joint}' gets {given[0, i]:.3g} {unit} at once, for the reference starts {error:.3g} "
-        f"{run.units[i]} away",
+        text=f"'{joint}' gets {given[0, i]:.3g} {unit} at once, {away}",
         remedy="start the reference where the arm is (a trajectory from the measured position), or "
         f"limits=taut.Limits(blend={max(0.1, 2.0 * slow):.2g})",
         picture=Picture(
@@ -232,7 +234,7 @@ def _loses_rank(case: Case) -> Finding | None:
 
     The smallest singular value of J falls under the border that the laws themselves use (`sizes_of`: 0.1, less for
     an arm that reaches less than 0.9 m), and there the law gives something up (the term `singularity`), or feedback
-    is three times as large as elsewhere while the error counts.
+    is three times as large as elsewhere while the error counts, or a joint goes faster than its limit there alone.
     """
     run = case.run
     if not case.of_task:
@@ -249,14 +251,21 @@ def _loses_rank(case: Case) -> Finding | None:
     active = bool(np.any(left_out[near] > 0.01 * max(float(weighed.max()), np.finfo(np.float64).tiny)))
     elsewhere = float(weighed[~near].mean()) if (~near).any() else 0.0
     louder = (~near).any() and float(weighed[near].mean()) > AMPLIFIED**2 * elsewhere
-    if not (active or (louder and case.off[near].any())):
+    fast = _too_fast(case, near)
+    if not (active or fast is not None or (louder and case.off[near].any())):
         return None
+    if active:
+        term, more = "singularity", "; what the law leaves out there is its term 'singularity'"
+    else:
+        term, more = ("feedforward" if fast is not None and "feedforward" in run.terms else "P"), ""
+    speeds = {} if fast is None else {"joint speed there": Number(100.0 * fast[1], "% of its limit")}
+    robust = "" if active else "use singularity='robust', "
     k = int(np.argmin(least))
     direction = np.linalg.svd(run.task.J[k])[0][:, len(run.task.J[k].T) - 1 if run.n < 6 else 5]
-    i = int(np.argmax(np.max(np.abs(case.feedback[near]), axis=0) / case.size))
+    i = int(np.argmax(np.max(np.abs(case.feedback[near]), axis=0) / case.size)) if fast is None else fast[0]
     return Finding(
         name="loses rank",
-        term="singularity" if active else "P",
+        term=term,
         joint=run.joint_names[i],
         share=float(weighed[near].sum()) / case.effort,
         evidence={
@@ -264,11 +273,12 @@ def _loses_rank(case: Case) -> Finding | None:
             "border": Number(border),
             "at": Number(float(run.t[k]), "s"),
             "near it for": Number(float(near.sum()) * case.dt, "s"),
+            **speeds,
         },
         text=f"the Jacobian nearly loses the direction ({', '.join(f'{x:.2f}' for x in direction)}) "
-        f"at t = {run.t[k]:.3g} s",
-        remedy=f"lead the path where the smallest singular value stays above {border:.2g}, use singularity='robust', "
-        "or a law of joint space (via_joint_space) for this stretch",
+        f"at t = {run.t[k]:.3g} s{more}",
+        remedy=f"lead the path where the smallest singular value stays above {border:.2g}, {robust}"
+        "or take a law of joint space (via_joint_space) for this stretch",
         picture=Picture(
             title="smallest singular value of J",
             ylabel="[1]",
@@ -278,6 +288,19 @@ def _loses_rank(case: Case) -> Finding | None:
             marked=near.astype(np.float64),
         ),
     )
+
+
+def _too_fast(case: Case, near: Array) -> tuple[int, float] | None:
+    """The joint that is fastest near a singularity, and its speed over its limit, if none is beyond it elsewhere."""
+    known = case.run.info.get("limits", {}).get("velocity", {})
+    most = np.array([known.get(joint, np.nan) for joint in case.run.joint_names])
+    if np.isnan(most).any():
+        return None
+    used = np.abs(case.run.v) / most
+    elsewhere = float(used[~near].max()) if (~near).any() else 0.0
+    i = int(np.argmax(used[near].max(axis=0)))
+    there = float(used[near, i].max())
+    return (i, there) if there > 1.0 >= elsewhere else None
 
 
 # -------------------------------------------------------------------- the clock

@@ -100,7 +100,7 @@ def load_findings(case: Case) -> Iterator[Finding]:
     """Gravity, payload, friction and whatever else feedback carries at rest or along the motion."""
     if not case.of_torque or case.in_contact:
         return
-    fit = None if case.model is None else case.model.fit(case.size)
+    fit = case.fit
     of_load = None if fit is None else _load(case, fit)
     if of_load is not None:
         yield of_load
@@ -258,15 +258,15 @@ def _sticks(case: Case, fit: Fit | None) -> Finding | None:
     at_rest = _sticking(case, fit)
     if case.error is None or not at_rest.any():
         return None
-    part = case.feedback * at_rest
+    part = _carried(case, fit) * at_rest
     i = int(np.argmax(np.sum((part / case.size) ** 2, axis=0)))
     share, rest = case.share_of(part), at_rest[:, i]
     held = rest > 0.0
     joint, unit = run.joint_names[i], run.effort_units[i]
-    most = float(np.abs(case.feedback[held, i]).max())
+    most = float(np.abs(part[held, i]).max())
     error = float(np.abs(case.error[held, i]).max())
     known = fit is not None and fit.coulomb[i] > 0.0
-    dry = {"dry friction fitted": Number(float(fit.coulomb[i]), unit)} if fit is not None and known else {}
+    dry = float(fit.coulomb[i]) if fit is not None and known else most
     return Finding(
         name="sticks",
         term="friction",
@@ -276,11 +276,11 @@ def _sticks(case: Case, fit: Fit | None) -> Finding | None:
             "rests for": Number(float(held.sum()) * case.dt, "s"),
             "error there": Number(error, run.units[i]),
             "torque that does not move it": Number(most, unit),
-            **dry,
+            **({"dry friction fitted": Number(dry, unit)} if known else {}),
         },
         text=f"'{joint}' rests off its target while the feedback pushes it: dry friction holds it",
-        remedy=f"add FrictionCompensation(at='ref') with {most:.3g} {unit} of Coulomb friction, an integral, or "
-        f"RaisedGains; kp alone would leave up to {most:.3g} {unit} / kp",
+        remedy=f"add FrictionCompensation(at='ref') with {dry:.3g} {unit} of Coulomb friction, an integral, or "
+        f"RaisedGains; kp alone would leave up to {dry:.3g} {unit} / kp",
         picture=Picture(
             title=f"{joint}: error, and feedback in parts of its largest (shaded: at rest)",
             ylabel="[1]",
@@ -289,6 +289,18 @@ def _sticks(case: Case, fit: Fit | None) -> Finding | None:
             marked=rest,
         ),
     )
+
+
+def _carried(case: Case, fit: Fit | None) -> Float64Array:
+    """(k, n) feedback without the loads that are known: gravity that the law does not give, and what was fitted."""
+    out = case.feedback
+    if case.model is not None and fit is not None:
+        names = [name for name in ("gravity", "nonlinear", "force_nonlinear") if name in case.run.terms]
+        given = sum((case.run.terms[name] for name in names), np.zeros_like(out))
+        by_plant = fit.load if fit.explained >= MOST else np.zeros_like(fit.load)
+        at_rest = case.model.gravity - given[case.model.ticks]
+        out = out - _at_ticks(case, at_rest + by_plant)
+    return out
 
 
 def _sticking(case: Case, fit: Fit | None) -> Float64Array:
@@ -317,35 +329,52 @@ def _held_at_the_end(case: Case, fit: Fit | None, i: int, resting: Array) -> boo
     if resting.all():
         return True
     first = len(run) - int(np.cumprod(resting[::-1]).sum())
-    change = np.ptp(case.feedback[first:, i])
+    change = float(np.ptp(case.feedback[first:, i]))
     crept = _stiffness(case, i) * np.ptp(run.q[first:, i])  # what a spring says of a joint that still moves
     if change > TORQUE_CHANGE * case.size[i] and crept < 0.5 * change:
         return True
     if fit is None or fit.coulomb[i] <= 0.0 or fit.left > UNSURE:
         return False
-    load = float(fit.load[-1, i]) if fit.explained >= MOST else 0.0
-    carried = float(case.feedback[end, i].mean()) - load
+    carried = float(_carried(case, fit)[end, i].mean())
+    load = float(case.feedback[end, i].mean()) - carried
     return abs(load) < abs(carried) <= SLACK * float(fit.coulomb[i])
+
+
+def _balanced(case: Case, held: Float64Array, pushed: Float64Array) -> bool:
+    """Whether what the environment gives in the direction of the feedback balances it within a fifth.
+
+    In the measure of M^-1, in which a constraint takes nothing from what a hybrid law gives along it.
+    """
+    last = max(len(case.run) - 1, 0)
+    inverse = np.diag(1.0 / case.size**2) if case.model is None else np.linalg.inv(case.model.mass_matrix(last))
+    size = float(held @ inverse @ held)
+    return size > 0.0 and bool(np.any(pushed)) and abs(1.0 + float(held @ inverse @ pushed) / size) < 0.2
 
 
 def _sags(case: Case, fit: Fit | None) -> Finding | None:
     """A steady error of joints at rest that the feedback holds, whatever the load is.
 
     What the environment gives (F_ext) is no load: an impedance gives way to it by design, so that a joint whose
-    feedback balances J^T F_ext within a fifth is left out; so is one that dry friction holds.
+    feedback balances J^T F_ext within a fifth is left out; so are all where that of the whole arm does, and one that
+    dry friction holds. Of a hybrid law it is the feedback of its motion that is looked at.
     """
     run = case.run
     bad = np.abs(case.steady_error) > case.tolerance
     if case.error is None or not bad.any():
         return None
     end = tail(run)
-    held = case.feedback[end].mean(axis=0)
-    if "F_ext" in run.extra and case.run.info.get("tool"):
-        pushed = np.einsum("kij,ki->kj", run.task.J[end], run.extra["F_ext"][end]).mean(axis=0)
-        bad &= np.abs(held + pushed) > 0.2 * np.abs(held)
+    held = case.feedback_of_motion[end].mean(axis=0)
+    pushed = case.pushed[end].mean(axis=0)
+    bad &= np.abs(held + pushed) > 0.2 * np.abs(held)
+    if _balanced(case, held, pushed):
+        return None
     resting = np.abs(run.v) < RESTING
     bad &= np.array([not _held_at_the_end(case, fit, i, resting[:, i]) for i in range(case.n)])
     bad &= np.abs(held) > LEAST_GRAVITY * case.size
+    if case.model is not None:  # what the motion of other joints asks for is no load
+        late = case.model.ticks >= end.start
+        moved = np.abs((case.model.motion - case.model.gravity)[late].mean(axis=0)) if late.any() else 0.0 * held
+        bad &= moved < HALF * np.abs(held)
     if not bad.any():
         return None
     i = int(np.argmax(bad * np.abs(held) / case.size))
@@ -354,6 +383,8 @@ def _sags(case: Case, fit: Fit | None) -> Finding | None:
     k = _stiffness(case, i)
     joint, unit = run.joint_names[i], run.effort_units[i]
     want = abs(float(held[i])) / float(case.tolerance[i])
+    sure = fit is not None and fit.left <= UNSURE
+    or_friction = "" if sure else ", or where dry friction holds it: its motion does not tell which"
     integral = "" if "I" in run.terms else "; or an integral, 0 < ki < (b + kd) kp / M"
     return Finding(
         name="sags",
@@ -365,7 +396,7 @@ def _sags(case: Case, fit: Fit | None) -> Finding | None:
             "constant load": Number(float(held[i]), unit),
             "stiffness": Number(k, f"{unit}/{run.units[i]}"),
         },
-        text=f"'{joint}' rests where its spring balances a constant load that the model does not have",
+        text=f"'{joint}' rests where its spring balances a constant load that the model does not have{or_friction}",
         remedy=f"model the load of {held[i]:.3g} {unit}; or a stiffness of {want:.3g} {unit}/{run.units[i]} to bring "
         f"the error under {case.tolerance[i]:.2g} {run.units[i]}{integral}",
         picture=Picture(

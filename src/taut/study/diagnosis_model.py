@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ from taut.codegen.function import native
 from taut.maths import dynamics as dyn
 from taut.maths.chain import Chain
 from taut.maths.model import PayloadValues, model_of
+from taut.record.arm_numbers import DYNAMICS, with_numbers
 from taut.record.run import Run
 from taut.record.sticking import MOVING
 from taut.record.task import TOOL
@@ -33,6 +35,7 @@ SAME: Final = 1e-9  # of kinematics: what counts as the same arm
 MOST_TICKS: Final = 600  # that a fit looks at, evenly spread
 FLOOR: Final = 0.01  # of the largest gravity torque: what a model is not asked to explain
 ENOUGH: Final = 0.05  # of the ticks: fewer in motion say nothing of friction
+LEAST_MOTION: Final = 32  # ticks in motion that say something of friction, however few they are
 SMALL: Final = 1e-4  # [m] off the tool: its square, which a payload's inertia has, counts for nothing
 REACH: Final = 0.25  # of the arm's length: how far from the tool a payload may have its centre
 INDEPENDENT: Final = 100.0  # ticks of a run, neighbours of which are much alike, count as so many
@@ -60,10 +63,17 @@ def model_of_run(run: Run, arm: Arm | None) -> tuple[ArmModel | None, str]:
             )
         return ArmModel(run=run, arm=arm), "the arm that was given"
     name = run.info.get("arm")
-    for found, words in ((_by_name(run, name), f"arm '{name}' of the catalogue"), (run.arm, "the arm of the plant")):
-        if found is not None and _same_kinematics(run, found):
-            return ArmModel(run=run, arm=found), words
-    return None, "none: give arm= the arm that the controller was compiled for"
+    for known, words in ((_by_name(run, name), f"arm '{name}' of the catalogue"), (run.arm, "the arm of the plant")):
+        if known is None or not _same_kinematics(run, known):
+            continue
+        found = _with_numbers(known, json.dumps(run.info[DYNAMICS])) if DYNAMICS in run.info else known
+        if found is not None:
+            changed = "" if found is known else ", with the masses, gravity and gears that the log has"
+            return ArmModel(run=run, arm=found), words + changed
+    return (
+        None,
+        "none, so that gravity and payload were not looked at; give arm= that the controller was compiled for",
+    )
 
 
 def _by_name(run: Run, name: Any) -> Arm | None:
@@ -81,6 +91,12 @@ def _by_name(run: Run, name: Any) -> Arm | None:
 def _mounted(name: str, p: tuple[float, ...], R: tuple[tuple[float, ...], ...]) -> Arm:
     """An arm that taut knows, at a place: the same object each time, so that its torques are compiled once."""
     return load_arm(name, T_WB=Pose(p=p, R=R))
+
+
+@functools.lru_cache(maxsize=16)
+def _with_numbers(arm: Arm, numbers: str) -> Arm | None:
+    """An arm with the numbers of a log, the same object each time."""
+    return with_numbers(arm, json.loads(numbers))
 
 
 def _same_kinematics(run: Run, arm: Arm) -> bool:
@@ -154,9 +170,17 @@ class ArmModel:
 
     @cached_property
     def ticks(self) -> np.ndarray[Any, np.dtype[np.intp]]:
-        """The ticks that fits look at: all but the last, or some of them evenly spread."""
+        """The ticks that fits look at: all but the last, or some of them evenly spread.
+
+        Where a run has little motion, all of that, for nothing else tells of friction.
+        """
         count = len(self.run) - 1
-        return np.unique(np.linspace(0, count - 1, min(count, MOST_TICKS)).round().astype(np.intp))
+        spread = np.linspace(0, count - 1, min(count, MOST_TICKS)).round().astype(np.intp)
+        moving = np.flatnonzero((np.abs(self.run.v[:count]) > MOVING).any(axis=1))
+        if LEAST_MOTION <= len(moving) < ENOUGH * count:
+            few = np.linspace(0, len(moving) - 1, min(len(moving), MOST_TICKS)).round().astype(np.intp)
+            spread = np.concatenate([spread, moving[few]])
+        return np.unique(spread)
 
     def _each(self, mass: Any, com: Any, inertia: Any, *, moving: bool) -> Float64Array:
         torques = _native_torques(self.arm)
@@ -191,7 +215,7 @@ class ArmModel:
         """(ticks, n) tau + J^T F_ext - (M a + C v + g): what acted beyond what the model needs for the motion."""
         pushed = np.zeros_like(self.motion)
         if "F_ext" in self.run.extra:
-            J = Chain.of(model_of(self.arm), None).jacobians(self.run.q[self.ticks])
+            J = self.tool.jacobians(self.run.q[self.ticks])
             pushed = np.einsum("kij,ki->kj", J, self.run.extra["F_ext"][self.ticks])
         return np.asarray(self.run.tau[self.ticks] + pushed - self.motion)
 
@@ -206,14 +230,25 @@ class ArmModel:
     @cached_property
     def length(self) -> float:
         """[m] from the first joint to the tool, were the arm stretched."""
-        chain = Chain.of(model_of(self.arm), None)
-        return float(sum(np.linalg.norm(p) for p in [*(link.p for link in chain.links[1:]), chain.p]))
+        return float(sum(np.linalg.norm(p) for p in [*(link.p for link in self.tool.links[1:]), self.tool.p]))
+
+    @cached_property
+    def tool(self) -> Chain:
+        """The arm's tool, at which F_ext is measured."""
+        return Chain.of(model_of(self.arm), None)
+
+    @cached_property
+    def mass_matrices(self) -> Float64Array:
+        """(k, n, n) M with the declared payload, at every tick."""
+        return np.array([self.mass_matrix(k) for k in range(len(self.run))])
+
+    def mass_matrix(self, tick: int) -> Float64Array:
+        """(n, n) M with the declared payload."""
+        return _native_mass(self.arm)(np.ascontiguousarray(self.run.q[tick]), *self.payload)
 
     def inertia_felt(self, tick: int) -> Float64Array:
         """(n,) what each joint's torque moves with the others free: 1 / (M^-1)_ii [kg m^2 | kg]."""
-        mass, com, inertia = self.payload
-        M = _native_mass(self.arm)(np.ascontiguousarray(self.run.q[tick]), mass, com, inertia)
-        return np.asarray(1.0 / np.diag(np.linalg.inv(M)))
+        return np.asarray(1.0 / np.diag(np.linalg.inv(self.mass_matrix(tick))))
 
     # ---------------------------------------------------------------- fits
 
@@ -242,8 +277,10 @@ class ArmModel:
             "coulomb": np.einsum("ki,ij->kij", np.sign(v) * moving, np.eye(n)),
         }
         friction = ("viscous", "coulomb") if dry else ("viscous",)
-        sets = [(), friction, ("gravity",), ("gravity", *friction)]
-        sets += [("mass",), ("mass", *friction), ("mass", "moment"), ("mass", "moment", *friction)]
+        sets: list[tuple[str, ...]] = [(), friction]
+        if np.any(self.arm.gravity):  # without it inertia alone tells of a load, which friction hides
+            sets += [("gravity",), ("gravity", *friction)]
+            sets += [("mass",), ("mass", *friction), ("mass", "moment"), ("mass", "moment", *friction)]
         best: tuple[float, tuple[str, ...], Float64Array] = (math.inf, (), np.zeros(0))
         for names in sets:
             values, left = _bounded(d, [columns[name] / size[:, np.newaxis] for name in names], names, used)

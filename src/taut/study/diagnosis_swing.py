@@ -1,4 +1,4 @@
-"""What swings: oscillations by the term that feeds them, limit cycles of friction and play, chatter."""
+"""What swings: oscillations by the term that feeds them, limit cycles of friction and play."""
 
 from __future__ import annotations
 
@@ -8,22 +8,24 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from taut.base.types import Float64Array
 from taut.control.limiting import LIMIT_TERMS
-from taut.control.limits import RATE_PER_EFFORT
 from taut.record.sticking import RESTING
 from taut.study.diagnosis_case import Case
 from taut.study.diagnosis_finding import Finding, Number, Picture
 from taut.study.diagnosis_line import Line, line_of
 
-__all__ = ["chatter_findings", "swing_findings"]
+__all__ = ["swing_findings"]
 
 LINE: Final = 0.5  # of the variance of a joint's feedback that is one line
 RINGING: Final = 0.1  # damping ratio under which it takes more than six periods to the chapter's 2 %
 BOLTING: Final = 0.3  # what grows faster, sixfold in a period, is no oscillation but runs away
-CONSTANT: Final = 1e-3  # damping ratio that a loop has by chance only: half a per cent in a period
+LOST: Final = 0.01  # of the work that is done on a swing, beyond which the torque takes it out
+TOO_MUCH: Final = 1.15  # times the dry friction that the motion showed
+STOPS: Final = 3  # times that a joint comes to rest in a cycle of sticking, in four periods and more
+THIRD: Final = 0.05  # of a cycle's acceleration, that a spring does not make
+SHAKEN: Final = ("environment", "dither", "feedforward", "wrench", "sensor")  # what shakes an arm, and is no fault
 STEADY: Final = 0.01  # damping ratio within which an oscillation neither grows nor dies out
 LEAST_TORQUE: Final = 0.02  # of the effort: smaller oscillations count only by their error
 LEAST_SHARE: Final = 0.01  # of the feedback's effort in the run: less is not why a run is as it is
@@ -32,8 +34,6 @@ FED: Final = 0.05  # of the work that is done on it: a term that feeds it does m
 SAMPLED: Final = 0.3  # omega T from which the rate matters: a design stays below
 RESTS: Final = 0.1  # of the window in which the joint rests, in a limit cycle of dry friction
 FREE: Final = 3.0  # times the dwell at no torque that a sine would have
-SMOOTH: Final = 20.0  # parts of the rate: what is faster is not motion that a loop controls
-ORDER: Final = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,12 +55,13 @@ def swing_findings(case: Case) -> Iterator[Finding]:
     is faster than five times what the reference moves at. It is fed
     by the term that does positive work on it, sum tau_term dq over whole ticks, so that the hold counts:
 
-    * stick-slip where the joint rests (|v| < 1e-4) for a tenth of the window between its jumps;
-    * backlash where it neither grows nor dies out, no limit acts, and the link's acceleration dwells at none three
-      times as long as that of a sine would; or where its size is constant within half a per cent in a period though
-      one term feeds it and another brakes it: a linear loop would need luck for that;
-    * else it is the loop's: the integral (I), the drives (delay), a limit (its term), or the gains against the rate
-      (P, D); where no term feeds it, damping is missing (D).
+    * stick-slip where the joint rests (|v| < 1e-4) for a tenth of the window, again and again between its jumps;
+    * none, where the environment or a term that answers no error (dither, feedforward) feeds it: the arm is shaken;
+    * the transmission's, where the torque takes work out of it and it goes on all the same, so that the motor moves
+      otherwise than the link: backlash where the link's acceleration dwells at none three times as long as that of a
+      sine would, or has a twentieth of its third harmonic; else a joint that gives;
+    * else the loop's: the integral (I), the drives (delay), a limit (its term), or the gains against the rate (P, D);
+      where no term feeds what lasts or dies out, damping is missing (D).
     """
     if not case.of_torque:
         return
@@ -70,17 +71,17 @@ def swing_findings(case: Case) -> Iterator[Finding]:
     run, i = case.run, found.joint
     rest = _resting(case, found)
     if rest is not None:
-        yield _limit_cycle(
-            case,
-            found,
-            "stick-slip",
-            "I" if _integrates(case, i) else "friction",
-            {"rests for": Number(100.0 * rest, "% of the time")},
-            "the joint sticks, the feedback grows until it breaks away, and it overshoots",
-            "add FrictionCompensation(at='ref') or a Dither; or lower ki, or stop the integral within the tolerance",
-        )
+        yield _stick_slip(case, found, rest)
         return
-    dwell = _dwell(case, found)
+    works = _works(case, found)
+    done = sum(abs(work) for work in works.values()) or 1.0
+    feeds = max(works, key=lambda name: works[name])
+    grows = found.line.growth > STEADY * found.line.omega
+    if works[feeds] > FED * done and feeds in SHAKEN:
+        return
+    if grows and works[feeds] <= FED * done:  # nothing could make it grow
+        return
+    dwell = _dwell(case, found, works)
     if dwell is not None:
         yield _limit_cycle(
             case,
@@ -88,12 +89,12 @@ def swing_findings(case: Case) -> Iterator[Finding]:
             "backlash",
             "transmission",
             {"without torque for": Number(100.0 * dwell, "% of the time")},
-            "a cycle of constant size that no limit holds: the link goes to and fro between two teeth",
+            "a cycle that the torque takes work out of: the link goes to and fro between two teeth",
             f"lower kp at '{run.joint_names[i]}' (the gain bound of backlash, 2 friction / backlash), measure at the "
             "motor, or preload the gear",
         )
         return
-    yield _of_the_loop(case, found)
+    yield _of_the_loop(case, found, works)
 
 
 # -------------------------------------------------------------------- finding the line
@@ -143,26 +144,67 @@ def _ac(x: Float64Array) -> Float64Array:
 
 
 def _works(case: Case, found: _Swing) -> dict[str, float]:
-    """Work of each term of feedback on the swinging motion, and, as "delay", of what the drives make of the sum."""
+    """Work on the swinging motion of each term that answers an error, of limits, and of what shakes the arm.
+
+    As "delay" that of what the drives make of the sum, as "torque" of what is beyond their own limit, and as
+    "environment" that of J^T F_ext.
+    """
     run = case.run
     window = slice(found.window.start, min(found.window.stop, len(run) - 1))
     steps = _ac(case.steps[window])
-    works = {name: float(np.sum(_ac(value[window]) * steps)) for name, value in case.feedback_terms.items()}
-    works["delay"] = float(np.sum(_ac(run.tau[window] - run.command[window]) * steps))
-    for name in LIMIT_TERMS:
-        if name in run.terms:
-            works[name] = float(np.sum(_ac(run.terms[name][window]) * steps))
+
+    def work(x: Float64Array) -> float:
+        return float(np.sum(_ac(x[window]) * steps))
+
+    names = [*case.feedback_terms, *(name for name in (*LIMIT_TERMS, *SHAKEN) if name in run.terms)]
+    works = {name: work(run.terms[name]) for name in names}
+    pinned = case.pinned
+    works["torque"] = work(pinned)
+    works["delay"] = work(run.tau - run.command - pinned)
+    works["environment"] = work(case.pushed)
     return works
+
+
+def _taken(case: Case, found: _Swing) -> float:
+    """Work that the drives' torques take out of a swing that lasts, less what the environment gives to it.
+
+    Of the motion of the links; a motor that moves as its link does can take none out of what lasts.
+    """
+    window = slice(found.window.start, min(found.window.stop, len(case.run) - 1))
+    steps = _ac(case.steps[window])
+    return -float(np.sum(_ac((case.run.tau + case.pushed)[window]) * steps))
 
 
 # -------------------------------------------------------------------- limit cycles
 
 
 def _resting(case: Case, found: _Swing) -> float | None:
-    """The part of the window in which the joint rests while its feedback goes on, if it is a tenth of it."""
+    """The part of the window in which the joint rests, if it is a tenth of it and it rests again and again."""
     at = np.abs(case.run.v[found.window, found.joint]) < RESTING
-    share = float(at.mean())
-    return share if RESTS < share < 1.0 and found.line.omega * case.dt < SAMPLED else None
+    share, stops = float(at.mean()), int(np.sum(at[1:] & ~at[:-1]))
+    lasts = abs(found.line.zeta) < RINGING
+    if not (lasts and RESTS < share < 1.0 and stops >= STOPS) or found.line.omega * case.dt > SAMPLED:
+        return None
+    return share
+
+
+def _stick_slip(case: Case, found: _Swing, rest: float) -> Finding:
+    """The cycle of a joint that rests between jumps; of friction that the law has too much of, where it shows."""
+    i, share = found.joint, {"rests for": Number(100.0 * rest, "% of the time")}
+    given = float(np.abs(case.run.terms["friction"][found.window, i]).max()) if "friction" in case.run.terms else 0.0
+    fit = case.fit
+    if fit is not None and 0.0 < TOO_MUCH * fit.coulomb[i] < given:
+        unit = case.run.effort_units[i]
+        more = {"friction given": Number(given, unit), "dry friction fitted": Number(float(fit.coulomb[i]), unit)}
+        text = "the law gives more dry friction than there is, which drives the joint on until it sticks again"
+        remedy = (
+            f"give {fit.coulomb[i]:.3g} {unit} of Coulomb friction instead of {given:.3g}, or less, or take it from "
+            "the reference, FrictionCompensation(at='ref')"
+        )
+        return _limit_cycle(case, found, "stick-slip", "friction", share | more, text, remedy)
+    text = "the joint sticks, the feedback grows until it breaks away, and it overshoots"
+    remedy = "add FrictionCompensation(at='ref') or a Dither; or lower ki, or stop the integral within the tolerance"
+    return _limit_cycle(case, found, "stick-slip", "I" if _integrates(case, i) else "friction", share, text, remedy)
 
 
 def _integrates(case: Case, i: int) -> bool:
@@ -171,7 +213,14 @@ def _integrates(case: Case, i: int) -> bool:
     return float(np.sum(integral**2)) > LEAST_SHARE * float(np.sum(case.feedback[:, i] ** 2))
 
 
-def _dwell(case: Case, found: _Swing) -> float | None:
+def _gives(case: Case, found: _Swing, works: dict[str, float]) -> bool:
+    """Whether something gives between motor and link: torque takes work out of a swing that lasts all the same."""
+    done = sum(abs(work) for work in works.values()) or 1.0
+    slow = found.line.omega * case.dt <= SAMPLED
+    return abs(found.line.zeta) < STEADY and slow and _taken(case, found) > LOST * done
+
+
+def _dwell(case: Case, found: _Swing, works: dict[str, float]) -> float | None:
     """The part of the window in which the link has next to no acceleration, where play is what holds the cycle."""
     run, i, line = case.run, found.joint, found.line
     if case.cut[found.window].any() or abs(line.zeta) > STEADY or line.omega * case.dt > SAMPLED:
@@ -182,12 +231,16 @@ def _dwell(case: Case, found: _Swing) -> float | None:
         return None
     band = 0.1
     dwell = float(np.mean(np.abs(a) < band * peak))
-    works = _works(case, found)
-    done = sum(abs(work) for work in works.values()) or 1.0
-    balanced = max(works.values()) > FED * done and min(works.values()) < -FED * done
-    if dwell > FREE * 2.0 / math.pi * math.asin(band) or (abs(line.zeta) < CONSTANT and balanced):
-        return dwell
-    return None
+    feeds = max(works, key=lambda name: works[name])
+    free = dwell > FREE * 2.0 / math.pi * math.asin(band) and feeds != "delay"
+    return dwell if free or (_gives(case, found, works) and _third(a, line.omega * case.dt) > THIRD) else None
+
+
+def _third(a: Float64Array, step: float) -> float:
+    """The third harmonic of a cycle over its first: none of a spring's, more than a twentieth of one with play."""
+    window = a * np.hanning(len(a))
+    first, third = (abs(complex(np.sum(window * np.exp(-1j * m * step * np.arange(len(a)))))) for m in (1, 3))
+    return third / max(first, np.finfo(np.float64).tiny)
 
 
 def _limit_cycle(
@@ -225,21 +278,27 @@ def _shown(case: Case, found: _Swing) -> Picture:
 # -------------------------------------------------------------------- the loop's own
 
 
-def _of_the_loop(case: Case, found: _Swing) -> Finding:
+def _of_the_loop(case: Case, found: _Swing, works: dict[str, float]) -> Finding:
     run, i, line = case.run, found.joint, found.line
-    works = _works(case, found)
     done = sum(abs(work) for work in works.values()) or 1.0
     late = works["delay"] > FED * done  # then what a limit takes acts late too, and brakes
-    feeds = max((name for name in works if not (late and name in LIMIT_TERMS)), key=lambda name: works[name])
+    limits = (*LIMIT_TERMS, "torque")
+    feeds = max((name for name in works if not (late and name in limits)), key=lambda name: works[name])
     fed = works[feeds] / done
-    if fed < FED or (feeds == "P" and line.omega * case.dt < SAMPLED):
+    if _gives(case, found, works):
+        feeds, fed = "transmission", _taken(case, found) / done
+        remedy = (
+            f"what is between motor and link of '{run.joint_names[i]}' gives: lower kd and kp, measure at the motor, "
+            "or make it stiffer"
+        )
+    elif fed < FED or (feeds == "P" and line.omega * case.dt < SAMPLED):
         feeds = "D"  # nothing feeds it: it lacks damping
         remedy = _more_damping(case, found)
     elif feeds == "I":
         remedy = _less_integral(case, found)
     elif feeds == "delay":
         remedy = _less_delay(case, found)
-    elif feeds in LIMIT_TERMS:
+    elif feeds in limits:
         remedy = f"ask for less than the {feeds.replace('_', ' ')} gives: what it takes away comes late"
     else:
         remedy = _lower_gain(case, found, feeds)
@@ -330,74 +389,3 @@ def _lower_gain(case: Case, found: _Swing, term: str) -> str:
             "filter or differenced velocities"
         )
     return f"lower the gain of {term} to a half, or raise the rate from {run.rate:g} Hz: it feeds this oscillation"
-
-
-# -------------------------------------------------------------------- chatter
-
-
-def chatter_findings(case: Case, swings: bool) -> Iterator[Finding]:
-    """Chatter: torque that jitters faster than any motion, and faster than a drive likes.
-
-    What the law asks for above a twentieth of the rate is jitter. It is chatter where its total variation per second
-    is more than ten times the effort limit, the rate that `Limits.of(arm, rate=True)` allows, and above that of the
-    rest of the torque; and where no single line holds half of it, which would be an oscillation.
-    """
-    run = case.run
-    if len(run) < 64 or not case.of_torque:
-        return
-    asked = run.command - sum((run.terms[name] for name in LIMIT_TERMS if name in run.terms), np.zeros_like(run.q))
-    sos = butter(ORDER, 2.0 / SMOOTH, output="sos")
-    fast = asked - sosfiltfilt(sos, asked, axis=0)
-    edge = min(round(SMOOTH), len(run) // 8)
-    inside = slice(edge, len(run) - edge)
-    jitter = np.sum(np.abs(np.diff(fast[inside], axis=0)), axis=0) / ((inside.stop - inside.start) * case.dt)
-    smooth = np.sum(np.abs(np.diff((asked - fast)[inside], axis=0)), axis=0) / (
-        (inside.stop - inside.start) * case.dt
-    )
-    bad = (jitter > RATE_PER_EFFORT * case.size) & (jitter > smooth)
-    if not bad.any():
-        return
-    i = int(np.argmax(bad * jitter / case.size))
-    line = line_of(fast[inside, i], case.dt)
-    if swings or (line is not None and line.share > LINE):
-        return
-    parts = {}
-    for name, value in run.terms.items():
-        if name not in LIMIT_TERMS:
-            part = value - sosfiltfilt(sos, value, axis=0)
-            parts[name] = float(np.sum(np.abs(np.diff(part[inside, i]))))
-    term = max(parts, key=lambda name: parts[name])
-    spectrum = np.abs(np.fft.rfft(fast[inside, i] * np.hanning(inside.stop - inside.start))) ** 2
-    frequencies = np.fft.rfftfreq(inside.stop - inside.start, case.dt)
-    share = np.cumsum(spectrum) / spectrum.sum()
-    low, high = (float(frequencies[int(np.searchsorted(share, x))]) for x in (0.1, 0.9))
-    joint, unit = run.joint_names[i], run.effort_units[i]
-    part = fast * (np.arange(case.n) == i) if not bad.all() else fast
-    over = jitter[i] / (RATE_PER_EFFORT * case.size[i])
-    cutoff = max(5.0, high * over ** (-2.0 / 3.0) / 4.0)
-    remedy = {
-        "D": f"low-pass the velocity, sensing=taut.Sensing(velocity=taut.Difference(cutoff={cutoff:.0f})), a finer "
-        f"encoder, or {over:.2g} times less kd",
-        "friction": "give friction by the reference, FrictionCompensation(at='ref'), or with a larger width",
-    }.get(term, f"low-pass what {term} is made of, or lower its gain {over:.2g} times")
-    yield Finding(
-        name="chatters",
-        term=term,
-        joint=joint,
-        share=float(np.sum((part / case.size) ** 2)) / case.effort,
-        evidence={
-            "total variation above the band": Number(float(jitter[i]), f"{unit}/s"),
-            "of the rest": Number(float(smooth[i]), f"{unit}/s"),
-            "band from": Number(low, "Hz"),
-            "band to": Number(high, "Hz"),
-        },
-        text=f"the torque of '{joint}' jitters by {jitter[i]:.3g} {unit} per second between {low:.0f} and "
-        f"{high:.0f} Hz",
-        remedy=remedy,
-        picture=Picture(
-            title=f"{joint}: torque, and what is faster than {run.rate / SMOOTH:.0f} Hz of it",
-            ylabel=f"[{unit}]",
-            t=run.t,
-            curves={"torque asked for": asked[:, i], "jitter": fast[:, i]},
-        ),
-    )

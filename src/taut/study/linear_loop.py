@@ -20,6 +20,8 @@ from taut.study.margins import Margins, margins_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from taut.record.report_page import Page
+
 __all__ = ["LinearLoop", "Mode"]
 
 AT_ONCE: Final = 1e-6  # a pole of this modulus is gone in a period
@@ -309,6 +311,12 @@ class LinearLoop:
             "outputs": [name.translate(dots) for name in self.outputs],
         }
         return control.ss(self.A, self.B, self.C, self.D, self.dt, **named)
+
+    def report_page(self) -> Page:
+        """What `taut.report` makes of it."""
+        from taut.study.design_report import page_of_linear_loop
+
+        return page_of_linear_loop(self)
 
     def plot(self) -> Figure:
         """Poles in the planes of z and s, the sensitivity of each joint, the tool's compliance."""

@@ -1,0 +1,196 @@
+"""The report of a design and of a linear loop: their numbers as tables, pictures, settings, how to do it again."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from taut.arm.builtin import BUILT_IN
+from taut.arm.catalogue import CATALOGUE
+from taut.record.report_page import Page, Picture, Table
+from taut.record.report_run import law_in_python
+from taut.record.table import number_text
+
+if TYPE_CHECKING:
+    from taut.study.design import Design
+    from taut.study.linear_loop import LinearLoop
+
+__all__ = ["page_of_design", "page_of_linear_loop"]
+
+NUMBERS: Final = {"zeta": "damping ratio", "omega_n": "rad/s", "overshoot": "%", "settling": "s"}
+TELLS: Final = 0.005  # participation of a state in a mode that is worth a word
+
+
+def page_of_design(d: Design) -> Page:
+    """Gains, designed against achieved numbers, limits, steps, and the lines that design it again."""
+    missed = [each.sentence for each in d.limits if not each.ok]
+    alike = f"tried as {d.alone} alone, which {type(d.law).__name__} holds. " if d.alone else ""
+    weight = "Tried without gravity, which this law leaves to others. " if d.weightless else ""
+    kept = f"It keeps to {len(d.limits) - len(missed)} of {len(d.limits)} limits."
+    return Page(
+        title=f"Design: {type(d.law).__name__} on {d.arm.name} at {d.rate:g} Hz",
+        summary=(
+            f"{alike[:1].upper()}{alike[1:]}{weight}{kept}",
+            *(f"Beyond a limit: {sentence}." for sentence in missed),
+        ),
+        tables=tuple(table for table in (_gains(d), _achieved(d), _limits(d), _poses(d)) if table.rows),
+        pictures=(Picture(title="Steps of each direction, and the torque that they take", figure=d.plot()),)
+        if d.achieved
+        else (),
+        settings={
+            "law": repr(d.law),
+            "arm": d.arm.name,
+            "rate": f"{d.rate:g} Hz",
+            **{f"asked: {name}": _python(value) for name, value in d.asked.items()},
+            "designed for": f"q = {np.round(d.q, 6).tolist()}",
+            "steps that limits speak of": _python(d.step),
+        },
+        texts={"In words": d.report()},
+        repeat=_again(d),
+    )
+
+
+def _gains(d: Design) -> Table:
+    rows = [(f"law.{name}", _python(values)) for name, values in d.law.parameters().items()]
+    return Table(title="Gains, by path", heads=("parameter", "value"), rows=rows, words=2)
+
+
+def _achieved(d: Design) -> Table:
+    """One row for each direction and number, one column for each source."""
+    on_plant = any(each.on_plant is not None for each in d.achieved)
+    rows = []
+    for name, unit in NUMBERS.items():
+        for each in d.achieved:
+            given = [each.designed, each.predicted, each.simulated, *([each.on_plant] if on_plant else [])]
+            numbers = [math.nan if one is None else float(getattr(one, name)) for one in given]
+            rows.append((name, each.direction, unit, *map(_number, numbers)))
+    heads = ["number", "direction", "unit", "designed", "predicted", "simulated", *(["on plant"] if on_plant else [])]
+    note = "Designed in continuous time; predicted by the linear model of the sampled loop; simulated in that loop."
+    return Table(title="Designed against achieved", heads=heads, rows=rows, words=3, note=note)
+
+
+def _limits(d: Design) -> Table:
+    rows = [
+        (
+            each.name,
+            "kept" if each.ok else "beyond it",
+            each.sentence,
+            _number(each.value),
+            _number(each.limit),
+            each.unit,
+        )
+        for each in d.limits
+    ]
+    heads = ("limit", "verdict", "in words", "value", "limit", "unit")
+    return Table(title="What the gains run into", heads=heads, rows=rows, words=3)
+
+
+def _poses(d: Design) -> Table:
+    rows = [
+        (
+            str(np.round(pose.q, 4).tolist()),
+            "yes" if pose.stable else "no",
+            f"{pose.zeta[0]:.4g}",
+            f"{pose.zeta[1]:.4g}",
+            _number(pose.settling),
+        )
+        for pose in d.poses
+    ]
+    heads = ("q [rad | m]", "stable", "least zeta", "largest zeta", "settling [s]")
+    return Table(title="Poses", heads=heads, rows=rows if len(rows) > 1 else [], words=2)
+
+
+def _number(value: float) -> str:
+    return "none" if math.isinf(value) else number_text(value)
+
+
+def _python(value: object) -> str:
+    """A number or numbers as Python writes them."""
+    array = np.asarray(value, dtype=np.float64)
+    return f"{float(array):.9g}" if array.ndim == 0 else str(np.round(array, 9).tolist())
+
+
+def _again(d: Design) -> str:
+    """Lines of Python; what a design does not keep stands as a comment."""
+    name = d.arm.name
+    known = "" if name in BUILT_IN or name in CATALOGUE else "   # your model of that name"
+    asked = "".join(f", {what}={_python(value)}" for what, value in d.asked.items())
+    at = np.array([pose.q for pose in d.poses])
+    return "\n".join(
+        [
+            "import taut",
+            "",
+            f'arm = taut.load_arm("{name}"){known}',
+            f"law = {law_in_python(repr(d.law))}   # whose gains are replaced",
+            f"at = {_python(at if len(at) > 1 else at[0])}",
+            f"print(taut.design(law, arm, at=at, rate={d.rate!r}{asked}))",
+            "# Give coupled=, friction=, delay=, velocity=, step= and plant= too, where they were given.",
+        ]
+    )
+
+
+# -------------------------------------------------------------------- linear loops
+
+
+def page_of_linear_loop(lin: LinearLoop) -> Page:
+    """Poles with what swings in them, margins, the picture, and where it stands."""
+    modes = [
+        (
+            f"{mode.s.real:.6g}" + (f" +- {mode.s.imag:.6g} j" if mode.s.imag else ""),
+            ", ".join(f"{name} {100.0 * x:.0f} %" for name, x in mode.participation.items() if x > TELLS),
+            number_text(mode.omega_n),
+            number_text(mode.zeta),
+        )
+        for mode in lin.modes
+    ]
+    margins = [
+        (
+            each.joint,
+            f"{each.gain[0]:.4g} to {each.gain[1]:.4g}",
+            _number(each.phase),
+            _number(1e3 * each.delay),
+            number_text(each.crossover),
+        )
+        for each in lin.margins.joints
+    ]
+    low, high = lin.margins.disk.gain
+    disk = f"All commands at once: gain {low:.4g} to {high:.4g}, phase {lin.margins.disk.phase:.4g} deg."
+    where = f"t = {lin.t:g} s of a run" if lin.t else "an equilibrium"
+    return Page(
+        title=f"Linear loop of {len(lin.states)} states at {1.0 / lin.dt:g} Hz",
+        summary=(
+            f"About {where}. The largest pole has modulus {lin.radius:.9g}: the loop is "
+            f"{'stable' if lin.stable else 'unstable'}.",
+            *(f"{sentence[:1].upper()}{sentence[1:]}." for sentence in lin.sides),
+        ),
+        tables=(
+            Table(
+                title="Modes",
+                heads=("s [1/s]", "in", "omega_n [rad/s]", "zeta"),
+                rows=modes,
+                words=2,
+                note="s = ln(z) / T of the poles z of the sampled loop.",
+            ),
+            Table(
+                title="Margins of each joint's command",
+                heads=("joint", "gain", "phase [deg]", "delay [ms]", "at [rad/s]"),
+                rows=margins,
+                words=2,
+                note=disk,
+            ),
+        ),
+        pictures=(Picture(title="Poles, sensitivity, compliance", figure=lin.plot()),),
+        settings={
+            "q": _python(lin.q),
+            "period": f"{lin.dt:g} s",
+            "states": ", ".join(lin.states),
+            "inputs": ", ".join(lin.inputs),
+            "outputs": ", ".join(lin.outputs),
+            **{f"left out: {name}": reason for name, reason in lin.left_out.items()},
+        },
+        texts={"In words": str(lin)},
+        repeat=f"import taut\n\nloop = ...   # the taut.Loop\nprint(taut.linearise(loop, at={_python(lin.q)}))"
+        + (f"   # here: along a run, at t = {lin.t:g} s" if lin.t else ""),
+    )
