@@ -400,4 +400,5 @@ def _book(arguments: argparse.Namespace) -> int:
             print(f"{name:20} {path}")
         for text in missed:
             print(f"missed: {text}")
+        print(f"{len(rows) - len(missed)} of {len(rows)} numbers are what they should be")
     return FAILED if missed else DONE
