@@ -404,6 +404,44 @@ def payload_of_tasks(name: str, rng: np.random.Generator, kind: str) -> Planted:
     return Planted(run=run, fault="wrong payload", term=term)
 
 
+def leaning_board(name: str, rng: np.random.Generator, kind: str) -> Planted:
+    """A board that leans by 6 to 12 degrees, and of which the law says that it does not."""
+    arm, T = arm_of(name), pose_of(name)
+    lean = np.radians(rng.uniform(6.0, 12.0)) * rng.choice([-1.0, 1.0])
+    stated, true = (taut.Constraint.plane(point=T.p, normal=[np.sin(a), 0.0, np.cos(a)]) for a in (0.0, lean))
+    law = L.HybridMotionForce(constraint=stated, motion=L.TaskComputedTorque(kp=225.0, kd=30.0), kfp=0.3, kfi=10.0)
+    stroke = taut.Line(T0=T, T1=shifted(T, [-rng.uniform(0.05, 0.08), 0.0, 0.0]), duration=1.0)
+    plant = taut.RigidPlant(arm, contact=taut.RigidContact(constraint=true))
+    run = taut.run(taut.compile(law, arm), plant, taut.pressing(stroke, 15.0), duration=1.3)
+    return Planted(run=run, fault="wrong surface", term="constraint")
+
+
+def flexible(name: str, rng: np.random.Generator, kind: str) -> Planted:
+    """A base that gives between motor and link, held by its link's sensors with more damping than it bears.
+
+    kd over D (M + B)^2 / (M B), of a link M and a rotor B, beyond which gains at the link swing up.
+    """
+    arm = arm_of(name)
+    M = float(np.asarray(taut.snapshot(arm, arm.home, np.zeros(arm.n)).M)[0, 0])
+    omega, B, D = rng.uniform(55.0, 70.0), 0.5 * M, 0.5 * M
+    one = np.zeros(arm.n)
+    one[0] = 1.0
+    true = arm.with_joints(gear=np.where(one > 0.0, 50.0, 1.0), rotor_inertia=B * one)
+    teeth = taut.Transmission(stiffness=np.where(one > 0.0, M * omega**2, np.inf), damping=D * one)
+    base = joint_law(name, "GravityPID", 10.0)
+    kp, kd = (np.array(g.as_array()) for g in (base.kp, base.kd))
+    kd[0] = rng.uniform(8.0, 11.0) * D * (M + B) ** 2 / (M * B)
+    kp[0] = 4.0 * kd[0]
+    more = {"substeps": 8} if kind == "rigid" else {"timestep": 1.25e-4}
+    motor = taut.Motor(peak=np.where(one > 0.0, 0.2 * arm.effort[0] / 50.0, 1e4))
+    plant = plant_of(true, kind, actuation=taut.Actuation(motor=motor, transmission=teeth), **more)
+    start = arm.home + 0.02 * one
+    run = taut.run(
+        taut.compile(L.GravityPID(kp=kp, kd=kd), arm), plant, taut.JointMotion(q=arm.home), duration=4.0, q0=start
+    )
+    return Planted(run=run, fault="oscillates", term="transmission")
+
+
 FAULTS: dict[str, Callable[..., Planted]] = {
     f.__name__: f
     for f in (
@@ -426,6 +464,8 @@ FAULTS: dict[str, Callable[..., Planted]] = {
         out_of_rank,
         other_links,
         payload_of_tasks,
+        leaning_board,
+        flexible,
     )
 }
 
@@ -541,6 +581,31 @@ def healthy_hybrid(name: str, rng: np.random.Generator, kind: str) -> taut.Run:
     return taut.run(taut.compile(law, arm), plant, ref, duration=1.5)
 
 
+def healthy_led(name: str, rng: np.random.Generator, kind: str) -> taut.Run:
+    """An admittance that a hand leads to and fro."""
+    arm = arm_of(name)
+    law = L.Admittance(inner=L.TaskComputedTorque(kp=900.0, kd=60.0), D=(8.0, 1.0), B=(30.0, 3.0))
+    swing = taut.Oscillation(amplitude=[0.04, 0.0, 0.0], frequency=float(rng.uniform(0.6, 1.2)))
+    hand = taut.Hand(mass=1.0, damping=10.0, stiffness=100.0, motion=swing)
+    more = {"substeps": 16} if kind == "rigid" else {}
+    plant = plant_of(arm, kind, environment=hand, **more)
+    return taut.run(taut.compile(law, arm), plant, taut.hold(), duration=2.5)
+
+
+def healthy_phases(name: str, rng: np.random.Generator, kind: str) -> taut.Run:
+    """A task: a way of joints, then a hold by impedance, then back."""
+    arm = arm_of(name)
+    law = joint_law(name, "ComputedTorque", rng.uniform(8.0, 12.0))
+    there = path(name, rng, size=0.1, duration=0.8)
+    back = taut.Quintic(q0=there.q1, q1=arm.home, duration=0.8)
+    task = [
+        taut.Phase(law, there, until=lambda x: x.elapsed > 1.0, name="there"),
+        taut.Phase(L.Impedance(K=(300.0, 20.0), zeta=0.8), until=lambda x: x.elapsed > 0.5, name="hold"),
+        taut.Phase(law, back, until=lambda x: x.elapsed > 1.0, name="back"),
+    ]
+    return taut.run(taut.compile(task, arm), plant_of(arm, kind), duration=2.4, progress=False)
+
+
 HEALTHY: dict[str, Callable[..., taut.Run]] = {
     f.__name__: f
     for f in (
@@ -556,5 +621,7 @@ HEALTHY: dict[str, Callable[..., taut.Run]] = {
         healthy_impedance,
         healthy_force,
         healthy_hybrid,
+        healthy_led,
+        healthy_phases,
     )
 }

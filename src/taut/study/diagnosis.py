@@ -184,7 +184,9 @@ def _judged(run: Run, arm: Arm | None) -> Judged:
     case = Case(run=run, model=model)
     swings = list(swing_findings(case))
     found = [*sign_findings(case), *swings, *chatter_findings(case, bool(swings)), *limit_findings(case)]
-    found += [*surface_findings(case), *load_findings(case)]
+    found += surface_findings(case)
+    if not any(finding.term == "transmission" for finding in swings):  # else the torque is not that of the link
+        found += load_findings(case)
     return Judged(found=tuple(found), notes=tuple(_not_looked_for(case)), looked_at=_looked_at(case), model=words)
 
 

@@ -24,7 +24,7 @@ BOLTING: Final = 0.3  # what grows faster, sixfold in a period, is no oscillatio
 LOST: Final = 0.01  # of the work that is done on a swing, beyond which the torque takes it out
 TOO_MUCH: Final = 1.15  # times the dry friction that the motion showed
 STOPS: Final = 3  # times that a joint comes to rest in a cycle of sticking, in four periods and more
-THIRD: Final = 0.05  # of a cycle's acceleration, that a spring does not make
+THIRD: Final = 0.1  # of a cycle's acceleration, that a spring does not make
 SHAKEN: Final = ("environment", "dither", "feedforward", "wrench", "sensor")  # what shakes an arm, and is no fault
 STEADY: Final = 0.01  # damping ratio within which an oscillation neither grows nor dies out
 LEAST_TORQUE: Final = 0.02  # of the effort: smaller oscillations count only by their error
@@ -59,7 +59,7 @@ def swing_findings(case: Case) -> Iterator[Finding]:
     * none, where the environment or a term that answers no error (dither, feedforward) feeds it: the arm is shaken;
     * the transmission's, where the torque takes work out of it and it goes on all the same, so that the motor moves
       otherwise than the link: backlash where the link's acceleration dwells at none three times as long as that of a
-      sine would, or has a twentieth of its third harmonic; else a joint that gives;
+      sine would, or has a tenth of its third harmonic; else a joint that gives;
     * else the loop's: the integral (I), the drives (delay), a limit (its term), or the gains against the rate (P, D);
       where no term feeds what lasts or dies out, damping is missing (D).
     """
@@ -237,7 +237,7 @@ def _dwell(case: Case, found: _Swing, works: dict[str, float]) -> float | None:
 
 
 def _third(a: Float64Array, step: float) -> float:
-    """The third harmonic of a cycle over its first: none of a spring's, more than a twentieth of one with play."""
+    """The third harmonic of a cycle over its first: small of a spring, more than a tenth of one with play."""
     window = a * np.hanning(len(a))
     first, third = (abs(complex(np.sum(window * np.exp(-1j * m * step * np.arange(len(a)))))) for m in (1, 3))
     return third / max(first, np.finfo(np.float64).tiny)
