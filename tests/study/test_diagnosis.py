@@ -347,6 +347,14 @@ def test_a_fault_gaps_and_too_few_ticks_are_told_and_what_can_be_said_is() -> No
     assert (told.problems, told.healthy) == (("it ended in a fault: it diverged",), False)
     short = run.between(0.0, 0.1)
     assert "101 ticks, 0.101 s, are too short" in taut.doctor(short).problems[0]
+    arm = taut.load_arm("one_joint")
+    for duration, late in ((0.6, True), (3.0, False)):
+        ctrl = taut.compile(taut.laws.ComputedTorque(kp=25.0, kd=10.0), arm)
+        slow = taut.run(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=[0.2]), duration=duration)
+        told = taut.doctor(slow)
+        assert [finding.name for finding in told.findings if finding.name != "jumps at start"] == []
+        assert ("0.601 s are too short: joint 'joint1' was on its way" in "".join(told.problems)) == late, told
+        assert bool(told.problems) == late
     kept = np.r_[0:100, 103:501]
     holes = dataclasses.replace(
         run,

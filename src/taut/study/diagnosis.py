@@ -27,6 +27,7 @@ from taut.study.diagnosis_swing import swing_findings
 
 __all__ = ["Diagnosis", "doctor"]
 
+START: Final = "jumps at start"  # which says nothing of the end
 FEWEST: Final = 16  # ticks that say anything
 COMMANDS: Final = {"velocity": "velocities", "position": "positions"}
 WILD: Final = 1e3  # [rad/s | m/s] no arm is as fast: what comes after is the simulation's
@@ -169,6 +170,8 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
     with np.errstate(over="ignore"):
         late = [] if gaps else list(period_findings(run.t, run.rate))
         told = of_phases(sane, lambda one: _judged(one, arm)) if PHASES in run.info else _judged(sane, arm)
+        if PHASES not in run.info and all(finding.name == START for finding in told.found):
+            problems += _not_at_rest(sane)
     return Diagnosis(
         findings=_ordered([*late, *told.found]),
         problems=tuple(problems),
@@ -188,6 +191,19 @@ def _judged(run: Run, arm: Arm | None) -> Judged:
     if not any(finding.term == "transmission" for finding in swings):  # else the torque is not that of the link
         found += load_findings(case)
     return Judged(found=tuple(found), notes=tuple(_not_looked_for(case)), looked_at=_looked_at(case), model=words)
+
+
+def _not_at_rest(run: Run) -> list[str]:
+    """What a run that shows no fault does not show either: it ends before the arm is where it was asked to be."""
+    case = Case(run=run, model=None)
+    i = case.on_its_way
+    if i is None or case.error is None:
+        return []
+    return [
+        f"{len(run) / run.rate:.3g} s are too short: joint '{run.joint_names[i]}' was on its way, "
+        f"{abs(case.error[-1, i]):.3g} {run.units[i]} from where it was to rest, and what is left there was not "
+        "judged; record it for longer"
+    ]
 
 
 def _not_looked_for(case: Case) -> Iterator[str]:

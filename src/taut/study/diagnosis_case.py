@@ -30,6 +30,7 @@ MODEL_TERMS: Final = frozenset(
 ) | {"wrench", "sensor", "lead", "dither"}
 """Terms that a law takes from its model, its reference, a measured wrench or a clock; what is left is feedback."""
 BAND: Final = 0.02  # of the motion asked for: the chapter's 2 %
+FAR: Final = 0.1  # of the motion asked for: more than the slow end of an integral leaves
 WAY: Final = 1e-3  # [m] at the tool, below which an error is none
 TAIL: Final = 0.1  # of the run: what is called its end
 PINNED: Final = 1e-9  # of its largest: torques that are as large
@@ -126,13 +127,15 @@ class Case:
         least = np.array([WAY if unit == "m" else WAY / self.length for unit in self.run.units])
         if self.error is None:
             return least
+        return np.asarray(np.maximum(BAND * self.asked, least))
+
+    @cached_property
+    def asked(self) -> Float64Array:
+        """(n,) how far each joint is asked to go: its error at the start, and what its reference covers."""
+        assert self.error is not None
         wanted = getattr(self.run.reference.motion, "q", None)
-        asked = np.abs(self.error[0])
-        if wanted is not None:
-            asked = asked + np.ptp(short_way(np.asarray(wanted) - self.run.q[0], self.run.continuous), axis=0)
-        else:
-            asked = asked + np.ptp(self.run.q, axis=0)
-        return np.asarray(np.maximum(BAND * asked, least))
+        covered = self.run.q if wanted is None else short_way(np.asarray(wanted) - self.run.q[0], self.run.continuous)
+        return np.asarray(np.abs(self.error[0]) + np.ptp(covered, axis=0))
 
     @cached_property
     def off(self) -> Float64Array:
@@ -260,17 +263,37 @@ class Case:
     # ---------------------------------------------------------------- the end
 
     @cached_property
+    def asked_to_rest(self) -> bool:
+        """Whether the reference rests in the last two tenths of the run."""
+        return len(self.run) >= 2.0 / TAIL and not np.any(
+            np.abs(self.moving_reference[tail(self.run, 2).start :]) > 0.0
+        )
+
+    @cached_property
+    def on_its_way(self) -> int | None:
+        """The joint that comes to rest later than the run ends: what is left falls by a tenth in a tenth of it."""
+        if self.error is None or PARTS in self.run.info or not self.asked_to_rest:
+            return None
+        size = np.abs(self.error)
+        before, now = size[tail(self.run, 2)].mean(axis=0), size[tail(self.run)].mean(axis=0)
+        falls = (
+            (now > np.maximum(FAR * self.asked, self.tolerance))
+            & (now < 0.9 * before)
+            & (size[-1] < now)
+            & (self.settled == 0.0)
+        )
+        return int(np.argmax(np.where(falls, now / self.tolerance, 0.0))) if falls.any() else None
+
+    @cached_property
     def settled(self) -> Float64Array:
         """(n,) 1.0 where a joint has come to rest: its reference rests, and its error changes by less than a tenth.
 
         A change is the difference of the means of the last two tenths of the run; it counts against the error that
         is left or what is tolerated, whichever is larger.
         """
-        if self.error is None or len(self.run) < 2.0 / TAIL:
+        if self.error is None or not self.asked_to_rest:
             return np.zeros(self.n)
         last, before = tail(self.run), tail(self.run, 2)
-        if np.any(np.abs(self.moving_reference[before.start :]) > 0.0):
-            return np.zeros(self.n)
         end = self.error[last].mean(axis=0)
         change = np.abs(end - self.error[before].mean(axis=0))
         swing = np.ptp(self.error[last], axis=0)
