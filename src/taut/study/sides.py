@@ -34,7 +34,7 @@ def sides_of(map_: LoopMap, at: Point, found: Derivative, slopes: Slopes) -> tup
     record, memory = map_.recorded(found), map_.memory.views(at.memory)
     out = [f"steps of {path} count by their mean slope" for path in map_.steps]
     out += _limits(map_, record)
-    out += _sticking(map_, memory)
+    out += _sticking(map_, memory, map_.parameters.views(at.parameters))
     out += _flags(map_, record, memory)
     return (*out, *_kinks(map_, found, slopes))
 
@@ -118,22 +118,20 @@ def _limits(map_: LoopMap, record: Mapping[str, Any]) -> list[str]:
             continue
         for i in np.flatnonzero(np.abs(cut) > NOTHING):
             kind = map_.side.probe.kind
-            unit = ("N m" if units[i] == "rad" else "N") if kind == "torque" else f"{units[i]}/s"
+            unit = {"torque": "N m" if units[i] == "rad" else "N", "velocity": f"{units[i]}/s"}.get(kind, units[i])
             out.append(f"joint '{names[i]}' is at its {term.replace('_', ' ')}, which takes {abs(cut[i]):.3g} {unit}")
     return out
 
 
-def _sticking(map_: LoopMap, memory: Mapping[str, Any]) -> list[str]:
+def _sticking(map_: LoopMap, memory: Mapping[str, Any], numbers: Mapping[str, Any]) -> list[str]:
     plant = map_.plant
     if not isinstance(plant, RigidPlant) or not plant.drivetrain.dry or "plant.friction" not in memory:
         return []
     v = memory.get("plant.v_motor", memory["plant.v"])
     names = plant.arm.joint_names
-    dry = sum(
-        np.broadcast_to(np.abs(np.asarray(value)), (plant.arm.n,))
-        for name, value in plant.drivetrain.parameters().items()
-        if name in ("coulomb", "static")
-    ) + np.zeros(plant.arm.n)
+    dry = np.zeros(plant.arm.n)
+    for path in ("plant.friction.coulomb", "plant.friction.static"):
+        dry = dry + np.abs(numbers.get(path, 0.0))
     held = [names[i] for i in np.flatnonzero((np.abs(v) < RESTING) & (dry > 0.0))]
     slipping = [names[i] for i in np.flatnonzero((np.abs(v) >= RESTING) & (dry > 0.0))]
     out = [f"dry friction holds joint '{name}': a small push does not move it" for name in held]
