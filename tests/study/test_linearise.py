@@ -317,6 +317,9 @@ def test_a_joint_that_sticks_is_told_and_does_not_move() -> None:
     arm = weightless("one_joint").with_friction(taut.Friction(coulomb=1.0))
     lin = taut.linearise(loop_of(laws.PID(kp=10.0, kd=1.0), arm, Plant(arm)))
     assert "dry friction holds joint 'joint1': a small push does not move it" in lin.sides
+    loop = loop_of(laws.PID(kp=10.0, kd=1.0), arm, Plant(arm))
+    loop.parameters["plant.friction.coulomb"] = 0.0
+    assert taut.linearise(loop).sides == ()  # as its parameters are now
     assert pytest.approx(np.array([[1.0, 0.0], [0.0, 0.0]]), abs=1e-12) == lin.A
     assert lin.stable
 

@@ -32,7 +32,7 @@ def at_a_pole(A: Float64Array, B: Float64Array, C: Float64Array, z: complex) -> 
     if not right.shape[1]:
         return np.asarray(C @ np.linalg.solve(W, B), dtype=np.complex128)
     P = right @ np.linalg.solve(left.conj().T @ right, left.conj().T)  # onto the states of this pole
-    out = np.asarray(C @ np.linalg.solve(W + size * P, B - P @ B), dtype=np.complex128)
+    out = np.asarray(C @ np.linalg.solve(W + size * P, B), dtype=np.complex128)
     least = NOTHING * np.outer(np.linalg.norm(C, axis=1), np.linalg.norm(B, axis=0))
     for k in range(CHAIN):
         out[np.abs(C @ np.linalg.matrix_power(W / size, k) @ P @ B) > least] = np.inf

@@ -34,9 +34,9 @@ def sides_of(map_: LoopMap, at: Point, found: Derivative, slopes: Slopes) -> tup
     record, memory = map_.recorded(found), map_.memory.views(at.memory)
     out = [f"steps of {path} count by their mean slope" for path in map_.steps]
     out += _limits(map_, record)
-    out += _sticking(map_, memory)
+    out += _sticking(map_, memory, map_.parameters.views(at.parameters))
     out += _flags(map_, record, memory)
-    return (*out, *_kinks(map_, found, slopes))
+    return (*out, *_kinks(map_, at, found, slopes))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,7 +47,6 @@ class Slopes:
     up: Float64Array
     down: Float64Array
     least: Float64Array  # (k,) a difference of slopes below it is rounding, for each that follows
-    near: bool = False  # whether a smaller way off the derivative is right
     curved: Flags  # (k, k) where the slopes differ as those of a curve do, by more the farther one goes
 
     @classmethod
@@ -95,16 +94,19 @@ def _slopes(
     return each[: len(moved)], -each[len(moved) :]
 
 
+def _near(map_: LoopMap, at: Point, found: Derivative, states: list[int]) -> bool:
+    """Whether a derivative that misses the slopes is right a smaller way off."""
+    return not Slopes.at(map_, at, found, states, NEARER).misses(found)
+
+
 def smooth(map_: LoopMap, at: Point, found: Derivative, states: list[int]) -> tuple[Derivative, Slopes]:
     """The derivative, as the mean of two points beside it where the point itself is a kink that only rounding sees.
 
     So it is at rest where a law compares two energies that are both zero but for rounding.
     """
     slopes = Slopes.at(map_, at, found, states)
-    if not slopes.misses(found):
+    if not slopes.misses(found) or _near(map_, at, found, states):
         return found, slopes
-    if not Slopes.at(map_, at, found, states, NEARER).misses(found):
-        return found, dataclasses.replace(slopes, near=True)
     mean = beside(map_, at, found, states)
     return (found if slopes.misses(mean) else mean), slopes
 
@@ -118,22 +120,20 @@ def _limits(map_: LoopMap, record: Mapping[str, Any]) -> list[str]:
             continue
         for i in np.flatnonzero(np.abs(cut) > NOTHING):
             kind = map_.side.probe.kind
-            unit = ("N m" if units[i] == "rad" else "N") if kind == "torque" else f"{units[i]}/s"
+            unit = {"torque": "N m" if units[i] == "rad" else "N", "velocity": f"{units[i]}/s"}.get(kind, units[i])
             out.append(f"joint '{names[i]}' is at its {term.replace('_', ' ')}, which takes {abs(cut[i]):.3g} {unit}")
     return out
 
 
-def _sticking(map_: LoopMap, memory: Mapping[str, Any]) -> list[str]:
+def _sticking(map_: LoopMap, memory: Mapping[str, Any], numbers: Mapping[str, Any]) -> list[str]:
     plant = map_.plant
     if not isinstance(plant, RigidPlant) or not plant.drivetrain.dry or "plant.friction" not in memory:
         return []
     v = memory.get("plant.v_motor", memory["plant.v"])
     names = plant.arm.joint_names
-    dry = sum(
-        np.broadcast_to(np.abs(np.asarray(value)), (plant.arm.n,))
-        for name, value in plant.drivetrain.parameters().items()
-        if name in ("coulomb", "static")
-    ) + np.zeros(plant.arm.n)
+    dry = np.zeros(plant.arm.n)
+    for path in ("plant.friction.coulomb", "plant.friction.static"):
+        dry = dry + np.abs(numbers.get(path, 0.0))
     held = [names[i] for i in np.flatnonzero((np.abs(v) < RESTING) & (dry > 0.0))]
     slipping = [names[i] for i in np.flatnonzero((np.abs(v) >= RESTING) & (dry > 0.0))]
     out = [f"dry friction holds joint '{name}': a small push does not move it" for name in held]
@@ -152,20 +152,20 @@ def _flags(map_: LoopMap, record: Mapping[str, Any], memory: Mapping[str, Any]) 
     return out + [notices[path] for path in notices if path in memory and np.any(np.asarray(memory[path]) != 0.0)]
 
 
-def _kinks(map_: LoopMap, found: Derivative, slopes: Slopes) -> list[str]:
+def _kinks(map_: LoopMap, at: Point, found: Derivative, slopes: Slopes) -> list[str]:
     """States whose slopes on the two sides differ, which is no derivative of the loop but of one of its sides."""
     names = [map_.state_coordinates.names[i] for i in slopes.states]
     A = found.A[np.ix_(slopes.states, slopes.states)].T
     differ = slopes.differ(slopes.up, slopes.down) & ~slopes.curved
-    if not differ.any() and slopes.near:
+    if not differ.any() and slopes.misses(found):
+        if not _near(map_, at, found, slopes.states):
+            return ["the loop has a kink here, and the model stands on neither side of it"]
         missed = slopes.differ(A, slopes.up) & slopes.differ(A, slopes.down)
         name = names[int(np.argmax(missed.any(axis=1)))]
         return [
             f"the loop has a kink near here, {APART:g} of {name} away or less, as where a law paces what jumps; the "
             "model is of smaller deviations"
         ]
-    if not differ.any() and slopes.misses(found):
-        return ["the loop has a kink here, and the model stands on neither side of it"]
     out = []
     for i in np.flatnonzero(differ.any(axis=1)):
         apart = np.where(differ[i], np.abs(slopes.up[i] - slopes.down[i]), 0.0)
