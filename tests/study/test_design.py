@@ -612,6 +612,59 @@ def test_what_loses_its_damping_at_the_rate_is_refused_with_the_nearest_that_kee
     assert d.limit("damping").ok
 
 
+def test_a_stiffness_that_is_too_much_for_the_rate_is_refused_with_the_nearest_that_is_not() -> None:
+    arm, q = taut.load_arm("planar3"), [0.3, 0.8, 0.4]
+    with pytest.raises(taut.RangeError, match=r"the nearest that is stable has K = ") as refused:
+        taut.design(laws.Impedance, arm, at=q, zeta=0.7, K=(4e5, 2e4), rate=250.0)
+    words = str(refused.value).rpartition("K = ")[2]
+    nearest = [float(number) for number in words.strip("()").split(",")]
+    assert nearest[0] / nearest[1] == pytest.approx(20.0, rel=1e-3)
+    radius = []
+    for share in (1.0, 1.05):
+        law = laws.Impedance(K=[share * k for k in nearest], zeta=0.7)
+        loop = taut.Loop(taut.compile(law, arm, rate=250.0), taut.RigidPlant(arm, friction=None), duration=1.0)
+        radius.append(taut.linearise(loop, at=q).radius)
+    assert radius[0] < 1.0 < radius[1]
+
+
+def test_rate_delay_margin_and_jump_are_where_the_loop_itself_has_them(
+    strong: taut.Arm, on_strong: taut.Design
+) -> None:
+    q = [0.3, 0.8]
+
+    def radius(rate: float) -> float:
+        gains = {name: float(on_strong.law.parameters()[name]) for name in ("kp", "kd", "ki")}
+        ctrl = taut.compile(laws.ComputedTorque(**gains), light, rate=rate)
+        plant = taut.RigidPlant(light, friction=None, substeps=200)  # as good as an arm that moves all the time
+        return taut.linearise(taut.Loop(ctrl, plant, duration=1.0), at=q).radius
+
+    light = strong.with_gravity([0.0, 0.0, 0.0])
+    least = on_strong.limit("rate")
+    assert least.ok
+    assert radius(1.02 * least.limit) < 1.0 < radius(0.98 * least.limit)
+    delay = on_strong.limit("delay")
+    assert delay.ok
+    assert delay.value == 0.0
+    joint = taut.second_order(kp=144.0, kd=16.8, ki=0.2 * 144.0 * 16.8)
+    assert delay.limit == pytest.approx(joint.sampled(rate=1000.0).largest_stable_delay, rel=1e-9)
+    margin = on_strong.limit("gain margin")
+    assert margin.value == pytest.approx(on_strong.tried.lin.margins.disk.gain[1])
+    run = taut.run(
+        taut.compile(on_strong.law, strong), taut.RigidPlant(strong, friction=None),
+        taut.JointMotion(q=[0.4, 0.8]), q0=q, duration=0.2,
+    )  # fmt: skip
+    first = np.abs(run.command[0] - np.asarray(taut.snapshot(strong, q).g)) / (10.0 * strong.effort)
+    other = taut.run(
+        taut.compile(on_strong.law, strong), taut.RigidPlant(strong, friction=None),
+        taut.JointMotion(q=[0.3, 0.9]), q0=q, duration=0.2,
+    )  # fmt: skip
+    second = np.abs(other.command[0] - np.asarray(taut.snapshot(strong, q).g)) / (10.0 * strong.effort)
+    assert on_strong.limit("torque rate").value == pytest.approx(max(first.max(), second.max()), rel=0.02)
+    fastest = max(float((np.abs(each.v) / strong.velocity).max()) for each in (run, other))
+    speed = on_strong.limit("speed")
+    assert speed.value / speed.limit == pytest.approx(fastest, rel=0.05)
+
+
 def test_a_step_that_must_not_saturate_is_refused_with_the_nearest_that_does_not(strong: taut.Arm) -> None:
     asked: dict[str, Any] = {"zeta": 1.0, "step": 0.3, "at": [0.3, 0.8]}
     with pytest.raises(taut.RangeError, match=r"saturates; one of .* takes all that joint 'joint1' has") as refused:
@@ -648,8 +701,9 @@ def test_damping_is_that_of_the_sampled_prediction_on_five_arms_at_five_poses(
         arm = taut.load_arm(name)
         low, high = (np.clip(limit, arm.home - 0.4, arm.home + 0.4) for limit in (arm.lower, arm.upper))
         q = rng.uniform(low, high)
+        light = arm.with_gravity([0.0, 0.0, 0.0])  # a weight that is compensated late couples the joints
         for law, asked in kinds if len(cases) == 25 else kinds[1:2]:
-            d = taut.design(law, arm, at=q, **asked)
+            d = taut.design(law, light if "delay" in asked else arm, at=q, **asked)
             for kind in ("zeta", "omega_n"):
                 off = np.abs(numbers(d, "simulated", kind) / numbers(d, "predicted", kind) - 1.0)
                 worst = max(worst, float(off.max()))

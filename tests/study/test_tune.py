@@ -143,6 +143,20 @@ def test_constraints_are_kept(noisy: tuple[taut.Loop, taut.Arm], method: Any) ->
     assert free.after[0].chatter > free.before[0].chatter  # so that the constraint did something
 
 
+@pytest.mark.parametrize("method", ["gradient", "search"])
+def test_a_limit_of_the_torque_rate_is_kept_where_the_controller_has_none(loop: taut.Loop, method: Any) -> None:
+    """Next to the start it is kd kp / M, 200 N m/s; without a limit the best takes 4000."""
+    limits = taut.Limits(tau_dot=[1500.0])
+    tuned = taut.tune(
+        loop, ("law.kp", "law.kd"), method=method, limits=limits, q0=[0.0], evaluations=40,
+        bounds={"law.kp": (20.0, 200.0), "law.kd": (1.0, 20.0)},
+    )  # fmt: skip
+    assert tuned.after[0].rate <= 1.0 + 1e-6
+    if method == "gradient":
+        assert tuned.after[0].rate == pytest.approx(1.0, abs=1e-3)
+    assert tuned.cost < 0.8
+
+
 def test_a_margin_is_kept() -> None:
     arm = taut.load_arm("one_joint", gravity=(0.0, 0.0, 0.0))
     ctrl = taut.compile(laws.GravityPID(kp=50.0, kd=6.0), arm)
