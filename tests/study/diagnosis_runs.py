@@ -39,7 +39,11 @@ def arm_of(name: str) -> taut.Arm:
 @functools.cache
 def inertia(name: str) -> Array:
     """(n,) what each joint moves, the others free, at home; of wrists no less than a hundredth of the largest."""
-    arm = arm_of(name)
+    return inertia_of(arm_of(name))
+
+
+def inertia_of(arm: taut.Arm) -> Array:
+    """The same of an arm as it is loaded."""
     x = taut.snapshot(arm, arm.home, np.zeros(arm.n))
     return np.asarray(1.0 / np.diag(np.linalg.inv(np.asarray(x.M))))
 
@@ -479,7 +483,7 @@ def healthy_pid(name: str, rng: np.random.Generator, kind: str) -> taut.Run:
     omega = rng.uniform(10.0, 15.0)
     law = L.PID(kp=omega**2 * m, kd=2.0 * omega * m, ki=0.1 * omega**3 * m)
     plant = plant_of(arm, kind, adds={"gravity"})
-    return taut.run(taut.compile(law, arm, adds=plant.adds), plant, path(name, rng), duration=1.8)
+    return taut.run(taut.compile(law, arm, adds=plant.adds), plant, path(name, rng), duration=3.0)
 
 
 def healthy_gravity_pid(name: str, rng: np.random.Generator, kind: str) -> taut.Run:
@@ -511,8 +515,14 @@ def healthy_noise(name: str, rng: np.random.Generator, kind: str) -> taut.Run:
 def healthy_payload(name: str, rng: np.random.Generator, kind: str) -> taut.Run:
     """A payload that is declared."""
     arm = arm_of(name).with_payload(mass(name, rng.uniform(0.25, 0.6)))
-    law = joint_law(name, str(rng.choice(["GravityPID", "ComputedTorque"])), rng.uniform(8.0, 15.0))
+    one, omega = str(rng.choice(["GravityPID", "ComputedTorque"])), rng.uniform(8.0, 15.0)
+    law = joint_law(name, one, omega) if one == "ComputedTorque" else with_inertia(inertia_of(arm), omega)
     return taut.run(taut.compile(law, arm), plant_of(arm, kind), path(name, rng), duration=1.8)
+
+
+def with_inertia(m: Array, omega: float) -> taut.Law:
+    """PD control with gravity compensation, critically damped for those inertias."""
+    return L.GravityPID(kp=omega**2 * m, kd=2.0 * omega * m)
 
 
 def healthy_friction(name: str, rng: np.random.Generator, kind: str) -> taut.Run:

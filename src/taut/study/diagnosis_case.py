@@ -30,7 +30,7 @@ MODEL_TERMS: Final = frozenset(
 ) | {"wrench", "sensor", "lead", "dither"}
 """Terms that a law takes from its model, its reference, a measured wrench or a clock; what is left is feedback."""
 BAND: Final = 0.02  # of the motion asked for: the chapter's 2 %
-FAR: Final = 0.1  # of the motion asked for: more than the slow end of an integral leaves
+FAR: Final = 0.2  # of the longest motion asked for: more than the slow end of an integral leaves
 WAY: Final = 1e-3  # [m] at the tool, below which an error is none
 TAIL: Final = 0.1  # of the run: what is called its end
 PINNED: Final = 1e-9  # of its largest: torques that are as large
