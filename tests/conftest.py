@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from taut.codegen import native
+
 WHOLE = bool(os.environ.get("TAUT_BARS"))  # `make bars`
 BAR = "bar: "  # begins the names of properties that stand in the table of `make bars`
 
@@ -25,6 +27,16 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder.mkdir(mode=0o700, exist_ok=True)
     os.environ["TAUT_CACHE_DIR"] = str(folder)
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def quick_code() -> None:
+    """Code is made at LLVM's quick level, in a fifth of the time: it gives the same numbers to the last bit.
+
+    The tests of codegen, which show that, and `make bars` make it as users have it.
+    """
+    if not WHOLE:
+        native.LEVEL = native.QUICK  # type: ignore[misc]  # which nothing but tests changes
 
 
 @pytest.fixture(scope="session")

@@ -581,7 +581,7 @@ def _kernel_of(
     failed: Callable[[], Any],
     record: bool = False,
     sensed: tuple[str, ...] = (),
-    level: int = native.LEVEL,
+    level: int | None = None,
 ) -> Kernel:
     """A law side as a kernel with blocks of its own; without `slow` it is for `tick` alone."""
     n, probe = side.arm.n, _probed(side)

@@ -23,7 +23,7 @@ from taut.codegen.call import (
 )
 from taut.codegen.layout import Block
 from taut.codegen.llvm import declarations, kernel
-from taut.codegen.native import LEVEL, NativeModule, compiled
+from taut.codegen.native import NativeModule, compiled
 from taut.codegen.program import Function, Program, trace
 
 __all__ = ["Blocks", "FloatKernel", "Kernel", "NativeKernel", "verified"]
@@ -205,7 +205,7 @@ class NativeKernel:
         first: Callable[[], None],
         failed: Callable[[], Any],
         verify: Callable[[NativeModule], None] | None,
-        level: int = LEVEL,
+        level: int | None = None,
     ) -> None:
         self.blocks = blocks
         self.program: Program | None = program

@@ -133,7 +133,7 @@ def compiled(
     text: Callable[[], str],
     names: Sequence[str],
     verify: Callable[[NativeModule], None] | None = None,
-    level: int = LEVEL,
+    level: int | None = None,
 ) -> NativeModule:
     """Machine code for a module of LLVM text. It gives the same numbers at each level.
 
@@ -142,8 +142,9 @@ def compiled(
         text: Makes the text; called only where the cache has nothing.
         names: Functions to look up.
         verify: Checks a freshly compiled module and raises where it is wrong; only what passed is kept.
-        level: Of LLVM's code generator, at least: what the cache has at the full one serves too.
+        level: Of LLVM's code generator, at least, the full one if left out: what the cache has at that serves too.
     """
+    level = LEVEL if level is None else level
     keys = [hashlib.sha256(_platform_key() + bytes([k]) + content).digest() for k in dict.fromkeys((level, LEVEL))]
     key, kept = keys[0], next(filter(None, map(cache.load, reversed(keys))), None)
     with _LOCK:
