@@ -46,7 +46,9 @@ def damping(z: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize(
-    ("integrator", "poles"), [(None, held), ("rk4", held), ("semi-implicit-euler", stepped)], ids=str
+    ("integrator", "poles"),
+    [(None, held), ("rk4", held), ("semi-implicit-euler", stepped)],
+    ids=["no plant", "rk4", "Euler"],
 )
 def test_everything_in_a_report_is_of_one_motion(arm: taut.Arm, integrator: Any, poles: Any) -> None:
     plant = None if integrator is None else taut.RigidPlant(arm, friction=None, integrator=integrator)
