@@ -69,6 +69,13 @@ def test_everything_in_a_report_is_of_one_motion(arm: taut.Arm, integrator: Any,
     assert d.report_page().settings["predicted and simulated"] == d.motion
 
 
+def test_a_delay_of_whole_periods_may_be_the_last_that_is_stable(arm: taut.Arm) -> None:
+    d = taut.design(laws.PID, arm, zeta=1.0, omega_n=10.0, rate=20.0, plant=taut.RigidPlant(arm))
+    told = d.limit("delay")
+    assert (told.value, told.limit) == (0.0, 0.0)
+    assert told.ok
+
+
 def test_refusals_are_of_the_same_motion(arm: taut.Arm) -> None:
     with pytest.raises(taut.RangeError, match=r"grows by the factor 8.558 .* omega_n = 989") as refused:
         taut.design(laws.PID, arm, zeta=1.0, omega_n=3000.0)

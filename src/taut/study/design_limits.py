@@ -220,7 +220,8 @@ def _rate_and_delay(tried: Tried) -> Iterator[DesignLimit]:
         sentence=f"stable from {least:.4g} Hz on ({quick.name}); the rate is {rate:g} Hz",
     )  # fmt: skip
     yield DesignLimit(
-        name="delay", value=delay, limit=most, unit="s", ok=delay < most,
+        name="delay", value=delay, limit=most, unit="s",
+        ok=delay < most if bench.motion.exact else delay <= most,  # whole periods, the last of them stable
         sentence=(
             f"stable up to {1e3 * most:.4g} ms from tick to torque ({quick.name}), where there are "
             f"{1e3 * delay:.4g} ms"

@@ -30,7 +30,8 @@ from taut.study.sampled import VelocityKind
 __all__ = ["Maker"]
 
 HALVINGS: Final = 40
-SLOWEST: Final = 1e-6  # of an error in a tick: less cannot be told from none, for rounding splits a pair so far
+SLOWEST: Final = 1e-7  # of an error in a tick: less cannot be told from none, for rounding splits a pair so far
+STAYS: Final = 1e-12  # of the fastest pole: one that is slower is of what nothing draws back
 LEAST_FACTOR: Final = 1e-16  # of what was asked: slower is not searched
 LEAST: Final = 0.5  # of a damping ratio that the book has: what a sampled loop must keep
 MOST: Final = 0.9  # what one that is named as possible keeps
@@ -141,7 +142,8 @@ class Maker:
     def _require_pace(self) -> None:
         """What takes less of an error away in a tick than rounding sets poles apart cannot be told from standing."""
         poles = [d.dynamics.poles for x in self.case.at for d in self._directions(x)]
-        slowest = min((float(-pole.real.max()) for pole in poles), default=math.inf) / self.bench.ctrl.rate
+        rates = [rate for s in poles for rate in -s.real if rate > STAYS * np.abs(s).max()]
+        slowest = float(min(rates, default=math.inf)) / self.bench.ctrl.rate
         if slowest < SLOWEST:
             raise RangeError(
                 f"{self._what} cannot be tried at {self._where}: its slowest pole takes {slowest:.2g} of an error "
