@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -54,7 +55,8 @@ def design(
                   of the tool's impedance     K and zeta as they are; K = omega_n^2 Lambda; D = K / omega_n^2
                   of first order              kp = bandwidth, or ln 50 / settling
                   of force                    kfi = (1 + kfp) pole
-    Closed loop:  that of the law's own docstring; it is linearised with its hold, delay and filters, and simulated
+    Closed loop:  that of the law's own docstring; it is linearised with its hold, delay and filters, and simulated,
+                  with an arm that moves all the time between ticks (exact hold), or in the steps of `plant`
 
     Ask for a damping (zeta or overshoot) and a speed (omega_n, settling or bandwidth), or for a stiffness. Critical
     damping is zeta=1. Over several poses gains are those of the worst one: the heaviest for joints in torque units,
@@ -81,7 +83,8 @@ def design(
         velocity: "measured", "difference", `taut.LowPass(...)`, `taut.Difference(cutoff=...)`.
         step: Step that is to keep within the torque limits: [rad | m], or (m, rad) at the tool. Left out, limits are
             told for 0.1 rad and 0.05 m.
-        plant: A plant of your own, with whatever is wrong with it, on which steps are tried too.
+        plant: A plant of your own, with whatever is wrong with it, on which steps are tried too. Its integrator moves
+            the arm in all that is predicted, simulated and refused; "rk4" is the exact hold.
 
     Raises:
         UsageError: A specification that says too little, too much or what the law has not; a law without gains.
@@ -94,7 +97,7 @@ def design(
         >>> d.law
         PID(kp=[50.0], kd=[10.0], ki=[0.0])
         >>> round(d.achieved[0].simulated.zeta, 3)  # of the sampled loop
-        1.005
+        1.003
 
     References:
         Chapter, sections 10.2.1.1 to 10.2.1.5, 10.2.2, 10.3 and 10.5. MATHS of sampled loops: Astrom and Wittenmark,
@@ -116,10 +119,25 @@ def design(
     steps = None if step is None else _checked_step(step)
     late = finite_scalar("delay", delay, unit="s")
     require_at_least("delay", np.array(late), 0.0, unit="s")
+    _require_whole(late, rate)
     if plant is not None and not isinstance(plant, RigidPlant):  # callers without a type checker
         raise UsageError(f"plant must be a taut.RigidPlant; got {type(plant).__name__}", name="plant")
     maker = Maker(case, gains_for(case), rate=rate, delay=late, velocity=velocity, friction=friction, plant=plant)
     return maker.design(steps)
+
+
+def _require_whole(delay: float, rate: float) -> None:
+    """A delay of whole control periods."""
+    periods = delay * rate
+    if abs(periods - round(periods)) > WHOLE:
+        low = math.floor(periods) / rate
+        raise RangeError(
+            f"delay must be a whole number of control periods of {1.0 / rate:g} s; got {delay:g} s; give {low:g} or "
+            f"{low + 1.0 / rate:g}",
+            name="delay",
+            value=delay,
+            rule="whole periods",
+        )
 
 
 def _law_of(law: type[Law] | Law) -> Law:
@@ -156,6 +174,7 @@ def _law_of(law: type[Law] | Law) -> Law:
         ) from None
 
 
+WHOLE: Final = 1e-6  # of a period: as near is a whole one
 PAIR: Final = (1.0, 1.0)
 ANY: Final[dict[type[Law], dict[str, Any]]] = {
     laws.GravityPID: {"kp": 1.0, "kd": 1.0},

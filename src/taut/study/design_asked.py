@@ -88,6 +88,14 @@ class Asked:
             if value is None:
                 continue
             number = finite_scalar(name, value, unit=unit)
+            if name == "zeta" and number <= 0.0:
+                raise RangeError(
+                    "zeta must be > 0: without damping a swing goes on for ever, and a loop that holds its torque "
+                    f"through a period makes it grow; got {number:g}; zeta = 1 is critical damping",
+                    name="zeta",
+                    value=number,
+                    rule="> 0",
+                )
             require_at_least(name, np.array(number), 0.0, unit=unit)
             object.__setattr__(self, name, number)
         if self.zeta is not None and self.overshoot is not None:
@@ -225,8 +233,6 @@ class Asked:
 
 
 def _zeta_of(overshoot: float) -> float:
-    if overshoot == 0.0:
-        return 1.0
     if overshoot >= 100.0:
         raise RangeError(
             f"overshoot must be below 100 %, which is that of no damping; got {overshoot:g}",
@@ -254,5 +260,7 @@ def six_by_six(name: str, value: ArrayLike | None, size: int = 6) -> Float64Arra
     if given.shape in ((), (size,)):
         given = np.diag(np.broadcast_to(given, (size,)))
     if given.shape != (size, size):
-        raise UsageError(f"{name} must be for {size} directions; got shape {given.shape}", name=name)
+        shapes = "(linear, angular), six numbers or (6, 6)" if size == 6 else f"{size} numbers or ({size}, {size})"
+        got = f"{len(given)} numbers" if given.ndim == 1 else f"shape {given.shape}"
+        raise UsageError(f"{name} must be {shapes}; got {got}", name=name)
     return np.array(given)

@@ -17,7 +17,7 @@ from taut.study.design_place import AtTool, at_tool
 from taut.study.error_dynamics import ErrorDynamics
 from taut.study.joint_gains import JointGains
 
-__all__ = ["Direction", "designed_part", "directions_of"]
+__all__ = ["Direction", "designed_part", "directions_of", "numbered"]
 
 FREE: Final = 1e-9  # of the largest stiffness over inertia: a motion that no spring draws back
 ALIKE: Final = 1e-9  # of stiffnesses over inertias
@@ -68,6 +68,12 @@ def _second(M: float, kp: float, kd: float, ki: float, b: float = 0.0) -> ErrorD
     return ErrorDynamics.of_gains(JointGains(M=M, b=b, kp=kp, kd=kd, ki=ki))
 
 
+def numbered(name: str, found: list[Direction]) -> str:
+    """A name that none of those found has: "x", "x (2)"."""
+    same = sum(each.name == name or each.name.startswith(f"{name} (") for each in found)
+    return f"{name} ({same + 1})" if same else name
+
+
 def _matrix(gain: Any, n: int) -> Float64Array:
     return np.asarray(gain.matrix(n), dtype=np.float64)
 
@@ -96,7 +102,7 @@ def _of_torques(law: Any, x: Snapshot, b: Float64Array) -> tuple[Direction, ...]
         if damping[-1] - damping[0] <= ALIKE * max(damping[-1], 1e-300):
             integral = float(eigh(ki, M, eigvals_only=True)[-1])
             return _joints(x, lambda _: _second(1.0, w, float(damping[0]), integral))
-    found = []
+    found: list[Direction] = []
     for square, mode in zip(squares, modes.T, strict=True):
         shares = np.abs(mode * (M @ mode))
         i = int(np.argmax(shares))
@@ -104,7 +110,7 @@ def _of_torques(law: Any, x: Snapshot, b: Float64Array) -> tuple[Direction, ...]
         scaled = mode / mode[i]
         found.append(
             Direction(
-                name=x.arm.joint_names[i] if x.n == 1 else f"mode of {x.arm.joint_names[i]}",
+                name=x.arm.joint_names[i] if x.n == 1 else numbered(f"mode of {x.arm.joint_names[i]}", found),
                 unit=x.arm.units[i],
                 row=M @ mode * mode[i],
                 column=scaled,
@@ -150,11 +156,9 @@ def _at_tool(
         i = int(np.argmax(np.abs(place.U @ way)))
         scale = float((place.U @ way)[i])
         linear = len(place.names) != 6 or i < 3
-        name = place.names[i]
-        same = sum(each.name.startswith(name) for each in found)
         found.append(
             Direction(
-                name=f"{name} ({same + 1})" if same else name,
+                name=numbered(place.names[i], found),
                 unit="m" if linear else "rad",
                 row=place.rows.T @ across[:, k] * scale,
                 column=back @ way / scale,
@@ -201,11 +205,9 @@ def _of_spring(law: Any, x: Snapshot, b: Float64Array) -> tuple[Direction, ...]:
             continue
         moved = J @ mode
         i = int(np.argmax(np.abs(moved)))
-        name = place.names[i]
-        same = sum(each.name.startswith(name) for each in found)
         found.append(
             Direction(
-                name=f"{name} ({same + 1})" if same else name,
+                name=numbered(place.names[i], found),
                 unit="m" if len(place.names) != 6 or i < 3 else "rad",
                 row=M @ mode * float(moved[i]),
                 column=mode / float(moved[i]),

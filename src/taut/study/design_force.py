@@ -9,7 +9,7 @@ from scipy.linalg import eigh
 
 from taut.base.types import Float64Array
 from taut.maths.snapshot import Snapshot
-from taut.study.design_directions import Direction
+from taut.study.design_directions import Direction, numbered
 from taut.study.design_place import at_tool
 from taut.study.error_dynamics import ErrorDynamics
 from taut.study.joint_gains import JointGains
@@ -30,12 +30,10 @@ def force_directions(law: Any, x: Snapshot, spring: Float64Array) -> tuple[Direc
     for square, mode in zip(squares, modes.T, strict=True):
         moved = place.U @ mode
         i = int(np.argmax(np.abs(moved)))
-        name = f"{'force' if i < 3 else 'moment'} {place.names[i]}"
-        same = sum(each.name.startswith(name) for each in found)
         kd, ki = (float(mode @ C @ mode) for C in (damping, pulled))
         found.append(
             Direction(
-                name=f"{name} ({same + 1})" if same else name,
+                name=numbered(f"{'force' if i < 3 else 'moment'} {place.names[i]}", found),
                 unit="N" if i < 3 else "N m",
                 row=place.rows.T @ (place.Lambda @ mode) * moved[i],
                 column=place.back @ mode / moved[i],

@@ -22,9 +22,8 @@ from taut.study.linear_loop import LinearLoop
 
 __all__ = ["DesignLimit", "Tried", "limits_of", "steps_of", "torque_limits"]
 
-KEPT: Final = 0.1  # of the damping ratio: what sampling may take or add
+KEPT: Final = 0.1  # of the damping ratio: what sampling, or an integral, may take
 COUNT: Final = 0.01  # of the effort limit: a torque that an encoder's step may make
-SOFT: Final = 0.5  # of a flexible joint's frequency with its motor held: what a design should stay below
 STEP_JOINT: Final = {"rad": 0.1, "m": 0.05}
 PRESS: Final = {"N": 10.0, "N m": 1.0}
 EVERY: Final = 1e-12
@@ -37,7 +36,8 @@ class DesignLimit:
 
     Args:
         name: Of what: "torque", "torque rate", "speed", "damping", "rate", "delay", "gain margin", "encoder", "ki",
-            "weight", "coupling", "stiffness", "at rest", "force pole", "decay", "backlash", "elastic joint".
+            "integral", "weight", "coupling", "stiffness", "at rest", "force pole", "decay", "backlash",
+            "elastic joint".
         value: What the design has or needs.
         limit: What there is; infinite for none.
         unit: Of both.
@@ -107,7 +107,7 @@ def limits_of(tried: Tried) -> tuple[DesignLimit, ...]:
         *_weight(tried),
         *_coupling(tried),
     ]
-    return (*found, *_stiffness(tried), *_gears(tried))
+    return (*found, *_stiffness(tried))
 
 
 def _holding(tried: Tried) -> Float64Array:
@@ -190,11 +190,11 @@ def _speed(tried: Tried) -> Iterator[DesignLimit]:
 def _damping(tried: Tried) -> Iterator[DesignLimit]:
     """What the servo rate makes of the damping."""
     damping = [response.numbers.zeta for response in tried.predicted]
-    off = [abs(seen - book.zeta) for seen, book in zip(damping, tried.designed, strict=True)]
-    at = int(np.argmax(off))
-    worst, book, seen = off[at], tried.designed[at].zeta, damping[at]
+    lost = [(book.zeta - seen) / max(book.zeta, KEPT) for seen, book in zip(damping, tried.designed, strict=True)]
+    at = int(np.argmax(lost if max(lost) > KEPT else np.abs(lost)))
+    book, seen = tried.designed[at].zeta, damping[at]
     yield DesignLimit(
-        name="damping", value=seen, limit=book, unit="", ok=worst <= KEPT * max(book, KEPT),
+        name="damping", value=seen, limit=book, unit="", ok=bool(lost[at] <= KEPT),
         sentence=(
             f"at {tried.bench.ctrl.rate:g} Hz zeta is {seen:.4g} along {tried.directions[at].name}, where the book "
             f"has {book:.4g}"
@@ -213,14 +213,15 @@ def _rate_and_delay(tried: Tried) -> Iterator[DesignLimit]:
     delay = float(bench.plant.actuation.delay)
     velocity: Any = bench.ctrl.side.sensing.velocity
     quick = max(tried.directions, key=lambda d: float(np.abs(d.dynamics.poles).max()))
-    sampled = quick.dynamics.sampled(rate=bench.ctrl.rate, delay=delay, velocity=velocity)
+    sampled = quick.dynamics.sampled(rate=bench.ctrl.rate, delay=delay, velocity=velocity, **bench.motion.sampled)
     least, most, rate = sampled.lowest_stable_rate, sampled.largest_stable_delay, bench.ctrl.rate
     yield DesignLimit(
         name="rate", value=rate, limit=least, unit="Hz", ok=rate >= least,
         sentence=f"stable from {least:.4g} Hz on ({quick.name}); the rate is {rate:g} Hz",
     )  # fmt: skip
     yield DesignLimit(
-        name="delay", value=delay, limit=most, unit="s", ok=delay < most,
+        name="delay", value=delay, limit=most, unit="s",
+        ok=delay < most if bench.motion.exact else delay <= most,  # whole periods, the last of them stable
         sentence=(
             f"stable up to {1e3 * most:.4g} ms from tick to torque ({quick.name}), where there are "
             f"{1e3 * delay:.4g} ms"
@@ -263,6 +264,11 @@ def _margins(tried: Tried) -> Iterator[DesignLimit]:
     )  # fmt: skip
 
 
+def _torque(unit: str) -> str:
+    """The unit of what moves a joint."""
+    return "N" if unit == "m" else "N m"
+
+
 def _encoder(tried: Tried) -> Iterator[DesignLimit]:
     """What one count of an encoder makes of the torque, where the law sees it first."""
     if tried.bench.kind != "torque":
@@ -295,7 +301,8 @@ def _encoder(tried: Tried) -> Iterator[DesignLimit]:
         ok=part <= COUNT,
         sentence=(
             f"one count of '{arm.joint_names[j]}', {steps[j]:.2g} {arm.units[j]}, moves the torque of "
-            f"'{arm.joint_names[i]}' by {flicker[i, j]:.2g}, {100.0 * part:.2g} % of its limit"
+            f"'{arm.joint_names[i]}' by {flicker[i, j]:.2g} {_torque(arm.units[i])}, {100.0 * part:.2g} % of its "
+            "limit"
         ),
     )  # fmt: skip
 
@@ -307,12 +314,29 @@ def _integral(tried: Tried) -> Iterator[DesignLimit]:
         return
     d, joint = max(gains, key=lambda pair: pair[1].ki / pair[1].largest_ki if pair[1].largest_ki else math.inf)
     most = joint.largest_ki
+    if joint.ki:
+        yield _changed(d)
     yield DesignLimit(
         name="ki", value=joint.ki, limit=most, unit="per unit of inertia", ok=joint.ki < most,
         sentence=(
             f"ki is {joint.ki:.4g} per unit of inertia, of {most:.4g} that (b + kd) kp / M allows ({d.name})"
             if joint.ki
             else "ki = 0; integral=1 is the bound (b + kd) kp / M, which swings for ever; 0.05 to 0.2 are usual"
+        ),
+    )  # fmt: skip
+
+
+def _changed(d: Direction) -> DesignLimit:
+    """What an integral makes of the damping that was asked for, which is that of the gains without it."""
+    without, book = Numbers.designed(d.dynamics.replaced(ki=0.0)), Numbers.designed(d.dynamics)
+    ok = book.zeta >= (1.0 - KEPT) * without.zeta
+    return DesignLimit(
+        name="integral", value=book.zeta, limit=without.zeta, unit="", ok=ok,
+        sentence=(
+            f"what was asked for is that without ki: along {d.name} ki makes zeta {book.zeta:.4g} of "
+            f"{without.zeta:.4g}, an overshoot of {book.overshoot:.3g} % of {without.overshoot:.3g} %, a settling "
+            f"time of {book.settling:.4g} s of {without.settling:.4g} s"
+            f"{'' if ok else '; ask for a smaller integral='}"
         ),
     )  # fmt: skip
 
@@ -334,7 +358,8 @@ def _weight(tried: Tried) -> Iterator[DesignLimit]:
     yield DesignLimit(
         name="weight", value=float(sag[i]), limit=0.0, unit=arm.units[i], ok=held,
         sentence=(
-            f"the weight of {g[i]:.3g} at '{arm.joint_names[i]}' makes it sag by {sag[i]:.3g} {arm.units[i]}"
+            f"the weight of {g[i]:.3g} {_torque(arm.units[i])} at '{arm.joint_names[i]}' makes it sag by "
+            f"{sag[i]:.3g} {arm.units[i]}"
             f"{' until the integral has it' if held else '; GravityPID, FeedForward() + PID or integral= help'}"
         ),
     )  # fmt: skip
@@ -362,39 +387,8 @@ def _stiffness(tried: Tried) -> Iterator[DesignLimit]:
     if not isinstance(law, (laws.Impedance, laws.Stiffness)) or (isinstance(law, laws.Impedance) and law.has("D")):
         return
     check = check_impedance(tried.bench.ctrl, tried.x.q, delay=float(tried.bench.plant.actuation.delay))
+    held = "" if tried.bench.motion.exact else "of an arm that moves all the time, not in the steps of plant=: "
     yield DesignLimit(
         name="stiffness", value=1.0, limit=check.stable_up_to, unit="K", ok=check.stable,
-        sentence=f"{check.sentences[0]}; {check.sentences[2]}",
-    )  # fmt: skip
-
-
-def _gears(tried: Tried) -> Iterator[DesignLimit]:
-    """Play and elasticity of the plant's transmissions."""
-    gear = None if tried.plant is None else tried.plant.actuation.transmission
-    if gear is None or tried.plant is None:
-        return
-    arm, n = tried.plant.arm, tried.x.n
-    if gear.has_play:
-        play = np.broadcast_to(np.asarray(gear.backlash), (n,))
-        i = int(np.argmax(play))
-        yield DesignLimit(
-            name="backlash", value=float(play[i]), limit=0.0, unit=arm.units[i], ok=False,
-            sentence=(
-                f"'{arm.joint_names[i]}' has {play[i]:.2g} {arm.units[i]} of play, within which no gain holds it: it "
-                "swings about there where the encoder is at the link, and stays off where it is at the motor"
-            ),
-        )  # fmt: skip
-    soft = gear.compliant(n)
-    if not soft:
-        return
-    link = np.diag(np.asarray(tried.x.M)) - tried.arm.rotor_inertia
-    held = np.array([np.sqrt(float(np.broadcast_to(np.asarray(gear.stiffness), (n,))[i]) / link[i]) for i in soft])
-    fastest = max((each.omega_n for each in tried.designed), default=0.0)
-    i = int(np.argmin(held))
-    yield DesignLimit(
-        name="elastic joint", value=fastest, limit=SOFT * float(held[i]), unit="rad/s", ok=fastest <= SOFT * held[i],
-        sentence=(
-            f"'{arm.joint_names[soft[i]]}' swings at {held[i]:.4g} rad/s with its motor held; a design up to half of "
-            f"that, {SOFT * held[i]:.4g} rad/s, does not feel it much, and this one has {fastest:.4g} rad/s"
-        ),
+        sentence=f"{held}{check.sentences[0]}; {check.sentences[2]}",
     )  # fmt: skip

@@ -29,8 +29,10 @@ from taut.study.sampled import VelocityKind
 
 __all__ = ["Maker"]
 
-HALVINGS: Final = 30
-SLOWEST: Final = 1e-4  # of what was asked: slower is not searched
+HALVINGS: Final = 40
+SLOWEST: Final = 1e-7  # of an error in a tick: less cannot be told from none, for rounding splits a pair so far
+STAYS: Final = 1e-12  # of the fastest pole: one that is slower is of what nothing draws back
+LEAST_FACTOR: Final = 1e-16  # of what was asked: slower is not searched
 LEAST: Final = 0.5  # of a damping ratio that the book has: what a sampled loop must keep
 MOST: Final = 0.9  # what one that is named as possible keeps
 BELOW: Final = 0.99  # of a border: what is named as possible
@@ -58,11 +60,13 @@ class Maker:
         if isinstance(law, laws.HybridMotionForce):
             require_force_stable(law, rate, delay)
         self.bench = Bench(
-            law, case.arm, rate=rate, delay=delay, velocity=velocity, friction=friction, contact=case.asked.contact
-        )
+            law, case.arm, rate=rate, delay=delay, velocity=velocity, friction=friction, at=case.at,
+            contact=case.asked.contact, like=plant,
+        )  # fmt: skip
 
     def design(self, step: Float64Array | None) -> Design:
         """Tried at all poses, its limits at the worst."""
+        self._require_pace()
         models = [self.bench.linear(np.asarray(x.q)) for x in self.case.at]
         if not all(lin.stable for lin in models):
             self._refuse_unstable(models)
@@ -135,6 +139,20 @@ class Maker:
 
     # ---------------------------------------------------------------- what cannot be
 
+    def _require_pace(self) -> None:
+        """What takes less of an error away in a tick than rounding sets poles apart cannot be told from standing."""
+        poles = [d.dynamics.poles for x in self.case.at for d in self._directions(x)]
+        rates = [rate for s in poles for rate in -s.real if rate > STAYS * np.abs(s).max()]
+        slowest = float(min(rates, default=math.inf)) / self.bench.ctrl.rate
+        if slowest < SLOWEST:
+            raise RangeError(
+                f"{self._what} cannot be tried at {self._where}: its slowest pole takes {slowest:.2g} of an error "
+                f"away in a tick, and rounding hides less than {SLOWEST:g}; ask for a faster design, or a lower rate",
+                name=next(iter(self.case.asked.speeds), "K"),
+                value=slowest,
+                rule=f">= {SLOWEST:g} in a tick",
+            )
+
     def _faster(self, factor: float) -> list[LinearLoop] | None:
         """The models of a design that is so much faster; None where one is not stable."""
         case = dataclasses.replace(self.case, asked=self.case.asked.faster(factor))
@@ -179,6 +197,8 @@ class Maker:
             parts.append(f"{1e3 * delay:g} ms of delay")
         if cutoff is not None:
             parts.append(f"a low-pass of {float(np.min(cutoff)):g} Hz in the velocity")
+        if not self.bench.motion.exact:
+            parts.append(f"{self.bench.motion.steps}, as plant= has it,")
         return " and ".join(parts)
 
     def _nearest(self, good: Callable[[float], bool], what: str) -> str:
@@ -248,12 +268,11 @@ def _kept(tried: list[_Tried]) -> float:
 
 def _largest(stable: Callable[[float], bool]) -> float | None:
     """The largest factor on the speed at which a design is stable, a little below the border; None for none."""
-    low = 0.5
+    low, high = 0.5, 1.0
     while not stable(low):
-        low *= 0.5
-        if low < SLOWEST:
+        low, high = 0.5 * low * low, low
+        if low < LEAST_FACTOR:
             return None
-    high = 2.0 * low
     for _ in range(HALVINGS):
         middle = math.sqrt(low * high)
         low, high = (middle, high) if stable(middle) else (low, middle)

@@ -26,16 +26,20 @@ TELLS: Final = 0.005  # participation of a state in a mode that is worth a word
 def page_of_design(d: Design) -> Page:
     """Gains, designed against achieved numbers, limits, steps, and the lines that design it again."""
     missed = [each.sentence for each in d.limits if not each.ok]
+    none = [each.sentence for each in d.limits if each.ok and math.isinf(each.limit)]
+    count = len(d.limits) - len(none)
     alike = f"tried as {d.alone} alone, which {type(d.law).__name__} holds. " if d.alone else ""
     weight = "Tried without gravity, which this law leaves to others. " if d.weightless else ""
-    kept = f"It keeps to {len(d.limits) - len(missed)} of {len(d.limits)} limits."
+    kept = f"It keeps to {count - len(missed)} of {count} limits{''.join(f'; {sentence}' for sentence in none)}."
     return Page(
         title=f"Design: {type(d.law).__name__} on {d.arm.name} at {d.rate:g} Hz",
         summary=(
             f"{alike[:1].upper()}{alike[1:]}{weight}{kept}",
             *(f"Beyond a limit: {sentence}." for sentence in missed),
         ),
-        tables=tuple(table for table in (_gains(d), _achieved(d), _limits(d), _poses(d)) if table.rows),
+        tables=tuple(
+            table for table in (_gains(d), _achieved(d), _stiffness(d), _limits(d), _poses(d)) if table.rows
+        ),
         pictures=(Picture(title="Steps of each direction, and the torque that they take", figure=d.plot()),)
         if d.achieved
         else (),
@@ -43,6 +47,7 @@ def page_of_design(d: Design) -> Page:
             "law": repr(d.law),
             "arm": d.arm.name,
             "rate": f"{d.rate:g} Hz",
+            "predicted and simulated": d.motion,
             **{f"asked: {name}": _python(value) for name, value in d.asked.items()},
             "designed for": f"q = {np.round(d.q, 6).tolist()}",
             "steps that limits speak of": _python(d.step),
@@ -69,6 +74,19 @@ def _achieved(d: Design) -> Table:
     heads = ["number", "direction", "unit", "designed", "predicted", "simulated", *(["on plant"] if on_plant else [])]
     note = "Designed in continuous time; predicted by the linear model of the sampled loop; simulated in that loop."
     return Table(title="Designed against achieved", heads=heads, rows=rows, words=3, note=note)
+
+
+def _stiffness(d: Design) -> Table:
+    """What a small force at rest shows of a stiffness."""
+    rows = [
+        (each.direction, each.unit, *map(_number, (each.asked, each.designed, each.predicted, each.simulated)))
+        for each in d.stiffness
+    ]
+    heads = ("direction", "unit", "K by itself", "designed", "predicted", "simulated")
+    note = (
+        "Designed with all of K: more than K by itself where the arm cannot move along one direction without another."
+    )
+    return Table(title="Stiffness at rest", heads=heads, rows=rows, words=2, note=note)
 
 
 def _limits(d: Design) -> Table:

@@ -11,6 +11,7 @@ from taut.base.errors import UsageError
 from taut.base.types import Float64Array
 from taut.control.law import Law
 from taut.study.design_contact import Pressed, force_limits
+from taut.study.design_gears import gear_limits
 from taut.study.design_limits import DesignLimit, Tried, limits_of
 from taut.study.design_stiffness import Stiff, static_limits
 from taut.study.design_trial import Numbers, Response
@@ -101,10 +102,20 @@ class Design:
     forces: tuple[Pressed, ...] = ()
     q_contact: Float64Array | None = None
 
+    @property
+    def motion(self) -> str:
+        """How the arm moves between the ticks in what is predicted, simulated, refused and told as a limit."""
+        return self.tried.bench.motion.sentence
+
     @cached_property
     def limits(self) -> tuple[DesignLimit, ...]:
         """What the gains run into, each with a sentence."""
-        return (*limits_of(self.tried), *static_limits(self.stiffness), *force_limits(self.forces, self.rate))
+        return (
+            *limits_of(self.tried),
+            *gear_limits(self.tried),
+            *static_limits(self.stiffness),
+            *force_limits(self.forces, self.rate),
+        )
 
     def limit(self, name: str) -> DesignLimit:
         """The limit of that name.

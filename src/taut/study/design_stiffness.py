@@ -21,7 +21,7 @@ from taut.study.design_place import at_tool
 from taut.study.design_trial import Bench
 from taut.study.linear_loop import LinearLoop
 
-__all__ = ["Stiff", "static_limits", "stiffnesses"]
+__all__ = ["STATIC", "Stiff", "static_limits", "stiffnesses"]
 
 STATIC: Final = 0.01  # of a stiffness at rest
 SMALL: Final = 1e-4  # [m | rad] by which a force moves what is as stiff as asked
@@ -37,13 +37,16 @@ class Stiff:
     Args:
         direction: The joint, or the direction of the tool in the axes of the gains.
         unit: N/m, or N m/rad.
-        designed: By what was asked for, 1 / (K^-1)_ii.
+        asked: By itself, K_ii.
+        designed: By all of K, 1 / (K^-1)_ii in the motions that the arm can make: more than K_ii where it cannot
+            give way along one direction without another.
         predicted: By the linear model of the sampled loop.
         simulated: At the end of a run of the nonlinear sampled loop under a small constant force.
     """
 
     direction: str
     unit: str
+    asked: float
     designed: float
     predicted: float
     simulated: float
@@ -66,7 +69,7 @@ def stiffnesses(
     found = _of_tool(bench, x) if isinstance(bench.law, OF_TOOL) else None if K is None else _of_joints(x, K)
     if found is None:
         return ()
-    names, units, rows, asked = found
+    names, units, rows, alone, asked = found
     if not names:
         return ()
     forces = asked[:, np.newaxis] * SMALL * rows  # (k, n) on the joints
@@ -82,6 +85,7 @@ def stiffnesses(
         Stiff(
             direction=names[i],
             unit=units[i],
+            asked=float(alone[i]),
             designed=float(asked[i]),
             predicted=_over(asked[i] * SMALL, rows[i] @ moved[i]),
             simulated=_over(asked[i] * SMALL, rows[i] @ (q - without)),
@@ -94,23 +98,39 @@ def _over(force: float, way: float) -> float:
     return float(force / way) if abs(way) > STUCK * SMALL else math.inf
 
 
-def _of_joints(x: Snapshot, K: ArrayLike) -> tuple[list[str], list[str], Float64Array, Float64Array]:
+_Found = tuple[list[str], list[str], Float64Array, Float64Array, Float64Array]
+
+
+def _of_joints(x: Snapshot, K: ArrayLike) -> _Found:
     units = ["N/m" if unit == "m" else "N m/rad" for unit in x.arm.units]
-    return list(x.arm.joint_names), units, np.eye(x.n), np.asarray(np.broadcast_to(K, (x.n,)), dtype=np.float64)
+    each = np.asarray(np.broadcast_to(K, (x.n,)), dtype=np.float64)
+    return list(x.arm.joint_names), units, np.eye(x.n), each, each
 
 
-def _of_tool(bench: Bench, x: Snapshot) -> tuple[list[str], list[str], Float64Array, Float64Array]:
+def _of_tool(bench: Bench, x: Snapshot) -> _Found:
     """Directions that the arm can move in, each with the stiffness that all of K gives it."""
     law: Any = bench.law
     place = at_tool(law, x)
-    K = place.inside(law.K.matrix(len(place.U)))
+    whole = np.asarray(law.K.matrix(len(place.U)), dtype=np.float64)
+    K = place.inside(whole)
     sizes, ways = np.linalg.eigh(K)
     held = sizes > MOVABLE * sizes[-1]
     give = (place.U @ ways[:, held]) @ np.diag(1.0 / sizes[held]) @ (place.U @ ways[:, held]).T
     drawn, movable = (np.linalg.norm(rows, axis=1) for rows in (place.U @ ways[:, held], place.U))
     kept = [i for i in range(len(give)) if movable[i] > MOVABLE and drawn[i] > (1.0 - MOVABLE) * movable[i]]
     units = ["N m/rad" if len(place.names) == 6 and i > 2 else "N/m" for i in kept]
-    return [place.names[i] for i in kept], units, place.J[kept], np.array([1.0 / give[i, i] for i in kept])
+    stiff = np.array([1.0 / give[i, i] for i in kept])
+    return [place.names[i] for i in kept], units, place.J[kept], np.diag(whole)[kept], stiff
+
+
+def _wanted(each: Stiff) -> str:
+    """What there should be, and what was asked for where that is less."""
+    if abs(each.designed / each.asked - 1.0) <= STATIC:
+        return f"{each.designed:.4g} were asked for"
+    return (
+        f"K has {each.asked:.4g} along it by itself and {each.designed:.4g} with the other directions, without which "
+        "the arm cannot move there"
+    )
 
 
 def static_limits(stiffness: tuple[Stiff, ...]) -> Iterator[DesignLimit]:
@@ -122,8 +142,7 @@ def static_limits(stiffness: tuple[Stiff, ...]) -> Iterator[DesignLimit]:
     yield DesignLimit(
         name="at rest", value=worst.predicted, limit=worst.designed, unit=worst.unit, ok=ok,
         sentence=(
-            f"a force along {worst.direction} finds {worst.predicted:.4g} {worst.unit}, where {worst.designed:.4g} "
-            "were asked for"
+            f"a force along {worst.direction} finds {worst.predicted:.4g} {worst.unit}, where {_wanted(worst)}"
             f"{'' if ok else '; M couples the joints of a law of accelerations, GravityPID keeps them apart'}"
         ),
     )  # fmt: skip

@@ -9,6 +9,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from taut.arm.description import Arm
+from taut.arm.friction import Friction
 from taut.base.pose import Pose
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.filters import LowPass
@@ -32,6 +33,7 @@ from taut.runtime.simulate import run as simulate
 from taut.study.design_asked import six_by_six
 from taut.study.design_bandwidth import bandwidth_of, bandwidth_seen
 from taut.study.design_directions import Direction, designed_part
+from taut.study.design_motion import Motion
 from taut.study.error_dynamics import ErrorDynamics
 from taut.study.linear_loop import LinearLoop
 from taut.study.linearise import linearise
@@ -43,10 +45,12 @@ __all__ = ["Bench", "Numbers", "Response", "numbers_of_poles", "zeta_seen"]
 SMALL: Final = 1e-4  # [m | rad] a step for which a loop is as good as linear
 DRIVE: Final = 1e4  # [rad/s] of drives that are as good as ideal
 LONGER: Final = 2.5  # times the settling time that was designed for
+WHOLE: Final = 1.2  # times that: the least that shows where an error settles
 SHORTEST, LONGEST = 30, 40_000  # ticks
 ROUNDING: Final = 1e-9  # of a pole: a smaller imaginary part is none
 PAIRED: Final = 1e-6  # of a pole: as near is its conjugate
 HELD: Final = 1e-9  # of the step: below it an error is rounding
+ENDS: Final = 0.9  # of a step's run: an error that is least after it falls all the time
 SEEN: Final = 0.1  # [%] of overshoot that tells a damping ratio
 NOTHING: Final = np.zeros(6)
 REFERENCES: Final[dict[type[Sample], tuple[str, ...]]] = {JointMotion: ("ref.q",), TaskForce: ("ref.F_world",)}
@@ -120,6 +124,7 @@ class Response:
         late: How many commands are under way.
         kept: How many numbers a filter of the velocity keeps, or the sensor of a force.
         order: Of the error dynamics that were designed.
+        whole: Whether it was followed for as long as what was designed takes to settle.
     """
 
     t: Float64Array
@@ -134,14 +139,18 @@ class Response:
     late: int
     kept: int
     order: int
+    whole: bool
 
     @property
     def numbers(self) -> Numbers:
         """What fits it."""
         zeta, omega_n = numbers_of_poles(self.poles) if np.isfinite(self.e).all() else (math.nan, math.nan)
         step = step_response(self.t, self.e)
+        creeps = np.isfinite(self.e).all() and int(np.argmin(self.e)) >= ENDS * len(self.e)
+        overshoot = 0.0 if creeps else step.overshoot
         return Numbers(
-            zeta=zeta, omega_n=omega_n, overshoot=step.overshoot, settling=step.settling_time,
+            zeta=zeta, omega_n=omega_n, overshoot=overshoot if self.whole else math.nan,
+            settling=step.settling_time if self.whole else math.nan,
             bandwidth=bandwidth_seen(1.0 - self.e, float(self.t[1])),
         )  # fmt: skip
 
@@ -200,7 +209,9 @@ class Bench:
         delay: [s] whole periods from the tick to the torque.
         velocity: How velocity is measured.
         friction: "arm" or None.
+        at: Where it is tried.
         contact: Stiffness of a spring that holds the tool where it starts, for laws of force.
+        like: A plant whose integrator moves the arm; None for the exact hold, an arm that moves all the time.
     """
 
     def __init__(
@@ -212,7 +223,9 @@ class Bench:
         delay: float,
         velocity: VelocityKind,
         friction: Literal["arm"] | None,
+        at: tuple[Snapshot, ...],
         contact: ArrayLike | None = None,
+        like: RigidPlant | None = None,
     ) -> None:
         self.law = designed_part(law) if _alone(law) else law
         sensing = Sensing() if velocity == "measured" else Sensing(velocity=velocity)
@@ -233,13 +246,20 @@ class Bench:
         felt: Any = Push(peak=NOTHING, duration=1.0) if "F_ext" in self.ctrl.needs else None
         if self.contact is not None:
             felt = Spring(stiffness=self.contact)
+        rubbed = self.arm if friction is None else self.arm.with_friction(Friction(viscous=self.arm.viscous))
+        driven = probe.kind != "torque"
+        self.motion = Motion.like(like, rubbed, at, 1.0 / rate, self.contact, driven=driven)
         self.plant = RigidPlant(
-            self.arm,
-            friction=friction if probe.kind == "torque" else "arm",
+            self.arm if driven else rubbed,
+            friction="arm" if driven else friction,
             takes=probe.kind,  # type: ignore[arg-type]  # the kinds of commands are those of plants
             actuation=drives,
             environment=felt,
+            integrator=self.motion.integrator,
+            substeps=self.motion.substeps,
         )
+        if not isinstance(velocity, LowPass) and velocity != "measured" and not self.motion.one_step:
+            self._kept += 1  # the torque of the tick before, which bends the way that is differenced
         self.loop = Loop(self.ctrl, self.plant, duration=1.0)
         self.integral = any(
             np.any(value) for path, value in self.law.parameters().items() if path.rpartition(".")[2] in ("ki", "kfi")
@@ -318,6 +338,7 @@ class Bench:
             t=t, e=1.0 - q @ d.row, e_dot=-(v @ d.row), q=q, v=v, command=command, integral=self.integral,
             second=self.kind == "torque", pushed=command @ (d.column if self.kind == "torque" else d.row),
             late=self._late, kept=self._kept, order=d.dynamics.order,
+            whole=not t[-1] < WHOLE * d.dynamics.settling_time < math.inf,
         )  # fmt: skip
 
     def _of_reference(self, lin: LinearLoop) -> tuple[Float64Array, Float64Array]:

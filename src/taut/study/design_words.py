@@ -12,7 +12,7 @@ import numpy as np
 
 from taut.study.design_contact import Pressed
 from taut.study.design_result import Achieved
-from taut.study.design_stiffness import Stiff
+from taut.study.design_stiffness import STATIC, Stiff
 from taut.study.design_trial import Numbers
 
 if TYPE_CHECKING:
@@ -48,13 +48,18 @@ def report(d: Design) -> str:
     if d.weightless:
         lines.append("tried without gravity, which this law leaves to others")
     if d.achieved:
+        lines.append(f"predicted and simulated: {d.motion}")
         lines += ["", *_table(d.achieved, COLUMNS | (BANDWIDTH if "bandwidth" in d.asked else {}))]
+        if not all(response.whole for response in d.responses):
+            longest = max(float(response.t[-1]) for response in d.responses)
+            lines += ["", f"- : followed for {longest:g} s, which is too short to show where it settles"]
     else:
         lines += ["", "nothing draws the arm anywhere, so that a step has no answer to show"]
     if d.stiffness:
         lines += ["", *_stiffness(d.stiffness)]
     if d.forces and d.q_contact is not None:
         lines += ["", f"against the constraint, held by it at q = {np.round(d.q_contact, 4).tolist()}"]
+        lines.append("simulated: a rigid contact moves in steps of semi-implicit Euler, one in a period")
         lines += ["", *_table(d.forces)]
     if len(d.poses) > 1:
         lines += ["", *_poses(d)]
@@ -106,11 +111,14 @@ def _stiffness(rows: Sequence[Stiff]) -> list[str]:
     """What was asked for, and what a small force at rest shows."""
     width = max(16, *(len(f"{each.direction} [{each.unit}]") for each in rows))
     head = f"   {'stiffness':<{width}}" + "".join(f"{name:>13}" for name in ("designed", "predicted", "simulated"))
-    return [head] + [
+    lines = [head] + [
         f"   {f'{each.direction} [{each.unit}]':<{width}}"
         + "".join(f"{_number(value):>13}" for value in (each.designed, each.predicted, each.simulated))
         for each in rows
     ]
+    if any(each.designed > (1.0 + STATIC) * each.asked for each in rows):
+        lines.append("   designed is more than K where the arm cannot move along one direction without another")
+    return lines
 
 
 def _on_plant(each: Achieved | Pressed) -> Numbers | None:
@@ -174,6 +182,7 @@ def as_json(d: Design) -> dict[str, Any]:
             for each in d.limits
         ],
         "weightless": d.weightless,
+        "motion": d.motion,
         "alone": d.alone,
     }
 

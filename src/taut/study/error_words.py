@@ -84,7 +84,7 @@ def of_sampled(d: SampledErrorDynamics) -> str:
     here = "stable" if d.stable else "not stable"
     late = f", {number(1e3 * d.delay, 'ms')} late" if d.delay else ""
     lines = [f"error dynamics {equation(np.asarray(d.continuous.coefficients))}"]
-    lines[0] += f" at {d.rate:g} Hz, velocity {_velocity(d.velocity)}{late}"
+    lines[0] += f" at {d.rate:g} Hz, velocity {_velocity(d.velocity)}{late}{_steps(d)}"
     lines.append(_row(here, f"largest pole {d.radius:.6g} in z; in the book {book}"))
     some = np.abs(d.poles) > GONE
     lines.append(_row("poles in z", _poles(d.poles[some], 6)))
@@ -99,6 +99,13 @@ def of_sampled(d: SampledErrorDynamics) -> str:
     lowest = "at no rate" if math.isinf(rate) else f"from {number(rate, 'Hz')} on"
     lines.append(_row("stable", f"{lowest} with this delay; at this rate {_late(delay)}"))
     return "\n".join(lines)
+
+
+def _steps(d: SampledErrorDynamics) -> str:
+    """The steps in which the joint moves; nothing where it moves all the time."""
+    if d.integrator == "exact":
+        return ""
+    return f", in {f'{d.substeps} steps' if d.substeps > 1 else 'one step'} of {d.integrator} a period"
 
 
 def _late(delay: float) -> str:

@@ -26,6 +26,7 @@ __all__ = ["LinearLoop", "Mode"]
 
 AT_ONCE: Final = 1e-6  # a pole of this modulus is gone in a period
 ROUNDING: Final = 1e-8  # of a modulus of one
+SWINGS: Final = 1e-11  # of the modulus of a pole away from one, which stands alone
 SPLIT: Final = 1e-5  # by how much rounding sets three equal poles apart
 REAL: Final = 1e-7  # an imaginary part below this share is rounding, of a pole that comes more than once
 FEW: Final = 8  # frequencies for which a factorisation each is quicker than one for all
@@ -131,19 +132,33 @@ class LinearLoop:
 
     @cached_property
     def stable(self) -> bool:
-        """Whether nothing that is set off grows: no pole outside the unit circle, and none on it that is coupled.
+        """Whether all that is set off dies away or stays where it is put: poles within the unit circle, or at one.
 
-        A pole at one that stays where it is put, as of a motion that a law leaves free, does not grow.
+        A pole at one, as of a motion that a law leaves free, must not be coupled to another; a swing that goes on for
+        ever is not stable.
         """
-        if self.radius > 1.0 + ROUNDING:
+        if self.radius > 1.0 + ROUNDING or self._undamped is not None:
             return False
         return all(self._bounded(z) for z in self.poles if abs(z) > 1.0 - ROUNDING)
+
+    @property
+    def _undamped(self) -> float | None:
+        """[rad/s] of a swing that neither grows nor dies away but for rounding; None where there is none."""
+        on = (np.abs(np.abs(self.poles) - 1.0) < SWINGS) & (np.abs(self.poles - 1.0) > SPLIT)
+        return float(np.abs(np.angle(self.poles[on])).max()) / self.dt if on.any() else None
 
     def _bounded(self, z: complex) -> bool:
         """Whether a pole on the unit circle has as many eigenvectors as it is many."""
         many = int((np.abs(self.poles - z) < np.sqrt(ROUNDING)).sum())
         sizes = np.linalg.svd(self.A - z * np.eye(len(self.A)), compute_uv=False)
         return int((sizes < ROUNDING * max(1.0, float(sizes[0]))).sum()) >= many
+
+    @property
+    def _why(self) -> str:
+        """Why it is not stable."""
+        if self._undamped is not None and self.radius <= 1.0 + ROUNDING:
+            return f"a swing at {self._undamped:.4g} rad/s goes on for ever, without damping"
+        return f"the largest pole has modulus {self.radius:.6g}"
 
     @cached_property
     def modes(self) -> tuple[Mode, ...]:
@@ -331,7 +346,7 @@ class LinearLoop:
         if np.abs(self.moved).max(initial=0.0) > ROUNDING:
             i = int(np.argmax(np.abs(self.moved)))
             lines.append(f"joint '{self.joints[i]}' went {self.moved[i]:.4g} from at= until the loop rested")
-        lines.append("stable" if self.stable else f"UNSTABLE: the largest pole has modulus {self.radius:.6g}")
+        lines.append("stable" if self.stable else f"UNSTABLE: {self._why}")
         lines += ["", "   s [1/s]               omega_n [rad/s]    zeta   in"]
         for mode in self.modes:
             parts = [f"{name} {100.0 * x:.0f} %" for name, x in mode.participation.items() if x > TELLS][:4]

@@ -55,7 +55,7 @@ def second_order(
         zeta: Damping ratio.
         omega_n: Natural frequency [rad/s].
         settling: Exact 2 % settling time of a step [s]; of several dampings that settle so, the largest.
-        overshoot: Of a step [%], above 0.
+        overshoot: Of a step [%]; 0 for critical damping, the least that has none.
         feedforward: Whether M a_des + b v_des is fed forward; if left out, only without M.
 
     Raises:
@@ -113,7 +113,7 @@ def _checked(given: Mapping[str, float]) -> dict[str, float]:
         )
     made = {}
     for name, value in given.items():
-        if name in ("kp", "kd", "zeta"):
+        if name in ("kp", "kd", "zeta", "overshoot"):
             made[name] = finite_scalar(name, value, unit=UNITS[name])
             require_at_least(name, np.array(made[name]), 0.0, unit=UNITS[name])
         else:

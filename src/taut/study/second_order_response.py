@@ -59,7 +59,9 @@ def overshoot_of(zeta: float) -> float:
 
 
 def zeta_of_overshoot(percent: float) -> float:
-    """The damping ratio that overshoots so far, for 0 < percent <= 100."""
+    """The damping ratio that overshoots so far, for 0 <= percent <= 100; of none the least, critical damping."""
+    if percent == 0.0:
+        return 1.0
     decrement = math.log(100.0 / percent)
     return decrement / math.hypot(decrement, math.pi)
 
