@@ -368,10 +368,37 @@ def test_a_wrong_request_is_one_sentence_and_nothing_is_lost(
     assert (tmp_path / "report.html").read_text() == "what was there"
 
 
+def test_what_prints_has_a_report_whose_title_says_what_it_is(run: taut.Run, tmp_path: Path) -> None:
+    arm = taut.load_arm("planar2")
+    ctrl = taut.compile(taut.laws.GravityPID(kp=50.0, kd=10.0), arm)
+    loop = taut.Loop(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=[0.3, 0.8]), duration=0.1)
+    d = taut.second_order(M=0.5, b=0.1, kp=2.205, kd=2.0)
+    found = taut.stability_map(
+        lambda kp, kd: taut.second_order(M=0.5, kp=kp, kd=kd).sampled(rate=100.0),
+        {"kp": [1.0, 2.0], "kd": [1.0, 400.0]},
+        units=("N m/rad", "N m s/rad"),
+    )
+    told = taut.doctor(taut.run(taut.Loop(ctrl, taut.RigidPlant(arm.with_payload(1.0)), loop.ref, duration=1.0)))
+    for made, title, words in (
+        (taut.coupling(loop, at=[0.3, 0.8]), "Coupling: decentralised control", "the inertia matrix is coupled by"),
+        (told, f"Diagnosis: {told.findings[0].name}", "remedy"),
+        (taut.locus("ki", [0.0, 12.0], of=d), "Root locus over ki from 0 to 12", "two poles meet"),
+        (found, "Stability map over kp from 1 to 2 N m/rad", "Where kd is stable"),
+        (d.sampled(rate=100.0), "Sampled error dynamics: error dynamics 0.5 s^2", "poles in z"),
+        (taut.tip_impedance(loop, at=[0.3, 0.8], direction=[1.0, 0.0, 0.0]), "Tip response", "|Z| ["),
+    ):
+        text = taut.report(made, tmp_path / "x.html").read_text(encoding="utf-8")
+        check_alone(text)
+        (heading,) = [e for e in tree(text) if e.tag == HTML + "h1"]
+        assert (heading.text or "").startswith(title)
+        assert words in text
+    assert "<figcaption>" in taut.report(told, tmp_path / "x.html").read_text(encoding="utf-8")
+
+
 def test_what_has_no_report_is_told(run: taut.Run, tmp_path: Path) -> None:
     for x, name in ((3.0, "float"), (taut.Run, "Run"), (None, "NoneType")):
         with pytest.raises(
-            UsageError, match=f"a report is of a taut.Run, a taut.Comparison, or what has .* got {name}"
+            UsageError, match=f"a report is of a taut.Run, a taut.Comparison, a diagnosis, or what has .* got {name}"
         ):
             taut.report(x, tmp_path / "x.html")
     (tmp_path / "y.html").mkdir()
