@@ -219,6 +219,16 @@ def test_a_design_has_a_report_whose_lines_design_it_again(
     assert capsys.readouterr().out.strip() == d.report().strip()
 
 
+def test_a_design_of_an_impedance_has_its_stiffness_in_a_table(tmp_path: Path) -> None:
+    d = taut.design(taut.laws.Impedance, taut.load_arm("planar2"), at=[0.3, 0.8], K=[400.0, 20.0], zeta=0.7)
+    text = taut.report(d, tmp_path / "d.html").read_text(encoding="utf-8")
+    rows = {tuple(cell.text for cell in e) for e in tree(text) if e.tag == HTML + "tr"}
+    assert d.stiffness
+    for each in d.stiffness:
+        numbers = (each.designed, each.predicted, each.simulated)
+        assert (each.direction, each.unit, *(f"{x:.4g}" for x in numbers)) in rows
+
+
 def test_a_linear_loop_has_a_report(tmp_path: Path) -> None:
     arm = taut.load_arm("one_joint")
     ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)
@@ -248,8 +258,11 @@ def test_a_report_fits_a_phone_and_asks_nothing_of_the_network(run: taut.Run, tm
         page.on("request", lambda request: asked.append(request.url))
         page.goto(file.as_uri())
         wider = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+        cut = page.evaluate("(e => e.scrollWidth - e.clientWidth)(document.querySelector('pre.again'))")
+        shades = page.evaluate("getComputedStyle(document.querySelector('.wide')).backgroundImage")
         browser.close()
-    assert wider == 0
+    assert (wider, cut) == (0, 0)
+    assert shades.count("linear-gradient") == 4  # two shades, and two that cover them where there is no more
     assert [url for url in asked if not url.startswith("data:")] == [file.as_uri()]
 
 
@@ -366,6 +379,17 @@ def test_a_wrong_request_is_one_sentence_and_nothing_is_lost(
     assert message in told.err
     assert sorted(tmp_path.iterdir()) == before
     assert (tmp_path / "report.html").read_text() == "what was there"
+
+
+def test_long_names_in_heads_may_break_and_one_joint_is_one(run: taut.Run) -> None:
+    head = Table(title="", heads=("figure", "panda_joint7"), rows=[("a_b", "1")])
+    text = html_of(Page(title="t", tables=(head,), settings={}))
+    assert "panda_<wbr>joint7</th>" in text
+    assert "a_b</td>" in text
+    arm = taut.load_arm("one_joint")
+    ctrl = taut.compile(taut.laws.PID(kp=1.0), arm)
+    assert ", 1 joint. " in page_of(taut.run(ctrl, taut.RigidPlant(arm), duration=0.01)).summary[0]
+    assert f", {run.n} joints. " in page_of(run).summary[0]
 
 
 def test_what_prints_has_a_report_whose_title_says_what_it_is(run: taut.Run, tmp_path: Path) -> None:

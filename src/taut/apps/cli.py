@@ -386,7 +386,7 @@ def _book(arguments: argparse.Namespace) -> int:
     if arguments.json:
         _print_json([each.json(name) for name, each in rows])
     else:
-        console = _console(whole=200)
+        console = _console(whole=120)
         console.print(contents.table(pages, console.width))
     try:
         written = contents.write(pages, folder)

@@ -54,8 +54,8 @@ def page_of_run(run: Run, *, log: str = "run.mcap") -> Page:
     return Page(
         title=title,
         summary=(
-            f"{len(run)} ticks at {run.rate:g} Hz, {span:g} s, {run.n} joints. {str(run.outcome)[:1].upper()}"
-            f"{str(run.outcome)[1:]}.",
+            f"{len(run)} ticks at {run.rate:g} Hz, {span:g} s, {run.n} joint{'s' if run.n > 1 else ''}. "
+            f"{str(run.outcome)[:1].upper()}{str(run.outcome)[1:]}.",
         ),
         faults=faults_of(run),
         tables=tuple(_tables(run)),

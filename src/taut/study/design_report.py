@@ -35,7 +35,9 @@ def page_of_design(d: Design) -> Page:
             f"{alike[:1].upper()}{alike[1:]}{weight}{kept}",
             *(f"Beyond a limit: {sentence}." for sentence in missed),
         ),
-        tables=tuple(table for table in (_gains(d), _achieved(d), _limits(d), _poses(d)) if table.rows),
+        tables=tuple(
+            table for table in (_gains(d), _achieved(d), _stiffness(d), _limits(d), _poses(d)) if table.rows
+        ),
         pictures=(Picture(title="Steps of each direction, and the torque that they take", figure=d.plot()),)
         if d.achieved
         else (),
@@ -69,6 +71,16 @@ def _achieved(d: Design) -> Table:
     heads = ["number", "direction", "unit", "designed", "predicted", "simulated", *(["on plant"] if on_plant else [])]
     note = "Designed in continuous time; predicted by the linear model of the sampled loop; simulated in that loop."
     return Table(title="Designed against achieved", heads=heads, rows=rows, words=3, note=note)
+
+
+def _stiffness(d: Design) -> Table:
+    rows = [
+        (each.direction, each.unit, *map(_number, (each.designed, each.predicted, each.simulated)))
+        for each in d.stiffness
+    ]
+    heads = ("direction", "unit", "designed", "predicted", "simulated")
+    note = "A force along one direction over the way along it, while all others may give."
+    return Table(title="Stiffness at rest", heads=heads, rows=rows, words=2, note=note)
 
 
 def _limits(d: Design) -> Table:
