@@ -343,7 +343,7 @@ def test_gaps_are_told(run: taut.Run) -> None:
     terms = {name: values[kept] for name, values in run.terms.items()}
     wanted = taut.JointMotion.of({name: getattr(run.reference, name)[kept] for name in "qva"})
     holey = dataclasses.replace(run, **fields, terms=terms, reference=wanted)
-    assert page_of(holey).faults[0].startswith("The run has 1 gaps, the first from t = 0.099 to 0.12 s")
+    assert page_of(holey).faults[0].startswith("The run has a gap, from t = 0.099 to 0.12 s")
 
 
 @pytest.mark.parametrize(

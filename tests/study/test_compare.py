@@ -317,7 +317,7 @@ def test_what_cannot_be_compared_is_one_sentence(table: taut.Comparison, planar:
     fault = dataclasses.replace(run, outcome=dataclasses.replace(run.outcome, kind="diverged", message="it fell"))
     broken = dataclasses.replace(run, tau=np.where(run.tau > 0.0, np.nan, run.tau))
     for runs, error, words in (
-        ({"a": hole}, UsageError, "run 'a' has 1 gaps, the first from t = 0.049 to 0.051 s"),
+        ({"a": hole}, UsageError, "run 'a' has a gap, from t = 0.049 to 0.051 s"),
         (
             {"a": fault},
             UsageError,
