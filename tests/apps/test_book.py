@@ -408,6 +408,14 @@ class TestTheCommand:
         assert max(len(line) for line in said.split("eq-10.10: ")[0].splitlines()) <= 100
         assert "(chapter: slip: -zeta" in said
 
+    def test_a_pipe_has_no_more_than_120_columns(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.delenv("COLUMNS", raising=False)
+        assert main(["book", "eq-10.10", "--out", str(tmp_path)]) == 0
+        table = capsys.readouterr().out.split("eq-10.10: ")[0]
+        assert max(len(line) for line in table.splitlines()) <= 120
+
     def test_a_number_that_is_off_is_told_and_fails(
         self, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
     ) -> None:

@@ -179,6 +179,8 @@ class TestALawOfTheUsersOwn:
             ("Spring", ["k=-1"], "k must be >= 0 [N m/rad]; got -1.0"),
             ("Spring", ["j=1"], "Spring has no gain 'j'"),
             ("Spring", [], "Spring needs k [N m/rad]"),
+            ("Spring", ["k=nan"], "k must be finite [N m/rad]; got nan"),
+            ("Spring", ["k=-inf"], "k must be finite [N m/rad]; got -inf"),
             ("Spring", ["k=soft"], "k must be numbers [N m/rad]; got 'soft'"),
             ("Spring", ["k=1", "k=2"], "--gain must be given once for each gain; got 'k' twice"),
             ("Spring", ["k=" + "[" * 5000], "k must be numbers [N m/rad]; got '[[[["),

@@ -137,6 +137,11 @@ def test_a_plant_in_mujoco_is_made_anew_with_noise_and_another_arm(here: Path) -
         (["short.toml", "--plot", "x.doc"], "the picture's name must end in .png or .pdf or .svg; got 'x.doc'"),
         (["short.toml", "--case", "a"], "scenario 'short.toml' has no cases; leave case out"),
         (["short.toml", "--noise", "position"], "--noise takes NAME=VALUE such as position=1e-5; got 'position'"),
+        (["short.toml", "--noise", "position=nan"], "encoder.noise must be finite [rad | m]; got nan"),
+        (
+            ["short.toml", "--laws", "PD", "--reference", "PD", "--tolerance", "-5%"],
+            "tolerance must be > 0; got -0.05",
+        ),
         (["short.toml", "--model", "mas=1"], "a wrong model has no number 'mas'; did you mean 'mass'?"),
         (["short.toml", "--set", "law.kq=1"], "law 'PD': the loop has no parameter 'law.kq'"),
         (["short.toml", "--gain", "kp=1"], "--gain is for one law of your own"),
@@ -148,7 +153,8 @@ def test_a_plant_in_mujoco_is_made_anew_with_noise_and_another_arm(here: Path) -
         (["touch_and_press"], "law 'task' is a task, whose phases have references of their own"),
         (
             ["one_joint_pid", "--laws", "TaskComputedTorque(kp=1, kd=1)"],
-            "follows a TaskMotion, and scenario 'one_joint_pid' asks",
+            "follows a TaskMotion, and scenario 'one_joint_pid' asks for a JointMotion; give it a reference of its own "
+            "in Python, taut.compare(..., references={'TaskComputedTorque(kp=1, kd=1)': ...})",
         ),
         (
             ["wrist_alignment", "--laws", "a: PID(kp=1)"],

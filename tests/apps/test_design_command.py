@@ -26,6 +26,12 @@ def test_json_has_gains_and_numbers_of_each_pose(capsys: pytest.CaptureFixture[s
     assert found["achieved"][0]["simulated"]["zeta"] == pytest.approx(0.7, abs=0.02)
 
 
+def test_poses_may_begin_with_a_minus(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["design", "PID", "--arm", "planar2", "--zeta", "1", "--omega_n", "10", "--json"]
+    assert main([*words, "--at", "-0.3,0.8", "--at", "-.5,-0.8", "--rate", "500"]) == 0
+    assert [pose["q"] for pose in json.loads(capsys.readouterr().out)["poses"]] == [[-0.3, 0.8], [-0.5, -0.8]]
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -34,6 +40,8 @@ def test_json_has_gains_and_numbers_of_each_pose(capsys: pytest.CaptureFixture[s
             ["PID", "--zeta", "one"],
             "--zeta takes a number, or numbers with commas between them, such as --zeta 800,30",
         ),
+        (["Impedance", "--K", "-800,30", "--zeta", "1"], "K[0] must be >= 0 [N/m, N m/rad]; got -800.0"),
+        (["PID", "--zeta", "-inf", "--omega_n", "5"], "zeta must be finite; got -inf"),
         (["PID", "--zeta", ""], "--zeta takes a number"),
         (["PID", "--zeta", "[1"], "--zeta takes a number"),
         (["Impedance", "--K", "nan,30", "--zeta", "1"], "K[0] must be finite [N/m, N m/rad]; got nan"),

@@ -219,6 +219,16 @@ def test_a_design_has_a_report_whose_lines_design_it_again(
     assert capsys.readouterr().out.strip() == d.report().strip()
 
 
+def test_a_design_of_an_impedance_has_its_stiffness_in_a_table(tmp_path: Path) -> None:
+    d = taut.design(taut.laws.Impedance, taut.load_arm("planar2"), at=[0.3, 0.8], K=[400.0, 20.0], zeta=0.7)
+    text = taut.report(d, tmp_path / "d.html").read_text(encoding="utf-8")
+    rows = {tuple(cell.text for cell in e) for e in tree(text) if e.tag == HTML + "tr"}
+    assert d.stiffness
+    for each in d.stiffness:
+        numbers = (each.designed, each.predicted, each.simulated)
+        assert (each.direction, each.unit, *(f"{x:.4g}" for x in numbers)) in rows
+
+
 def test_a_linear_loop_has_a_report(tmp_path: Path) -> None:
     arm = taut.load_arm("one_joint")
     ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)
@@ -248,8 +258,11 @@ def test_a_report_fits_a_phone_and_asks_nothing_of_the_network(run: taut.Run, tm
         page.on("request", lambda request: asked.append(request.url))
         page.goto(file.as_uri())
         wider = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+        cut = page.evaluate("(e => e.scrollWidth - e.clientWidth)(document.querySelector('pre.again'))")
+        shades = page.evaluate("getComputedStyle(document.querySelector('.wide')).backgroundImage")
         browser.close()
-    assert wider == 0
+    assert (wider, cut) == (0, 0)
+    assert shades.count("linear-gradient") == 4  # two shades, and two that cover them where there is no more
     assert [url for url in asked if not url.startswith("data:")] == [file.as_uri()]
 
 
@@ -330,7 +343,7 @@ def test_gaps_are_told(run: taut.Run) -> None:
     terms = {name: values[kept] for name, values in run.terms.items()}
     wanted = taut.JointMotion.of({name: getattr(run.reference, name)[kept] for name in "qva"})
     holey = dataclasses.replace(run, **fields, terms=terms, reference=wanted)
-    assert page_of(holey).faults[0].startswith("The run has 1 gaps, the first from t = 0.099 to 0.12 s")
+    assert page_of(holey).faults[0].startswith("The run has a gap, from t = 0.099 to 0.12 s")
 
 
 @pytest.mark.parametrize(
@@ -368,10 +381,48 @@ def test_a_wrong_request_is_one_sentence_and_nothing_is_lost(
     assert (tmp_path / "report.html").read_text() == "what was there"
 
 
+def test_long_names_in_heads_may_break_and_one_joint_is_one(run: taut.Run) -> None:
+    head = Table(title="", heads=("figure", "panda_joint7"), rows=[("a_b", "1")])
+    text = html_of(Page(title="t", tables=(head,), settings={}))
+    assert "panda_<wbr>joint7</th>" in text
+    assert "a_b</td>" in text
+    arm = taut.load_arm("one_joint")
+    ctrl = taut.compile(taut.laws.PID(kp=1.0), arm)
+    assert ", 1 joint. " in page_of(taut.run(ctrl, taut.RigidPlant(arm), duration=0.01)).summary[0]
+    assert f", {run.n} joints. " in page_of(run).summary[0]
+
+
+def test_what_prints_has_a_report_whose_title_says_what_it_is(run: taut.Run, tmp_path: Path) -> None:
+    arm = taut.load_arm("planar2")
+    ctrl = taut.compile(taut.laws.GravityPID(kp=50.0, kd=10.0), arm)
+    loop = taut.Loop(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=[0.3, 0.8]), duration=0.1)
+    d = taut.second_order(M=0.5, b=0.1, kp=2.205, kd=2.0)
+    found = taut.stability_map(
+        lambda kp, kd: taut.second_order(M=0.5, kp=kp, kd=kd).sampled(rate=100.0),
+        {"kp": [1.0, 2.0], "kd": [1.0, 400.0]},
+        units=("N m/rad", "N m s/rad"),
+    )
+    told = taut.doctor(taut.run(taut.Loop(ctrl, taut.RigidPlant(arm.with_payload(1.0)), loop.ref, duration=1.0)))
+    for made, title, words in (
+        (taut.coupling(loop, at=[0.3, 0.8]), "Coupling: decentralised control", "the inertia matrix is coupled by"),
+        (told, f"Diagnosis: {told.findings[0].name}", "remedy"),
+        (taut.locus("ki", [0.0, 12.0], of=d), "Root locus over ki from 0 to 12", "two poles meet"),
+        (found, "Stability map over kp from 1 to 2 N m/rad", "Where kd is stable"),
+        (d.sampled(rate=100.0), "Sampled error dynamics: error dynamics 0.5 s^2", "poles in z"),
+        (taut.tip_impedance(loop, at=[0.3, 0.8], direction=[1.0, 0.0, 0.0]), "Tip response", "|Z| ["),
+    ):
+        text = taut.report(made, tmp_path / "x.html").read_text(encoding="utf-8")
+        check_alone(text)
+        (heading,) = [e for e in tree(text) if e.tag == HTML + "h1"]
+        assert (heading.text or "").startswith(title)
+        assert words in text
+    assert "<figcaption>" in taut.report(told, tmp_path / "x.html").read_text(encoding="utf-8")
+
+
 def test_what_has_no_report_is_told(run: taut.Run, tmp_path: Path) -> None:
     for x, name in ((3.0, "float"), (taut.Run, "Run"), (None, "NoneType")):
         with pytest.raises(
-            UsageError, match=f"a report is of a taut.Run, a taut.Comparison, or what has .* got {name}"
+            UsageError, match=f"a report is of a taut.Run, a taut.Comparison, a diagnosis, or what has .* got {name}"
         ):
             taut.report(x, tmp_path / "x.html")
     (tmp_path / "y.html").mkdir()

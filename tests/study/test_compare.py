@@ -11,8 +11,10 @@ import pytest
 import taut
 from taut.apps.compare_laws import law_of_text
 from taut.base.errors import MatchError, RangeError, ScenarioError, UnknownNameError, UsageError
+from taut.record.style import wrapped
 from taut.study.compare_grade import Mark
 from taut.study.compare_truth import PlantChange
+from taut.study.compare_words import aligned
 
 
 class NoCoriolis(taut.Law):
@@ -315,7 +317,7 @@ def test_what_cannot_be_compared_is_one_sentence(table: taut.Comparison, planar:
     fault = dataclasses.replace(run, outcome=dataclasses.replace(run.outcome, kind="diverged", message="it fell"))
     broken = dataclasses.replace(run, tau=np.where(run.tau > 0.0, np.nan, run.tau))
     for runs, error, words in (
-        ({"a": hole}, UsageError, "run 'a' has 1 gaps, the first from t = 0.049 to 0.051 s"),
+        ({"a": hole}, UsageError, "run 'a' has a gap, from t = 0.049 to 0.051 s"),
         (
             {"a": fault},
             UsageError,
@@ -388,3 +390,27 @@ def test_a_plant_change_leaves_the_arm_and_the_other_sensors_as_they_are() -> No
     assert (louder.position.noise, louder.torque.noise) == (1e-3, 0.5)
     assert PlantChange().sensors(sensors) is sensors
     assert PlantChange().arm(taut.load_arm("planar2")).name == "planar2"
+
+
+def test_names_stand_whole_in_a_table_that_is_not_too_wide_and_have_a_rule_below_them_in_one_that_is() -> None:
+    rows = [("RMS error", "rad", "0.5"), ("effort", "(N m)^2 s", "11")]
+    name = "GravityPID(kp=20, kd=6)"
+    narrow = aligned([("", "", name), *rows])
+    assert narrow[0].endswith(name)
+    assert len(narrow) == 3
+    wide = aligned([("", "", *[name] * 5), *[(*row, *row[2:] * 4) for row in rows]])
+    assert [line.count("kd=6)") for line in wide] == [0, 5, 0, 0, 0]
+    assert wide[2].split() == ["-" * len("GravityPID(kp=20,")] * 5
+    assert len({len(line) for line in wide[1:]}) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "lines"),
+    [
+        ("GravityPID(kp=20, kd=6)", ["GravityPID(kp=20,", "kd=6)"]),
+        ("ComputedTorque(kp=100, kd=20)", ["ComputedTorque(", "kp=100, kd=20)"]),
+        ("soft", ["soft"]),
+    ],
+)
+def test_names_beside_bars_break_at_spaces_and_brackets(name: str, lines: list[str]) -> None:
+    assert wrapped(name, 18).splitlines() == lines

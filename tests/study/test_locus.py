@@ -151,3 +151,18 @@ def test_the_poles_are_those_at_each_of_its_values() -> None:
 def test_what_has_no_locus_is_refused_in_a_sentence(call: Callable[[], object], sentence: str) -> None:
     with pytest.raises(taut.TautError, match=f"^{sentence}$"):
         call()
+
+
+def test_a_locus_prints_where_it_is_stable_and_not_its_arrays() -> None:
+    """s^3 + 4.2 s^2 + 4.41 s + 2 ki: by Routh stable for 0 < ki < 9.261, with s = +-2.1j there."""
+    found = taut.locus("ki", [0.5, 12.0], of=taut.second_order(M=0.5, b=0.1, kp=2.205, kd=2.0), unit="N m/(rad s)")
+    assert found.ranges == [(0.5, pytest.approx(9.261))]
+    told = str(found)
+    assert told.splitlines()[0] == "root locus over ki from 0.5 to 12 N m/(rad s)"
+    assert "stable           0.5 to 9.261" in told
+    assert "border           ki = 9.261 N m/(rad s), 0 +- 2.1j" in told
+    assert "array" not in repr(found)
+    ((heads, *rows),) = found.tables().values()
+    assert heads == ["ki [N m/(rad s)]", "what happens", "pole in s [1/s]"]
+    assert [row[0] for row in rows] == ["0.5", "0.686", "9.261", "12"]
+    assert "N m/(rad s)" in found.plot().axes[0].get_title(loc="left")

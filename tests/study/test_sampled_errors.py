@@ -284,3 +284,16 @@ def test_its_picture_shows_the_ticks_over_the_book() -> None:
     np.testing.assert_allclose(ticks.get_ydata(), d.response(len(ticks.get_ydata())))
     assert left.get_legend() is not None
     assert len(right.lines) >= 4
+
+
+def test_the_legend_of_a_step_lies_over_no_tick() -> None:
+    """At 125 Hz this one grows, and its last ticks stand where a legend usually does."""
+    d = taut.second_order(M=0.5, b=0.1, kd=120.0, zeta=1.0).sampled(rate=125.0, integrator="semi-implicit-euler")
+    figure = d.plot()
+    figure.canvas.draw()
+    axes = figure.axes[0]
+    (ticks,) = [line for line in axes.lines if line.get_label() == "at the ticks"]
+    legend = axes.get_legend()
+    assert legend is not None
+    box = legend.get_window_extent()
+    assert not any(box.contains(x, y) for x, y in axes.transData.transform(ticks.get_xydata()))

@@ -274,3 +274,37 @@ def test_runs_of_an_arm_agree_with_the_named_maps_one_percent_to_either_side(
             count += 1
     assert wrong == 0
     bar(f"stability map of planar3, {name}, 1 % to either side of the border: runs that disagree", f"0 of {count}")
+
+
+def servo(rate: float, kd: float) -> taut.SampledErrorDynamics:
+    """Stable where kd < 2 M rate."""
+    return taut.second_order(M=0.5, kd=kd, zeta=1.0).sampled(rate=rate)
+
+
+def test_a_map_prints_its_borders_with_units_and_not_its_arrays() -> None:
+    found = taut.stability_map(
+        servo, {"rate": [50.0, 100.0, 200.0], "kd": [10.0, 90.0, 199.0]}, units=("Hz", "N m s/rad")
+    )
+    assert found.ranges(0) == [(10.0, pytest.approx(50.0, rel=1e-3))]
+    assert found.ranges(2) == [(10.0, 199.0)]
+    ((heads, *rows),) = found.tables().values()
+    assert heads == ["rate [Hz]", "kd [N m s/rad]"]
+    assert [row[0] for row in rows] == ["50", "100", "200"]
+    assert rows[2][1] == "everywhere"
+    told = str(found).splitlines()
+    assert told[0] == "stability map over rate from 50 to 200 Hz and kd from 10 to 199 N m s/rad"
+    assert len(told) == 3 + 3
+    assert "array" not in repr(found)
+    axes = found.plot().axes[0]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("rate [Hz]", "kd [N m s/rad]")
+    assert found.plot(("1/s", "")).axes[0].get_xlabel() == "rate [1/s]"
+
+
+@pytest.mark.parametrize("units", [("Hz",), "Hz", ("Hz", "N", "m"), (1, 2)])
+def test_units_are_two_texts(units: object) -> None:
+    grid = {"rate": [50.0, 100.0], "kd": [10.0, 90.0]}
+    words = "units must be two texts, of rate and of kd, such as .*; got "
+    with pytest.raises(taut.UsageError, match=words):
+        taut.stability_map(servo, grid).plot(units)  # type: ignore[arg-type]
+    with pytest.raises(taut.UsageError, match=words):
+        taut.stability_map(servo, grid, units=units)  # type: ignore[arg-type]

@@ -189,19 +189,58 @@ def test_a_cost_of_nan_is_told_with_its_parameters_and_the_best_is_kept(loop: ta
     assert told in str(tuned)
 
 
-def test_a_cost_that_raises_ends_it_with_the_best_so_far(loop: taut.Loop) -> None:
-    calls = []
+def raising(at: Callable[[int], bool], seen: list[float]) -> Callable[[Run], float]:
+    """A cost that raises in some of its calls, and keeps the gain of each."""
 
     def cost(run: Run) -> float:
-        calls.append(1)
-        if len(calls) == 20:
-            raise KeyError("no such column")
+        seen.append(float(run.info["parameters"]["law.kd"]))
+        if at(len(seen)):
+            raise KeyError(f"no column {len(seen)}")
         return float(np.mean(run.error**2))  # type: ignore[operator]
 
-    tuned = taut.tune(loop, ("law.kd",), cost=cost, q0=[0.0])
-    assert len(tuned.history) == 18  # one was the start's
+    return cost
+
+
+def test_a_cost_that_raises_is_told_with_its_parameters_and_the_search_goes_on(loop: taut.Loop) -> None:
+    seen: list[float] = []
+    cost = raising(lambda call: call in (9, 12), seen)
+    tuned = taut.tune(loop, ("law.kd",), cost=cost, q0=[0.0], evaluations=40)
+    assert len(tuned.history) == 40
+    assert [i for i, trial in enumerate(tuned.history) if not math.isfinite(trial.cost)] == [7, 10]  # 1 of the start
     assert tuned.cost == min(trial.cost for trial in tuned.history)
-    assert any("the cost raised KeyError" in sentence for sentence in tuned.notices)
+    (told,) = [sentence for sentence in tuned.notices if "raised" in sentence]
+    where = np.array2string(np.asarray(seen[8]), precision=5)
+    assert told == f"the cost raised KeyError, 2 times, first at law.kd = {where}: 'no column 9'"
+
+
+def test_what_was_found_is_not_lost_where_the_cost_raises_when_all_trials_are_over(loop: taut.Loop) -> None:
+    seen: list[float] = []
+    tuned = taut.tune(loop, ("law.kd",), cost=raising(lambda call: call > 13, seen), q0=[0.0], evaluations=12)
+    assert len(seen) == 15
+    assert len(tuned.history) == 12
+    assert float(tuned.parameters["law.kd"]) == seen[-1]
+    assert math.isnan(tuned.after[0].cost)
+    assert tuned.after[0].effort > 0.0
+    assert any("the cost raised KeyError in the table of before and after" in text for text in tuned.notices)
+    assert tuned.json()["table"][0]["after"]["cost"] is None
+
+
+def test_a_cost_that_raises_at_the_start_is_refused_with_what_it_is_a_function_of(loop: taut.Loop) -> None:
+    seen: list[float] = []
+    words = r"the cost raised KeyError at the start, of 'loop' with law.kd = 2.: 'no column 1'; .* of a taut.Run"
+    with pytest.raises(taut.UsageError, match=words) as caught:
+        taut.tune(loop, ("law.kd",), cost=raising(lambda call: True, seen), q0=[0.0])
+    assert isinstance(caught.value.__cause__, KeyError)
+
+    def of_run_instead(run: Any) -> Any:
+        return run.reference
+
+    with pytest.raises(taut.UsageError, match=r"no attribute 'reference'; .* of a taut.Tick: t, q, v, tau, command"):
+        taut.tune(loop, ("law.kd",), cost=of_run_instead, method="gradient", q0=[0.0])
+    with pytest.raises(
+        taut.UsageError, match=r"traces the cost, and it raised AttributeError: .*; write it with taut.math"
+    ):
+        taut.tune(loop, ("law.kd",), cost=lambda tick: tick.q[0].item() ** 2, method="gradient", q0=[0.0])
 
 
 def test_progress_sees_every_trial_and_may_end_it(loop: taut.Loop) -> None:
@@ -214,6 +253,8 @@ def test_progress_sees_every_trial_and_may_end_it(loop: taut.Loop) -> None:
     tuned = taut.tune(loop, ("law.kd",), q0=[0.0], progress=progress)
     assert tuple(seen) == tuned.history
     assert any("ended by progress after 5 trials" in sentence for sentence in tuned.notices)
+    alone = taut.tune(loop, ("law.kd",), q0=[0.0], evaluations=1)
+    assert "of what it was, after 1 trial\n" in str(alone)
     assert len(tuned.plot().axes) == 1
     assert tuned.json()["trials"] == 5
 
@@ -240,7 +281,7 @@ def test_runs_that_diverge_are_told_and_never_best() -> None:
         ({"cost": "traking"}, "taut.tune has no cost 'traking'; did you mean 'tracking'"),
         ({"cost": "turning"}, "cost 'turning' is of the tool's rotation"),
         ({"cost": lambda run: math.nan}, "the cost of 'loop' at the start is nan"),
-        ({"cost": lambda run: "much"}, "the cost of a run must be one number"),
+        ({"cost": lambda run: "much"}, "the cost was no number at the start, .* it must be one, and is str"),
         ({"method": "guess"}, "method must be"),
         ({"evaluations": 0}, "evaluations must be a whole number >= 1"),
         ({"seeds": ()}, "seeds must have one number at least"),

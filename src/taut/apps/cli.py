@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from taut.apps.compare_command import COMPARE, add_compare, compare_from
+from taut.apps.name_value import with_negative_values
 from taut.base.errors import FileError, ModelError, TautError, UsageError
 
 __all__ = ["main"]
@@ -84,8 +85,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit status.
     """
     try:
-        arguments = _parser().parse_args(argv)
-        arguments.words = list(sys.argv[1:] if argv is None else argv)
+        words = list(sys.argv[1:] if argv is None else argv)
+        arguments = _parser().parse_args(with_negative_values(words))
+        arguments.words = words
         command: Callable[[argparse.Namespace], int] = arguments.command
         with warnings.catch_warnings():
             warnings.showwarning = _show_warning
@@ -384,7 +386,7 @@ def _book(arguments: argparse.Namespace) -> int:
     if arguments.json:
         _print_json([each.json(name) for name, each in rows])
     else:
-        console = _console(whole=200)
+        console = _console(whole=120)
         console.print(contents.table(pages, console.width))
     try:
         written = contents.write(pages, folder)

@@ -14,6 +14,7 @@ __all__ = ["EXAMPLES", "add_arguments", "design_of"]
 EXAMPLES: Final = """examples:
   taut design PID --arm one_joint --zeta 1 --omega_n 10
   taut design Impedance --arm panda --K 800,30 --zeta 0.7 --rate 1000
+  taut design PID --arm planar2 --zeta 1 --omega_n 10 --at -0.3,0.8
   taut design GravityPID --arm ur10 --overshoot 5 --settling 0.5 --coupled --json
   taut design ForceControl --arm panda --force 5 --zeta 0.7 --contact 10000,200
 

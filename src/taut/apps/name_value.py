@@ -1,14 +1,37 @@
-"""NAME=VALUE on the command line."""
+"""Values on the command line: NAME=VALUE, and numbers that begin with a minus."""
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 from taut.base.errors import UsageError
 
-__all__ = ["named_values"]
+__all__ = ["named_values", "with_negative_values"]
+
+NEGATIVE: Final = re.compile(r"-(\d|\.\d|inf|nan)", re.IGNORECASE)
+NOT_FINITE: Final = re.compile(r"\s*[+-]?(nan|inf|infinity)\s*", re.IGNORECASE)
+
+
+def with_negative_values(words: Sequence[str]) -> list[str]:
+    """Words of a command line in which a negative value is part of its option, which argparse takes for another one.
+
+    Example:
+        >>> with_negative_values(["design", "PID", "--at", "-0.3,0.8", "--rate", "500"])
+        ['design', 'PID', '--at=-0.3,0.8', '--rate', '500']
+    """
+    out: list[str] = []
+    for i, word in enumerate(words):
+        option = out[-1] if out else ""
+        if option == "--":
+            return [*out, *words[i:]]
+        if option.startswith("--") and "=" not in option and NEGATIVE.match(word):
+            out[-1] = f"{option}={word}"
+        else:
+            out.append(word)
+    return out
 
 
 def named_values(
@@ -44,8 +67,11 @@ def named_values(
 
 
 def _number(text: str) -> Any:
-    """A number or an array, else the text: no JSON, or a number with thousands of digits."""
+    """A number or an array, else the text: no JSON, or a number with thousands of digits.
+
+    NaN and infinity are numbers however they are written: what takes them says by its own name that it does not.
+    """
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
-        return text
+        return float(text) if NOT_FINITE.fullmatch(text) else text

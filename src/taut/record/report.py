@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, Sequence
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
@@ -57,8 +59,9 @@ def report(
 
     Args:
         x: A `taut.Run`, a `taut.Comparison`, a `taut.Grade`, a `taut.Design`, a `taut.LinearLoop`; or anything with
-            `plot()` or `report()`, such as error dynamics or a map: its words, its figure, and `tables()` if it has
-            that. What has `report_page()` says itself what its report holds.
+            `plot()` or `report()`, or a dataclass with a print of its own, such as error dynamics, a map, a
+            coupling: its words, its figure, and `tables()` if it has that. What has `report_page()` says itself what
+            its report holds, such as the doctor's `taut.Diagnosis`.
         path: Where to, ending in .html, in a folder that exists. What is there stays until the new file is whole.
         title: A title, instead of the usual one.
         repeat: How to do it again, instead of what is known.
@@ -96,10 +99,11 @@ def page_of(x: object, *, title: str = "", repeat: str = "", log: str = "run.mca
         page = page_of_run(x, log=log)
     elif isinstance(x, Reportable):
         page = x.report_page()
-    elif isinstance(x, type) or not isinstance(x, (Told, Drawn)):
+    elif isinstance(x, type) or not (isinstance(x, (Told, Drawn)) or _prints(x)):
         got = x.__name__ if isinstance(x, type) else type(x).__name__
         raise UsageError(
-            f"a report is of a taut.Run, a taut.Comparison, or what has plot() or report(); got {got}", name="x"
+            f"a report is of a taut.Run, a taut.Comparison, a diagnosis, or what has plot() or report(); got {got}",
+            name="x",
         )
     else:
         page = _of_anything(x)
@@ -107,13 +111,32 @@ def page_of(x: object, *, title: str = "", repeat: str = "", log: str = "run.mca
     return Page(**{**vars(page), **changed})
 
 
+def _prints(x: object) -> bool:
+    """Whether it says in words what it is: a result, whose class has its own print."""
+    return is_dataclass(x) and "__str__" in vars(type(x))
+
+
+def _kind(x: object) -> str:
+    """What it is, in words: "Stability map" of a StabilityMap."""
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(x).__name__)
+    return words[:1].upper() + words[1:].lower()
+
+
+def _heading(kind: str, words: str) -> str:
+    """A title: what it is and its first line, but for one that is the head of a table."""
+    first = words.partition("\n")[0].strip()
+    if not first or "  " in first:
+        return kind
+    return (first[:1].upper() + first[1:] if kind.lower() in first.lower() else f"{kind}: {first}")[:120]
+
+
 def _of_anything(x: object) -> Page:
     """Words, a figure and tables, as far as they are there."""
-    name = type(x).__name__
+    kind = _kind(x)
     words = x.report() if isinstance(x, Told) else str(x)
     tables = x.tables() if isinstance(x, Tabled) else {}
     return Page(
-        title=f"{name}: {words.partition(chr(10))[0]}"[:120],
+        title=_heading(kind, words),
         tables=tuple(
             Table(
                 title=head,
@@ -123,6 +146,6 @@ def _of_anything(x: object) -> Page:
             for head, rows in tables.items()
             if rows
         ),
-        pictures=(Picture(title=name, figure=x.plot()),) if isinstance(x, Drawn) else (),
+        pictures=(Picture(title=kind, figure=x.plot()),) if isinstance(x, Drawn) else (),
         texts={"In words": words},
     )

@@ -15,9 +15,11 @@ __all__ = ["html_of"]
 MOST_BYTES: Final = 3_000_000
 SHARPNESS: Final = (160, 120, 90, 60)  # [dots per inch], the first one that fits
 STYLE: Final = """
-:root { color-scheme: light dark; --ink: #1c1c1c; --paper: #fff; --line: #d0d0d0; --soft: #f4f4f4; --bad: #a40000; }
+:root { color-scheme: light dark; --ink: #1c1c1c; --paper: #fff; --line: #d0d0d0; --soft: #f4f4f4; --bad: #a40000;
+  --edge: rgba(0, 0, 0, .35); }
 @media (prefers-color-scheme: dark) {
-  :root { --ink: #e6e6e6; --paper: #17181a; --line: #44474b; --soft: #222427; --bad: #ff8a80; }
+  :root { --ink: #e6e6e6; --paper: #17181a; --line: #44474b; --soft: #222427; --bad: #ff8a80;
+    --edge: rgba(255, 255, 255, .35); }
 }
 * { box-sizing: border-box; }
 body { margin: 0 auto; max-width: 62rem; padding: 1rem; background: var(--paper); color: var(--ink);
@@ -27,7 +29,12 @@ h2 { font-size: 1.1rem; margin: 2rem 0 .5rem; border-bottom: 1px solid var(--lin
 .fault { border-left: .3rem solid var(--bad); padding: .2rem .8rem; background: var(--soft); }
 .fault, h1, p { overflow-wrap: anywhere; }
 .fault b { color: var(--bad); }
-.wide { overflow-x: auto; margin: .5rem 0 1rem; }
+.wide, pre { overflow-x: auto; background-repeat: no-repeat; background-attachment: local, local, scroll, scroll;
+  background-size: 2.5rem 100%, 2.5rem 100%, .8rem 100%, .8rem 100%; background-position: 0 0, 100% 0, 0 0, 100% 0;
+  background-image: linear-gradient(to right, var(--under) 40%, transparent),
+    linear-gradient(to left, var(--under) 40%, transparent),
+    linear-gradient(to right, var(--edge), transparent), linear-gradient(to left, var(--edge), transparent); }
+.wide { --under: var(--paper); margin: .5rem 0 1rem; }
 table { border-collapse: collapse; font-size: .875rem; }
 caption { text-align: left; font-weight: 600; padding: .3rem 0; }
 th, td { padding: .2rem .7rem .2rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
@@ -36,14 +43,16 @@ td { overflow-wrap: break-word; }
 .w { min-width: 6.5rem; }
 @media (min-width: 40rem) { td.w:first-child { white-space: nowrap; } }
 .note { font-size: .875rem; margin-top: -.6rem; }
-pre { background: var(--soft); padding: .7rem; font: .8rem/1.4 ui-monospace, Consolas, "Liberation Mono", monospace;
-  overflow-x: auto; white-space: pre; }
+pre { --under: var(--soft); background-color: var(--soft); padding: .7rem; white-space: pre;
+  font: .8rem/1.4 ui-monospace, Consolas, "Liberation Mono", monospace; }
+.again { white-space: pre-wrap; overflow-wrap: anywhere; }
+th.n { white-space: normal; }
 figure { margin: .5rem 0 1rem; }
 figure img { width: 100%; min-width: 40rem; height: auto; background: #fff; display: block; }
 @media print {
   :root { --ink: #000; --paper: #fff; --line: #bbb; --soft: #f4f4f4; --bad: #a40000; }
   body { max-width: none; padding: 0; font-size: 10pt; }
-  .wide { overflow: visible; }
+  .wide, pre { overflow: visible; background-image: none; }
   table { font-size: 7.5pt; }
   th, td { padding-right: .4rem; overflow-wrap: anywhere; }
   .n, td.w:first-child { white-space: normal; }
@@ -105,7 +114,7 @@ def _lines(page: Page, dpi: int) -> Iterator[str]:
         yield f'<pre tabindex="0">{_text(text)}</pre>'
     if page.repeat:
         yield "<h2>How to repeat it</h2>"
-        yield f'<pre tabindex="0">{_text(page.repeat)}</pre>'
+        yield f'<pre class="again">{_text(page.repeat)}</pre>'
     yield "<h2>Versions</h2>"
     yield from _pairs("program", "version", page.versions or versions())
     yield "</main></body>"
@@ -117,7 +126,7 @@ def _pairs(name: str, value: str, pairs: Mapping[str, str]) -> Iterator[str]:
 
 
 def _table(table: Table) -> Iterator[str]:
-    """A table that scrolls by itself where the page is narrow."""
+    """A table that scrolls by itself where the page is narrow, with a shade where more of it is."""
     label = f' role="region" aria-label="{_text(table.title)}"' if table.title else ""
     yield f'<div class="wide" tabindex="0"{label}><table>'
     if table.title:
@@ -133,7 +142,8 @@ def _table(table: Table) -> Iterator[str]:
 
 def _cell(kind: str, text: str, column: int, table: Table, more: str = "") -> str:
     shown = "w" if column < table.words else "n"
-    return f'<{kind} class="{shown}"{more}>{_text(text)}</{kind}>'
+    told = _text(text).replace("_", "_<wbr>") if kind == "th" else _text(text)  # names of joints are long
+    return f'<{kind} class="{shown}"{more}>{told}</{kind}>'
 
 
 def _picture(picture: Picture, dpi: int) -> str:

@@ -54,8 +54,8 @@ def page_of_run(run: Run, *, log: str = "run.mcap") -> Page:
     return Page(
         title=title,
         summary=(
-            f"{len(run)} ticks at {run.rate:g} Hz, {span:g} s, {run.n} joints. {str(run.outcome)[:1].upper()}"
-            f"{str(run.outcome)[1:]}.",
+            f"{len(run)} ticks at {run.rate:g} Hz, {span:g} s, {run.n} joint{'s' if run.n > 1 else ''}. "
+            f"{str(run.outcome)[:1].upper()}{str(run.outcome)[1:]}.",
         ),
         faults=faults_of(run),
         tables=tuple(_tables(run)),
@@ -78,7 +78,8 @@ def _faults(run: Run) -> Iterator[str]:
     gaps = np.flatnonzero(np.diff(run.t) > LATE / run.rate)
     if gaps.size:
         first = f"from t = {run.t[gaps[0]]:g} to {run.t[gaps[0] + 1]:g} s"
-        yield f"The run has {gaps.size} gaps, the first {first}; numbers that are sums or means leave them out."
+        count = "a gap," if gaps.size == 1 else f"{gaps.size} gaps, the first"
+        yield f"The run has {count} {first}; numbers that are sums or means leave them out."
 
 
 def _tables(run: Run) -> Iterator[Table]:

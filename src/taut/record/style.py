@@ -75,8 +75,16 @@ def short_name(text: str, most: int) -> str:
 
 
 def wrapped(text: str, most: int) -> str:
-    """A text on two lines of at most so many characters, if it is longer than one."""
-    return "\n".join(textwrap.wrap(text, most, max_lines=2, placeholder=" ...")) or text
+    """A text on two lines of at most so many characters, if it is longer than one: broken at spaces and brackets.
+
+    Example:
+        >>> wrapped("GravityPID(kp=20, kd=6)", 16).splitlines()
+        ['GravityPID(', 'kp=20, kd=6)']
+    """
+    if any(len(word) > most for word in text.split()):
+        text = text.replace("(", "( ")
+    lines = textwrap.wrap(text, most, max_lines=2, placeholder=" ...") or [text]
+    return "\n".join(lines).replace("( ", "(")
 
 
 def prepared(ax: Axes, title: str = "", ylabel: str = "", xlabel: str = "") -> Axes:

@@ -192,7 +192,7 @@ def compare_laws(
         entries.sort(key=lambda entry: (entry.failed, [entry.number(figure) for figure in by]))
     first = next(iter(ready.values()), None)
     return Comparison(
-        title=title or (first.setting.name if first else f"{len(runs)} recorded runs"),
+        title=title or (first.setting.name if first else f"{len(runs)} recorded run{'s' if len(runs) > 1 else ''}"),
         entries={entry.name: entry for entry in entries},
         by=tuple(by),
         notes=() if first is None else first.notes,
@@ -328,8 +328,9 @@ def require_runs(name: str, run: object) -> None:
         )
     gaps = np.flatnonzero(np.diff(run.t) > LATE / run.rate)
     if gaps.size:
+        count = "a gap," if gaps.size == 1 else f"{gaps.size} gaps, the first"
         raise UsageError(
-            f"run '{name}' has {gaps.size} gaps, the first from t = {run.t[gaps[0]]:g} to {run.t[gaps[0] + 1]:g} s; "
+            f"run '{name}' has {count} from t = {run.t[gaps[0]]:g} to {run.t[gaps[0] + 1]:g} s; "
             "compare a stretch without one, run.between(start, end)",
             name=name,
         )

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["plot", "plot_runs"]
 
-NAME: Final = 16  # letters of a name beside its bars, on each of two lines
+NAME: Final = 18  # letters of a name beside its bars, on each of two lines
 BARS: Final = ("effort", "chatter", "noise_chatter")
 Head = tuple[str, str]
 

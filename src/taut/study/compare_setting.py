@@ -122,7 +122,7 @@ class Setting:
         given, wanted = kind_of(self.reference), law.reference
         if given is None or issubclass(given, wanted) or law.ignores_reference:
             return
-        way_out = f"give it a reference of its own, references={{'{name}': ...}}"
+        way_out = f"give it a reference of its own in Python, taut.compare(..., references={{'{name}': ...}})"
         if wanted is JointMotion and given is TaskMotion:
             way_out = f"hold it in one that does, ViaJointSpace(inner={title(law)}(...)), or {way_out}"
         raise MatchError(

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 __all__ = ["aligned", "comparison_rows", "comparison_text", "figure_text"]
 
-NAME: Final = 22  # letters of a law's name on each line
+NAME: Final = 22  # letters of a law's name on each line, where names are on several
+WHOLE: Final = 120  # columns of a table with names on one line
 
 
 def figure_text(value: float) -> str:
@@ -49,15 +50,30 @@ def comparison_text(comparison: Comparison) -> str:
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table whose first row is the heads, long heads on several lines."""
+    """Lines of a table whose first row is the heads: whole where that is not too wide, else on several lines.
+
+    Heads on several lines have a rule below them, which tells where one ends and the next begins.
+    """
+    whole = _set_out(rows)
+    if max(map(len, whole)) <= WHOLE:
+        return whole
     heads = [textwrap.wrap(head, NAME) or [""] for head in rows[0]]
     tall = max(len(head) for head in heads)
     above = [[([""] * (tall - len(head)) + head)[line] for head in heads] for line in range(tall)]
-    cells = [*above, *map(list, rows[1:])]
-    widths = [max(len(row[column]) for row in cells) for column in range(len(heads))]
+    widths = _widths([*above, *rows[1:]])
+    rule = ["-" * width if head[0] else "" for head, width in zip(heads, widths, strict=True)]
+    return _set_out([*above, rule, *rows[1:]])
+
+
+def _widths(rows: Sequence[Sequence[str]]) -> list[int]:
+    return [max(map(len, column)) for column in zip(*rows, strict=True)]
+
+
+def _set_out(rows: Sequence[Sequence[str]]) -> list[str]:
+    widths = _widths(rows)
     return [
         "  ".join(_set(text, width, i) for i, (text, width) in enumerate(zip(row, widths, strict=True))).rstrip()
-        for row in cells
+        for row in rows
     ]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from taut.study.diagnosis_load import load_findings, sign_findings
 from taut.study.diagnosis_model import model_of_run
 from taut.study.diagnosis_phases import SHORT, SHORT_TIME, Judged, of_phases
 from taut.study.diagnosis_swing import swing_findings
+
+if TYPE_CHECKING:
+    from taut.record.report_page import Page
 
 __all__ = ["Diagnosis", "doctor"]
 
@@ -84,6 +87,12 @@ class Diagnosis:
             "looked_at": {name: number.json() for name, number in self.looked_at.items()},
             "model": self.model,
         }
+
+    def report_page(self) -> Page:
+        """What `taut.report` makes of it."""
+        from taut.study.diagnosis_page import page_of_diagnosis
+
+        return page_of_diagnosis(self)
 
     def __str__(self) -> str:
         lines = [f"not a whole run: {problem}" for problem in self.problems]

@@ -62,7 +62,7 @@ def of_sampled(d: SampledErrorDynamics) -> Figure:
     left.plot(ticks, d.response(count), ".", color=colour(0), markersize=4.0, label="at the ticks")
     if d.stable and d.settling_time <= ticks[-1]:
         _moment(left, d.settling_time, f"settled, {d.settling_time:.3g} s", colour(1), "solid")
-    left.legend(fontsize=SMALL, frameon=False, labelcolor=INK, loc="upper right")
+    left.legend(fontsize=SMALL, frameon=False, labelcolor=INK, loc="best")
     _limited(left)
     some = d.poles[np.abs(d.poles) > GONE]
     pole_axes(right, some, d.dt)

@@ -15,7 +15,9 @@ from scipy.optimize import linear_sum_assignment
 from taut.base.checks import finite_array
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
+from taut.study.error_words import pole as pole_text
 from taut.study.poles import Spectrum, spectrum
+from taut.study.stable_ranges import quantity, ranges_text, stable_ranges
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,6 +28,7 @@ Complex = NDArray[np.complex128]
 FINE: Final = 0.02  # of the picture's extent: what a pole may move between two values
 DEPTH: Final = 14  # halvings of the space between two values that are asked for
 HALVINGS: Final = 44
+NOTHING: Final = 1e-9  # of a pole's size
 REAL: Final = 1e-6  # imaginary part of what a double pole splits into, in parts of its size
 
 
@@ -52,7 +55,7 @@ class Crossing:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Locus:
-    """Where poles go as a number grows.
+    """Where poles go as a number grows. Print it for where it is stable, `plot()` it, hand it to `taut.report`.
 
     Args:
         name: What is varied.
@@ -63,31 +66,76 @@ class Locus:
         meetings: Where two poles meet on the real axis, or leave it.
         dt: Period of poles in z [s]; None for poles in s.
         spectrum: What has the poles at a value.
+        unit: Of the number, for words and pictures.
     """
 
     name: str
-    values: Float64Array
-    poles: Complex
-    stable: NDArray[np.bool_]
+    values: Float64Array = field(repr=False)
+    poles: Complex = field(repr=False)
+    stable: NDArray[np.bool_] = field(repr=False)
     borders: tuple[Crossing, ...]
     meetings: tuple[Crossing, ...]
     dt: float | None
     spectrum: Callable[[float], Spectrum] = field(repr=False)
+    unit: str = ""
 
     def at(self, value: float) -> Complex:
         """(n,) the poles at a value, whether or not it is one of its values."""
         return self.spectrum(value).poles
 
-    def plot(self, mark: ArrayLike = (), unit: str = "") -> Figure:
+    @property
+    def ranges(self) -> list[tuple[float, float]]:
+        """From where to where it is stable."""
+        cuts = [crossing.value for crossing in self.borders]
+        return stable_ranges(bool(self.stable[0]), cuts, float(self.values[0]), float(self.values[-1]))
+
+    def tables(self) -> dict[str, list[list[str]]]:
+        """The poles where something happens to them, and at both ends: a row for each value, the first one heads."""
+        low, high = float(self.values[0]), float(self.values[-1])
+        rows = [(low, "begins", self.at(low).tolist()), (high, "ends", self.at(high).tolist())]
+        rows += [(each.value, "stable from or up to here", [each.pole]) for each in self.borders]
+        rows += [(each.value, "two poles meet", [each.pole]) for each in self.meetings]
+        heads = [
+            quantity(self.name, self.unit),
+            "what happens",
+            "pole in s [1/s]" if self.dt is None else "pole in z",
+        ]
+        rows.sort(key=lambda row: row[0])
+        return {
+            "Where poles are": [heads, *([f"{value:.5g}", what, _words(poles)] for value, what, poles in rows)],
+        }
+
+    def __str__(self) -> str:
+        low, high = float(self.values[0]), float(self.values[-1])
+        unit = f" {self.unit}" if self.unit else ""
+        count = self.poles.shape[1]
+        return "\n".join(
+            [
+                f"root locus over {self.name} from {low:.4g} to {high:.4g}{unit}",
+                f"  poles in {'s' if self.dt is None else 'z'}       {count}",
+                f"  stable           {ranges_text(self.ranges, low, high)}",
+                *(
+                    f"  border           {self.name} = {each.value:.5g}{unit}, {_words([each.pole])}"
+                    for each in self.borders
+                ),
+                *(
+                    f"  two poles meet   {self.name} = {each.value:.5g}{unit}, {_words([each.pole])}"
+                    for each in self.meetings
+                ),
+            ]
+        )
+
+    def plot(self, mark: ArrayLike = (), unit: str | None = None) -> Figure:
         """The branches, from crosses at the first value to circles at the last.
 
         Args:
             mark: Values whose poles are marked.
-            unit: Of the number.
+            unit: Of the number, instead of its own.
         """
         from taut.study.stability_plots import of_locus
 
-        return of_locus(self, finite_array("mark", np.atleast_1d(np.asarray(mark, dtype=np.float64))), unit)
+        marked = finite_array("mark", np.atleast_1d(np.asarray(mark, dtype=np.float64)))
+        return of_locus(self, marked, self.unit if unit is None else unit)
 
 
 def locus(
@@ -97,6 +145,7 @@ def locus(
     of: Replaceable | None = None,
     name: str | None = None,
     dt: float | None = None,
+    unit: str = "",
 ) -> Locus:
     """Root locus: the poles of error dynamics, a loop or a matrix as one number grows.
 
@@ -107,6 +156,7 @@ def locus(
         of: What has the number, where a name is given.
         name: What is varied, for pictures.
         dt: Period of the matrices, if `vary` makes matrices of sampled systems [s].
+        unit: Of what is varied, for words and pictures.
 
     Raises:
         ShapeError, RangeError: Values that do not increase.
@@ -157,8 +207,19 @@ def locus(
     word = name if name is not None else vary if isinstance(vary, str) else "number"
     return Locus(
         name=word, values=np.array(order), poles=branches, stable=stable, borders=tuple(borders),
-        meetings=tuple(meetings), dt=period, spectrum=at,
+        meetings=tuple(meetings), dt=period, spectrum=at, unit=unit,
     )  # fmt: skip
+
+
+def _words(poles: list[complex]) -> str:
+    """Poles in words, of pairs the upper one; what rounding left of a part is nothing."""
+    told = []
+    for s in poles:
+        small = NOTHING * abs(s)
+        real, imag = (0.0 if abs(part) <= small else part for part in (s.real, s.imag))
+        if imag >= 0.0:
+            told.append(pole_text(complex(real, imag)))
+    return ", ".join(told)
 
 
 def _maker(vary: Callable[[float], Any] | str, of: Replaceable | None) -> Callable[[float], Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -13,6 +13,7 @@ from taut.base.checks import finite_array
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
 from taut.study.poles import spectrum
+from taut.study.stable_ranges import quantity, ranges_text, stable_ranges
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,12 +21,13 @@ if TYPE_CHECKING:
 __all__ = ["StabilityMap", "stability_map"]
 
 CLOSE: Final = 5e-4  # of a border's value: between what is stable and what is not
+SHOWN: Final = 9  # values of the first number in print
 NEAR_ZERO: Final = 1e-3  # of the step between two neighbours: what counts as its value where it is less
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StabilityMap:
-    """What is stable over two numbers.
+    """What is stable over two numbers. Print it for the borders, `plot()` it, hand it to `taut.report`.
 
     Args:
         names: Of the two.
@@ -35,34 +37,72 @@ class StabilityMap:
             a thousandth of the grid's step if it is less than that.
         along: (p,) which of the two was bisected.
         inside: (p,) whether the stable side is that of the larger value.
+        units: Of the two, for words and pictures.
     """
 
     names: tuple[str, str]
-    values: tuple[Float64Array, Float64Array]
-    stable: NDArray[np.bool_]
-    border: Float64Array
-    along: NDArray[np.intp]
-    inside: NDArray[np.bool_]
+    values: tuple[Float64Array, Float64Array] = field(repr=False)
+    stable: NDArray[np.bool_] = field(repr=False)
+    border: Float64Array = field(repr=False)
+    along: NDArray[np.intp] = field(repr=False)
+    inside: NDArray[np.bool_] = field(repr=False)
+    units: tuple[str, str] = ("", "")
 
     @property
     def share(self) -> float:
         """Of the points of the grid that are stable."""
         return float(self.stable.mean())
 
-    def plot(self, units: tuple[str, str] = ("", ""), *, log: bool = False) -> Figure:
+    def ranges(self, i: int) -> list[tuple[float, float]]:
+        """From where to where of the second number it is stable, at the first number's value i."""
+        here = (self.along == 1) & (self.border[:, 0] == self.values[0][i])
+        y = self.values[1]
+        return stable_ranges(
+            bool(self.stable[i, 0]), sorted(self.border[here, 1].tolist()), float(y[0]), float(y[-1])
+        )
+
+    def tables(self) -> dict[str, list[list[str]]]:
+        """Where the second number is stable, a row for each value of the first; the first row is heads."""
+        x, y = self.values
+        heads = [quantity(name, unit) for name, unit in zip(self.names, self.units, strict=True)]
+        rows = [[f"{one:.4g}", ranges_text(self.ranges(i), float(y[0]), float(y[-1]))] for i, one in enumerate(x)]
+        return {f"Where {self.names[1]} is stable": [heads, *rows]}
+
+    def __str__(self) -> str:
+        (first, second), (x, y) = self.names, self.values
+        one, other = (f" {unit}" if unit else "" for unit in self.units)
+        ((heads, *rows),) = self.tables().values()
+        shown = sorted({round(k) for k in np.linspace(0, len(rows) - 1, min(len(rows), SHOWN))})
+        lines = [
+            f"stability map over {first} from {x[0]:.4g} to {x[-1]:.4g}{one} and {second} from {y[0]:.4g} to "
+            f"{y[-1]:.4g}{other}",
+            f"  {100.0 * self.share:.3g} % of {self.stable.size} points are stable",
+            f"  {heads[0]:>12}   stable {heads[1]}",
+            *(f"  {rows[k][0]:>12}   {rows[k][1]}" for k in shown),
+        ]
+        return "\n".join(lines)
+
+    def plot(self, units: tuple[str, str] | None = None, *, log: bool = False) -> Figure:
         """What is stable, and the border; the first number along.
 
         Args:
-            units: Of the two numbers.
+            units: Of the two numbers, instead of their own.
             log: Whether both axes are logarithmic.
+
+        Raises:
+            UsageError: Units that are not two texts.
         """
         from taut.study.stability_plots import of_map
 
-        return of_map(self, units, log=log)
+        return of_map(self, self.units if units is None else _units(units, self.names), log=log)
 
 
 def stability_map(
-    make: Callable[..., Any], over: Mapping[str, ArrayLike], *, dt: float | None = None
+    make: Callable[..., Any],
+    over: Mapping[str, ArrayLike],
+    *,
+    dt: float | None = None,
+    units: tuple[str, str] = ("", ""),
 ) -> StabilityMap:
     """Which of two numbers go together: a grid, and the border between its neighbours by bisection.
 
@@ -73,9 +113,10 @@ def stability_map(
             system of python-control, anything with `poles`, `dt` and `stable`, or a matrix.
         over: The two names and the values of each, increasing.
         dt: Period of the matrices, if `make` makes matrices of sampled systems [s].
+        units: Of the two numbers, for words and pictures, such as ("Hz", "N m s/rad").
 
     Raises:
-        UsageError: Not two names, or what is made has no poles.
+        UsageError: Not two names or two units, or what is made has no poles.
         ShapeError, RangeError: Values that do not increase.
 
     Example:
@@ -96,6 +137,7 @@ def stability_map(
             name="over",
         )
     first, second = over
+    words = _units(units, (first, second))
     grids = tuple(_grid(name, values) for name, values in over.items())
     x, y = grids
 
@@ -123,6 +165,17 @@ def stability_map(
         border=np.array(border).reshape(-1, 2),
         along=np.array(along, dtype=np.intp),
         inside=np.array(inside, dtype=bool),
+        units=words,
+    )
+
+
+def _units(units: object, names: tuple[str, str]) -> tuple[str, str]:
+    """Two texts."""
+    if isinstance(units, (tuple, list)) and len(units) == 2 and all(isinstance(unit, str) for unit in units):
+        return units[0], units[1]
+    raise UsageError(
+        f"units must be two texts, of {names[0]} and of {names[1]}, such as ('Hz', 'N m s/rad'); got {units!r}",
+        name="units",
     )
 
 

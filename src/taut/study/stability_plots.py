@@ -9,6 +9,7 @@ import numpy as np
 from taut.base.types import Float64Array
 from taut.record.style import INK, SMALL, WIDTH, colour, prepared
 from taut.study.error_plots import pole_axes
+from taut.study.stable_ranges import quantity
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -84,7 +85,7 @@ def draw_map(ax: Axes, found: StabilityMap, units: tuple[str, str] = ("", ""), *
     from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.ticker import FuncFormatter, LogLocator
 
-    labels = [f"{name} [{unit}]" if unit else name for name, unit in zip(found.names, units, strict=True)]
+    labels = [quantity(name, unit) for name, unit in zip(found.names, units, strict=True)]
     prepared(ax, "", labels[1], labels[0])
     areas, lines = _cells(found)
     ax.add_collection(PolyCollection(areas, facecolor=STABLE, edgecolor=STABLE, linewidth=0.5, zorder=0.4))

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from taut.base import math as tm
-from taut.base.errors import UsageError, unknown_name
+from taut.base.errors import TautError, UsageError, unknown_name
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.control.reference import JointMotion, Sample
@@ -20,7 +20,7 @@ from taut.maths.model import model_of
 from taut.maths.spatial import rotation_log
 from taut.record.run import Run
 
-__all__ = ["COSTS", "Tick", "named_costs", "of_run", "stage_of"]
+__all__ = ["COSTS", "Raised", "Tick", "asked", "named_costs", "of_run", "stage_of", "traced"]
 
 COSTS: Final = {
     "tracking": "mean square of the error of joints [rad^2 | m^2], or of the tool's position [m^2]",
@@ -69,6 +69,35 @@ class Tick:
     def pose(self) -> Any:
         """T_WE of the frame that the law controls."""
         return dyn.pose(model_of(self.loop.plant.arm), self.q, self.loop.side.law.controlled_frame)
+
+
+class Raised(Exception):  # noqa: N818  # no error of taut's: what a cost of the user's raised, and where it is judged
+    """A cost raised, or gave no number; the text says what.
+
+    Args:
+        what: In words: "the cost raised ZeroDivisionError".
+        text: What the error said.
+    """
+
+    def __init__(self, what: str, text: str) -> None:
+        super().__init__(text)
+        self.what = what
+
+
+def asked(cost: Callable[[Any], Any], x: Any) -> float:
+    """What a cost says.
+
+    Raises:
+        Raised: It raises, or what it gives is no number.
+    """
+    try:
+        value = cost(x)
+    except Exception as wrong:
+        raise Raised(f"the cost raised {type(wrong).__name__}", str(wrong) or "without a word") from wrong
+    try:
+        return float(value)
+    except (TypeError, ValueError, TautError) as wrong:
+        raise Raised("the cost was no number", f"it must be one, and is {type(value).__name__}") from wrong
 
 
 def named_costs(loop: Loop, cost: str | Mapping[str, float]) -> dict[str, float]:
@@ -136,6 +165,28 @@ def stage_of(loop: Loop, cost: Callable[[Tick], Any] | Mapping[str, float]) -> C
         return total
 
     return stage
+
+
+def traced(cost: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A cost of a tick that says so where it goes with numbers and not with symbols.
+
+    Raises:
+        UsageError: It raises what is no error of taut's.
+    """
+
+    def told(tick: Any) -> Any:
+        try:
+            return cost(tick)
+        except TautError:
+            raise
+        except Exception as wrong:
+            raise UsageError(
+                f"method='gradient' traces the cost, and it raised {type(wrong).__name__}: {wrong}; write it with "
+                "taut.math, or take method='search'",
+                name="cost",
+            ) from wrong
+
+    return told
 
 
 def largest(rows: Float64Array, limits: Float64Array) -> float:

@@ -17,14 +17,15 @@ from taut.loop import Loop, state_at_start
 from taut.record.run import Run
 from taut.runtime.simulate import run as simulate
 from taut.study.linearise import linearise
-from taut.study.tune_costs import largest, named_costs, of_run, stage_of
+from taut.study.tune_costs import Raised, asked, largest, named_costs, of_run, stage_of, traced
 from taut.study.tune_gradient import TangentLoop
-from taut.study.tune_result import Measured, Trial
+from taut.study.tune_result import Measured, Trial, trials
 from taut.study.tune_space import Space
 
 __all__ = ["Answer", "Problem", "Stopped"]
 
 ROUNDING: Final = 1e-9  # of a limit
+TICK: Final = "a taut.Tick: t, q, v, tau, command, ref, e, turned, pose, loop"
 SHIFT: Final = 1e-5  # of a bound's width, for the gradient of a margin
 
 
@@ -88,7 +89,8 @@ class Problem:
         self._tangents: dict[str, TangentLoop] = {}
         if gradient:
             stages = {
-                name: stage_of(loop, cost if callable(cost) else self.weights or {}) for name, loop in loops.items()
+                name: stage_of(loop, traced(cost) if callable(cost) else self.weights or {})
+                for name, loop in loops.items()
             }
             self._tangents = {name: TangentLoop(loop, self.space.paths, stages[name]) for name, loop in loops.items()}
         self.scales: dict[str, tuple[float, float]] = {}  # cost and chatter of each loop at the start
@@ -99,7 +101,15 @@ class Problem:
     def _measure_start(self) -> None:
         for name, loop in self.loops.items():
             self._set(loop, self.space.first)
-            each = self.measured(name, loop, held_out=False)
+            try:
+                each = self.measured(name, loop, held_out=False)
+            except Raised as raised:
+                method, takes = ("gradient", TICK) if self._tangents else ("search", "a taut.Run")
+                raise UsageError(
+                    f"{raised.what} at the start, of '{name}' with {_places(self.space.first)}: {raised}; it must be "
+                    f"a finite number above 0 there, and with method='{method}' it is a function of {takes}",
+                    name="cost",
+                ) from raised.__cause__
             if not math.isfinite(each.cost) or each.cost <= 0.0:
                 raise RangeError(
                     f"the cost of '{name}' at the start is {each.cost:g}, so that there is nothing to compare with; "
@@ -138,10 +148,7 @@ class Problem:
         assert callable(self._cost)
         if self._tangents:
             return self._mean_stage(run, loop)
-        try:
-            return float(self._cost(run))
-        except (TypeError, ValueError) as wrong:
-            raise UsageError(f"the cost of a run must be one number; {wrong}", name="cost") from wrong
+        return asked(self._cost, run)
 
     def _mean_stage(self, run: Run, loop: Loop) -> float:
         """A cost of ticks, on the numbers of a run."""
@@ -152,27 +159,46 @@ class Problem:
         for k, t in enumerate(run.t):
             inputs = {"t": t, **{f"ref.{name}": row[k] for name, row in rows.items()}}
             record = {"q": run.q[k], "v": run.v[k], "tau": run.tau[k], "command": run.command[k]}
-            total += float(stage(inputs, record))
+            total += asked(lambda given: stage(*given), (inputs, record))
         return total / len(run.t)
 
-    def measured(self, name: str, loop: Loop, *, held_out: bool) -> Measured:
-        """What a loop does with the parameters that it has, mean over the seeds; of torque and rate the largest."""
+    def measured(
+        self, name: str, loop: Loop, *, held_out: bool, after: Mapping[str, Float64Array] | None = None
+    ) -> Measured:
+        """What a loop does with the parameters that it has, mean over the seeds; of torque and rate the largest.
+
+        Args:
+            name: Of the loop.
+            loop: The loop.
+            held_out: Whether nothing is tuned for it.
+            after: The parameters, where all trials are over: a cost that raises is then NaN, and a sentence.
+
+        Raises:
+            Raised: The cost raises.
+        """
         with np.errstate(over="ignore", invalid="ignore"):  # a run that grows may hold huge numbers
-            table = np.array([self._numbers(self._run(loop, seed), loop) for seed in self.seeds])
+            table = np.array([self._numbers(self._run(loop, seed), loop, after) for seed in self.seeds])
             means = table.mean(axis=0)
         return Measured(
             name=name, held_out=held_out, cost=float(means[0]), rms_error=float(means[1]), effort=float(means[2]),
             torque=float(table[:, 3].max()), rate=float(table[:, 4].max()), chatter=float(means[5]),
         )  # fmt: skip
 
-    def _numbers(self, run: Run, loop: Loop) -> list[float]:
+    def _numbers(self, run: Run, loop: Loop, after: Mapping[str, Float64Array] | None) -> list[float]:
         """Cost, RMS error, effort, shares of torque and rate, chatter of one run; no cost where it diverges."""
         if not run.outcome.ok:
             return [math.inf] + [math.nan] * 5
         error = run.error if run.error is not None else run.task.position_error if _of_tool(run) else None
         rms = math.nan if error is None else float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
         effort, chatter = (float(getattr(run.metrics, name).sum()) for name in ("effort", "chatter"))
-        return [self._cost_of(run, loop), rms, effort, *self._shares(run.tau, loop), chatter]
+        try:
+            cost = self._cost_of(run, loop)
+        except Raised as raised:
+            if after is None:
+                raise
+            cost = math.nan
+            self._notice(f"{raised.what} in the table of before and after", after, str(raised))
+        return [cost, rms, effort, *self._shares(run.tau, loop), chatter]
 
     def _shares(self, tau: Float64Array, loop: Loop) -> tuple[float, float]:
         """Of the limits of torque and of its rate; NaN where there are none."""
@@ -201,12 +227,14 @@ class Problem:
         if key in self._known:
             return self._known[key]
         if len(self.history) >= self._evaluations:
-            raise Stopped(f"ended after {self._evaluations} trials, which evaluations= allows")
+            raise Stopped(f"ended after {trials(self._evaluations)}, which evaluations= allows")
         parameters = self.space.by_path(x)
         try:
             found = self._with_gradients(x) if self._tangents else self._plain(x)
         except (RangeError, NumericalError) as wrong:  # a rate that a gain does not fit, a run that diverges
-            found = self._without(str(wrong), parameters)
+            found = self._without(str(wrong).split(";")[0][:120], parameters)
+        except Raised as raised:
+            found = self._without(raised.what, parameters, str(raised))
         if math.isnan(found.cost):
             self._notice("the cost was NaN", parameters)
         self._known[key] = found
@@ -214,18 +242,15 @@ class Problem:
         trial = Trial(parameters=parameters, cost=found.cost, slack=slack)
         self.history.append(trial)
         if self._progress is not None and self._progress(trial):
-            raise Stopped(f"ended by progress after {len(self.history)} trials")
+            raise Stopped(f"ended by progress after {trials(len(self.history))}")
         return found
 
-    def _notice(self, what: str, parameters: Mapping[str, Float64Array]) -> None:
+    def _notice(self, what: str, parameters: Mapping[str, Float64Array], more: str = "") -> None:
         count, first = self.notices.get(what, (0, ""))
-        where = first or ", ".join(
-            f"{path} = {np.array2string(np.asarray(v), precision=5)}" for path, v in parameters.items()
-        )
-        self.notices[what] = count + 1, where
+        self.notices[what] = count + 1, first or _places(parameters) + (f": {more}" if more else "")
 
-    def _without(self, why: str, parameters: Mapping[str, Float64Array]) -> Answer:
-        self._notice(why.split(";")[0][:120], parameters)
+    def _without(self, why: str, parameters: Mapping[str, Float64Array], more: str = "") -> Answer:
+        self._notice(why, parameters, more)
         count = len(self._names())
         m = self.space.size
         wanted = bool(self._tangents)
@@ -354,6 +379,11 @@ class Problem:
             f"{what}, {count} {'time' if count == 1 else 'times'}, first at {where}"
             for what, (count, where) in self.notices.items()
         ]
+
+
+def _places(parameters: Mapping[str, Float64Array]) -> str:
+    """Where that was."""
+    return ", ".join(f"{path} = {np.array2string(np.asarray(x), precision=5)}" for path, x in parameters.items())
 
 
 def _of_tool(run: Run) -> bool:

@@ -12,7 +12,7 @@ from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.loop import Loop
 from taut.study.tune_problem import Problem, Stopped
-from taut.study.tune_result import Measured, Trial, Tuned
+from taut.study.tune_result import Measured, Trial, Tuned, trials
 
 __all__ = ["solved"]
 
@@ -33,14 +33,12 @@ def solved(problem: Problem, method: str, seed: int, held_out: dict[str, Loop]) 
     except Stopped as stopped:
         ended = str(stopped)
     except KeyboardInterrupt:
-        ended = f"interrupted after {len(problem.history)} trials; this is the best of them"
+        ended = f"interrupted after {trials(len(problem.history))}; this is the best of them"
     except Exception as wrong:
         if not problem.history or isinstance(wrong, (AssertionError, MemoryError)):
             raise
-        ended = (
-            f"the cost raised {type(wrong).__name__}: {wrong}, after {len(problem.history)} trials; this is the best "
-            "of them"
-        )
+        count = trials(len(problem.history))
+        ended = f"ended by {type(wrong).__name__}: {wrong}, after {count}; this is the best of them"
     finally:
         problem.restore()
     return _result(problem, method, ended, held_out)
@@ -101,7 +99,7 @@ def _result(problem: Problem, method: str, ended: str, held_out: dict[str, Loop]
     space = problem.space
     start = Trial(parameters=space.first, cost=1.0, slack=0.0)
     best = problem.best
-    notices = problem.sentences() + ([ended] if ended else [])
+    notices = [ended] if ended else []
     kept = bool(problem.history) and problem.history[0].ok  # the first trial is the start
     if best is None or (kept and best.cost >= 1.0):
         best = start
@@ -121,7 +119,7 @@ def _result(problem: Problem, method: str, ended: str, held_out: dict[str, Loop]
             for name, loop in loops.items():
                 for path, value in values.items():
                     loop.parameters[path] = value
-                rows.append(problem.measured(name, loop, held_out=name in held_out))
+                rows.append(problem.measured(name, loop, held_out=name in held_out, after=values))
             tables.append(tuple(rows))
         first = next(iter(problem.loops.values()))
         side = first.side
@@ -138,6 +136,6 @@ def _result(problem: Problem, method: str, ended: str, held_out: dict[str, Loop]
         history=tuple(problem.history),
         before=tables[0],
         after=tables[1],
-        notices=tuple(notices),
+        notices=(*problem.sentences(), *notices),
         method=method,
     )
