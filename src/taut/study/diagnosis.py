@@ -112,7 +112,7 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
     * stick-slip, backlash: such a line of constant size, with rests, or with a dwell without torque
     * chatters: jitter above a twentieth of the rate, with more than 10 effort limits of variation per second
     * gravity twice, or not: the part of g in the residual tau + J^T F_ext - (M a + h), and in the law's terms
-    * wrong payload: the regressor of a payload explains all but 2 % of the residual; its mass by least squares
+    * wrong payload: its mass explains all but 2 % of the residual, or mass and centre all but half a percent
     * sticks: a joint rests off its target, while its torque changes or is within its dry friction
     * sags: a steady error at rest that feedback holds against a constant load
     * winds up: the integral gains a tenth of the feedback while cut, and carries the joint beyond its target
@@ -250,8 +250,9 @@ def _without_gaps(run: Run) -> tuple[Run, list[str]]:
 def _sane(run: Run) -> Run:
     """The ticks before the loop ran away: what comes after is the simulation's, and says nothing of the arm.
 
-    It has where a command is no number, a joint is faster than any arm, or torque or speed are ten times the limit
-    and stay there until the run ends, by less than 50 ms of calm in between. Eight ticks are kept at least.
+    It has where a command is no number or a joint is faster than any arm. Of a run with such an end, or that ended in
+    a fault, what comes before it is left out too, as far as torque or speed are ten times the limit, with less than
+    50 ms of calm in between: a swing that only is as large may last. Eight ticks are kept at least.
     """
     case = Case(run=run, model=None)
     speeds = run.info.get("limits", {}).get("velocity", {})
@@ -262,7 +263,7 @@ def _sane(run: Run) -> Run:
     away = np.flatnonzero(beyond.any(axis=1))
     calm = CALM * run.rate
     ends = [int(wild[0])] if wild.size else []
-    if away.size and len(run) - 1 - away[-1] < calm:
+    if away.size and (ends or not run.outcome.ok) and len(run) - 1 - away[-1] < calm:
         pauses = np.flatnonzero(np.diff(away) > calm)
         ends.append(int(away[pauses[-1] + 1 if pauses.size else 0]))
     if not ends:

@@ -48,7 +48,7 @@ class Number:
     unit: str = ""
 
     def __str__(self) -> str:
-        whole = 1e3 <= abs(self.value) < 1e6 or (self.value.is_integer() and abs(self.value) < 1e6)
+        whole = 999.5 <= abs(self.value) < 1e6 or (self.value.is_integer() and abs(self.value) < 1e6)
         return f"{self.value:{'.0f' if whole else '.3g'}} {self.unit}".rstrip()
 
     def json(self) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from taut.base.types import Float64Array
 from taut.study.diagnosis_case import Case
+from taut.study.diagnosis_finding import Number
 from taut.study.diagnosis_lines import Swing, without_trend
 
 __all__ = ["less_delay", "less_integral", "lower_gain", "more_damping"]
@@ -42,17 +43,32 @@ def more_damping(case: Case, found: Swing) -> str:
 
 
 def less_integral(case: Case, found: Swing) -> str:
-    """The bound of the integral, (b + kd) kp / M."""
+    """The bound of the integral, (b + kd) kp / M, whatever the swing is: it is that of the gains and the arm."""
     run, i, w = case.run, found.joint, found.window
     k, d, _ = _stiff_and_damped(case, found)
-    m = abs(k) / found.line.omega**2
-    if k <= 0.0 or case.error is None:
+    m = _moved(case, found)
+    if k <= 0.0 or m <= 0.0 or case.error is None:
         return "lower ki: the integral feeds this oscillation"
     rate = _slope(np.diff(run.terms["I"][w, i]) / case.dt, case.error[w, i][1:])
+    b = 0.0 if case.fit is None else float(case.fit.viscous[i])
     return (
-        f"lower ki: as torques it is {rate:.3g} at '{run.joint_names[i]}', and it must stay under "
-        f"(b + kd) kp / M = {max(d, 0.0) * k / m:.3g}"
+        f"lower ki: as torques it is {Number(rate)} at '{run.joint_names[i]}', and it must stay under "
+        f"(b + kd) kp / M = {Number((b + max(d, 0.0)) * k / m)}"
     )
+
+
+def _moved(case: Case, found: Swing) -> float:
+    """The inertia that a joint's torque moves in its oscillation, the other joints swinging with it: (M q)_i / q_i.
+
+    Without a model, that of M s^3 + d s^2 + k s + ki = 0 at the s of the oscillation.
+    """
+    run, i, w = case.run, found.joint, found.window
+    if case.model is not None:
+        return _slope(run.q[w] @ case.model.mass_matrix(w.start)[i], run.q[w, i])
+    k, d, _ = _stiff_and_damped(case, found)
+    s = complex(found.line.growth, found.line.omega)
+    ki = 0.0 if case.error is None else _slope(np.diff(run.terms["I"][w, i]) / case.dt, case.error[w, i][1:])
+    return float((-(d * s**2 + k * s + ki) / s**3).real)
 
 
 def less_delay(case: Case, found: Swing) -> str:
@@ -62,11 +78,14 @@ def less_delay(case: Case, found: Swing) -> str:
     asked, given = (complex(np.sum(without_trend(x[w, i : i + 1])[:, 0] * turn)) for x in (run.command, run.tau))
     late = (-np.angle(given / asked) if asked else 0.0) % (2.0 * math.pi) / omega
     _, d, m = _stiff_and_damped(case, found)
+    m = _moved(case, found) if case.model is not None else m
     most = math.pi * m / (6.0 * (late + 0.5 * case.dt))
+    slow = f"the drives give the torque {1e3 * late:.3g} ms late: make them faster, or lower "
+    if d <= most:
+        return f"{slow}kp and kd of '{run.joint_names[i]}', or what else feeds this oscillation late"
     return (
-        f"the drives give the torque {1e3 * late:.3g} ms late: make them faster, or lower the damping of "
-        f"'{run.joint_names[i]}' from {max(d, 0.0):.3g} to {most:.3g} {run.effort_units[i]} s/{run.units[i]} "
-        "(60 deg of phase margin) and kp with its square"
+        f"{slow}the damping of '{run.joint_names[i]}' from {d:.3g} to {most:.3g} {run.effort_units[i]} "
+        f"s/{run.units[i]} (60 deg of phase margin) and kp with its square"
     )
 
 

@@ -161,6 +161,10 @@ def _gives(case: Case, found: Swing, works: dict[str, float]) -> bool:
     """Whether something gives between motor and link: torque takes work out of a swing that lasts all the same."""
     done = sum(abs(work) for work in works.values()) or 1.0
     slow = found.line.omega * case.dt <= SAMPLED
+    if case.model is not None and not case.in_contact:  # what the links' motion explains went into no spring
+        beyond = case.model.residual[:, found.joint] / case.size[found.joint]
+        if float(np.mean(beyond**2)) < LOST**2 * float(np.mean((case.run.tau / case.size)[:, found.joint] ** 2)):
+            return False
     return abs(found.line.zeta) < STEADY and slow and _taken(case, found) > LOST * done
 
 
