@@ -351,8 +351,8 @@ def _sags(case: Case, fit: Fit | None) -> Finding | None:
             "stiffness": Number(k, f"{unit}/{run.units[i]}"),
         },
         text=f"'{joint}' rests where its spring balances a constant load that the model does not have{or_friction}",
-        remedy=f"model the load of {held[i]:.3g} {unit}; or a stiffness of {want:.3g} {unit}/{run.units[i]} to bring "
-        f"the error under {case.tolerance[i]:.2g} {run.units[i]}{integral}",
+        remedy=f"model the load of {held[i]:.3g} {unit}; or a stiffness of {Number(want)} {unit}/{run.units[i]} to "
+        f"bring the error under {case.tolerance[i]:.2g} {run.units[i]}{integral}",
         picture=Picture(
             title=f"{joint}: error",
             ylabel=f"[{run.units[i]}]",
