@@ -225,7 +225,7 @@ def test_a_design_of_an_impedance_has_its_stiffness_in_a_table(tmp_path: Path) -
     rows = {tuple(cell.text for cell in e) for e in tree(text) if e.tag == HTML + "tr"}
     assert d.stiffness
     for each in d.stiffness:
-        numbers = (each.designed, each.predicted, each.simulated)
+        numbers = (each.asked, each.designed, each.predicted, each.simulated)
         assert (each.direction, each.unit, *(f"{x:.4g}" for x in numbers)) in rows
 
 

@@ -274,6 +274,37 @@ class Reversed(taut.Law):
         return taut.Torque(x.M @ taut.Terms(P=-(self.kp @ e), D=-(self.kd @ x.v)) + taut.Terms(nonlinear=x.h))
 
 
+class OneTurned(taut.Law):
+    """Computed torque through drives the last but one of which turns against its torque.
+
+    Law:          tau = s (M (kp e - kd v) + h), with s = -1 at one joint
+    Closed loop:  e_ddot + kd e_dot + kp e = 0 were s = 1
+    """
+
+    kp: taut.Gain  # [1/s^2]
+    kd: taut.Gain  # [1/s]
+
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+        s = np.diag(turned_sign(x.n))
+        e = x.difference(ref.q)
+        return taut.Torque(P=s @ (x.M @ (self.kp @ e)), D=-(s @ (x.M @ (self.kd @ x.v))), nonlinear=s @ x.h)
+
+
+def turned_sign(n: int) -> Array:
+    """(n,) -1 at the joint whose drive is turned round."""
+    return np.where(np.arange(n) == max(n - 2, 0), -1.0, 1.0)
+
+
+def turned_drive(name: str) -> taut.Run:
+    """A drive that is turned round, as its controller records it: it does not know."""
+    arm = arm_of(name)
+    ctrl = taut.compile(OneTurned(kp=100.0, kd=20.0), arm)
+    run = taut.run(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=arm.home), q0=arm.home + 1e-3, duration=0.5)
+    s = turned_sign(arm.n)
+    terms = {term: value * s for term, value in run.terms.items()}
+    return dataclasses.replace(run, tau=run.tau * s, command=run.command * s, terms=terms)
+
+
 def late(name: str, rng: np.random.Generator, kind: str) -> Planted:
     """A clock that misses: the plant goes on for longer than the controller thinks."""
     arm = arm_of(name)

@@ -20,9 +20,10 @@ from taut.study.diagnosis_chatter import chatter_findings
 from taut.study.diagnosis_finding import FAULTS, Finding, Number
 from taut.study.diagnosis_hybrid import surface_findings
 from taut.study.diagnosis_limits import limit_findings, period_findings
-from taut.study.diagnosis_load import load_findings, sign_findings
+from taut.study.diagnosis_load import load_findings
 from taut.study.diagnosis_model import model_of_run
 from taut.study.diagnosis_phases import SHORT, SHORT_TIME, Judged, of_phases
+from taut.study.diagnosis_sign import sign_findings
 from taut.study.diagnosis_swing import swing_findings
 
 if TYPE_CHECKING:
@@ -33,7 +34,9 @@ __all__ = ["Diagnosis", "doctor"]
 START: Final = "jumps at start"  # which says nothing of the end
 FEWEST: Final = 16  # ticks that say anything
 COMMANDS: Final = {"velocity": "velocities", "position": "positions"}
-WILD: Final = 1e3  # [rad/s | m/s] no arm is as fast: what comes after is the simulation's
+WILD: Final = 1e3  # [rad/s | m/s] no arm is as fast
+BEYOND: Final = 10.0  # times the limits of an arm that has run away
+CALM: Final = 0.05  # [s] within the limits: what was beyond them before is over
 CAUSES: Final[Mapping[str, frozenset[str]]] = {
     "wrong sign": frozenset(FAULTS) - {"wrong sign", "runs late"},
     "runs late": frozenset({"oscillates", "saturates"}),
@@ -118,7 +121,7 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
     * stick-slip, backlash: such a line of constant size, with rests, or with a dwell without torque
     * chatters: jitter above a twentieth of the rate, with more than 10 effort limits of variation per second
     * gravity twice, or not: the part of g in the residual tau + J^T F_ext - (M a + h), and in the law's terms
-    * wrong payload: the regressor of a payload explains all but 2 % of the residual; its mass by least squares
+    * wrong payload: its mass explains all but 2 % of the residual, or mass and centre all but half a percent
     * sticks: a joint rests off its target, while its torque changes or is within its dry friction
     * sags: a steady error at rest that feedback holds against a constant load
     * winds up: the integral gains a tenth of the feedback while cut, and carries the joint beyond its target
@@ -171,6 +174,8 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
     whole, gaps = _without_gaps(run)
     problems += gaps
     sane = _sane(whole)
+    if len(sane) < len(whole):
+        problems.append(f"it ran away: what came after {sane.t[-1]:.4g} s says nothing of the arm and was left out")
     if len(sane) < SHORT or len(sane) < SHORT_TIME * run.rate:
         problems.append(
             f"{len(sane)} ticks, {len(sane) / run.rate:.3g} s, are too short: what needs {SHORT} ticks, "
@@ -252,11 +257,27 @@ def _without_gaps(run: Run) -> tuple[Run, list[str]]:
 
 
 def _sane(run: Run) -> Run:
-    """The ticks before a joint became faster than any arm."""
+    """The ticks before the loop ran away: what comes after is the simulation's, and says nothing of the arm.
+
+    It has where a command is no number or a joint is faster than any arm. Of a run with such an end, or that ended in
+    a fault, what comes before it is left out too, as far as torque or speed are ten times the limit, with less than
+    50 ms of calm in between: a swing that only is as large may last. Eight ticks are kept at least.
+    """
+    case = Case(run=run, model=None)
+    speeds = run.info.get("limits", {}).get("velocity", {})
+    fastest = np.array([speeds.get(joint, np.inf) for joint in run.joint_names], dtype=np.float64)
+    strongest = np.full(run.n, np.inf) if case.limits_of_effort is None else case.limits_of_effort
+    beyond = (np.abs(run.v) > BEYOND * fastest) | (case.of_torque & (np.abs(run.command) > BEYOND * strongest))
     wild = np.flatnonzero((np.abs(run.v) > WILD).any(axis=1) | ~np.isfinite(run.command).all(axis=1))
-    if not wild.size or wild[0] < FEWEST:
+    away = np.flatnonzero(beyond.any(axis=1))
+    calm = CALM * run.rate
+    ends = [int(wild[0])] if wild.size else []
+    if away.size and (ends or not run.outcome.ok) and len(run) - 1 - away[-1] < calm:
+        pauses = np.flatnonzero(np.diff(away) > calm)
+        ends.append(int(away[pauses[-1] + 1 if pauses.size else 0]))
+    if not ends:
         return run
-    return run.between(float(run.t[0]), float(run.t[wild[0] - 1]))
+    return run.between(float(run.t[0]), float(run.t[min(max(min(ends), FEWEST // 2), len(run)) - 1]))
 
 
 def _ordered(found: list[Finding]) -> tuple[Finding, ...]:
@@ -296,12 +317,10 @@ def _looked_at(case: Case) -> dict[str, Number]:
         out["steady error"] = Number(float((np.abs(case.steady_error) / case.tolerance).max()), "times what counts")
     if case.of_torque:
         out["torque"] = Number(100.0 * _largest(run.tau / case.size), "% of the effort")
-        out["first feedback"] = Number(
-            100.0 * _largest((case.feedback + case.cut)[:1] / case.size), "% of the effort"
-        )
+        out["first feedback"] = Number(100.0 * _largest(case.given[:1] / case.size), "% of the effort")
         out["chatter"] = Number(float((run.metrics.chatter / case.size).max()), "efforts/s")
     out["cut"] = Number(100.0 * float((case.cut != 0.0).any(axis=1).mean()), "% of the ticks")
-    out["longest period"] = Number(float(np.diff(run.t).max() * run.rate), "nominal ones")
+    out["longest period"] = Number(float(np.diff(run.t).max() * run.rate), "times the nominal")
     if case.of_task:
         out["least singular value"] = Number(float(run.task.least_singular_value.min()))
     if case.model is not None and case.of_torque and not case.in_contact:

@@ -20,8 +20,9 @@ from taut.record.force import force_error
 from taut.record.part import PARTS
 from taut.record.run import Run
 from taut.record.task import TOOL
+from taut.study.diagnosis_fit import Fit, fit_of
 from taut.study.diagnosis_hybrid import along_error
-from taut.study.diagnosis_model import ArmModel, Fit
+from taut.study.diagnosis_model import ArmModel
 
 __all__ = ["MODEL_TERMS", "Case", "tail"]
 
@@ -198,6 +199,12 @@ class Case:
         return np.asarray(sum(cuts, np.zeros_like(self.run.q)))
 
     @cached_property
+    def given(self) -> Float64Array:
+        """(k, n) the feedback that limits left: what they took of the rest of the command is none of it."""
+        against = np.clip(-self.cut * np.sign(self.feedback), 0.0, np.abs(self.feedback))
+        return np.asarray(self.feedback - np.sign(self.feedback) * against)
+
+    @cached_property
     def pinned(self) -> Float64Array:
         """(k, n) what the drives did not give at their own limit: torques that stay at their largest."""
         if not self.of_torque:
@@ -229,7 +236,7 @@ class Case:
         """What explains the torques beyond the model; None without one, or where they are not those of the arm."""
         if self.model is None or not self.of_torque or self.in_contact:
             return None
-        return self.model.fit(self.size)
+        return fit_of(self.model, self.size)
 
     @cached_property
     def pushed(self) -> Float64Array:

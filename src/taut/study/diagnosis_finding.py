@@ -16,7 +16,7 @@ from taut.record.style import INK, SMALL, WIDTH, colour, legend_above, line, pre
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["FAULTS", "Finding", "Number", "Picture"]
+__all__ = ["FAULTS", "Finding", "Number", "Picture", "in_parts"]
 
 LETTERS: Final = 100  # of a line of a picture's title
 FAULTS: Final = {
@@ -48,7 +48,8 @@ class Number:
     unit: str = ""
 
     def __str__(self) -> str:
-        return f"{self.value:.3g} {self.unit}".rstrip()
+        whole = 999.5 <= abs(self.value) < 1e6 or (self.value.is_integer() and abs(self.value) < 1e6)
+        return f"{self.value:{'.0f' if whole else '.3g'}} {self.unit}".rstrip()
 
     def json(self) -> dict[str, Any]:
         """As plain values; a number that is none is null."""
@@ -91,6 +92,11 @@ class Picture:
         legend_above(body, handles)
         ax.margins(x=0.01)
         return figure
+
+
+def in_parts(y: Float64Array) -> Float64Array:
+    """(k,) in parts of its largest, for curves of several units in one picture."""
+    return np.asarray(y / max(float(np.abs(y).max()), np.finfo(np.float64).tiny))
 
 
 def _stretches(marked: Float64Array) -> list[tuple[int, int]]:

@@ -181,7 +181,7 @@ def _jumps(case: Case) -> Finding | None:
     run = case.run
     if case.limits_of_effort is None:
         return None
-    given = case.feedback + case.cut
+    given = case.given
     first = np.abs(given[0]) / case.size
     peak = np.max(np.abs(given), axis=0) / case.size
     bad = (first >= JUMP) & (first >= OF_PEAK * peak)

@@ -1,4 +1,4 @@
-"""What feedback carries that it should not: wrong signs, gravity, payloads, dry friction, constant loads."""
+"""What feedback carries that it should not: gravity, payloads, dry friction, constant loads."""
 
 from __future__ import annotations
 
@@ -10,95 +10,26 @@ import numpy as np
 from taut.base.types import Array, Float64Array
 from taut.record.sticking import RESTING, stuck
 from taut.study.diagnosis_case import Case, tail
-from taut.study.diagnosis_finding import Finding, Number, Picture
-from taut.study.diagnosis_model import Fit
+from taut.study.diagnosis_finding import Finding, Number, Picture, in_parts
+from taut.study.diagnosis_fit import KNOWN, Fit
+from taut.study.diagnosis_phases import SHORT
 
-__all__ = ["load_findings", "sign_findings"]
+__all__ = ["load_findings"]
 
-MOST: Final = 0.98  # of what friction leaves of the residual, in squares, that a load has to explain: all but 2 %
 HALF: Final = 0.5  # of gravity: who gives more of it compensates it
 LEAST_LOAD: Final = 0.05  # of the largest gravity torque: a smaller payload is none
+NOTHING: Final = 0.01  # of the mass that is missing: what is left of it is none
 LEAST_GRAVITY: Final = 0.01  # of the effort: arms with less have no gravity to speak of
-REVERSED: Final = 1.5  # d = 2 tau where a joint turns against its torque; 0 where it does not
-AGAINST: Final = -0.5  # sum P . e over sum |P . e|, which is positive for a spring that answers the error
-EXACT: Final = 1e-9  # of P in squares that is no multiple of the error: rounding
-AWAY: Final = 3.0  # times as far from the target at the end as at the start
 SLACK: Final = 1.5  # times the friction fitted in motion: static friction, and what the fit misses
 TORQUE_CHANGE: Final = 0.01  # of the effort: a free joint would have moved
 UNSURE: Final = 0.1  # of the residual, in squares: where a fit leaves more, its friction is none to go by
+OFTEN: Final = 0.05  # of the end of a run, in which a limit cuts
 STUCK: Final = 0.1  # of the time in which its reference moves; a rest after each reversal is less
-
-
-def sign_findings(case: Case) -> Iterator[Finding]:
-    """Terms that push away from the target, and joints that turn against their torque.
-
-    By itself: the error of a joint grew to three times what it was, and the spring pushes along: of all joints
-    together sum P . e is negative, which it is for no positive definite kp, nor for M kp in the kinetic measure; or
-    P of a joint is a negative multiple of its error exactly. With a model: of a joint that turns against its torque,
-    tau - (M a + h) = 2 tau; a factor above 1.5 with nine tenths of it explained.
-    """
-    e, run = case.error, case.run
-    if e is None or not case.of_torque:
-        return
-    ends = max(1, len(run) // 20)
-    grown = np.abs(e[-ends:]).mean(axis=0) > AWAY * np.abs(e[:ends]).mean(axis=0) + case.tolerance
-    if "P" in run.terms:
-        P = run.terms["P"]
-        work = P * e
-        together = float(np.sum(work)) / max(float(np.sum(np.abs(work))), np.finfo(np.float64).tiny)
-        each = np.sum(work, axis=0) / np.maximum(np.sum(e**2, axis=0), np.finfo(np.float64).tiny)
-        left = np.sum((P - each * e) ** 2, axis=0)
-        alone = (each < 0.0) & (left <= EXACT * np.sum(P**2, axis=0))
-        for i in np.flatnonzero((alone | (together < AGAINST)) & grown):
-            joint = run.joint_names[i]
-            yield Finding(
-                name="wrong sign",
-                term="P",
-                joint=joint,
-                share=1.0,
-                evidence={"P . e of |P| |e|": Number(together), "P over error": Number(float(each[i]))},
-                text=f"the spring of '{joint}' pushes away from the target, and the error grows",
-                remedy="turn the sign of the error round: e = wanted - actual, tau = + kp e",
-                picture=Picture(
-                    title=f"spring and error of {joint}, each in parts of its largest",
-                    ylabel="[1]",
-                    t=run.t,
-                    curves={"P": _unit(P[:, i]), "error": _unit(e[:, i])},
-                ),
-            )
-            return
-    if case.model is None:
-        return
-    tau, d = run.tau[case.model.ticks], case.model.residual
-    factor = np.sum(tau * d, axis=0) / np.maximum(np.sum(tau**2, axis=0), np.finfo(np.float64).tiny)
-    left = np.sum((d - factor * tau) ** 2, axis=0) / np.maximum(np.sum(d**2, axis=0), np.finfo(np.float64).tiny)
-    for i in np.flatnonzero((factor > REVERSED) & (left < 0.1) & grown):
-        joint = run.joint_names[i]
-        yield Finding(
-            name="wrong sign",
-            term="command",
-            joint=joint,
-            share=1.0,
-            evidence={"residual over torque": Number(float(factor[i])), "of it unexplained": Number(float(left[i]))},
-            text=f"'{joint}' turns against its torque",
-            remedy="turn round the sign of the joint's torque, or of its encoder, in the drive",
-            picture=Picture(
-                title=f"torque of {joint}, and what its motion needs",
-                ylabel=f"[{run.effort_units[i]}]",
-                t=run.t[case.model.ticks],
-                curves={"torque": tau[:, i], "needed by the model": case.model.motion[:, i]},
-            ),
-        )
-        return
-
-
-def _unit(y: Float64Array) -> Float64Array:
-    return y / max(float(np.abs(y).max()), np.finfo(np.float64).tiny)
 
 
 def load_findings(case: Case) -> Iterator[Finding]:
     """Gravity, payload, friction and whatever else feedback carries at rest or along the motion."""
-    if not case.of_torque or case.in_contact:
+    if not case.of_torque or case.in_contact or len(case.run) < SHORT:
         return
     fit = case.fit
     of_load = None if fit is None else _load(case, fit)
@@ -116,8 +47,9 @@ def _load(case: Case, fit: Fit) -> Finding | None:
     """Gravity twice, gravity not at all, or another payload.
 
     tau + J^T F_ext - (M a + C v + g) is what acted beyond the model. It is fitted by part of -g (somebody else gives
-    gravity), by a payload, and by friction, see `ArmModel.fit`; a load has to explain all but 2 % of what friction
-    leaves. The law compensates gravity where its terms hold more than half of g.
+    gravity), by a payload, and by friction, see `fit_of`; a load has to explain all but 2 % of what friction leaves,
+    a payload with a centre of its own all but half a percent. The law compensates gravity where its terms hold more
+    than half of g.
     """
     model = case.model
     assert model is not None
@@ -131,14 +63,13 @@ def _load(case: Case, fit: Fit) -> Finding | None:
             given = given + case.run.terms[name][model.ticks]
     weight = case.size**2
     by_law = float(np.sum(given * g / weight) / np.sum(g * g / weight))
-    holds = fit.explained >= MOST
-    by_plant = fit.gravity if fit.kind == "gravity" and holds else 0.0
+    by_plant = fit.gravity if fit.kind == "gravity" and fit.holds else 0.0
     if by_law >= HALF and by_plant >= HALF:
         return _gravity_twice(case, by_law, by_plant, -fit.load)
     if by_law < HALF and by_plant < HALF:
         return _no_gravity(case, by_law, g)
     heavy = float(np.abs(fit.load / case.size).max()) >= LEAST_LOAD * largest
-    if by_law >= HALF and fit.kind == "payload" and holds and heavy and abs(fit.mass) > 3.0 * fit.mass_error:
+    if by_law >= HALF and fit.kind == "payload" and fit.holds and heavy:
         return _payload(case, fit)
     return None
 
@@ -214,11 +145,20 @@ def _payload(case: Case, fit: Fit) -> Finding:
     i = _worst(case, load)
     assert case.model is not None
     told = float(case.model.payload[0])
-    mass = told + fit.mass
-    first = told * case.model.payload[1] + fit.moment
-    centre = first / mass if abs(mass) > 3.0 * fit.mass_error else np.zeros(3)
-    off = np.linalg.norm(centre) > 1e-3
-    where = f", com=({', '.join(f'{x:.3f}' for x in centre)}) m in the tool frame" if off else ""
+    beyond = fit.mass - told
+    centre: dict[str, Number] = {}
+    call, more = f"arm.with_payload({fit.mass:.3g})", ""
+    if fit.mass <= NOTHING * abs(beyond):
+        call = "arm.with_payload(0)"
+    else:
+        centre = {f"centre {axis}": Number(float(x), "m") for axis, x in zip("xyz", fit.centre, strict=True)}
+        values, ways = np.linalg.eigh(fit.centre_error)
+        blur = np.sqrt(np.maximum(values, 0.0))
+        centre["standard error of the centre"] = Number(float(blur.max()), "m")
+        if np.linalg.norm(fit.centre) > 1e-3:
+            call = f"arm.with_payload({fit.mass:.3g}, com={_vector(fit.centre, 3)})"
+            call += ", com in m in the tool frame"
+        more = "".join(_not_known(way) for way in ways[:, blur > KNOWN].T)
     return Finding(
         name="wrong payload",
         term="gravity" if "gravity" in run.terms else "nonlinear",
@@ -226,14 +166,25 @@ def _payload(case: Case, fit: Fit) -> Finding:
         share=case.share_of(load),
         evidence={
             "declared": Number(told, "kg"),
-            "beyond it": Number(fit.mass, "kg"),
+            "beyond it": Number(beyond, "kg"),
             "standard error": Number(fit.mass_error, "kg"),
             "of the residual explained": Number(100.0 * fit.explained, "%"),
+            **centre,
         },
-        text=f"the torques are those of an arm with {fit.mass:+.3g} kg at its tool beyond what the law was told",
-        remedy=f"declare the payload: arm.with_payload({mass:.3g}{where}), or ctrl.parameters['model.payload.mass']",
+        text=f"the torques are those of an arm with {beyond:+.3g} kg at its tool beyond what the law was told",
+        remedy=f"declare the payload: {call}, or ctrl.parameters['model.payload.mass']{more}",
         picture=_picture(case, load, i, "payload that is not declared"),
     )
+
+
+def _vector(x: Float64Array, digits: int) -> str:
+    return f"({', '.join(f'{value + 0.0:.{digits}f}' for value in np.round(x, digits))})"
+
+
+def _not_known(way: Float64Array) -> str:
+    """A direction of the tool frame in which the run does not tell where a payload's centre is."""
+    way = way * np.sign(way[np.argmax(np.abs(way))])
+    return f"; its centre along {_vector(way, 2)} of the tool frame is not known from this run: turn that to and fro"
 
 
 # -------------------------------------------------------------------- friction, and what else is constant
@@ -267,6 +218,7 @@ def _sticks(case: Case, fit: Fit | None) -> Finding | None:
     error = float(np.abs(case.error[held, i]).max())
     known = fit is not None and fit.coulomb[i] > 0.0
     dry = float(fit.coulomb[i]) if fit is not None and known else most
+    integral = "" if np.any(run.terms.get("I", np.zeros_like(run.q))[:, i]) else "an integral, "
     return Finding(
         name="sticks",
         term="friction",
@@ -279,13 +231,13 @@ def _sticks(case: Case, fit: Fit | None) -> Finding | None:
             **({"dry friction fitted": Number(dry, unit)} if known else {}),
         },
         text=f"'{joint}' rests off its target while the feedback pushes it: dry friction holds it",
-        remedy=f"add FrictionCompensation(at='ref') with {dry:.3g} {unit} of Coulomb friction, an integral, or "
+        remedy=f"add FrictionCompensation(at='ref') with {dry:.3g} {unit} of Coulomb friction, {integral}or "
         f"RaisedGains; kp alone would leave up to {dry:.3g} {unit} / kp",
         picture=Picture(
             title=f"{joint}: error, and feedback in parts of its largest (shaded: at rest)",
             ylabel="[1]",
             t=run.t,
-            curves={"error": _unit(case.error[:, i]), "feedback": _unit(case.feedback[:, i])},
+            curves={"error": in_parts(case.error[:, i]), "feedback": in_parts(case.feedback[:, i])},
             marked=rest,
         ),
     )
@@ -297,7 +249,7 @@ def _carried(case: Case, fit: Fit | None) -> Float64Array:
     if case.model is not None and fit is not None:
         names = [name for name in ("gravity", "nonlinear", "force_nonlinear") if name in case.run.terms]
         given = sum((case.run.terms[name] for name in names), np.zeros_like(out))
-        by_plant = fit.load if fit.explained >= MOST else np.zeros_like(fit.load)
+        by_plant = fit.load if fit.holds else np.zeros_like(fit.load)
         at_rest = case.model.gravity - given[case.model.ticks]
         out = out - _at_ticks(case, at_rest + by_plant)
     return out
@@ -355,8 +307,9 @@ def _sags(case: Case, fit: Fit | None) -> Finding | None:
     """A steady error of joints at rest that the feedback holds, whatever the load is.
 
     What the environment gives (F_ext) is no load: an impedance gives way to it by design, so that a joint whose
-    feedback balances J^T F_ext within a fifth is left out; so are all where that of the whole arm does, and one that
-    dry friction holds. Of a hybrid law it is the feedback of its motion that is looked at.
+    feedback balances J^T F_ext within a fifth is left out; so are all where that of the whole arm does, one that
+    dry friction holds, and one whose command is cut, which its spring does not hold. Of a hybrid law it is the
+    feedback of its motion that is looked at.
     """
     run = case.run
     bad = np.abs(case.steady_error) > case.tolerance
@@ -371,6 +324,7 @@ def _sags(case: Case, fit: Fit | None) -> Finding | None:
     resting = np.abs(run.v) < RESTING
     bad &= np.array([not _held_at_the_end(case, fit, i, resting[:, i]) for i in range(case.n)])
     bad &= np.abs(held) > LEAST_GRAVITY * case.size
+    bad &= ((case.cut[end] != 0.0) | (case.pinned[end] != 0.0)).mean(axis=0) < OFTEN  # else a limit balances the load
     if case.model is not None:  # what the motion of other joints asks for is no load
         late = case.model.ticks >= end.start
         moved = np.abs((case.model.motion - case.model.gravity)[late].mean(axis=0)) if late.any() else 0.0 * held
@@ -397,8 +351,8 @@ def _sags(case: Case, fit: Fit | None) -> Finding | None:
             "stiffness": Number(k, f"{unit}/{run.units[i]}"),
         },
         text=f"'{joint}' rests where its spring balances a constant load that the model does not have{or_friction}",
-        remedy=f"model the load of {held[i]:.3g} {unit}; or a stiffness of {want:.3g} {unit}/{run.units[i]} to bring "
-        f"the error under {case.tolerance[i]:.2g} {run.units[i]}{integral}",
+        remedy=f"model the load of {held[i]:.3g} {unit}; or a stiffness of {Number(want)} {unit}/{run.units[i]} to "
+        f"bring the error under {case.tolerance[i]:.2g} {run.units[i]}{integral}",
         picture=Picture(
             title=f"{joint}: error",
             ylabel=f"[{run.units[i]}]",

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import functools
 import json
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from taut.arm.builtin import BUILT_IN
 from taut.arm.catalogue import CATALOGUE
@@ -29,16 +27,12 @@ from taut.record.run import Run
 from taut.record.sticking import MOVING
 from taut.record.task import TOOL
 
-__all__ = ["ArmModel", "Fit", "model_of_run"]
+__all__ = ["ENOUGH", "ArmModel", "model_of_run"]
 
 SAME: Final = 1e-9  # of kinematics: what counts as the same arm
 MOST_TICKS: Final = 600  # that a fit looks at, evenly spread
-FLOOR: Final = 0.01  # of the largest gravity torque: what a model is not asked to explain
 ENOUGH: Final = 0.05  # of the ticks: fewer in motion say nothing of friction
 LEAST_MOTION: Final = 32  # ticks in motion that say something of friction, however few they are
-SMALL: Final = 1e-4  # [m] off the tool: its square, which a payload's inertia has, counts for nothing
-REACH: Final = 0.25  # of the arm's length: how far from the tool a payload may have its centre
-INDEPENDENT: Final = 100.0  # ticks of a run, neighbours of which are much alike, count as so many
 
 
 def model_of_run(run: Run, arm: Arm | None) -> tuple[ArmModel | None, str]:
@@ -136,22 +130,6 @@ def _native_mass(arm: Arm) -> Callable[..., Float64Array]:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Fit:
-    """What the torques of a run hold beyond the model, by the hypothesis that explains them with fewest numbers."""
-
-    kind: str  # "none", "friction", "gravity" or "payload"
-    load: Float64Array  # (k, n) the torque of it beyond friction, at the ticks that were looked at
-    explained: float  # 0 to 1: of what friction leaves, in squares
-    left: float  # 0 to 1: of the residual, what nothing explains
-    gravity: float  # part of g that somebody else gives
-    mass: float  # [kg] beyond the declared payload
-    mass_error: float  # [kg] its standard error
-    moment: Float64Array  # (3,) [kg m] mass times centre, in the tool frame
-    viscous: Float64Array  # (n,)
-    coulomb: Float64Array  # (n,)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class ArmModel:
     """The arm that the controller believed in, with the payload that it was told, along a run."""
 
@@ -220,12 +198,17 @@ class ArmModel:
         return np.asarray(self.run.tau[self.ticks] + pushed - self.motion)
 
     @cached_property
-    def _payload_columns(self) -> Float64Array:
-        """(ticks, n, 4) torque of a payload of 1 kg at the tool, and of 1 kg m along each of its axes."""
-        none = np.zeros(6)
-        at = self._each(1.0, np.zeros(3), none, moving=True)
-        moments = [(self._each(1.0, SMALL * axis, none, moving=True) - at) / SMALL for axis in np.eye(3)]
-        return np.stack([at - self._each(0.0, np.zeros(3), none, moving=True), *moments], axis=2)
+    def payload_columns(self) -> Float64Array:
+        """(ticks, n, 10) torque of a payload by what it is linear in: its mass, moment and inertia at the tool."""
+        none, far = np.zeros(6), np.eye(3)
+        empty = self._each(0.0, np.zeros(3), none, moving=True)
+        at = self._each(1.0, np.zeros(3), none, moving=True) - empty
+        turning = [self._each(0.0, np.zeros(3), unit, moving=True) - empty for unit in np.eye(6)]
+        moments = []
+        for i, axis in enumerate(far):
+            one = self._each(1.0, axis, none, moving=True) - empty - at
+            moments.append(one - sum(turning[j] for j in range(3) if j != i))
+        return np.stack([at, *moments, *turning], axis=2)
 
     @cached_property
     def length(self) -> float:
@@ -249,107 +232,3 @@ class ArmModel:
     def inertia_felt(self, tick: int) -> Float64Array:
         """(n,) what each joint's torque moves with the others free: 1 / (M^-1)_ii [kg m^2 | kg]."""
         return np.asarray(1.0 / np.diag(np.linalg.inv(self.mass_matrix(tick))))
-
-    # ---------------------------------------------------------------- fits
-
-    def fit(self, size: Float64Array) -> Fit:
-        """What explains the residual: friction, gravity that somebody else gives, a payload, or nothing.
-
-        Each hypothesis is fitted by least squares, alone and with friction of each joint, b v + c sign(v) with
-        b, c >= 0, to the joints that move; where next to nothing does, to all. The one with the least Bayesian
-        information criterion is kept, in which what lies under 1 % of the largest gravity torque counts as noise. A
-        payload whose centre is further from the tool than a quarter of the arm is none: that is a wrong arm.
-
-        Args:
-            size: (n,) what the torques of each joint are weighed with.
-        """
-        n, v = self.run.n, self.run.v[self.ticks]
-        moving = np.abs(v) > MOVING
-        dry = bool(moving.any(axis=1).mean() >= ENOUGH)
-        used = moving if dry else np.ones_like(moving)  # what dry friction holds says nothing of a load
-        d = (self.residual / size)[used]
-        floor = FLOOR * float(np.abs(self.gravity / size).max())
-        columns = {
-            "gravity": -self.gravity[:, :, np.newaxis],
-            "mass": self._payload_columns[:, :, :1],
-            "moment": self._payload_columns[:, :, 1:],
-            "viscous": np.einsum("ki,ij->kij", v, np.eye(n)),
-            "coulomb": np.einsum("ki,ij->kij", np.sign(v) * moving, np.eye(n)),
-        }
-        friction = ("viscous", "coulomb") if dry else ("viscous",)
-        sets: list[tuple[str, ...]] = [(), friction]
-        if np.any(self.arm.gravity):  # without it inertia alone tells of a load, which friction hides
-            sets += [("gravity",), ("gravity", *friction)]
-            sets += [("mass",), ("mass", *friction), ("mass", "moment"), ("mass", "moment", *friction)]
-        best: tuple[float, tuple[str, ...], Float64Array] = (math.inf, (), np.zeros(0))
-        for names in sets:
-            values, left = _bounded(d, [columns[name] / size[:, np.newaxis] for name in names], names, used)
-            if "moment" in names and np.linalg.norm(values[1:4]) > REACH * self.length * abs(float(values[0])):
-                continue
-            variance = float(np.mean(left**2)) + floor**2 + np.finfo(np.float64).tiny
-            used_up = np.count_nonzero(np.abs(values) > 0.0)
-            cost = INDEPENDENT * math.log(variance) + used_up * math.log(INDEPENDENT)
-            if cost < best[0]:
-                best = cost, names, values
-        return self._told(best[1], best[2], columns, size, used)
-
-    def _told(
-        self,
-        names: tuple[str, ...],
-        values: Float64Array,
-        columns: dict[str, Float64Array],
-        size: Float64Array,
-        used: Any,
-    ) -> Fit:
-        n, at = self.run.n, 0
-        found = {"gravity": np.zeros(1), "mass": np.zeros(1), "moment": np.zeros(3)}
-        found |= {"viscous": np.zeros(n), "coulomb": np.zeros(n)}
-        load, rest = np.zeros_like(self.residual), self.residual.copy()
-        for name in names:
-            width = columns[name].shape[2]
-            found[name] = values[at : at + width]
-            part = columns[name] @ found[name]
-            at += width
-            if name in ("viscous", "coulomb"):
-                rest = rest - part
-            else:
-                load = load + part
-        whole, before, after = (float(np.sum((x / size)[used] ** 2)) for x in (self.residual, rest, rest - load))
-        kind = "gravity" if "gravity" in names else "payload" if "mass" in names else "friction" if names else "none"
-        mass_column = (columns["mass"][:, :, 0] / size)[used]
-        spread = math.sqrt(after / max(1, mass_column.size - len(values)))
-        return Fit(
-            kind=kind,
-            load=load,
-            explained=1.0 - after / before if before > 0.0 else 0.0,
-            left=after / whole if whole > 0.0 else 0.0,
-            gravity=float(found["gravity"][0]),
-            mass=float(found["mass"][0]),
-            mass_error=spread / max(float(np.linalg.norm(mass_column)), 1e-300),
-            moment=found["moment"],
-            viscous=found["viscous"],
-            coulomb=found["coulomb"],
-        )
-
-
-def _bounded(
-    d: Float64Array, columns: list[Float64Array], names: tuple[str, ...], used: Any
-) -> tuple[Float64Array, Float64Array]:
-    """Least squares with friction that does not drive: the numbers, and what is left of d."""
-    if not columns:
-        return np.zeros(0), d
-    X = np.concatenate([column[used] for column in columns], axis=1)
-    low = np.concatenate(
-        [
-            np.full(column.shape[2], 0.0 if name in ("viscous", "coulomb") else -np.inf)
-            for name, column in zip(names, columns, strict=True)
-        ]
-    )
-    scale = np.linalg.norm(X, axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    if np.isinf(low).all():
-        values = np.linalg.lstsq(X / scale, d, rcond=None)[0] / scale
-    else:
-        Q, R = np.linalg.qr(X / scale)  # the same problem in as many rows as numbers
-        values = lsq_linear(R, Q.T @ d, bounds=(low, np.inf)).x / scale
-    return values, d - X @ values

@@ -1,0 +1,97 @@
+"""The line that swings in a run: the strongest in any joint's feedback, or one that turns round in every tick."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from taut.base.types import Float64Array
+from taut.study.diagnosis_case import Case
+from taut.study.diagnosis_line import Line, line_of
+
+__all__ = ["RINGING", "Swing", "alternating_swing", "strongest_swing", "without_trend"]
+
+LINE: Final = 0.5  # of the variance of a joint's feedback that is one line
+RINGING: Final = 0.1  # damping ratio under which it takes more than six periods to the chapter's 2 %
+BOLTING: Final = 0.3  # what grows faster, sixfold in a period, is no oscillation but runs away
+LEAST_TORQUE: Final = 0.02  # of the effort: smaller oscillations count only by their error
+LEAST_SHARE: Final = 0.01  # of the feedback's effort in the run: less is not why a run is as it is
+TURNS: Final = 5  # ticks in a row, each with more feedback than the last and the other way round
+HARMONICS: Final = 5.0  # of the reference's frequency: what the reference itself brings
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Swing:
+    """A line in a joint's feedback in a window of the run."""
+
+    joint: int
+    line: Line
+    window: slice
+    share: float
+
+
+def strongest_swing(case: Case) -> Swing | None:
+    """The line that explains most of any joint's feedback, in the last half of the run or else in all of it."""
+    run, count = case.run, len(case.run)
+    for window in (slice(count // 2, count), slice(0, count)):
+        y = case.feedback[window] / case.size
+        slow = _reference_speed(case, window)
+        total = float(np.sum((y - y.mean(axis=0)) ** 2)) or 1.0
+        best: Swing | None = None
+        for i in range(case.n):
+            line = line_of(y[:, i], case.dt, HARMONICS * slow)
+            if line is None or line.share < LINE or not -BOLTING < line.zeta < RINGING:
+                continue
+            swing = line_of(run.q[window, i], case.dt, 0.5 * line.omega)
+            moves = 0.0 if swing is None else swing.amplitude * math.sqrt(max(swing.share, 0.0))
+            if max(line.amplitude, line.last * (line.growth > 0.0)) < LEAST_TORQUE and moves < case.tolerance[i]:
+                continue
+            part = line.share * float(np.sum((y[:, i] - y[:, i].mean()) ** 2)) / total
+            if best is None or part > best.share:
+                best = Swing(joint=i, line=line, window=window, share=part)
+        if best is not None:
+            energy = float(np.sum((case.feedback[best.window] / case.size) ** 2)) / case.effort
+            share = min(1.0, best.share * energy)
+            if share >= LEAST_SHARE:
+                return Swing(joint=best.joint, line=best.line, window=best.window, share=share)
+    return None
+
+
+def alternating_swing(case: Case) -> Swing | None:
+    """What grows too fast to be fitted: feedback that turns round from each tick to the next, at half of the rate.
+
+    That is how a sampled loop of too much gain runs away, in fewer ticks than a line needs. At the end of the run the
+    feedback of the joint turns round in each of five ticks and more, and grows in each.
+    """
+    y = case.feedback / case.size
+    turns = (y[1:] * y[:-1] < 0.0) & (np.abs(y[1:]) > np.abs(y[:-1]))
+    in_a_row = np.cumprod(turns[::-1], axis=0).sum(axis=0).astype(np.intp)
+    bad = (in_a_row >= TURNS) & (np.abs(y[-1]) > LEAST_TORQUE)
+    if not bad.any():
+        return None
+    i = int(np.argmax(bad * np.abs(y[-1])))
+    start = len(y) - 1 - int(in_a_row[i])
+    first, last = float(abs(y[start, i])), float(abs(y[-1, i]))
+    growth = math.log(last / first) / (in_a_row[i] * case.dt)
+    line = Line(omega=math.pi / case.dt, growth=growth, amplitude=math.sqrt(first * last), last=last, share=1.0)
+    share = float(np.sum(y[start:, i] ** 2)) / case.effort
+    return Swing(joint=i, line=line, window=slice(start, len(y)), share=min(1.0, share))
+
+
+def _reference_speed(case: Case, window: slice) -> float:
+    """[rad/s] the frequency around which the reference moves: RMS of its acceleration over that of its speed."""
+    v = case.moving_reference[window]
+    speed = float(np.sqrt(np.mean(v**2)))
+    if speed == 0.0:
+        return 0.0
+    return float(np.sqrt(np.mean((np.diff(v, axis=0) / case.dt) ** 2))) / speed
+
+
+def without_trend(x: Float64Array) -> Float64Array:
+    """(k, n) without its straight trend."""
+    t = np.linspace(-1.0, 1.0, len(x))
+    basis = np.column_stack([np.ones(len(x)), t])
+    return np.asarray(x - basis @ np.linalg.lstsq(basis, x, rcond=None)[0])
