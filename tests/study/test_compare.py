@@ -377,6 +377,24 @@ def test_a_wrong_model_says_what_it_takes(numbers: dict[str, float], words: str)
         taut.WrongModel(**numbers)
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("PID(kp=nan)", "law 'PID(kp=nan)': kp must be finite [N m/rad | N/m]; got nan"),
+        ("PID(kp=-inf)", "law 'PID(kp=-inf)': kp must be finite [N m/rad | N/m]; got -inf"),
+        ("PID(kp=[1, NaN])", "law 'PID(kp=[1, NaN])': kp[1] must be finite [N m/rad | N/m]; got nan"),
+        (
+            "PID(kp=3-nan)",
+            "a law is written as PID(kp=100, kd=20); got 'PID(kp=3-nan)'; '3 - nan' is no number, list, word or law",
+        ),
+    ],
+)
+def test_a_gain_in_a_text_that_is_not_finite_is_told_by_name(text: str, said: str) -> None:
+    with pytest.raises(taut.TautError) as caught:
+        law_of_text(text)
+    assert str(caught.value) == said
+
+
 def test_an_unknown_gain_in_a_text_is_told() -> None:
     with pytest.raises(ScenarioError, match="has no key 'kq'"):
         law_of_text("PID(kp=1, kq=2)")

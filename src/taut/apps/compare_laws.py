@@ -76,11 +76,19 @@ def _value(node: ast.expr, text: str) -> Any:
     """A number, a word, a list, a table, or a law that is held."""
     if isinstance(node, (ast.Call, ast.BinOp)) and not _is_number(node):
         return _table(node, text)
+    written = ast.unparse(node)
     try:
-        value = ast.literal_eval(node)
+        value = ast.literal_eval(_NotFinite().visit(node))
     except (ValueError, TypeError, SyntaxError, RecursionError) as cause:
-        raise _no_law(text, f"; '{ast.unparse(node)}' is no number, list, word or law") from cause
+        raise _no_law(text, f"; '{written}' is no number, list, word or law") from cause
     return _plain(value)
+
+
+class _NotFinite(ast.NodeTransformer):
+    """nan and inf are numbers, as in TOML, so that the law itself says which gain must be finite."""
+
+    def visit_Name(self, node: ast.Name) -> ast.expr:
+        return ast.Constant(float(node.id)) if node.id.lower() in ("nan", "inf") else node
 
 
 def _is_number(node: ast.expr) -> bool:
