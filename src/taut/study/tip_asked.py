@@ -10,13 +10,16 @@ import numpy as np
 from taut.base.derivative import jacobian
 from taut.base.types import Float64Array
 from taut.control.combine import Sum
+from taut.control.compliance import Compliance
 from taut.control.felt import felt_impedance
 from taut.control.force import ForceControl
 from taut.control.friction import FrictionCompensation
 from taut.control.gains import GainValue
+from taut.control.impedance import Stiffness
 from taut.control.joint import PID, ComputedTorque, FeedForward, GravityCompensation, GravityPID
 from taut.control.law import Law
 from taut.control.task import TaskComputedTorque
+from taut.control.task_reference import TaskMotion
 from taut.control.via_joint_space import ViaJointSpace
 from taut.maths.snapshot import Snapshot
 from taut.study.frequency import Complex
@@ -34,6 +37,7 @@ def asked_admittance(law: Law, x: Snapshot, reach: Float64Array) -> AskedAdmitta
 
     Law:          Y = J (M s^2 + kd s + kp + ki / s)^-1 J^T of GravityPID, with dg/dq beside kp of PID,
                   Y = J (M (s^2 + kd s + kp + ki / s))^-1 J^T of ComputedTorque,
+                  Y = J (M s^2 + kd s + J^T K J)^-1 J^T of Stiffness,
                   Y = (s^2 + kd s + kp + ki / s)^-1 Lambda^-1 of TaskComputedTorque,
                   Y = (Lambda s^2 + kdamp s)^-1 (1 + kfp + kfi / s) of ForceControl,
                   Y = (D s^2 + B s + K)^-1 of Impedance and Admittance, in the directions that the tool can move in
@@ -62,6 +66,8 @@ def asked_admittance(law: Law, x: Snapshot, reach: Float64Array) -> AskedAdmitta
         return _of_task(law, x, reach)
     if isinstance(law, ForceControl):
         return _of_force(law, x, reach)
+    if isinstance(law, Stiffness):
+        return _of_stiffness(law, x)
     felt = felt_impedance(law, x)
     if felt is None or (law.gives("D") and not all(_stays(C, reach) for C in (felt.D, felt.B, felt.K))):
         return None
@@ -105,6 +111,17 @@ def _of_joints(law: Law, x: Snapshot) -> AskedAdmittance:
     if isinstance(law, PID):
         kp = kp + jacobian(lambda q: x.at(q, np.zeros(n)).g, x.q)
     return lambda s: np.asarray(J @ _over(_polynomial(s, M, kd, kp, ki), J.T), dtype=np.complex128)
+
+
+def _of_stiffness(law: Stiffness, x: Snapshot) -> AskedAdmittance | None:
+    """Its damping is of joints, so that no damping of the tool alone says the same."""
+    if law.error != "decoupled" or callable(law.K):
+        return None
+    axes = Compliance.of(law.error, law.frame, x, TaskMotion.at_rest(x, law.tool), law.tool, None)
+    J, M = np.asarray(x.J(), dtype=np.float64), np.asarray(x.M, dtype=np.float64)
+    K = J.T @ np.asarray(axes.matrix_outwards(law.K.matrix(6)), dtype=np.float64) @ J
+    kd = _matrix(law, "kd", x.n)
+    return lambda s: np.asarray(J @ _over(_polynomial(s, M, kd, K), J.T), dtype=np.complex128)
 
 
 def _mobility(x: Snapshot) -> Float64Array:
