@@ -11,7 +11,7 @@ import numpy as np
 from taut.arm.angles import require_radians
 from taut.arm.description import Arm, Payload
 from taut.base.checks import finite_array, float_array, one_of, positive_scalar
-from taut.base.errors import NumericalError, RangeError, TautError, UsageError, unknown_name
+from taut.base.errors import NumericalError, RangeError, TautError, UsageError, count_of, unknown_name
 from taut.base.named import Named
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
@@ -507,7 +507,7 @@ class Controller:
     def explanation(self) -> str:
         """What `explain` prints."""
         side = self.side
-        lines = [f"{title(side.law)} for arm '{side.arm.name}' ({side.arm.n} joints) at {side.rate:g} Hz"]
+        lines = [f"{title(side.law)} for arm '{side.arm.name}' ({count_of(side.arm.n, 'joint')}) at {side.rate:g} Hz"]
         for name, law in all_laws(side.law):
             lines += ["", f"{name}: {summary(type(law))}"] if name else []
             for head in ("Law", "Closed loop"):

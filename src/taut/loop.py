@@ -14,7 +14,7 @@ import numpy as np
 from taut.arm.angles import require_radians
 from taut.arm.description import Arm, Payload
 from taut.base.checks import finite_array, positive_scalar, read_only
-from taut.base.errors import MatchError, ShapeError, UsageError, unknown_name
+from taut.base.errors import MatchError, ShapeError, UsageError, count_of, unknown_name
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.control.describe import title
@@ -120,8 +120,8 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
     law, probe = title(side.law), side.probe
     if side.arm.n != plant.arm.n:
         raise ShapeError(
-            f"plant '{plant.name}' has {plant.arm.n} joints and the controller's arm '{side.arm.name}' has "
-            f"{side.arm.n}; both must be the same arm, or the same subset of its joints"
+            f"plant '{plant.name}' has {count_of(plant.arm.n, 'joint')} and the controller's arm "
+            f"'{side.arm.name}' has {side.arm.n}; both must be the same arm, or the same subset of its joints"
         )
     for i, (ours, theirs) in enumerate(zip(side.arm.units, plant.arm.units, strict=True)):
         if ours != theirs:

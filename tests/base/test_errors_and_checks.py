@@ -18,7 +18,15 @@ import pytest
 import taut
 from taut import FileError, ModelError, RangeError, ShapeError, TautError, UsageError
 from taut.base import checks, paths
-from taut.base.errors import Problem, missing_extra, quoted_list, raised_location, unknown_name, user_location
+from taut.base.errors import (
+    Problem,
+    count_of,
+    missing_extra,
+    quoted_list,
+    raised_location,
+    unknown_name,
+    user_location,
+)
 
 JOINTS = ("base", "elbow")
 
@@ -28,6 +36,13 @@ def message_of(call: Callable[[], Any], kind: type[Exception]) -> str:
         call()
     assert isinstance(caught.value, TautError)
     return str(caught.value)
+
+
+def test_what_is_counted_is_one_or_several() -> None:
+    assert [count_of(n, "joint") for n in (0, 1, 2)] == ["0 joints", "1 joint", "2 joints"]
+    arm = taut.load_arm("one_joint")
+    assert repr(arm) == "Arm('one_joint', 1 joint, tool 'tool')"
+    assert "'one_joint' (1 joint) at 1000 Hz" in taut.compile(taut.laws.PID(kp=1.0), arm).explanation()
 
 
 ARRAYS: list[tuple[str, Any, type[Exception], str]] = [

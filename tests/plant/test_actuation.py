@@ -200,7 +200,7 @@ def test_every_part_runs_the_same_in_native_code_and_in_plain_python(drives: dic
         (lambda: taut.Ripple(amplitude=0.05, periods=2.5), taut.RangeError, "actuation.ripple.periods must be a whole number: after one turn of the motor its torque is the same again; got 2.5"),
         (lambda: taut.Actuation(resolution=0.0), taut.RangeError, "actuation.resolution must be > 0 [N m | N]; got 0.0; for an ideal amplifier leave it out"),
         (lambda: taut.Actuation(motor=2.0), taut.UsageError, "actuation.motor must be taut.Motor(...) or taut.ElectricMotor(...); got float"),  # type: ignore[arg-type]
-        (lambda: taut.RigidPlant(FREE, actuation=taut.Actuation(motor=taut.Motor(peak=[1.0, 2.0]))), taut.ShapeError, "actuation.motor.peak must have shape (1,) (1 joints); got shape (2,)"),
+        (lambda: taut.RigidPlant(FREE, actuation=taut.Actuation(motor=taut.Motor(peak=[1.0, 2.0]))), taut.ShapeError, "actuation.motor.peak must have shape (1,) (1 joint); got shape (2,)"),
     ],
 )  # fmt: skip
 def test_what_no_drive_is_is_refused_in_words(make: Any, kind: type[taut.TautError], message: str) -> None:

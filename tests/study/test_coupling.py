@@ -37,6 +37,10 @@ def pandas() -> dict[tuple[str, str, float], taut.Coupling]:
 
 def test_a_gantry_has_no_coupling() -> None:
     found = coupling_of(taut.load_arm("gantry3"), kp=3000.0, kd=300.0, ki=500.0)
+    assert str(found).endswith("the weight moves no joint until the loop rests")
+    found = coupling_of(taut.load_arm("gantry3"), kp=3000.0, kd=300.0)
+    assert str(found).endswith("the weight moves 'z' by -0.00981 m until the loop rests")
+    assert found.worst[1] != found.worst[2]
     assert found.inertia < 1e-12
     assert found.worst[0] < 1e-11  # of a resonance, whose size it is relative to
     assert found.enough
@@ -79,6 +83,7 @@ def test_it_says_so_in_words(pandas: dict[tuple[str, str, float], taut.Coupling]
 def test_a_joint_alone_is_coupled_to_nothing() -> None:
     found = coupling_of(taut.load_arm("one_joint"), kp=30.0, kd=10.0)
     assert found.enough
+    assert found.worst[0] == 0.0
     assert str(found) == "joint 'joint1' is alone: there is nothing that it could be coupled to"
 
 

@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from taut.arm.description import Arm
+from taut.base.errors import count_of
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
 from taut.codegen.loop import NativeLoop
@@ -154,7 +155,7 @@ def bench_arm(arm: Arm) -> list[tuple[str, str]]:
     timing = interleaved({"tick": "tick()", "step": "step(q, v, ref)", "loop": loop.run}, names)
     per_step = timing["loop"].median / loop.ticks
     return [
-        ("arm", f"{arm.name}, {arm.n} joints; computed torque, 1 kHz"),
+        ("arm", f"{arm.name}, {count_of(arm.n, 'joint')}; computed torque, 1 kHz"),
         ("operations in a tick", f"{ctrl.operations}"),
         ("compile, cold", f"{1e3 * cold:.0f} ms"),
         ("compile, cached", f"{1e3 * cached.median:.1f} ms"),

@@ -30,7 +30,7 @@ from taut.arm.parts import (
     Visual,
 )
 from taut.base.checks import finite_array, one_of, read_only, vector
-from taut.base.errors import UsageError, unknown_name
+from taut.base.errors import UsageError, count_of, unknown_name
 from taut.base.pose import Pose
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
 
@@ -429,4 +429,4 @@ class Arm:
         return arm_from_pinocchio(model, tool, gravity)
 
     def __repr__(self) -> str:
-        return f"Arm('{self.name}', {self.n} joints, tool '{self.tool}')"
+        return f"Arm('{self.name}', {count_of(self.n, 'joint')}, tool '{self.tool}')"

@@ -15,7 +15,7 @@ from taut.arm.friction import FRICTION_FIELDS
 from taut.arm.load import OpenedModel, arm_of, open_model
 from taut.arm.reach import reach
 from taut.arm.tree import TreeJoint
-from taut.base.errors import ModelError, Problem, TautError, UsageError
+from taut.base.errors import ModelError, Problem, TautError, UsageError, count_of
 from taut.base.types import Float64Array
 
 __all__ = ["ArmRow", "CheckReport", "arm_rows", "check_model", "joint_table"]
@@ -169,7 +169,7 @@ def _text(report: CheckReport) -> Iterator[str]:
     source = report._source()
     if joints:
         tool = "" if report.arm is None else f", tool '{report.arm.tool}'"
-        yield f"{report.name}: {len(joints)} {'joint' if len(joints) == 1 else 'joints'}{tool}"
+        yield f"{report.name}: {count_of(len(joints), 'joint')}{tool}"
     else:
         yield report.name
     if source is not None:
@@ -186,7 +186,7 @@ def _text(report: CheckReport) -> Iterator[str]:
     if report.ok:
         yield "no problems"
         return
-    yield "1 problem" if len(report.problems) == 1 else f"{len(report.problems)} problems"
+    yield count_of(len(report.problems), "problem")
     yield from (f"  {problem}" for problem in report.problems)
 
 

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from taut.base.errors import FileError, RangeError, ShapeError, TautError, UsageError
+from taut.base.errors import FileError, RangeError, ShapeError, TautError, UsageError, count_of
 from taut.base.types import ArrayLike, Float64Array
 
 __all__ = [
@@ -101,7 +101,7 @@ def float_array(
     """
     array = _as_floats(name, value, unit)
     if shape is not None and array.shape != shape:
-        count = f" ({len(joints)} joints)" if joints is not None and shape[:1] == (len(joints),) else ""
+        count = f" ({count_of(len(joints), 'joint')})" if joints is not None and shape[:1] == (len(joints),) else ""
         raise ShapeError(
             f"{name} must have shape {shape}{count}{_unit(unit)}; got shape {array.shape}",
             name=name,

@@ -30,6 +30,7 @@ __all__ = [
     "TraceError",
     "UnknownNameError",
     "UsageError",
+    "count_of",
     "missing_extra",
     "quoted_list",
     "raised_location",
@@ -141,6 +142,11 @@ def quoted_list(names: Iterable[str], most: int = 12) -> str:
     names = list(names)
     shown = ", ".join(f"'{name}'" for name in names[:most])
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
+
+
+def count_of(number: int, noun: str) -> str:
+    """So many of something in words: 1 joint, 2 joints."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def unknown_name(owner: str, kind: str, name: Any, known: Iterable[str], hint: str = "") -> UnknownNameError:

@@ -12,7 +12,7 @@ import numpy as np
 from taut.arm.angles import TURN, require_radians
 from taut.arm.description import Arm
 from taut.base.checks import one_of, positive_scalar, require_at_least, vector
-from taut.base.errors import RangeError, UsageError
+from taut.base.errors import RangeError, UsageError, count_of
 from taut.base.pose import Pose
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.function import NativeFunction, native
@@ -58,7 +58,7 @@ class IkResult:
         at = f" ({names})" if self.held and not self.ok else ""
         return (
             f"{self.outcome.value}{at}: {linear:.3g} m and {angular:.3g} rad are left after {self.iterations} steps "
-            f"from {self.starts} {'start' if self.starts == 1 else 'starts'}"
+            f"from {count_of(self.starts, 'start')}"
         )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from taut.base import math as tm
 from taut.base.checks import finite_array, one_of, require_at_least, symmetric_psd
-from taut.base.errors import MatchError, RangeError, UsageError
+from taut.base.errors import MatchError, RangeError, UsageError, count_of
 from taut.base.linalg import factor_spd
 from taut.base.types import Array, Matrix, Vector, Wrench
 from taut.control.command import Command, Terms, Torque
@@ -360,8 +360,9 @@ def check_directions(x: Snapshot, tool: str | None, J: Matrix) -> None:
     if lost > 1 and len(rows) - int(np.sum(sizes > LOST * sizes[0])) > 1:
         name = tool or x.arm.tool
         raise MatchError(
-            f"frame '{name}' of '{x.arm.name}' is moved by {moving} joints, and is asked for {len(rows)} directions; "
-            "control another frame, or what it can do: error='coordinates', coordinates=taut.Coordinates.position()",
+            f"frame '{name}' of '{x.arm.name}' is moved by {count_of(moving, 'joint')}, and is asked for "
+            f"{len(rows)} directions; control another frame, or what it can do: error='coordinates', "
+            "coordinates=taut.Coordinates.position()",
             name="tool",
         )
 

@@ -18,7 +18,7 @@ from typing import Any, ClassVar, Final, dataclass_transform
 import numpy as np
 
 from taut.base.array import has_symbols, traced_array
-from taut.base.errors import ShapeError, TraceError, UsageError, unknown_name, user_location
+from taut.base.errors import ShapeError, TraceError, UsageError, count_of, unknown_name, user_location
 from taut.base.types import Float64Array
 from taut.control.command import Command
 from taut.control.gains import Gain, GainValue, Memory
@@ -212,7 +212,7 @@ class Law:
             if values.ndim and values.shape[0] != size:
                 ours = type(self).__module__.startswith("taut.")
                 way_out = "" if ours or declared else "; a gain of another size is declared as taut.Gain(size=...)"
-                whose = f"for {n} {'joint' if n == 1 else 'joints'}" if declared is None else "as its law declares it"
+                whose = f"for {count_of(n, 'joint')}" if declared is None else "as its law declares it"
                 gain = self.gain_declared(path)
                 short = ["a scalar"] * gain.scalar + ["(linear, angular)"] * (gain.pairs and size == 6)
                 raise ShapeError(

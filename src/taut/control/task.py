@@ -8,7 +8,7 @@ import numpy as np
 
 from taut.base import math as tm
 from taut.base.checks import one_of, require_positive
-from taut.base.errors import MatchError, ShapeError, UsageError
+from taut.base.errors import MatchError, ShapeError, UsageError, count_of
 from taut.base.types import Vector
 from taut.control.command import Command, Terms, Torque
 from taut.control.gains import Gain, GainValue, Memory
@@ -217,8 +217,8 @@ def check_free(law: Law, x: Snapshot, dimensions: int) -> None:
     null = vars(law)["null"]
     if vars(law)["_null_given"] and null is not None and x.n <= dimensions:
         raise MatchError(
-            f"null={type(null).__name__}(...) is for motion that the task leaves free, and with {x.n} joints "
-            f"'{x.arm.name}' has none beside {dimensions} directions; leave null out",
+            f"null={type(null).__name__}(...) is for motion that the task leaves free, and with "
+            f"{count_of(x.n, 'joint')} '{x.arm.name}' has none beside {dimensions} directions; leave null out",
             name="null",
         )
 

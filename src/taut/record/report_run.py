@@ -13,7 +13,7 @@ import numpy as np
 
 from taut.arm.builtin import BUILT_IN
 from taut.arm.catalogue import CATALOGUE
-from taut.base.errors import UsageError
+from taut.base.errors import UsageError, count_of
 from taut.record.metrics import LIMITS, MEASURES, Metrics
 from taut.record.phases import PHASES
 from taut.record.report_page import VERSIONS, Page, Picture, Table
@@ -54,7 +54,7 @@ def page_of_run(run: Run, *, log: str = "run.mcap") -> Page:
     return Page(
         title=title,
         summary=(
-            f"{len(run)} ticks at {run.rate:g} Hz, {span:g} s, {run.n} joint{'s' if run.n > 1 else ''}. "
+            f"{len(run)} ticks at {run.rate:g} Hz, {span:g} s, {count_of(run.n, 'joint')}. "
             f"{str(run.outcome)[:1].upper()}{str(run.outcome)[1:]}.",
         ),
         faults=faults_of(run),

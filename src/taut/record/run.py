@@ -15,7 +15,7 @@ import numpy as np
 from taut.arm.angles import short_way
 from taut.arm.description import Arm
 from taut.base.checks import finite_scalar
-from taut.base.errors import RangeError
+from taut.base.errors import RangeError, count_of
 from taut.base.named import Named
 from taut.base.types import Float64Array
 from taut.control.reference import Sample
@@ -47,7 +47,7 @@ class Run:
         >>> ctrl = taut.compile(taut.laws.GravityPID(kp=2.205, kd=2.0), arm)
         >>> run = taut.run(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=[0.5]), duration=5.0)
         >>> run, run.terms["P"].shape
-        (Run(5001 ticks, 5 s, 1 joints, completed), (5001, 1))
+        (Run(5001 ticks, 5 s, 1 joint, completed), (5001, 1))
         >>> bool(run.metrics.overshoot[0] < 0.1)  # [%]
         True
     """
@@ -292,4 +292,4 @@ class Run:
 
     def __repr__(self) -> str:
         end = float(self.t[-1]) if len(self) else 0.0
-        return f"Run({len(self)} ticks, {end:g} s, {self.n} joints, {self.outcome.kind})"
+        return f"Run({len(self)} ticks, {end:g} s, {count_of(self.n, 'joint')}, {self.outcome.kind})"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from taut.base.errors import RangeError, UsageError, unknown_name
+from taut.base.errors import RangeError, UsageError, count_of, unknown_name
 from taut.base.types import ArrayLike
 from taut.control.law import Law
 from taut.controller import Controller
@@ -192,7 +192,7 @@ def compare_laws(
         entries.sort(key=lambda entry: (entry.failed, [entry.number(figure) for figure in by]))
     first = next(iter(ready.values()), None)
     return Comparison(
-        title=title or (first.setting.name if first else f"{len(runs)} recorded run{'s' if len(runs) > 1 else ''}"),
+        title=title or (first.setting.name if first else count_of(len(runs), "recorded run")),
         entries={entry.name: entry for entry in entries},
         by=tuple(by),
         notes=() if first is None else first.notes,

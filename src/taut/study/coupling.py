@@ -19,6 +19,7 @@ from taut.study.margins import frequency_grid
 
 __all__ = ["ENOUGH", "Coupling", "coupling"]
 
+AT_REST: Final = 1e-12  # [rad | m] what rounding moves a joint by
 ENOUGH: Final = 0.1  # of a joint's own motion: what others may follow of it
 
 
@@ -34,6 +35,7 @@ class Coupling:
             of each (column).
         sag: (n,) what the weight moves each joint by, until the loop rests [rad | m].
         share: The most crosstalk of different joints that counts as enough.
+        unit: Of the joints, all of one kind.
     """
 
     joints: tuple[str, ...]
@@ -41,13 +43,14 @@ class Coupling:
     crosstalk: Float64Array
     sag: Float64Array
     share: float
+    unit: str
 
     @property
     def worst(self) -> tuple[float, str, str]:
         """The largest crosstalk of two joints, which of them moves, and whose reference it was."""
-        apart = self.crosstalk - np.diag(np.diag(self.crosstalk))
+        apart = np.where(np.eye(len(self.joints), dtype=bool), -1.0, self.crosstalk)
         i, j = np.unravel_index(int(np.argmax(apart)), apart.shape)
-        return float(apart[i, j]), self.joints[i], self.joints[j]
+        return max(float(apart[i, j]), 0.0), self.joints[i], self.joints[j]
 
     @property
     def enough(self) -> bool:
@@ -57,15 +60,16 @@ class Coupling:
     def __str__(self) -> str:
         if len(self.joints) == 1:
             return f"joint '{self.joints[0]}' is alone: there is nothing that it could be coupled to"
-        size, moved, other = self.worst
+        size, follower, other = self.worst
         word = "is enough" if self.enough else "is not enough"
         i = int(np.argmax(np.abs(self.sag)))
+        moved = f"'{self.joints[i]}' by {self.sag[i]:.3g} {self.unit}" if abs(self.sag[i]) > AT_REST else "no joint"
         return "\n".join(
             [
-                f"decentralised control {word}: joint '{moved}' follows up to {100.0 * size:.3g} % of the reference "
-                f"of '{other}', and {100.0 * self.share:g} % is the most",
+                f"decentralised control {word}: joint '{follower}' follows up to {100.0 * size:.3g} % of the "
+                f"reference of '{other}', and {100.0 * self.share:g} % is the most",
                 f"the inertia matrix is coupled by {self.inertia:.3g} (0 is diagonal, 1 is singular)",
-                f"the weight moves '{self.joints[i]}' by {self.sag[i]:.3g} until the loop rests",
+                f"the weight moves {moved} until the loop rests",
             ]
         )
 
@@ -105,7 +109,8 @@ def coupling(loop: Loop, *, at: ArrayLike | None = None, share: float = ENOUGH, 
         raise UsageError(
             f"coupling is for laws that follow joint positions; {type(loop.side.law).__name__} does not", name="loop"
         )
-    if len(set(loop.plant.arm.units)) > 1:
+    units = loop.plant.arm.units
+    if len(set(units)) > 1:
         raise UsageError(
             "coupling compares joints of one kind, and this arm has some in rad and some in m, whose shares of each "
             "other have units; look at lin.frequency_response(omega, input='ref.q', output='q') of taut.linearise",
@@ -130,4 +135,5 @@ def coupling(loop: Loop, *, at: ArrayLike | None = None, share: float = ENOUGH, 
         crosstalk=np.abs(T).max(axis=0),
         sag=lin.moved,
         share=share,
+        unit=units[0],
     )

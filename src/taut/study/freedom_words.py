@@ -8,6 +8,7 @@ from typing import Final, Literal
 
 import numpy as np
 
+from taut.base.errors import count_of
 from taut.base.pose import Pose
 from taut.base.types import Float64Array
 from taut.maths.constraint import Constraint
@@ -109,7 +110,7 @@ def table_text(
     width = max(len("natural"), *(len(row.natural) for row in rows)) + 2
     free = sum(row.free == "motion" for row in rows)
     what = TITLES.get(mode, "in contact" if touches else "held")
-    freedoms = f"{_count(free, 'motion')} and {_count(len(rows) - free, 'force')}"
+    freedoms = f"{count_of(free, 'motion')} and {count_of(len(rows) - free, 'force')}"
     title = f"{what}: {freedoms} may be chosen"
     lines = [f"{row.natural:<{width}}{text}" for row, text in zip(rows, right, strict=True)]
     return "\n".join([title, f"{'natural':<{width}}artificial", *lines, *notes])
@@ -181,7 +182,3 @@ def _shown(numbers: Float64Array) -> str:
 
 def _number(value: float) -> str:
     return f"{round(float(value), 9) + 0.0:.6g}"
-
-
-def _count(number: int, word: str) -> str:
-    return f"{number} {word}" if number == 1 else f"{number} {word}s"

@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 
 from taut.base.checks import finite_array
-from taut.base.errors import RangeError, ShapeError
+from taut.base.errors import RangeError, ShapeError, count_of
 from taut.base.types import ArrayLike
 
 __all__ = ["RouthRow", "RouthTable", "routh"]
@@ -59,7 +59,7 @@ class RouthTable:
         if self.stable:
             return "stable: no change of sign in the first column"
         roots = [
-            f"{count} {'root' if count == 1 else 'roots'} {where}"
+            f"{count_of(count, 'root')} {where}"
             for count, where in ((self.right, "in the right half-plane"), (self.on_axis, "on the imaginary axis"))
             if count
         ]
@@ -146,4 +146,4 @@ def _mended(power: int, entries: list[Fraction], above: list[Fraction] | tuple[F
     sign = -1 if zeros % 2 else 1
     shifted = [*entries[zeros:], *[Fraction(0)] * zeros]
     mixed = tuple(entry + sign * other for entry, other in zip(entries, shifted, strict=True))
-    return RouthRow(power=power, entries=mixed, note=f"it began with {zeros} zero{'s' if zeros > 1 else ''}")
+    return RouthRow(power=power, entries=mixed, note=f"it began with {count_of(zeros, 'zero')}")

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from taut.base.checks import finite_array, finite_scalar, read_only, vector
-from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.errors import RangeError, ShapeError, UsageError, count_of
 from taut.base.types import ArrayLike, Float64Array
 from taut.study.linear_environment import LinearEnvironment
 from taut.study.linear_words import and_list, combination, written
@@ -202,18 +202,17 @@ def _judged(environment: LinearEnvironment, words: Sequence[str], rows: Float64A
     felt, _ = environment.felt(rows)
     smallest = float(np.linalg.svd(felt, compute_uv=False)[-1]) if 0 < m <= n else 0.0
     if m > n:
-        return f"n = {n} {_freedoms(n)}, got {m}: {and_list(words)}; leave out {_number(m - n)}", 0.0
+        return f"n = {count_of(n, 'freedom')}, got {m}: {and_list(words)}; leave out {_number(m - n)}", 0.0
     if m and smallest <= DEPENDENT:
         return _relation(environment, words, rows), smallest
     if m < n:
         more = _completing(environment, rows)
         got = f"{m}: {and_list(words)}" if m else "none"
-        return f"n = {n} {_freedoms(n)}, got {got}; choose {_number(n - m)} more, such as {and_list(more)}", smallest
+        return (
+            f"n = {count_of(n, 'freedom')}, got {got}; choose {_number(n - m)} more, such as {and_list(more)}",
+            smallest,
+        )
     return "", smallest
-
-
-def _freedoms(n: int) -> str:
-    return "freedom" if n == 1 else "freedoms"
 
 
 def _number(count: int) -> str:

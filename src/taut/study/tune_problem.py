@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from taut.base.errors import NumericalError, RangeError, UsageError
+from taut.base.errors import NumericalError, RangeError, UsageError, count_of
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.limits import Limits
 from taut.control.reference import Hold
@@ -19,7 +19,7 @@ from taut.runtime.simulate import run as simulate
 from taut.study.linearise import linearise
 from taut.study.tune_costs import Raised, asked, largest, named_costs, of_run, stage_of, traced
 from taut.study.tune_gradient import TangentLoop
-from taut.study.tune_result import Measured, Trial, trials
+from taut.study.tune_result import Measured, Trial
 from taut.study.tune_space import Space
 
 __all__ = ["Answer", "Problem", "Stopped"]
@@ -227,7 +227,7 @@ class Problem:
         if key in self._known:
             return self._known[key]
         if len(self.history) >= self._evaluations:
-            raise Stopped(f"ended after {trials(self._evaluations)}, which evaluations= allows")
+            raise Stopped(f"ended after {count_of(self._evaluations, 'trial')}, which evaluations= allows")
         parameters = self.space.by_path(x)
         try:
             found = self._with_gradients(x) if self._tangents else self._plain(x)
@@ -242,7 +242,7 @@ class Problem:
         trial = Trial(parameters=parameters, cost=found.cost, slack=slack)
         self.history.append(trial)
         if self._progress is not None and self._progress(trial):
-            raise Stopped(f"ended by progress after {trials(len(self.history))}")
+            raise Stopped(f"ended by progress after {count_of(len(self.history), 'trial')}")
         return found
 
     def _notice(self, what: str, parameters: Mapping[str, Float64Array], more: str = "") -> None:
@@ -376,8 +376,7 @@ class Problem:
     def sentences(self) -> list[str]:
         """What happened on the way."""
         return [
-            f"{what}, {count} {'time' if count == 1 else 'times'}, first at {where}"
-            for what, (count, where) in self.notices.items()
+            f"{what}, {count_of(count, 'time')}, first at {where}" for what, (count, where) in self.notices.items()
         ]
 
 

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from taut.base.errors import count_of
 from taut.base.types import Float64Array
 from taut.control.law import Law
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Measured", "Trial", "Tuned", "trials"]
+__all__ = ["Measured", "Trial", "Tuned"]
 
 WIDTH: Final = 13
 WORST: Final = 100.0  # times the start's cost: what a picture shows of what is worse
@@ -102,7 +103,8 @@ class Tuned:
 
     def report(self) -> str:
         """All of it in words; `print(tuned)` is the same."""
-        lines = [f"{self.method}: cost {self.cost:.4g} of what it was, after {trials(len(self.history))}", ""]
+        count = count_of(len(self.history), "trial")
+        lines = [f"{self.method}: cost {self.cost:.4g} of what it was, after {count}", ""]
         for path, value in self.parameters.items():
             lines.append(f"   {path}: {_numbers(self.start[path])} -> {_numbers(value)}")
         names = ("cost", "rms_error", "effort", "torque", "rate", "chatter")
@@ -156,11 +158,6 @@ class Tuned:
         ax.axhline(1.0, color=INK, linewidth=0.8, linestyle=DASHED)
         ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
         return figure
-
-
-def trials(count: int) -> str:
-    """So many trials, in words."""
-    return f"{count} trial" if count == 1 else f"{count} trials"
 
 
 def _title(each: Measured) -> str:

@@ -8,11 +8,12 @@ from typing import Any, Final
 import numpy as np
 from scipy.optimize import Bounds, NonlinearConstraint, differential_evolution, minimize
 
+from taut.base.errors import count_of
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.loop import Loop
 from taut.study.tune_problem import Problem, Stopped
-from taut.study.tune_result import Measured, Trial, Tuned, trials
+from taut.study.tune_result import Measured, Trial, Tuned
 
 __all__ = ["solved"]
 
@@ -33,11 +34,11 @@ def solved(problem: Problem, method: str, seed: int, held_out: dict[str, Loop]) 
     except Stopped as stopped:
         ended = str(stopped)
     except KeyboardInterrupt:
-        ended = f"interrupted after {trials(len(problem.history))}; this is the best of them"
+        ended = f"interrupted after {count_of(len(problem.history), 'trial')}; this is the best of them"
     except Exception as wrong:
         if not problem.history or isinstance(wrong, (AssertionError, MemoryError)):
             raise
-        count = trials(len(problem.history))
+        count = count_of(len(problem.history), "trial")
         ended = f"ended by {type(wrong).__name__}: {wrong}, after {count}; this is the best of them"
     finally:
         problem.restore()
