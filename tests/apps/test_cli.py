@@ -158,6 +158,41 @@ def test_the_laws_are_running_text_as_wide_as_the_terminal(
     assert "follows JointMotion; gives a torque; needs q, v" in told
 
 
+def table_of(said: str) -> list[str]:
+    return [line for line in said.splitlines() if line[:1] in "┏┃┡│└"]
+
+
+def test_a_table_of_a_run_is_no_wider_than_120_columns_in_a_pipe(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)
+    assert main(["run", "one_joint_pid", "--out", str(tmp_path)]) == 0
+    lines = table_of(capsys.readouterr().out)
+    assert max(map(len, lines)) <= 120
+    assert lines[1].replace("┃", " ").split() == ["law", "PD", "PID"]  # on its side, for its rows would be longer
+
+
+def test_a_table_that_needs_more_columns_has_them_in_a_pipe(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Many laws with many numbers: a row of each, and no number on two lines."""
+    monkeypatch.delenv("COLUMNS", raising=False)
+    laws = [f"law number {i}" for i in range(12)]
+    text = (
+        '[arm]\nmodel = "one_joint"\n[plant]\nkind = "rigid"\n[reference]\nkind = "set-point"\nq = [0.0]\n'
+        "[run]\nduration = 0.5\nq0 = [-1.0]\n"
+    )
+    text += "".join(f'[laws."{name}"]\nlaw = "PID"\nkp = 2.0\nkd = 2.0\n' for name in laws)
+    (tmp_path / "many.toml").write_text(text, encoding="utf-8")
+    assert main(["run", str(tmp_path / "many.toml"), "--out", str(tmp_path / "out")]) == 0
+    lines = table_of(capsys.readouterr().out)
+    rows = [[cell.strip() for cell in line.strip("│").split("│")] for line in lines if line.startswith("│")]
+    assert [row[0] for row in rows] == laws
+    assert {len(row) for row in rows} == {len(rows[0])}
+    assert all(float(cell) > 0.0 for row in rows for cell in row[1:3])
+    assert max(map(len, lines)) > 120
+
+
 class TestALawOfTheUsersOwn:
     def test_it_takes_the_place_of_the_scenarios_laws(
         self, tmp_path: Path, capsys: pytest.CaptureFixture[str]

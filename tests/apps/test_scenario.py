@@ -254,7 +254,7 @@ class TestJointsInRadAndJointsInM:
     def test_the_table_has_a_column_for_each_unit_and_the_laws_are_compared(
         self, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.delenv("COLUMNS", raising=False)
+        monkeypatch.setenv("COLUMNS", "240")
         words = self.write(tmp_path)
         assert main(words) == 0
         lines = capsys.readouterr().out.splitlines()

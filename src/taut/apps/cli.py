@@ -24,6 +24,7 @@ __all__ = ["main"]
 
 DONE, FAILED, WRONG = 0, 1, 2
 ENGINES: Final = ("auto", "native", "float")
+UNBROKEN: Final = 10_000  # columns, of a table of any size
 
 
 STATUS: Final = """exit status:
@@ -200,6 +201,13 @@ def _console(whole: int = 140) -> Console:
     return console if console.is_terminal or "COLUMNS" in os.environ else Console(width=whole)
 
 
+def _widened(console: Console, table: Table) -> Console:
+    """In a file or a pipe a console that is as wide as a table needs, so that no number is broken."""
+    if console.is_terminal or "COLUMNS" in os.environ:
+        return console
+    return Console(width=max(console.width, Console(width=UNBROKEN).measure(table).maximum))
+
+
 def _say(arguments: argparse.Namespace) -> Callable[[str], None]:
     """Lines of progress, for people at a terminal."""
 
@@ -229,8 +237,9 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         _print_json(result.json())
     else:
-        console = _console(whole=240)
-        console.print(result.table(console.width))
+        console = _console(whole=120)
+        table = result.table(console.width)
+        _widened(console, table).print(table)
         for kind, path in result.outputs.items():
             print(f"{kind:8} {path}")
         for kind, reason in result.skipped.items():

@@ -96,7 +96,8 @@ class ScenarioResult:
         """The numbers that mean something, of joints in rad and of joints in m apart.
 
         Args:
-            width: Letters in a line. One row stands for each run, or one column where the rows would be longer.
+            width: Letters in a line. One row stands for each run, or one column where the rows would be longer; where
+                both would be, the narrower of them.
         """
         names, joint = self.scenario.outputs.columns or COLUMNS, self.scenario.outputs.joint
         if self.scenario.spread is not None:
@@ -112,10 +113,9 @@ class ScenarioResult:
             if not all(math.isnan(number) for number in numbers):
                 cells.append([f"{MEASURES[names[i]].title}\n[{unit}]", *map(number_text, numbers)])
         cells.append(["outcome", *(one.outcome.kind for one in runs.values())])
-        needed = 1 + sum(3 + max(cell_len(part) for text in column for part in text.split("\n")) for column in cells)
-        rows = (
-            list(zip(*cells, strict=True)) if needed <= width else [[c.replace("\n", " ") for c in r] for r in cells]
-        )
+        upright = list(zip(*cells, strict=True))
+        lying = [[text.replace("\n", " ") for text in column] for column in cells]
+        rows = upright if _width(upright) <= max(width, _width(lying)) else lying
         of_joint = "" if joint is None else f"\nnumbers of joint '{joint}'"
         of_joint += "" if window is None else f"\nfrom {window[0]:g} to {window[1]:g} s"
         table = Table(title=escape(self.scenario.title + of_joint))
@@ -141,6 +141,12 @@ class ScenarioResult:
             ended = sum(one.outcome.ok for one in runs.values())
             table.add_row(escape(law), "completed", f"{ended} of {len(runs)}")
         return table
+
+
+def _width(rows: Sequence[Sequence[str]]) -> int:
+    """Letters in a line of a table of these rows, with its rules."""
+    columns = zip(*rows, strict=True)
+    return 1 + sum(3 + max(cell_len(part) for text in column for part in text.split("\n")) for column in columns)
 
 
 def _within(one: Run, window: tuple[float, float] | None) -> Metrics:
