@@ -150,7 +150,13 @@ def test_a_plant_in_mujoco_is_made_anew_with_noise_and_another_arm(here: Path) -
         (["short.toml", "--laws", "PD", "--reference", "PD", "--by", "effort"], "--by is for a comparison"),
         (["short.toml", "--run", "no.mcap"], "log 'no.mcap' does not exist"),
         ([], "compare takes a scenario, recorded runs (--run FILE.mcap), or both"),
-        (["touch_and_press"], "law 'task' is a task, whose phases have references of their own"),
+        (
+            ["touch_and_press"],
+            "scenario 'touch_and_press' is a task, whose phases (approach, press, retreat, stop) follow each its own "
+            "reference; compare one of them, of recorded runs: taut.compare({'a': "
+            "taut.load_run('a.mcap').phase('approach'), ...})",
+        ),
+        (["touch_and_press", "--laws", "PID(kp=3)"], "scenario 'touch_and_press' is a task, whose phases (approach,"),
         (
             ["one_joint_pid", "--laws", "TaskComputedTorque(kp=1, kd=1)"],
             "follows a TaskMotion, and scenario 'one_joint_pid' asks for a JointMotion; give it a reference of its own "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -192,6 +193,50 @@ def test_a_wrong_term_is_found_with_its_joint_and_time(planar: taut.Loop) -> Non
     assert told.command.size == pytest.approx(abs(coriolis[k, i]), rel=1e-9)
     assert (told.command.t, told.command.joint) == (told.reference_run.t[k], loop.side.arm.joint_names[i])
     assert "term 'nonlinear' differs by" in told.report()
+
+
+class Wrong(taut.Law):
+    """Computed torque whose term D has the wrong sign.
+
+    Law:          tau = M (a_des + kp e - kd e_dot) + h
+    Closed loop:  e_ddot - kd e_dot + kp e = 0
+    """
+
+    kp: taut.Gain  # [1/s^2]
+    kd: taut.Gain  # [1/s]
+
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+        a = taut.Terms(feedforward=ref.a, P=self.kp @ (ref.q - x.q), D=-(self.kd @ (ref.v - x.v)))
+        return taut.Torque(x.M @ a + taut.Terms(nonlinear=x.h))
+
+
+def test_a_term_that_is_wrong_in_its_own_measure_is_told_where_the_command_hardly_shows_it() -> None:
+    arm = taut.load_arm("planar2")
+    ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)
+    way = taut.Quintic(q0=arm.home, q1=arm.home + 0.5, duration=1.0)
+    loop = taut.Loop(ctrl, taut.RigidPlant(arm, friction=None), way, duration=0.3)
+    told = taut.grade(Wrong(kp=100.0, kd=20.0), "ComputedTorque(kp=100, kd=20)", loop)
+    assert told.same_command
+    assert told.wrong_term == "D"
+    lines = str(told).splitlines()
+    assert any(line.endswith(": pass as a whole, but not its term 'D'") for line in lines)
+    assert [line.endswith(": fail") for line in lines if line.startswith("  term 'D' differs by")] == [True]
+    assert not told.ok
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"model": 3}, "model must be a taut.WrongModel(mass=0.2), or None; got 3"),
+        ({"noise": [1]}, "noise must be given by name, {name: value}; got [1]"),
+        ({"parameters": {3: 1.0}}, "parameters must be given by name, {name: value}; got {3: 1.0}"),
+        ({"by": 3}, "by names a figure, or several: by='rms_error'; got 3"),
+    ],
+)
+def test_options_of_another_kind_are_refused(planar: taut.Loop, given: dict[str, Any], said: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        taut.compare(["PID(kp=1)"], planar, **given)
+    assert str(caught.value) == said
 
 
 def test_what_depends_on_time_is_graded_at_its_time(planar: taut.Loop) -> None:

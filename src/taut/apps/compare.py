@@ -14,13 +14,14 @@ from taut.base.errors import UsageError, quoted_list, unknown_name
 from taut.base.types import ArrayLike
 from taut.control.describe import title
 from taut.control.law import Law
+from taut.control.phases import Phases
 from taut.control.reference import as_reference
 from taut.loop import Loop
 from taut.record.report_run import law_in_python
 from taut.record.run import Run
 from taut.study.compare import Comparison, compare_laws
 from taut.study.compare_grade import TOLERANCE, Grade, grade_law
-from taut.study.compare_setting import Setting, setting_of
+from taut.study.compare_setting import Setting, setting_of, task_refused
 from taut.study.compare_truth import WrongModel
 
 __all__ = ["USUAL", "compare", "grade"]
@@ -93,6 +94,9 @@ def compare(
     References:
         Chapter, section 10.2.2.2 and figure 10.12.
     """
+    if not isinstance(by, (str, Sequence)):
+        raise UsageError(f"by names a figure, or several: by='rms_error'; got {by!r}", name="by")
+    _check_options(model, {"noise": noise, "references": references, "parameters": parameters})
     setting, own = _where(on, case)
     given = _named(own if laws is None else laws, own)
     of_law = {name: value for name, value in given.items() if isinstance(value, Law)}
@@ -178,6 +182,7 @@ def grade(
         >>> told.ok, told.wrong_term, round(told.terms[0].size / told.terms[0].reference - 3 / 2.205 + 1, 9)
         (False, 'P', 0.0)
     """
+    _check_options(None, {"parameters": parameters})
     setting, own = _where(on, case)
     if setting is None:
         raise UsageError("a law is graded on a scenario or a taut.Loop; got none", name="on")
@@ -205,6 +210,15 @@ def grade(
             {"case": case, "tolerance": tolerance, "parameters": parameters, "q0": q0, "v0": v0, "seed": seed},
         ),
     )
+
+
+def _check_options(model: object, by_name: Mapping[str, object]) -> None:
+    """What a caller without a type checker mixes up."""
+    if model is not None and not isinstance(model, WrongModel):
+        raise UsageError(f"model must be a taut.WrongModel(mass=0.2), or None; got {model!r}", name="model")
+    for name, given in by_name.items():
+        if given is not None and not (isinstance(given, Mapping) and all(isinstance(key, str) for key in given)):
+            raise UsageError(f"{name} must be given by name, {{name: value}}; got {given!r}", name=name)
 
 
 def _again(verb: str, laws: Mapping[str, Law | Run], on: Where | None, options: Mapping[str, object]) -> str:
@@ -265,6 +279,9 @@ def _where(on: Where | None, case: str | None) -> tuple[Setting | None, Mapping[
         on = load_scenario(on)
     if isinstance(on, Scenario):
         chosen = _case_of(on, case)
+        for law in chosen.laws.values():
+            if isinstance(law, Phases):
+                raise UsageError(task_refused(chosen.source, law.names), name="on")
         return _setting(chosen, case), chosen.laws
     if case is not None:
         raise UsageError("case is for a scenario that has cases; leave it out", name="case")

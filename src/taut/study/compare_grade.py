@@ -160,9 +160,14 @@ class Grade:
         ]
         lines = [self.title, "", *aligned(rows), ""]
         verdict = "pass" if self.same_command else "fail"
+        if self.same_command and self.wrong_term is not None:
+            verdict = f"pass as a whole, but not its term '{self.wrong_term}'"
         lines.append(f"command along the trajectory of {self.reference}: {verdict}")
         lines.append(f"  largest difference {self.command.text()}" if self.command.size > ROUNDING else "  the same")
-        lines += [f"  term '{one.what}' differs by {one.text()}" for one in self.terms]
+        lines += [
+            f"  term '{one.what}' differs by {one.text()}{'' if one.within(self.tolerance) else ': fail'}"
+            for one in self.terms
+        ]
         if self.only_law:
             lines.append(f"  only {self.name} has the terms {', '.join(self.only_law)}")
         if self.only_reference:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TypeAlias
@@ -30,7 +30,7 @@ from taut.runtime.host import HostPlant
 from taut.runtime.simulate import run
 from taut.study.compare_truth import PlantChange, is_noisy
 
-__all__ = ["Plant", "Setting", "blamed", "setting_of"]
+__all__ = ["Plant", "Setting", "blamed", "setting_of", "task_refused"]
 
 Plant: TypeAlias = ModelPlant | HostPlant
 
@@ -94,11 +94,7 @@ class Setting:
             TautError: It cannot be compiled.
         """
         if isinstance(law, Phases):
-            raise UsageError(
-                f"law '{name}' is a task, whose phases have references of their own; compare takes laws that follow "
-                "one reference, and phases of recorded runs, run.phase(name)",
-                name=name,
-            )
+            raise UsageError(task_refused(f"law '{name}'", law.names), name=name)
         self.check_kind(name, law)
         with blamed(name):
             ctrl = compile(
@@ -166,6 +162,14 @@ def blamed(name: str) -> Iterator[None]:
         yield
     except TautError as cause:
         raise UsageError(f"law '{name}': {cause}", name=name) from cause
+
+
+def task_refused(whose: str, phases: Sequence[str]) -> str:
+    """Why a task is not compared, and what can be."""
+    return (
+        f"{whose} is a task, whose phases ({', '.join(phases)}) follow each its own reference; compare one of "
+        f"them, of recorded runs: taut.compare({{'a': taut.load_run('a.mcap').phase('{phases[0]}'), ...}})"
+    )
 
 
 def kind_of(reference: Reference) -> type[Sample] | None:
