@@ -12,6 +12,7 @@ import control
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.integrate import solve_ivp
 
 import taut
 from taut.apps.book import contents
@@ -212,6 +213,23 @@ class TestOneJoint:
         alone = computed(book, "sec-10.1", "jitter, differenced")
         assert alone == pytest.approx(math.sqrt(0.05 * (1.0 - 0.05)), rel=1e-3)
         assert computed(book, "sec-10.1", "jitter, with a low-pass") < 0.2 * alone
+
+    def test_a_dither_makes_dry_friction_viscous(self, book: list[contents.Made]) -> None:
+        """By SciPy's solver, with friction b tanh(v / 20 um/s) in the place of the sign, and no static friction."""
+        A, mu, omega, push, width = 1.5, 0.3, 80.0 * math.pi, 0.1, 2e-5
+
+        def rate(t: float, y: Float64Array) -> list[float]:
+            return [y[1], (A * math.sin(omega * t) + push - mu * math.tanh(y[1] / width)) / M]
+
+        times = [10 / 40.0, 16 / 40.0]
+        solved = solve_ivp(rate, (0.0, times[1]), [0.0, 0.0], "LSODA", times, rtol=1e-8, atol=1e-12, max_step=1e-4)
+        drift = (solved.y[0, 1] - solved.y[0, 0]) / (times[1] - times[0])
+        assert computed(book, "sec-10.2.1.4", "mean speed under 0.1 N m, with dither") == pytest.approx(
+            drift, rel=0.02
+        )
+        assert computed(book, "sec-10.2.1.4", "no dither") == 0.0
+        moved = [each.computed for each in rows_of(book, "sec-10.2.1.4") if each.unit == "0 or 1"]
+        assert moved == [0.0, 1.0, 0.0, 1.0]
 
     def test_gears(self, book: list[contents.Made]) -> None:
         assert computed(book, "sec-10.2.1.5", "that is the link's") == pytest.approx(99.9, abs=0.01)
