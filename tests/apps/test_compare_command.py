@@ -102,6 +102,14 @@ def test_recorded_runs_stand_beside_laws_and_alone(here: Path, capsys: pytest.Ca
     both = json.loads(capsys.readouterr().out)["laws"]
     assert list(both) == ["PD", "measured"]
     assert both["measured"] == alone["measured"]
+    assert main(["compare", "short.toml", "--run", "measured.mcap", *plain]) == 0
+    assert list(json.loads(capsys.readouterr().out)["laws"]) == ["PD", "PID", "measured"]
+    run = taut.load_run("measured.mcap")
+    with pytest.raises(taut.UsageError, match="a law of the scenario and a run are both called 'PD'; name the run"):
+        taut.compare({"PD": run}, "short.toml")
+    loop = taut.Loop(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=[0.0]), duration=0.5)
+    with pytest.raises(taut.UsageError, match="recorded runs alone are compared without a loop"):
+        taut.compare({"a": run}, loop)
 
 
 def test_a_plant_in_mujoco_is_made_anew_with_noise_and_another_arm(here: Path) -> None:

@@ -57,7 +57,8 @@ def compare(
     Args:
         laws: Laws, texts such as "PID(kp=100, kd=20)" or "stiff: PID(kp=900, kd=60)", names of laws of the scenario,
             and recorded runs; by name, or in a list in which no two have the same. The scenario's own laws if left
-            out. Laws follow the reference of the scenario or loop, so that they must be of its kind.
+            out, or if there are only runs. Laws follow the reference of the scenario or loop, so that they must be of
+            its kind.
         on: A built-in scenario by its name, the path of a .toml file, or a `taut.Loop`, whose plant, reference,
             sensing and limits every law gets. Left out for runs alone.
         case: Which of the scenario's cases, where it has any.
@@ -99,6 +100,8 @@ def compare(
     _check_options(model, {"noise": noise, "references": references, "parameters": parameters})
     setting, own = _where(on, case)
     given = _named(own if laws is None else laws, own)
+    if setting is not None and given and not any(isinstance(value, Law) for value in given.values()):
+        given = {**_beside(own, given), **given}
     of_law = {name: value for name, value in given.items() if isinstance(value, Law)}
     recorded = {name: value for name, value in given.items() if isinstance(value, Run)}
     if setting is not None:
@@ -219,6 +222,19 @@ def _check_options(model: object, by_name: Mapping[str, object]) -> None:
     for name, given in by_name.items():
         if given is not None and not (isinstance(given, Mapping) and all(isinstance(key, str) for key in given)):
             raise UsageError(f"{name} must be given by name, {{name: value}}; got {given!r}", name=name)
+
+
+def _beside(own: Mapping[str, Law], runs: Mapping[str, object]) -> Mapping[str, Law]:
+    """The laws of a scenario, which recorded runs alone stand beside."""
+    if not own:
+        raise UsageError(
+            "recorded runs alone are compared without a loop, which has no law by a name; leave it out, or name laws",
+            name="on",
+        )
+    for name in own:
+        if name in runs:
+            raise UsageError(f"a law of the scenario and a run are both called '{name}'; name the run", name="laws")
+    return own
 
 
 def _again(verb: str, laws: Mapping[str, Law | Run], on: Where | None, options: Mapping[str, object]) -> str:
