@@ -15,6 +15,7 @@ from taut.base.types import Float64Array
 laws, Plant = taut.laws, taut.RigidPlant
 Bar = Callable[[str, object], None]
 
+SAME = 1e-9  # of engines, relative to the largest entry
 SWEPT = 1e-3  # of a sweep that moves the tool by a tenth of a millimetre
 HELD = 0.01  # of the hold, and of a damping that acts a tick late
 LOOSE = 1e-2  # of one of a tool that a law leaves free, and that drifts meanwhile
@@ -95,9 +96,9 @@ def plant_of(arm: taut.Arm, kind: str, sensed: bool) -> taut.RigidPlant:
     return Plant(arm, friction=None, **more)
 
 
-def loop_of(law: str, arm: taut.Arm) -> taut.Loop:
+def loop_of(law: str, arm: taut.Arm, engine: Any = "auto") -> taut.Loop:
     make, kind = LAWS[law]
-    ctrl = taut.compile(make(arm), arm, rate=RATE)
+    ctrl = taut.compile(make(arm), arm, rate=RATE, engine=engine)
     return taut.Loop(ctrl, plant_of(arm, kind, law in LED), duration=0.5)
 
 
@@ -140,6 +141,18 @@ def test_predicted_is_what_is_measured_and_near_what_is_asked(share: Callable[[i
         f"the same at {RATE / 1e3:g} kHz: predicted against the continuous closed form",
         f"{100 * max(promised):.2g} %",
     )
+
+
+@pytest.mark.bars
+def test_the_derivative_in_native_code_is_that_of_plain_python(share: Callable[[int], int], bar: Bar) -> None:
+    arm, names = taut.load_arm("planar2"), list(LAWS)
+    off = []
+    for i in np.random.default_rng(12).permutation(len(names))[: share(len(names))]:
+        native, plain = (taut.linearise(loop_of(names[i], arm, e), within=2.0) for e in ("native", "float"))
+        pairs = [(native.A, plain.A), (native.B, plain.B), (native.C, plain.C), (native.D, plain.D)]
+        off.append(max(np.abs(one - other).max() / max(1.0, np.abs(other).max()) for one, other in pairs))
+        assert off[-1] < SAME, names[i]
+    bar(f"the derivative of a period, {len(off)} laws: native code against plain Python", f"{max(off):.1e}")
 
 
 def test_an_admittance_that_stays_put_at_rest_gives_way_all_the_same() -> None:
