@@ -41,7 +41,7 @@ def of_continuous(d: ErrorDynamics) -> Figure:
         if math.isfinite(exact):
             _moment(left, exact, f"settled, {exact:.3g} s", colour(1), "solid")
         _moment(left, rule, f"4 tau, {rule:.3g} s", INK, DASHED)
-        left.legend(fontsize=SMALL, frameon=False, labelcolor=INK, loc="upper right")
+        _legend(left, "upper right")
     _limited(left)
     pole_axes(right, d.poles, None)
     right.plot(d.poles.real, d.poles.imag, "x", color=colour(0), markersize=6.0, markeredgewidth=1.5)
@@ -62,7 +62,7 @@ def of_sampled(d: SampledErrorDynamics) -> Figure:
     left.plot(ticks, d.response(count), ".", color=colour(0), markersize=4.0, label="at the ticks")
     if d.stable and d.settling_time <= ticks[-1]:
         _moment(left, d.settling_time, f"settled, {d.settling_time:.3g} s", colour(1), "solid")
-    left.legend(fontsize=SMALL, frameon=False, labelcolor=INK, loc="best")
+    _legend(left, "best")
     _limited(left)
     some = d.poles[np.abs(d.poles) > GONE]
     pole_axes(right, some, d.dt)
@@ -120,6 +120,12 @@ def _band(ax: Axes) -> None:
 
 def _moment(ax: Axes, t: float, label: str, colour: str, style: str | tuple[float, tuple[float, float]]) -> None:
     ax.axvline(t, color=colour, linewidth=1.0, linestyle=style, label=label)
+
+
+def _legend(ax: Axes, place: str) -> None:
+    """What the moments are, on a ground that hides their lines."""
+    ground = {"facecolor": "white", "edgecolor": "none", "framealpha": 1.0}
+    ax.legend(fontsize=SMALL, labelcolor=INK, loc=place, **ground).set_zorder(5.0)
 
 
 def _limited(ax: Axes) -> None:

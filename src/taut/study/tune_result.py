@@ -140,7 +140,7 @@ class Tuned:
         """The cost of each trial, and the best so far."""
         from matplotlib.figure import Figure as NewFigure
 
-        from taut.record.style import DASHED, INK, SMALL, WIDTH, colour, prepared
+        from taut.record.style import DASHED, INK, WIDTH, colour, legend_above, prepared
 
         figure = NewFigure(figsize=(WIDTH, 3.0), layout="constrained")
         ax = prepared(figure.subplots(), "tuning: cost over that of the start", "", "trial")
@@ -156,7 +156,7 @@ class Tuned:
         ax.set_yscale("log")
         ax.set_ylim(0.5 * float(np.nanmin(np.append(best, 1.0))), WORST)
         ax.axhline(1.0, color=INK, linewidth=0.8, linestyle=DASHED)
-        ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
+        legend_above(figure, ax.get_lines()[: 2 + int(np.any(~kept & np.isfinite(costs)))])
         return figure
 
 
