@@ -102,7 +102,7 @@ def test_bad_input_gets_one_sentence() -> None:
     arm = taut.load_arm("planar2")
     with pytest.raises(taut.UsageError) as caught:
         coupling_of(arm, kp=300.0, kd=9000.0)
-    assert str(caught.value).startswith("the loop is unstable (a pole of modulus ")
+    assert str(caught.value).startswith("the loop is unstable (the largest pole has modulus ")
     ctrl = taut.compile(laws.TaskComputedTorque(kp=100.0, kd=20.0), arm)
     with pytest.raises(taut.UsageError) as caught:
         taut.coupling(taut.Loop(ctrl, Plant(arm, friction=None), duration=1.0), at=[0.3, 0.5])

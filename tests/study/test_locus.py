@@ -9,6 +9,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy.linalg
+from scipy.optimize import brentq
 
 import taut
 
@@ -166,3 +168,29 @@ def test_a_locus_prints_where_it_is_stable_and_not_its_arrays() -> None:
     assert heads == ["ki [N m/(rad s)]", "what happens", "pole in s [1/s]"]
     assert [row[0] for row in rows] == ["0.5", "0.686", "9.261", "12"]
     assert "N m/(rad s)" in found.plot().axes[0].get_title(loc="left")
+
+
+def test_the_border_of_a_compiled_loop_is_where_its_pole_crosses_the_circle() -> None:
+    """Of a slow swing at 10 kHz, whose growth in a tick is small: M = 0.5, b = 0.1, held exactly, written out."""
+    M, b, kp, kd, T = 0.5, 0.1, 2.205, 2.0, 1e-4
+    arm = taut.load_arm("one_joint", gravity=(0.0, 0.0, 0.0))
+    ctrl = taut.compile(taut.laws.PID(kp=kp, kd=kd, ki=1.0), arm, rate=1.0 / T)
+    loop = taut.Loop(ctrl, taut.RigidPlant(arm, integrator="rk4"), taut.JointMotion(q=[0.0]), duration=1.0)
+
+    def compiled(ki: float) -> taut.LinearLoop:
+        loop.parameters["law.ki"] = ki
+        return taut.linearise(loop, at=[0.0])
+
+    held = scipy.linalg.expm(T * np.array([[0.0, 1.0, 0.0], [0.0, -b / M, 1.0 / M], [0.0, 0.0, 0.0]]))
+
+    def growth(ki: float) -> float:
+        A = np.zeros((3, 3))  # of x, v and the integral of -x
+        A[:2, :2], A[2] = held[:2, :2], [-T, 0.0, 1.0]
+        A[:2] += np.outer(held[:2, 2], [-kp - ki * T, -kd, ki])
+        return float(np.abs(np.linalg.eigvals(A)).max()) - 1.0
+
+    (border,) = taut.locus(compiled, [8.0, 11.0]).borders
+    assert border.value == pytest.approx(brentq(growth, 8.0, 11.0, xtol=1e-9), rel=1e-6)
+    just = compiled(border.value * 1.00001)
+    assert not just.stable
+    assert just.instability.startswith("the largest pole has modulus 1 + ")

@@ -118,7 +118,7 @@ def coupling(loop: Loop, *, at: ArrayLike | None = None, share: float = ENOUGH, 
         )
     if not lin.stable:
         raise UsageError(
-            f"the loop is unstable (a pole of modulus {lin.radius:.6g}), so that its joints have no crosstalk to "
+            f"the loop is unstable ({lin.instability}), so that its joints have no crosstalk to "
             "speak of; lower the gains",
             name="loop",
         )

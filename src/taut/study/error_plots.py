@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,10 +122,10 @@ def _moment(ax: Axes, t: float, label: str, colour: str, style: str | tuple[floa
     ax.axvline(t, color=colour, linewidth=1.0, linestyle=style, label=label)
 
 
-def _legend(ax: Axes, place: str) -> None:
+def _legend(ax: Axes, place: Literal["best", "upper right"]) -> None:
     """What the moments are, on a ground that hides their lines."""
-    ground = {"facecolor": "white", "edgecolor": "none", "framealpha": 1.0}
-    ax.legend(fontsize=SMALL, labelcolor=INK, loc=place, **ground).set_zorder(5.0)
+    shown = ax.legend(fontsize=SMALL, labelcolor=INK, loc=place, facecolor="white", edgecolor="none", framealpha=1.0)
+    shown.set_zorder(5.0)
 
 
 def _limited(ax: Axes) -> None:

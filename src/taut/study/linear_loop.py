@@ -27,6 +27,7 @@ __all__ = ["LinearLoop", "Mode"]
 AT_ONCE: Final = 1e-6  # a pole of this modulus is gone in a period
 ROUNDING: Final = 1e-8  # of a modulus of one
 SWINGS: Final = 1e-11  # of the modulus of a pole away from one, which stands alone
+NEAR_ONE: Final = 1e-5  # beyond one, where six digits of a modulus say nothing
 SPLIT: Final = 1e-5  # by how much rounding sets three equal poles apart
 REAL: Final = 1e-7  # an imaginary part below this share is rounding, of a pole that comes more than once
 FEW: Final = 8  # frequencies for which a factorisation each is quicker than one for all
@@ -134,10 +135,11 @@ class LinearLoop:
     def stable(self) -> bool:
         """Whether all that is set off dies away or stays where it is put: poles within the unit circle, or at one.
 
-        A pole at one, as of a motion that a law leaves free, must not be coupled to another; a swing that goes on for
-        ever is not stable.
+        A pole at one, as of a motion that a law leaves free, must not be coupled to another, and may be beyond one by
+        what rounding moves several such poles; a swing that goes on for ever, or grows at all, is not stable.
         """
-        if self.radius > 1.0 + ROUNDING or self._undamped is not None:
+        swings = np.abs(self.poles[np.abs(self.poles - 1.0) > SPLIT])
+        if self.radius > 1.0 + ROUNDING or (swings > 1.0 - SWINGS).any():
             return False
         return all(self._bounded(z) for z in self.poles if abs(z) > 1.0 - ROUNDING)
 
@@ -154,11 +156,18 @@ class LinearLoop:
         return int((sizes < ROUNDING * max(1.0, float(sizes[0]))).sum()) >= many
 
     @property
-    def _why(self) -> str:
-        """Why it is not stable."""
-        if self._undamped is not None and self.radius <= 1.0 + ROUNDING:
+    def instability(self) -> str:
+        """Why it is not stable, in words; empty where it is."""
+        if self.stable:
+            return ""
+        more = self.radius - 1.0
+        if more > NEAR_ONE:
+            return f"the largest pole has modulus {self.radius:.6g}"
+        if more > ROUNDING or (np.abs(self.poles[np.abs(self.poles - 1.0) > SPLIT]) > 1.0 + SWINGS).any():
+            return f"the largest pole has modulus 1 + {more:.2g}"
+        if self._undamped is not None:
             return f"a swing at {self._undamped:.4g} rad/s goes on for ever, without damping"
-        return f"the largest pole has modulus {self.radius:.6g}"
+        return "poles at one are coupled: what one of them leaves goes on for ever in another"
 
     @cached_property
     def modes(self) -> tuple[Mode, ...]:
@@ -346,7 +355,7 @@ class LinearLoop:
         if np.abs(self.moved).max(initial=0.0) > ROUNDING:
             i = int(np.argmax(np.abs(self.moved)))
             lines.append(f"joint '{self.joints[i]}' went {self.moved[i]:.4g} from at= until the loop rested")
-        lines.append("stable" if self.stable else f"UNSTABLE: {self._why}")
+        lines.append("stable" if self.stable else f"UNSTABLE: {self.instability}")
         lines += ["", "   s [1/s]               omega_n [rad/s]    zeta   in"]
         for mode in self.modes:
             parts = [f"{name} {100.0 * x:.0f} %" for name, x in mode.participation.items() if x > TELLS][:4]

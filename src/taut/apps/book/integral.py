@@ -116,7 +116,7 @@ def eq_10_14() -> Page:
             border.value,
             BOUND,
             "(b + Kd) Kp / M",
-            rel=1e-3,
+            rel=2e-4,
         )
     )
     for factor in (0.9, 1.1):
@@ -258,9 +258,9 @@ def fig_10_7() -> Page:
             "the third root there",
             "1/s",
             min(found.at(breakaway.value).real),
-            min(np.roots([M, B + KD, KP, breakaway.value]).real),
-            ROOTS,
-            rel=1e-3,
+            -(B + KD) / M - 2.0 * s,
+            "-(b + Kd) / M, less the two",
+            rel=1e-6,
         ),
     )
     figure, (ax,) = panels(1, 3.1)
