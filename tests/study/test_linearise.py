@@ -636,3 +636,28 @@ def test_bad_input_gets_one_sentence(case: str) -> None:
     with pytest.raises(taut.TautError) as caught:
         call()
     assert str(caught.value) == text
+
+
+def slide(kp: float, kd: float, rate: float) -> taut.LinearLoop:
+    """A slide without weight under a spring and a damper, and one beside it that only a damper holds."""
+    arm = taut.load_arm("gantry3", gravity=(0.0, 0.0, 0.0)).subset(["x", "y"])
+    ctrl = taut.compile(laws.GravityPID(kp=[kp, 0.0], kd=[kd, kd]), arm, rate=rate)
+    return taut.linearise(taut.Loop(ctrl, Plant(arm, friction=None), duration=1.0))
+
+
+def test_a_slow_pole_beside_one_that_stays_is_no_second_pole_at_one() -> None:
+    """-kp / kd = -0.05 1/s: at 4 kHz 1.25e-5 from the pole at one of the slide that nothing draws back."""
+    lin = slide(kp=20.0, kd=400.0, rate=4000.0)
+    assert sorted(np.abs(lin.poles - 1.0))[:2] == pytest.approx([0.0, 0.05 / 4000.0], rel=1e-2, abs=1e-12)
+    assert lin.stable
+    assert lin.instability == ""
+
+
+def test_a_motion_that_nothing_damps_is_not_stable_and_says_so() -> None:
+    lin = slide(kp=20.0, kd=0.0, rate=1000.0)
+    assert not lin.stable
+    free = laws.GravityCompensation()
+    arm = taut.load_arm("gantry3")
+    lin = taut.linearise(taut.Loop(taut.compile(free, arm), Plant(arm, friction=None), duration=1.0))
+    assert not lin.stable
+    assert lin.instability == "poles at one are coupled: what one of them leaves goes on for ever in another"

@@ -27,6 +27,7 @@ __all__ = ["LinearLoop", "Mode"]
 AT_ONCE: Final = 1e-6  # a pole of this modulus is gone in a period
 ROUNDING: Final = 1e-8  # of a modulus of one
 SWINGS: Final = 1e-11  # of the modulus of a pole away from one, which stands alone
+TWICE: Final = 1e-6  # two poles that are nearer are one, which rounding sets apart; slow ones beside it are not
 NEAR_ONE: Final = 1e-5  # beyond one, where six digits of a modulus say nothing
 SPLIT: Final = 1e-5  # by how much rounding sets three equal poles apart
 REAL: Final = 1e-7  # an imaginary part below this share is rounding, of a pole that comes more than once
@@ -151,7 +152,7 @@ class LinearLoop:
 
     def _bounded(self, z: complex) -> bool:
         """Whether a pole on the unit circle has as many eigenvectors as it is many."""
-        many = int((np.abs(self.poles - z) < np.sqrt(ROUNDING)).sum())
+        many = int((np.abs(self.poles - z) < TWICE).sum())
         sizes = np.linalg.svd(self.A - z * np.eye(len(self.A)), compute_uv=False)
         return int((sizes < ROUNDING * max(1.0, float(sizes[0]))).sum()) >= many
 
