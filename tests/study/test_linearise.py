@@ -322,6 +322,10 @@ def test_a_joint_that_sticks_is_told_and_does_not_move() -> None:
     assert taut.linearise(loop).sides == ()  # as its parameters are now
     assert pytest.approx(np.array([[1.0, 0.0], [0.0, 0.0]]), abs=1e-12) == lin.A
     assert lin.stable
+    assert "nan" not in str(lin)
+    (row,) = [line for line in str(lin).splitlines() if line.lstrip().startswith("joint1")]
+    assert row.split() == ["joint1", "0", "to", "inf", "any", "any", "-"]
+    assert "and 1 pole at z = 0" in str(lin)
 
 
 def test_the_two_sides_of_a_wall_are_told() -> None:

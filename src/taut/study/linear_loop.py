@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -318,7 +319,7 @@ class LinearLoop:
         try:
             import control
         except ImportError:
-            raise missing_extra("LinearLoop.to_control", "control", "oracles") from None
+            raise missing_extra("LinearLoop.to_control", "control", "control") from None
         dots = {ord("."): "_"}  # which python-control keeps for the names of systems
         named = {
             "states": [name.translate(dots) for name in self.states],
@@ -351,10 +352,11 @@ class LinearLoop:
         for mode in self.modes:
             parts = [f"{name} {100.0 * x:.0f} %" for name, x in mode.participation.items() if x > TELLS][:4]
             s = f"{mode.s.real:.4g}" + (f" +- {mode.s.imag:.4g} j" if mode.s.imag else "")
-            lines.append(f"   {s:<22} {mode.omega_n:<15.4g} {mode.zeta:>7.3f}   {', '.join(parts)}")
+            zeta = "-" if math.isnan(mode.zeta) else f"{mode.zeta:.3f}"
+            lines.append(f"   {s:<22} {mode.omega_n:<15.4g} {zeta:>7}   {', '.join(parts)}")
         gone = int((np.abs(self.poles) <= AT_ONCE).sum())
         if gone:
-            lines.append(f"   and {gone} poles at z = 0, gone in a period each")
+            lines.append(f"   and {gone} pole{'s' if gone > 1 else ''} at z = 0, gone in a period each")
         lines += ["", str(self.margins)]
         if self.sides or self.drifting:
             lines += ["", *(f"* {sentence}" for sentence in self.sides)]
