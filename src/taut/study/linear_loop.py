@@ -155,10 +155,18 @@ class LinearLoop:
         return int((sizes < ROUNDING * max(1.0, float(sizes[0]))).sum()) >= many
 
     @property
-    def _why(self) -> str:
-        """Why it is not stable."""
-        if self._undamped is not None and self.radius <= 1.0 + ROUNDING:
-            return f"a swing at {self._undamped:.4g} rad/s goes on for ever, without damping"
+    def why(self) -> str:
+        """Why it is not stable; nothing where it is."""
+        if self.stable:
+            return ""
+        if self.radius <= 1.0 + ROUNDING:
+            if self._undamped is not None:
+                return f"a swing at {self._undamped:.4g} rad/s goes on for ever, without damping"
+            adrift = [mode for mode in self.modes if abs(abs(mode.z) - 1.0) < SWINGS and not self._bounded(mode.z)]
+            names = dict.fromkeys(
+                name for mode in adrift or self.modes[:1] for name, x in mode.participation.items() if x > TELLS
+            )
+            return f"what is set off drifts on for ever, for nothing draws it back: {', '.join([*names][:4])}"
         return f"the largest pole has modulus {self.radius:.6g}"
 
     @cached_property
@@ -347,7 +355,7 @@ class LinearLoop:
         if np.abs(self.moved).max(initial=0.0) > ROUNDING:
             i = int(np.argmax(np.abs(self.moved)))
             lines.append(f"joint '{self.joints[i]}' went {self.moved[i]:.4g} from at= until the loop rested")
-        lines.append("stable" if self.stable else f"UNSTABLE: {self._why}")
+        lines.append("stable" if self.stable else f"UNSTABLE: {self.why}")
         lines += ["", "   s [1/s]               omega_n [rad/s]    zeta   in"]
         for mode in self.modes:
             parts = [f"{name} {100.0 * x:.0f} %" for name, x in mode.participation.items() if x > TELLS][:4]
