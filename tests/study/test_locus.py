@@ -146,6 +146,8 @@ def test_the_poles_are_those_at_each_of_its_values() -> None:
         (lambda: taut.locus(lambda k: k, [0.0, 1.0], of=taut.second_order(kp=1, kd=1)), "of= is for the name of a number; a function makes the whole itself"),
         (lambda: taut.locus(lambda k: k, [0.0, 1.0]), "poles are those of error dynamics, a loop, a system of python-control or a square matrix; got float"),
         (lambda: taut.locus(lambda k: np.ones(3), [0.0, 1.0]), r"a matrix that has poles is square; got shape \(3,\)"),
+        (lambda: taut.locus(lambda k: [[np.nan]], [0.0, 1.0]), r"a matrix that has poles must be finite; got nan at \[0, 0\]"),
+        (lambda: taut.locus(lambda k: SimpleNamespace(poles=[np.nan]), [0.0, 1.0]), "poles must be numbers; SimpleNamespace has one that is NaN"),
         (lambda: taut.locus(lambda k: k, 1.0), r"values must be a list of two numbers or more, such as np.linspace\(0, 10, 50\); got shape \(\)"),
         (lambda: taut.locus(lambda k: k, [1.0, 0.0]), "values must increase from one to the next"),
     ],
@@ -193,4 +195,4 @@ def test_the_border_of_a_compiled_loop_is_where_its_pole_crosses_the_circle() ->
     assert border.value == pytest.approx(brentq(growth, 8.0, 11.0, xtol=1e-9), rel=1e-6)
     just = compiled(border.value * 1.00001)
     assert not just.stable
-    assert just.instability.startswith("the largest pole has modulus 1 + ")
+    assert just.why.startswith("the largest pole has modulus 1 + ")

@@ -118,8 +118,7 @@ def coupling(loop: Loop, *, at: ArrayLike | None = None, share: float = ENOUGH, 
         )
     if not lin.stable:
         raise UsageError(
-            f"the loop is unstable ({lin.instability}), so that its joints have no crosstalk to "
-            "speak of; lower the gains",
+            f"the loop is unstable ({lin.why}), so that its joints have no crosstalk to speak of; lower the gains",
             name="loop",
         )
     payload = PayloadValues.of(subtree(loop.parameters, "plant.payload"))
