@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from taut.arm.description import Arm
+from taut.base.errors import UsageError
 from taut.base.types import Float64Array
 from taut.control import laws
 from taut.control.limits import RATE_PER_EFFORT
@@ -20,7 +21,7 @@ from taut.study.design_trial import Bench, Numbers, Response
 from taut.study.impedance import check_impedance
 from taut.study.linear_loop import LinearLoop
 
-__all__ = ["DesignLimit", "Tried", "limits_of", "steps_of", "torque_limits"]
+__all__ = ["DesignLimit", "Tried", "limits_of", "step_limit", "steps_of"]
 
 KEPT: Final = 0.1  # of the damping ratio: what sampling, or an integral, may take
 COUNT: Final = 0.01  # of the effort limit: a torque that an encoder's step may make
@@ -53,16 +54,31 @@ class DesignLimit:
     sentence: str
 
 
-def steps_of(directions: tuple[Direction, ...], step: Float64Array | None) -> Float64Array:
+def steps_of(law: str, directions: tuple[Direction, ...], step: Float64Array | None) -> Float64Array:
     """(k,) the step in each direction: what was asked for, or 0.1 rad and 0.05 m; of a force 10 N and 1 N m.
 
     Of a force it is the motion that the contact makes of it.
+
+    Raises:
+        UsageError: A step of a law that follows none, or one number for metres and radians.
     """
     if step is None:
         return np.array([PRESS[d.unit] / d.per_unit if d.unit in PRESS else STEP_JOINT[d.unit] for d in directions])
-    if step.ndim == 0:
-        return np.full(len(directions), float(step))
-    return np.array([float(step[0 if d.unit in ("m", "N") else 1]) / d.per_unit for d in directions])
+    if not directions:
+        raise UsageError(
+            f"step has no meaning for {law}, which draws the arm nowhere here; leave it out", name="step"
+        )
+    units = {d.unit for d in directions}
+    if step.ndim == 0 and len(units) > 1:
+        first, second = ("N", "N m") if "N" in units else ("m", "rad")
+        raise UsageError(
+            f"step needs one number in {first} and one in {second} for {law}, as in "
+            f"step=({PRESS.get(first) or STEP_JOINT[first]:g}, {PRESS.get(second) or STEP_JOINT[second]:g}); got "
+            f"{float(step):g} alone",
+            name="step",
+        )
+    pair = np.broadcast_to(step, (2,))
+    return np.array([float(pair[0 if d.unit in ("m", "N") else 1]) / d.per_unit for d in directions])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -150,6 +166,12 @@ def torque_limits(tried: Tried) -> Iterator[DesignLimit]:
             f"{'' if ok else '; follow a trajectory instead'}"
         ),
     )  # fmt: skip
+
+
+def step_limit(tried: Tried) -> DesignLimit:
+    """What a step takes: of the torques, or of the speeds where drives make them."""
+    found = torque_limits(tried) if tried.bench.kind == "torque" else _speed(tried)
+    return next(iter(found))
 
 
 def _room(tried: Tried, hold: Float64Array, k: int) -> tuple[float, int]:

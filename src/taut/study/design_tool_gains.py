@@ -115,6 +115,10 @@ def stiffness(law: Any, at: tuple[Snapshot, ...], asked: Asked) -> dict[str, Any
         raise UsageError("Stiffness needs K=(linear, angular), (6,) or (6, 6), and zeta", name="K")
     zeta = _needs_damping("Stiffness", asked)
     K = six_by_six("K", asked.K, law.dimensions)
+    if not K.any():
+        raise RangeError(
+            "K of Stiffness must be > 0 in some direction, for it draws the arm nowhere", name="K", value=0.0
+        )
     pairs = []
     for x in at:
         J = at_tool(law, x).J
