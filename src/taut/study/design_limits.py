@@ -21,13 +21,15 @@ from taut.study.design_trial import Bench, Numbers, Response
 from taut.study.impedance import check_impedance
 from taut.study.linear_loop import LinearLoop
 
-__all__ = ["DesignLimit", "Tried", "limits_of", "step_limit", "steps_of"]
+__all__ = ["DesignLimit", "Tried", "growth", "limits_of", "step_limit", "steps_of"]
 
 KEPT: Final = 0.1  # of the damping ratio: what sampling, or an integral, may take
 COUNT: Final = 0.01  # of the effort limit: a torque that an encoder's step may make
 STEP_JOINT: Final = {"rad": 0.1, "m": 0.05}
 PRESS: Final = {"N": 10.0, "N m": 1.0}
 EVERY: Final = 1e-12
+NONE: Final = 1e-9  # of a growth in a tick: rounding
+VISIBLE: Final = 5e-4  # likewise, which four digits show
 LASTING: Final = 1e-6  # [1/s] a pole that is slower is one that stays
 
 
@@ -52,6 +54,13 @@ class DesignLimit:
     unit: str
     ok: bool
     sentence: str
+
+
+def growth(radius: float) -> str:
+    """How a loop grows in a tick, with the digits that tell it from 1."""
+    if radius - 1.0 < NONE:
+        return "does not die away"
+    return f"grows by the factor {radius:.4g}" if radius - 1.0 > VISIBLE else f"grows by 1 + {radius - 1.0:.2g}"
 
 
 def steps_of(law: str, directions: tuple[Direction, ...], step: Float64Array | None) -> Float64Array:

@@ -16,12 +16,12 @@ from taut.maths.snapshot import Snapshot
 from taut.study.design_asked import Asked, plain
 from taut.study.design_directions import Direction
 from taut.study.design_gains import Case, gains_for
-from taut.study.design_limits import DesignLimit
+from taut.study.design_limits import DesignLimit, growth
 from taut.study.design_result import AtPose
 from taut.study.design_trial import Bench, Numbers, Response
 from taut.study.linear_loop import LinearLoop
 
-__all__ = ["LEAST", "Refusals", "TriedAt", "growth", "kept_of"]
+__all__ = ["LEAST", "Refusals", "TriedAt", "kept_of"]
 
 HALVINGS: Final = 40
 SLOWEST: Final = 1e-7  # of an error in a tick: less cannot be told from none, for rounding splits a pair so far
@@ -34,18 +34,9 @@ BARELY: Final = 0.55  # what it keeps where none can
 BELOW: Final = 0.99  # of a border: what is named as possible
 CLOSE: Final = 1e-3  # of a border
 NEAR: Final = 1e-2  # of one of damping, each trial of which is a simulation
-NONE: Final = 1e-9  # of a growth in a tick: rounding
-VISIBLE: Final = 5e-4  # of a growth in a tick, which four digits show
 
 TriedAt = tuple[AtPose, tuple[Direction, ...], tuple[Numbers, ...], tuple[Response, ...]]
 """A pose, its directions, what they are by the book, and steps of the linear model along them."""
-
-
-def growth(radius: float) -> str:
-    """How a loop grows in a tick, with the digits that tell it from 1."""
-    if radius - 1.0 < NONE:
-        return "does not die away"
-    return f"grows by the factor {radius:.4g}" if radius - 1.0 > VISIBLE else f"grows by 1 + {radius - 1.0:.2g}"
 
 
 class Refusals:
