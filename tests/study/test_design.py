@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import re
@@ -14,6 +15,7 @@ from scipy.linalg import eigh
 
 import taut
 from taut.control.law import Law
+from taut.study import design_contact
 
 Bar = Callable[[str, object], None]
 
@@ -410,6 +412,21 @@ def test_a_force_that_is_too_fast_for_the_tick_is_refused_with_the_nearest_that_
     )
     with pytest.raises(taut.RangeError, match=r"the pose on the constraint that is nearest .* give at= a pose on"):
         taut.design(away, arm, zeta=1.0, omega_n=10.0, force=5.0)
+
+
+def test_a_force_in_contact_does_not_depend_on_the_steps_between_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rigid contact takes no rk4; ten steps of semi-implicit Euler in a period make the same of the force as one."""
+    arm = taut.load_arm("gantry3")
+    low = float(np.asarray(taut.snapshot(arm, arm.home).T().p)[2])
+    law = laws.HybridMotionForce(
+        constraint=lambda T: T.p[2] + 0.3 * T.p[0] - low, motion=laws.TaskComputedTorque(kp=1.0, kd=1.0), kfi=1.0
+    )
+    found = []
+    for substeps in (1, 10):
+        monkeypatch.setattr(design_contact, "RigidPlant", functools.partial(taut.RigidPlant, substeps=substeps))
+        found.append(taut.design(law, arm, zeta=1.0, omega_n=10.0, force=20.0).forces[0].simulated)
+    assert found[0].omega_n == pytest.approx(found[1].omega_n, rel=1e-6)
+    assert found[0].settling == pytest.approx(found[1].settling, rel=1e-6)
 
 
 def test_hand_guiding_gets_a_decay() -> None:
