@@ -527,6 +527,26 @@ def test_weight_makes_a_pid_sag_as_told() -> None:
     assert abs(run.q[-1, 0] - arm.home[0]) == pytest.approx(told.value, rel=0.01)
 
 
+@pytest.mark.parametrize("omega_n", [5.0, 20.0])
+def test_how_far_a_weight_sags_counts_the_way_that_it_goes(omega_n: float) -> None:
+    """kp^-1 g where it begins was 0.67 of 1.11 rad."""
+    arm = taut.load_arm("planar2")
+    d = taut.design(laws.PID, arm, at=[0.3, 0.8], zeta=1.0, omega_n=omega_n)
+    plant = taut.RigidPlant(arm, friction=None)
+    run = taut.run(taut.compile(d.law, arm), plant, taut.JointMotion(q=[0.3, 0.8]), duration=8.0, q0=[0.3, 0.8])
+    assert d.limit("weight").value == pytest.approx(float(np.abs(run.q[-1] - [0.3, 0.8]).max()), rel=1e-4)
+
+
+def test_a_law_that_feels_the_wrench_is_as_stiff_as_asked() -> None:
+    """Pushed at the joints, where its sensor feels nothing, 384 of 2000 N/m were told."""
+    d = taut.design(laws.Impedance, taut.load_arm("panda"), D=(5.0, 0.5), omega_n=(20.0, 30.0), zeta=0.7)
+    for each in d.stiffness:
+        assert each.asked == pytest.approx(2000.0 if each.unit == "N/m" else 450.0)
+        assert each.predicted == pytest.approx(each.asked, rel=1e-6)
+        assert each.simulated == pytest.approx(each.asked, rel=1e-3)
+    assert d.limit("at rest").ok
+
+
 # -------------------------------------------------------------------- what cannot be
 
 

@@ -63,3 +63,21 @@ def test_the_picture_draws_what_was_designed_with_all_joints(arm: taut.Arm) -> N
     solid, dashed = d.plot().axes[0].lines[:2]
     off = np.interp(dashed.get_xdata(), solid.get_xdata(), solid.get_ydata()) - dashed.get_ydata()
     assert np.abs(off).max() < 0.005
+
+
+@pytest.mark.parametrize("asked", [{"K": [40.0, 8.0]}, {"omega_n": [4.0, 16.0]}], ids=str)
+def test_borders_of_rate_and_delay_are_those_of_all_joints(arm: taut.Arm, asked: dict[str, Any]) -> None:
+    """Of the fastest direction by itself they were up to 8 % too far, on the unsafe side."""
+    d = taut.design(laws.GravityPID, arm, at=[0.3, 1.2], zeta=0.7, rate=500.0, **asked)
+
+    def radius(rate: float, periods: int = 0) -> float:
+        plant = taut.RigidPlant(
+            arm, friction=None, integrator="rk4", substeps=20, actuation=taut.Actuation(delay=periods / rate)
+        )
+        loop = taut.Loop(taut.compile(d.law, arm, rate=rate), plant, duration=1.0)
+        return float(taut.linearise(loop, at=[0.3, 1.2]).radius)
+
+    least = d.limit("rate").limit
+    assert radius(0.99 * least) > 1.0 > radius(1.01 * least)
+    most = round(d.limit("delay").limit * 500.0)
+    assert radius(500.0, most) < 1.0 < radius(500.0, most + 1)

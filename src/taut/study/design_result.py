@@ -115,7 +115,7 @@ class Design:
             *limits_of(self.tried),
             *gear_limits(self.tried),
             *plant_limits(self.tried, tuple(each.on_plant for each in self.achieved), self.step),
-            *static_limits(self.stiffness),
+            *static_limits(self.stiffness, self.tried.bench.law),
             *force_limits(self.forces, self.rate),
         )
 
