@@ -238,6 +238,13 @@ def test_a_stiffness_from_a_speed_is_enough_at_every_pose() -> None:
     assert min(least) >= 0.7 * (1.0 - 1e-6)
 
 
+def test_damping_at_several_poses_of_an_arm_of_few_joints_is_what_was_asked_for() -> None:
+    """Dampings of two poses were compared in axes of their own, and 0.7 became 2.4 at the least."""
+    arm, poses = taut.load_arm("planar2"), [[0.3, 0.8], [0.3, 2.0]]
+    d = taut.design(laws.Impedance, arm, at=poses, zeta=0.7, omega_n=12.0)
+    assert min(pose.zeta[0] for pose in d.poses) == pytest.approx(0.7, rel=0.02)
+
+
 def test_stiffness_gets_joint_damping_for_the_worst_pose() -> None:
     arm = taut.load_arm("planar3")
     poses = [[0.3, 0.8, 0.4], [0.3, 2.0, 0.4]]
