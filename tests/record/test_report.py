@@ -113,6 +113,78 @@ def test_the_lines_of_a_report_make_the_same_run_again(
     np.testing.assert_array_equal(again.command, run.command)
 
 
+@pytest.mark.parametrize("friction", [None, taut.Friction(viscous=[0.3, 0.2], coulomb=0.4, static=0.6)])
+def test_the_lines_of_a_report_have_the_friction_of_the_plant(
+    friction: taut.Friction | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arm = taut.load_arm("xarm7")  # which has friction of its own
+    ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)
+    plant = taut.RigidPlant(arm, friction=None)
+    if friction is not None:
+        arm = taut.load_arm("planar2")
+        ctrl, plant = (
+            taut.compile(taut.laws.GravityPID(kp=9.0, kd=3.0), arm),
+            taut.RigidPlant(arm.with_friction(friction)),
+        )
+    ref = taut.Quintic(q0=arm.home, q1=arm.home + 0.2, duration=0.2)
+    made = taut.run(ctrl, plant, ref, duration=0.25)
+    monkeypatch.chdir(tmp_path)
+    made.save("run.mcap")
+    known: dict[str, object] = {}
+    exec(page_of(made).repeat, known)
+    again = known["run"]
+    assert isinstance(again, taut.Run)
+    np.testing.assert_array_equal(again.q, made.q)
+
+
+def test_the_lines_of_a_report_make_a_task_law_of_six_joints(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The law holds a posture unsaid, which a law that is given one has no use for on six joints."""
+    arm = taut.load_arm("ur5")
+    made = taut.run(
+        taut.compile(taut.laws.TaskComputedTorque(kp=100.0, kd=20.0), arm), taut.RigidPlant(arm), duration=0.02
+    )
+    monkeypatch.chdir(tmp_path)
+    made.save("run.mcap")
+    known: dict[str, object] = {}
+    exec(page_of(made).repeat, known)
+    again = known["run"]
+    assert isinstance(again, taut.Run)
+    np.testing.assert_array_equal(again.q, made.q)
+
+
+def test_the_lines_of_a_report_say_what_they_leave_to_the_reader() -> None:
+    class Mine(taut.Law):
+        """P control."""
+
+        kp: taut.Gain  # [N m/rad]
+
+        def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+            return taut.Torque(P=self.kp @ x.difference(ref.q))
+
+    arm = taut.load_arm("planar2")
+    plant = taut.RigidPlant(arm, environment=taut.Push(peak=[1.0, 0.0, 0.0], t=0.01, duration=0.01))
+    lines = page_of(taut.run(taut.compile(Mine(kp=1.0), arm), plant, duration=0.02)).repeat
+    assert "# not of taut.laws, to be given by you: Mine" in lines
+    assert (
+        "# The plant had more, without which the numbers are others: environment= of environment.peak, "
+        "environment.t, environment.duration."
+    ) in lines
+    arm = taut.load_arm("planar2")
+    alone = page_of(taut.run(taut.compile(taut.laws.PID(kp=1.0), arm), taut.RigidPlant(arm), duration=0.02)).repeat
+    assert "given by you" not in alone
+    assert "The plant had more" not in alone
+
+
+def test_a_title_ends_with_a_clause_and_not_within_a_word() -> None:
+    d = taut.second_order(M=0.5, b=0.1, kp=2.205, kd=2.0)
+    ctrl = taut.compile(taut.laws.GravityPID(kp=60.0, kd=9.0), taut.load_arm("planar2"))
+    made = taut.run(ctrl, taut.RigidPlant(taut.load_arm("planar2")), taut.JointMotion(q=[0.3, 0.8]), duration=0.1)
+    title = page_of(taut.lyapunov(made)).title
+    assert title.startswith("Lyapunov: V goes from ")
+    assert title.endswith(" J and falls throughout")
+    assert page_of(d).title.endswith("= 0")
+
+
 def test_a_run_of_a_scenario_is_repeated_by_its_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -10,6 +10,8 @@ import pytest
 from runtime_laws import Array, Pushed, Seen, Spring, TorqueOf, seen
 
 import taut
+from taut.codegen import loop as codegen_loop
+from taut.codegen import native
 from taut.runtime import fused
 
 # The same formulas in the same order but for the compiler's: relative to the largest number of the column.
@@ -272,6 +274,25 @@ def test_a_law_that_gives_no_number_is_told_and_not_the_simulation(engine: Any) 
         assert (out.outcome.kind, out.outcome.joint, out.outcome.tick) == ("diverged", "joint2", 20)
         assert "BreaksLater" in out.outcome.message or "the law gives nan for joint 'joint2'" in out.outcome.message
         assert "smaller gains" not in out.outcome.message
+
+
+def test_code_made_anew_for_longer_runs_is_compared_where_the_first_began(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And not where it ended: at numbers like 1e19 rounding alone tells engines apart."""
+    compared: list[Array] = []
+
+    def samples(example: tuple[Array, Array, Array]) -> list[tuple[Array, Array, Array]]:
+        compared.append(example[2].copy())
+        return [example]
+
+    monkeypatch.setattr(codegen_loop, "_samples", samples)
+    monkeypatch.setattr(native, "LEVEL", 2)
+    ctrl = taut.compile(taut.laws.PID(kp=317.0, kd=20.0), PLANAR)
+    loop = taut.Loop(ctrl, taut.RigidPlant(PLANAR, substeps=7), wave(PLANAR), duration=0.3)  # made by no other test
+    first = taut.run(loop)
+    monkeypatch.setattr(native, "PATIENCE", 0)
+    assert np.array_equal(taut.run(loop).q, first.q)
+    assert len(compared) >= 2
+    assert all(np.array_equal(memory, compared[0]) for memory in compared)
 
 
 class TestDivergence:

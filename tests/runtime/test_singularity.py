@@ -98,6 +98,7 @@ def test_arms_of_seven_joints_go_through_within_their_limits_and_come_back(
         assert max(one.recovery for one in ours) <= 2.0
         damped = table("constant damping", kind, count, name)
         assert max(one.rms for one in ours) < max(one.rms for one in damped)
+        given = 0.0  # torque of the plain law, where none but its motion is allowed
         for line in lines(arm, kind)[:count]:
             robust, plain = (loop(name, way).run(line) for way in ("robust", "plain"))
             near = np.flatnonzero(errors(robust, arm, line)[2] < sizes_of(arm).border)
@@ -105,6 +106,16 @@ def test_arms_of_seven_joints_go_through_within_their_limits_and_come_back(
             assert first > 200
             assert np.abs(robust.q[:first] - plain.q[:first]).max() < 1e-8
             assert (np.abs(plain.v[:first]) / arm.velocity).max() < 0.98
+            given = max(given, float((np.abs(plain.tau[:first]) / arm.effort).max()))
+        peak = max(one.torque for one in damped)
+        if count == 8:
+            assert (
+                given > peak
+            )  # so no such law has a lower peak than constant damping: docs/singularities.md says so
+        bar(
+            f"{name} through singularities, {kind}: torque / effort of the plain law before the border",
+            f"{given:.4f}",
+        )
         for way in WAYS:
             rows = table(way, kind, count, name)
             worst = [max(getattr(one, word) for one in rows) for word in ("torque", "speed", "rms", "recovery")]

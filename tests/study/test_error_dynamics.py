@@ -333,6 +333,43 @@ class TestPythonControl:
             assert d.steady_state_error("parabola") == pytest.approx(0.1, rel=1e-6)
             assert d.sine_error(0.5) == pytest.approx(ours.sine_error(0.5), rel=1e-9)
 
+    @pytest.mark.parametrize(
+        ("numerator", "denominator"),
+        [
+            ([2.205, 1.0], [0.5, 2.1, 2.205, 1.0]),  # PID whose derivative does not see the goal
+            ([2.0, 2.205, 1.0], [0.5, 2.1, 2.205, 1.0]),  # one whose derivative does
+            ([14.0, 100.0], [1.0, 14.0, 100.0]),
+            ([14.0, 50.0], [1.0, 14.0, 100.0]),  # it ends at half of its goal
+            ([3.0, 1.0], [1.0, 3.0, 3.0, 1.0]),
+            ([-0.1, 1.0], [1.0, 2.0, 1.0]),  # it begins the wrong way
+            ([1.0], [1.0, 3.0, 3.0, 1.0]),
+            ([2.0, 1.0, 7.0, 5.0], [1.0, 6.0, 15.0, 20.0, 5.0]),
+        ],
+    )
+    def test_a_step_of_what_comes_in_is_that_of_step_info(
+        self, numerator: list[float], denominator: list[float]
+    ) -> None:
+        system = self.control.tf(numerator, denominator)
+        d = taut.ErrorDynamics.of(system)
+        times = np.linspace(0.0, 1.5 * d.settling_time, 60_001)
+        info = self.control.step_info(system, T=times)
+        assert d.overshoot == pytest.approx(info["Overshoot"], abs=2e-3)
+        assert d.settling_time == pytest.approx(info["SettlingTime"], abs=3.0 * times[1])
+        assert d.rise_time == pytest.approx(info["RiseTime"], abs=3.0 * times[1])
+        y = self.control.step_response(system, times).outputs
+        e, v = d.response(times[::600], 2.0)
+        np.testing.assert_allclose(e, 2.0 * (1.0 - y[::600]), atol=1e-9)
+        assert v[1:-1] == pytest.approx(-2.0 * np.gradient(y, times)[600:-1:600], abs=1e-5)
+        back = d.to_control()
+        np.testing.assert_allclose(back.num[0][0], system.num[0][0])
+        np.testing.assert_allclose(back.den[0][0], system.den[0][0])
+
+    def test_gains_go_out_and_come_in_again(self) -> None:
+        d = taut.second_order(**CHAPTER, kp=2.205, kd=2.0, ki=1.0)
+        again = taut.ErrorDynamics.of(d.to_control())
+        assert again.step == d.step
+        assert (again.ki, again.kp, again.kd) == pytest.approx((2.0, 4.41, 4.2))  # of an inertia of 1: over 0.5
+
     @pytest.mark.parametrize("of", ["reference", "disturbance"])
     def test_its_frequency_response_is_ours(self, of: str) -> None:
         d = taut.second_order(**CHAPTER, kp=2.205, kd=2.0, ki=1.0)

@@ -322,6 +322,21 @@ def test_a_joint_that_sticks_is_told_and_does_not_move() -> None:
     assert taut.linearise(loop).sides == ()  # as its parameters are now
     assert pytest.approx(np.array([[1.0, 0.0], [0.0, 0.0]]), abs=1e-12) == lin.A
     assert lin.stable
+    assert "nan" not in str(lin)
+    (row,) = [line for line in str(lin).splitlines() if line.lstrip().startswith("joint1")]
+    assert row.split() == ["joint1", "0", "to", "inf", "any", "any", "-"]
+    assert "and 1 pole at z = 0" in str(lin)
+
+
+def test_what_drifts_is_told_as_that_and_what_grows_as_that() -> None:
+    arm = weightless("one_joint")
+    free = taut.linearise(loop_of(laws.GravityCompensation(kd=0.0), arm, Plant(arm, friction=None)))
+    assert not free.stable
+    assert free.why == "what is set off drifts on for ever, for nothing draws it back: plant.q[0], plant.v[0]"
+    assert f"UNSTABLE: {free.why}" in str(free)
+    stiff = taut.linearise(loop_of(laws.PID(kp=1e7, kd=1.0), arm, Plant(arm, friction=None)))
+    assert stiff.why == f"the largest pole has modulus {stiff.radius:.6g}"
+    assert taut.linearise(loop_of(laws.PID(kp=10.0, kd=1.0), arm, Plant(arm, friction=None))).why == ""
 
 
 def test_the_two_sides_of_a_wall_are_told() -> None:

@@ -144,6 +144,8 @@ def test_the_poles_are_those_at_each_of_its_values() -> None:
         (lambda: taut.locus(lambda k: k, [0.0, 1.0], of=taut.second_order(kp=1, kd=1)), "of= is for the name of a number; a function makes the whole itself"),
         (lambda: taut.locus(lambda k: k, [0.0, 1.0]), "poles are those of error dynamics, a loop, a system of python-control or a square matrix; got float"),
         (lambda: taut.locus(lambda k: np.ones(3), [0.0, 1.0]), r"a matrix that has poles is square; got shape \(3,\)"),
+        (lambda: taut.locus(lambda k: [[np.nan]], [0.0, 1.0]), r"a matrix that has poles must be finite; got nan at \[0, 0\]"),
+        (lambda: taut.locus(lambda k: SimpleNamespace(poles=[np.nan]), [0.0, 1.0]), "poles must be numbers; SimpleNamespace has one that is NaN"),
         (lambda: taut.locus(lambda k: k, 1.0), r"values must be a list of two numbers or more, such as np.linspace\(0, 10, 50\); got shape \(\)"),
         (lambda: taut.locus(lambda k: k, [1.0, 0.0]), "values must increase from one to the next"),
     ],

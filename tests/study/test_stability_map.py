@@ -142,6 +142,19 @@ def test_what_is_no_map_is_refused_in_a_sentence(over: dict[str, object], senten
         taut.stability_map(lambda rate, kd: np.eye(2), over)
 
 
+def test_what_is_called_by_other_names_is_refused_with_both() -> None:
+    words = (
+        r"make is called by the names of over, make\(rate=..., gain=...\), and takes \(rate, kd\); name both alike"
+    )
+    with pytest.raises(taut.UsageError, match=words):
+        taut.stability_map(lambda rate, kd: np.eye(2), {"rate": [1.0, 2.0], "gain": [1.0, 2.0]})
+
+
+def test_a_type_error_of_its_own_is_not_taken_for_that() -> None:
+    with pytest.raises(TypeError, match="unsupported operand"):
+        taut.stability_map(lambda a, b: a + "x", {"a": [1.0, 2.0], "b": [1.0, 2.0]})
+
+
 # -------------------------------------------------------------------- the maps that are named, of whole loops
 
 

@@ -245,7 +245,7 @@ MISUSE: dict[str, tuple[Callable[[], object], str]] = {
     "at rest": (lambda: planar_tip(kp=60.0, kd=5.0).measure(0.0), "a sweep needs frequencies above zero; got 0"),
     "unstable": (
         lambda: planar_tip(kp=60.0, kd=2000.0).measure(1.0),
-        "the loop is unstable (a pole of modulus 32.4871), so that no sine settles; measure a loop that is stable",
+        "the loop is unstable (the largest pole has modulus 32.4871), so that no sine settles; measure a loop that is stable",
     ),
     "none": (lambda: taut.rank_tips({}, direction=Z_AXIS), "rank_tips takes loops by name: {'motion': loop, ...}"),
     "slow": (

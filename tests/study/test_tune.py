@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -243,6 +244,52 @@ def test_a_cost_that_raises_at_the_start_is_refused_with_what_it_is_a_function_o
         taut.tune(loop, ("law.kd",), cost=lambda tick: tick.q[0].item() ** 2, method="gradient", q0=[0.0])
 
 
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ({"margin": 1.9999}, r"the disk margin of 'loop' is 1.\d+ where 1.9999 is asked for, with law.kd = "),
+        (
+            {"limits": taut.Limits(tau=[1e-3])},
+            r"the torque of 'loop' is \d[\d.e+]* times what is allowed, with law.kd = ",
+        ),
+        ({"chatter": 1e-6}, r"the chatter of 'loop' is \d[\d.e+]* times what is allowed, with law.kd = "),
+    ],
+)
+def test_constraints_that_nothing_keeps_to_are_told_with_the_nearest(
+    loop: taut.Loop, asked: dict[str, Any], words: str
+) -> None:
+    tuned = taut.tune(loop, ("law.kd",), q0=[0.0], evaluations=14, **asked)
+    *_, why, nearest = tuned.notices
+    assert why == "no trial kept to the constraints, nor did the start, which is what there is"
+    assert re.fullmatch(f"the nearest of them: {words}[\\d.]+", nearest)
+    best = max(tuned.history, key=lambda trial: trial.slack)
+    assert nearest.endswith(np.array2string(best.parameters["law.kd"], precision=5))
+    number = float(nearest.split(" is ")[1].split()[0])
+    assert number == pytest.approx(1.9999 + best.slack if "margin" in asked else 1.0 - best.slack, rel=1e-3)
+
+
+def test_what_ends_at_a_bound_is_told() -> None:
+    loop = swing(2.0)  # of which kd = 5 is the best
+    held = taut.tune(loop, ("law.kd",), method="gradient", q0=[0.0], bounds={"law.kd": (1.0, 3.0)})
+    assert held.parameters["law.kd"] == pytest.approx(3.0)
+    assert held.notices == ("law.kd ends at the high bound; bounds={'law.kd': (low, high)} moves it",)
+    free = taut.tune(loop, ("law.kd",), method="gradient", q0=[0.0])
+    assert free.notices == ()
+    two = taut.load_arm("planar2")
+    ctrl = taut.compile(laws.GravityPID(kp=20.0, kd=[0.5, 0.5]), two)
+    both = taut.Loop(ctrl, taut.RigidPlant(two), taut.JointMotion(q=[0.6, 1.7]), duration=0.5)
+    one = taut.tune(both, ("law.kd",), method="gradient", q0=two.home, bounds={"law.kd": (0.1, [0.6, 50.0])})
+    assert one.notices == ("law.kd[0] ends at the high bound; bounds={'law.kd': (low, high)} moves it",)
+
+
+def test_the_table_says_its_units(loop: taut.Loop) -> None:
+    lines = str(taut.tune(loop, ("law.kd",), q0=[0.0], evaluations=2)).splitlines()
+    (head,) = [k for k, line in enumerate(lines) if "rms_error" in line]
+    for name, unit in (("rms_error", "rad | m"), ("effort", "(N m)^2 s"), ("rate", "of limit"), ("chatter", "N m/s")):
+        end = lines[head].index(name) + len(name)
+        assert lines[head + 1][:end].endswith(unit)
+
+
 def test_progress_sees_every_trial_and_may_end_it(loop: taut.Loop) -> None:
     seen: list[Trial] = []
 
@@ -288,8 +335,11 @@ def test_runs_that_diverge_are_told_and_never_best() -> None:
         ({"seed": -1}, "seeds must be whole numbers >= 0"),
         ({"limits": 3.0}, "limits must be taut.Limits"),
         ({"chatter": 0.0}, "chatter must be > 0"),
+        ({"margin": 2.5}, "margin is the least alpha of the disk margin, above 0 and at most 2; got 2.5"),
+        ({"margin": 0.0}, "margin is the least alpha of the disk margin, above 0 and at most 2; got 0.0"),
         ({"loops": []}, "tune needs a loop at least"),
         ({"loops": [1]}, "loops must be taut.Loop"),
+        ({"loops": 3.0}, r"loops must be taut.Loop\(ctrl, plant, ref, duration=...\); got 3.0"),
     ],
 )
 def test_what_has_no_meaning_is_refused_in_words(loop: taut.Loop, asked: dict[str, Any], words: str) -> None:

@@ -96,6 +96,8 @@ class NativeLoop:
     ) -> None:
         period = Period(step, substep, repeats, inputs, parameters, memory)
         self.outputs = period.step.outputs
+        row, values, state = (part.copy() for part in example)  # a run goes on in the arrays that it began with
+        example = row, values, state
         self.operations, self._length = period.operations, period.length
         checks = [verified("the loop", step, period.step, lambda: _samples(example))]
         if period.inner is not None:

@@ -315,6 +315,8 @@ class Law:
 def _is_default(value: Any, default: Any) -> bool:
     if isinstance(value, np.ndarray):
         return default is not dataclasses.MISSING and np.array_equal(value, np.asarray(default))
+    if isinstance(value, Law):  # one that is bound to its gains is another object
+        return repr(value) == repr(default)
     return bool(value == default)
 
 

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
 from taut.base.errors import UsageError
 from taut.record.files import checked_target, written_aside
@@ -15,11 +15,15 @@ from taut.record.report_html import html_of
 from taut.record.report_page import Page, Picture, Reportable, Table
 from taut.record.report_run import page_of_run
 from taut.record.run import Run
+from taut.record.style import short
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["page_of", "report"]
+
+HEADING: Final = 100  # letters of a title
+CLAUSE: Final = re.compile(r"[,;:] ")  # where a longer one may end
 
 
 @runtime_checkable
@@ -123,11 +127,14 @@ def _kind(x: object) -> str:
 
 
 def _heading(kind: str, words: str) -> str:
-    """A title: what it is and its first line, but for one that is the head of a table."""
+    """A title: what it is and its first line, of a long one its first clauses; the head of a table is none."""
     first = words.partition("\n")[0].strip()
     if not first or "  " in first:
         return kind
-    return (first[:1].upper() + first[1:] if kind.lower() in first.lower() else f"{kind}: {first}")[:120]
+    title = first[:1].upper() + first[1:] if kind.lower() in first.lower() else f"{kind}: {first}"
+    while len(title) > HEADING and (ends := list(CLAUSE.finditer(title))):
+        title = title[: ends[-1].start()]
+    return short(title, HEADING)
 
 
 def _of_anything(x: object) -> Page:

@@ -170,11 +170,14 @@ def _repeat(run: Run, scenario: Mapping[str, Any], log: str) -> str:
         file = scenario["name"] if scenario.get("built_in") else f"{scenario['name']}.toml"
         words = "" if scenario.get("built_in") else "   # a file with the text above"
         return f"taut run {file}{own if '.py:' in str(scenario['law']) else words}"
+    from taut.control import laws
+
     info = run.info
+    parameters = info.get("parameters", {})
     arm, law, plant = str(info.get("arm")), str(info.get("law")), str(info.get("plant"))
     known = arm in BUILT_IN or arm in CATALOGUE
     in_mujoco = plant.startswith("MujocoPlant")
-    limits = [path for path in info.get("parameters", {}) if path.startswith("limits.")]
+    limits = [path for path in parameters if path.startswith("limits.")]
     words = ", ".join(f'{path.partition(".")[2]}=known["{path}"]' for path in limits)
     lines = [
         "import taut",
@@ -192,7 +195,7 @@ def _repeat(run: Run, scenario: Mapping[str, Any], log: str) -> str:
         "        return kind.of({name: getattr(old.reference, name)[k] for name in kind.fields(old.n)})",
         "",
         "",
-        f"plant = taut.{'MujocoPlant' if in_mujoco else 'RigidPlant'}(arm)",
+        f"plant = taut.{'MujocoPlant' if in_mujoco else 'RigidPlant'}({_truth(info, in_mujoco=in_mujoco)})",
     ]
     start = f"q0=old.q[0], v0=old.v[0], seed={info.get('seed', 0)}"
     if in_mujoco:
@@ -207,8 +210,32 @@ def _repeat(run: Run, scenario: Mapping[str, Any], log: str) -> str:
             "    loop.parameters[path] = known[path]",
             f"run = taut.run(loop, {start})",
         ]
+    unknown = [name for name in re.findall(r"\b([A-Z]\w*)(?=\()", law) if name not in laws.__all__]
+    if unknown:
+        lines.insert(1, f"# not of taut.laws, to be given by you: {', '.join(dict.fromkeys(unknown))}")
+    around = {"environment": "environment=", "contact": "contact="}
+    given = [
+        f"{word} of {', '.join(path for path in parameters if path.startswith(f'{head}.'))}"
+        for head, word in around.items()
+        if any(path.startswith(f"{head}.") for path in parameters)
+    ]
+    missing = [f"# The plant had more, without which the numbers are others: {'; '.join(given)}."] if given else []
     note = "# Kinds of sensors, drives and filters, and the integrator's steps, are the usual ones here; give yours."
-    return "\n".join([*lines, note])
+    return "\n".join([*lines, *missing, note])
+
+
+FRICTION: Final = "plant.friction."
+
+
+def _truth(info: Mapping[str, Any], *, in_mujoco: bool) -> str:
+    """The arm of a plant in Python, with the friction that it had; in MuJoCo parameters set it."""
+    if in_mujoco:
+        return "arm"
+    parts = [path for path in info.get("parameters", {}) if path.startswith(FRICTION)]
+    if not parts:
+        return "arm, friction=None"
+    words = ", ".join(f'{path.removeprefix(FRICTION)}=known["{path}"]' for path in parts)
+    return f"arm.with_friction(taut.Friction({words}))"
 
 
 def law_in_python(law: str) -> str:

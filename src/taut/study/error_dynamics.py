@@ -53,6 +53,8 @@ class ErrorDynamics(ErrorNumbers, ErrorLeft):
         disturbance: Numerator of the error over a disturbance torque; None if not known.
         joint: The gains it was made of; of second-order dynamics, or of third order with `integral`, those of
             equation 10.19 if left out.
+        setpoint: Numerator of the actual over the desired position, if that has zeros of its own: a step is then one
+            of the desired position, after which the error starts with the derivatives that these give it.
 
     Raises:
         ShapeError, RangeError: Coefficients that make no dynamics.
@@ -72,12 +74,13 @@ class ErrorDynamics(ErrorNumbers, ErrorLeft):
     reference: ArrayLike | None = None
     disturbance: ArrayLike | None = None
     joint: JointGains | None = None
+    setpoint: ArrayLike | None = None
 
     def __post_init__(self) -> None:
         given = finite_array("coefficients", self.coefficients)
         routh(given)  # refuses what is no polynomial
         object.__setattr__(self, "coefficients", given)
-        for name in ("reference", "disturbance"):
+        for name in ("reference", "disturbance", "setpoint"):
             value = getattr(self, name)
             if value is not None:
                 numerator = finite_array(name, value)
@@ -88,6 +91,8 @@ class ErrorDynamics(ErrorNumbers, ErrorLeft):
                         name=name,
                     )
                 object.__setattr__(self, name, numerator)
+        if self.setpoint is not None and (len(self._s) > self.order or not self._s[-1]):
+            raise ShapeError("setpoint must have fewer zeros than there are poles, and none at zero", name="setpoint")
         if self.integral and self.order < 2:
             raise UsageError("integral=True needs dynamics of the second order or higher", name="integral")
 
@@ -139,7 +144,9 @@ class ErrorDynamics(ErrorNumbers, ErrorLeft):
     def of(cls, system: Any) -> ErrorDynamics:
         """Of a system of python-control in continuous time: a closed loop from desired to actual position.
 
-        Its error is that of the desired position less the actual one, 1 - T(s).
+        Its error is that of the desired position less the actual one, 1 - T(s), and its step one of the desired
+        position, as that of `control.step_info`: zeros of T count. Where T follows a step at once or not for long,
+        with as many zeros as poles or one at the origin, it is an error of 1 at the start.
 
         Args:
             system: `control.TransferFunction` or `control.StateSpace`, one input and one output.
@@ -154,7 +161,17 @@ class ErrorDynamics(ErrorNumbers, ErrorLeft):
         numerator = np.concatenate([np.zeros(len(denominator) - len(numerator)), numerator])
         difference = denominator - numerator
         difference[np.abs(difference) <= EQUAL * np.abs(denominator)] = 0.0
-        return cls(coefficients=denominator, reference=difference)
+        zeros = np.trim_zeros(numerator, "f")
+        pid = len(zeros) == 2 and len(denominator) == 4 and np.allclose(zeros, denominator[-2:], rtol=EQUAL, atol=0.0)
+        known = len(zeros) == 1 or pid or len(zeros) == len(denominator) or not zeros[-1:].any()
+        return cls(
+            coefficients=denominator, integral=bool(pid), reference=difference, setpoint=None if known else zeros
+        )
+
+    @property
+    def _s(self) -> Float64Array:
+        made: Float64Array = np.asarray(self.setpoint)
+        return made
 
     # ---------------------------------------------------------------- the polynomial and its roots
 
@@ -302,7 +319,7 @@ class ErrorDynamics(ErrorNumbers, ErrorLeft):
         Args:
             t: (k,) or a number [s], from the start.
             e0: Error at the start [rad | m].
-            v0: Its rate at the start [rad/s | m/s]; zero if left out.
+            v0: Its rate at the start [rad/s | m/s]; if left out zero, or with `setpoint` what a step of e0 gives it.
 
         Returns:
             e and v, of the shape of t.
@@ -316,9 +333,10 @@ class ErrorDynamics(ErrorNumbers, ErrorLeft):
         e0 = finite_scalar("e0", e0, unit="rad")
         if v0 is not None and self.order - self.integral < 2:
             raise UsageError("first-order dynamics start at any e0, and v0 follows from it; leave v0 out", name="v0")
+        stepped = v0 is None
         v0 = 0.0 if v0 is None else finite_scalar("v0", v0, unit="rad/s")
         flat = np.ravel(times)
-        if self.order == 2 and not self.integral:
+        if self.order == 2 and not self.integral and not (stepped and self.setpoint is not None):
             e, v = swing(self._sigma, float(self._a[2] / self._a[0]), self._excess, e0, v0, flat)
         else:
             A, scale = self._chain
@@ -327,8 +345,12 @@ class ErrorDynamics(ErrorNumbers, ErrorLeft):
             start[o] = e0
             if self.order - o > 1:
                 start[o + 1] = v0 / scale
+            left = 0.0
+            if stepped and self.setpoint is not None:
+                gain = float(self._s[-1] / self._a[-1])
+                start, left = e0 * gain * self._set_off, e0 * (1.0 - gain)
             states = np.array([expm(A * each) @ start for each in flat]).reshape(-1, self.order)
-            e, v = states[:, o], states @ A[o]
+            e, v = left + states[:, o], states @ A[o]
         return e.reshape(times.shape), v.reshape(times.shape)
 
     @cached_property
@@ -336,10 +358,29 @@ class ErrorDynamics(ErrorNumbers, ErrorLeft):
         return companion(self._a, self.poles)
 
     @cached_property
+    def _set_off(self) -> Float64Array:
+        """(n,) by how much a step of the desired position is still to go, of 1, and its derivatives, in `_chain`.
+
+        Those of the step response of T are its Markov parameters: T(s) = h_1 / s + h_2 / s^2 + ...
+        """
+        w, n = self._chain[1], self.order
+        a, b = self._a / self._a[0], np.concatenate([np.zeros(n - len(self._s)), self._s]) / self._a[0]
+        h: list[float] = []
+        for k in range(n - 1):
+            h.append(float(b[k] - sum(a[i + 1] * h[k - 1 - i] for i in range(k))))
+        gain = float(self._s[-1] / self._a[-1])
+        return np.array([1.0, *(-x / gain / w ** (k + 1) for k, x in enumerate(h))])
+
+    @cached_property
     def step(self) -> StepShape:
-        """Overshoot, settling, rise and peak of the error after a step: e(0) = 1, v(0) = 0, integral zero."""
+        """Overshoot, settling, rise and peak of the error after a step: e(0) = 1, v(0) = 0, integral zero.
+
+        With `setpoint` after one of the desired position, and of what is still to go to where it ends.
+        """
         if not self.stable:
             return NEVER
+        if self.setpoint is not None:
+            return step_shape(self._chain[0], self._set_off, np.eye(self.order)[0])
         if self.order == 2 and not self.integral:
             zeta = self.zeta if self._excess else 1.0
             overshoot, settling, rise, peak = shape(zeta)
@@ -402,7 +443,8 @@ class ErrorDynamics(ErrorNumbers, ErrorLeft):
         from taut.study.control_systems import transfer_function
 
         one_of("of", of, ("setpoint", "reference", "disturbance"))
-        numerator = self._a[-1 - int(self.integral) :] if of == "setpoint" else self._numerator(of)
+        own = self._a[-1 - int(self.integral) :] if self.setpoint is None else self._s
+        numerator = own if of == "setpoint" else self._numerator(of)
         return transfer_function(numerator, self._a)
 
     def report(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -154,10 +155,18 @@ class LinearLoop:
         return int((sizes < ROUNDING * max(1.0, float(sizes[0]))).sum()) >= many
 
     @property
-    def _why(self) -> str:
-        """Why it is not stable."""
-        if self._undamped is not None and self.radius <= 1.0 + ROUNDING:
-            return f"a swing at {self._undamped:.4g} rad/s goes on for ever, without damping"
+    def why(self) -> str:
+        """Why it is not stable; nothing where it is."""
+        if self.stable:
+            return ""
+        if self.radius <= 1.0 + ROUNDING:
+            if self._undamped is not None:
+                return f"a swing at {self._undamped:.4g} rad/s goes on for ever, without damping"
+            adrift = [mode for mode in self.modes if abs(abs(mode.z) - 1.0) < SWINGS and not self._bounded(mode.z)]
+            names = dict.fromkeys(
+                name for mode in adrift or self.modes[:1] for name, x in mode.participation.items() if x > TELLS
+            )
+            return f"what is set off drifts on for ever, for nothing draws it back: {', '.join([*names][:4])}"
         return f"the largest pole has modulus {self.radius:.6g}"
 
     @cached_property
@@ -318,7 +327,7 @@ class LinearLoop:
         try:
             import control
         except ImportError:
-            raise missing_extra("LinearLoop.to_control", "control", "oracles") from None
+            raise missing_extra("LinearLoop.to_control", "control", "control") from None
         dots = {ord("."): "_"}  # which python-control keeps for the names of systems
         named = {
             "states": [name.translate(dots) for name in self.states],
@@ -346,15 +355,16 @@ class LinearLoop:
         if np.abs(self.moved).max(initial=0.0) > ROUNDING:
             i = int(np.argmax(np.abs(self.moved)))
             lines.append(f"joint '{self.joints[i]}' went {self.moved[i]:.4g} from at= until the loop rested")
-        lines.append("stable" if self.stable else f"UNSTABLE: {self._why}")
+        lines.append("stable" if self.stable else f"UNSTABLE: {self.why}")
         lines += ["", "   s [1/s]               omega_n [rad/s]    zeta   in"]
         for mode in self.modes:
             parts = [f"{name} {100.0 * x:.0f} %" for name, x in mode.participation.items() if x > TELLS][:4]
             s = f"{mode.s.real:.4g}" + (f" +- {mode.s.imag:.4g} j" if mode.s.imag else "")
-            lines.append(f"   {s:<22} {mode.omega_n:<15.4g} {mode.zeta:>7.3f}   {', '.join(parts)}")
+            zeta = "-" if math.isnan(mode.zeta) else f"{mode.zeta:.3f}"
+            lines.append(f"   {s:<22} {mode.omega_n:<15.4g} {zeta:>7}   {', '.join(parts)}")
         gone = int((np.abs(self.poles) <= AT_ONCE).sum())
         if gone:
-            lines.append(f"   and {gone} poles at z = 0, gone in a period each")
+            lines.append(f"   and {gone} pole{'s' if gone > 1 else ''} at z = 0, gone in a period each")
         lines += ["", str(self.margins)]
         if self.sides or self.drifting:
             lines += ["", *(f"* {sentence}" for sentence in self.sides)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 from weakref import WeakKeyDictionary
@@ -26,6 +26,7 @@ __all__ = ["Lyapunov", "lyapunov"]
 LAWS: Final = ("GravityPID", "GravityCompensation")
 VISCOUS: Final = "plant.friction.viscous"
 ROUNDING: Final = 1e-12  # of V
+SAME: Final = 1e-9  # of torques, by which those of two ways differ that are the same
 GEARS: Final = "actuation.transmission."
 
 
@@ -40,6 +41,7 @@ class Lyapunov:
         rate: (k,) [W] dV/dt right after each tick, of the true arm under the torque that acted then:
             v . (M a + M-dot v / 2) - e . Kp v, with M-dot by differentiation and M a from the equation of motion.
         expected: (k,) [W] -v . Kd v, and what viscous friction takes besides.
+        notes: What of the proof's assumptions this run does not keep, in sentences.
     """
 
     t: Float64Array
@@ -47,6 +49,7 @@ class Lyapunov:
     kinetic: Float64Array
     rate: Float64Array
     expected: Float64Array
+    notes: tuple[str, ...] = ()
 
     @property
     def worst(self) -> float:
@@ -64,10 +67,11 @@ class Lyapunov:
 
     def __str__(self) -> str:
         word = "falls throughout" if self.falls else "does not fall throughout"
-        return (
+        first = (
             f"V goes from {self.V[0]:.4g} J to {self.V[-1]:.4g} J and {word}; its rate differs from -v . Kd v by up "
             f"to {self.worst:.2g} of the largest"
         )
+        return "\n".join([first, *(f"* {sentence}" for sentence in self.notes)])
 
 
 def lyapunov(run: Run) -> Lyapunov:
@@ -124,7 +128,24 @@ def lyapunov(run: Run) -> Lyapunov:
         kinetic=kinetic,
         rate=rate - np.einsum("ki,ij,kj->k", e, kp, run.v),
         expected=-np.einsum("ki,ij,kj->k", run.v, kd, run.v),
+        notes=tuple(_broken(run, g)),
     )
+
+
+def _broken(run: Run, g: Float64Array) -> Iterator[str]:
+    """Which assumptions of the proof a run does not keep, as far as its record shows."""
+    if not run.outcome.ok:
+        yield f"the run ended in a fault: {run.outcome}"
+
+    def far(one: Float64Array, other: Float64Array) -> bool:
+        return bool(np.abs(one - other).max(initial=0.0) > SAME * max(1.0, float(np.abs(other).max(initial=0.0))))
+
+    if far(run.terms["gravity"], g):
+        yield "the law's g is not that of the arm: masses, a payload or a direction of gravity that it does not know"
+    if far(np.sum([run.terms[name] for name in ("P", "D", "gravity") if name in run.terms], axis=0), run.command):
+        yield "limits of the controller cut or changed what the law commands"
+    if far(run.tau, run.command):
+        yield "the torque is not what is commanded: the drives give it late, or not all of it"
 
 
 class _Energies:

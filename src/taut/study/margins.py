@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
@@ -85,8 +86,8 @@ class Margins:
         for each in self.joints:
             gain = f"{each.gain[0]:.3g} to {each.gain[1]:.3g}"
             lines.append(
-                f"   {each.joint:<{width}}   {gain:<17}  {each.phase:>11.3g}   {1e3 * each.delay:>10.3g}   "
-                f"{each.crossover:>10.4g}"
+                f"   {each.joint:<{width}}   {gain:<17}  {_told(each.phase):>11}   {_told(1e3 * each.delay):>10}   "
+                f"{'-' if math.isnan(each.crossover) else f'{each.crossover:.4g}':>10}"
             )
         low, high = self.disk.gain
         lines.append(
@@ -94,6 +95,10 @@ class Margins:
             f"phase {self.disk.phase:.3g} deg, at {self.disk.omega:.4g} rad/s"
         )
         return "\n".join(lines)
+
+
+def _told(margin: float) -> str:
+    return "any" if math.isinf(margin) else f"{margin:.3g}"
 
 
 def frequency_grid(dt: float, poles: Float64Array) -> Float64Array:

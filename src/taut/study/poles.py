@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from taut.base.errors import ShapeError, UsageError
+from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.types import Float64Array
 
 __all__ = ["Spectrum", "damping_ratios", "in_s", "sorted_poles", "spectrum"]
@@ -58,6 +58,7 @@ def spectrum(thing: Any, dt: float | None = None) -> Spectrum:
 
     Raises:
         UsageError: It has no poles.
+        ShapeError, RangeError: A matrix that is not square or not finite; a pole that is NaN.
     """
     if isinstance(thing, (np.ndarray, list, tuple)):
         matrix = np.asarray(thing)
@@ -68,6 +69,12 @@ def spectrum(thing: Any, dt: float | None = None) -> Spectrum:
             or matrix.dtype.kind not in "fiuc"
         ):
             raise ShapeError(f"a matrix that has poles is square; got shape {matrix.shape}", name="matrix")
+        bad = np.argwhere(~np.isfinite(matrix))
+        if bad.size:
+            i, j = bad[0].tolist()
+            raise RangeError(
+                f"a matrix that has poles must be finite; got {matrix[i, j]} at [{i}, {j}]", name="matrix"
+            )
         return _judged(np.linalg.eigvals(matrix), dt, None)
     poles = getattr(thing, "poles", None)
     if poles is None:
@@ -84,6 +91,8 @@ def spectrum(thing: Any, dt: float | None = None) -> Spectrum:
 
 def _judged(poles: Any, dt: float | None, thing: Any) -> Spectrum:
     made = np.asarray(poles, dtype=np.complex128)
+    if np.isnan(made).any():
+        raise RangeError(f"poles must be numbers; {type(thing).__name__} has one that is NaN", name="poles")
     own = getattr(thing, "stable", None)
     if own is None or callable(own):
         own = bool((np.abs(made) < 1.0).all() if dt else (made.real < 0.0).all())

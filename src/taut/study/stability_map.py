@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from inspect import signature
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -139,6 +140,7 @@ def stability_map(
     first, second = over
     words = _units(units, (first, second))
     grids = tuple(_grid(name, values) for name, values in over.items())
+    _takes(make, first, second)
     x, y = grids
 
     def stable(one: float, other: float) -> bool:
@@ -167,6 +169,21 @@ def stability_map(
         inside=np.array(inside, dtype=bool),
         units=words,
     )
+
+
+def _takes(make: Callable[..., object], first: str, second: str) -> None:
+    """`make` is called with both numbers by their names."""
+    try:
+        own = signature(make)
+    except (TypeError, ValueError):  # no function, which says so itself, or one that does not tell what it takes
+        return
+    try:
+        own.bind(**{first: 0.0, second: 0.0})
+    except TypeError:
+        raise UsageError(
+            f"make is called by the names of over, make({first}=..., {second}=...), and takes {own}; name both alike",
+            name="make",
+        ) from None
 
 
 def _units(units: object, names: tuple[str, str]) -> tuple[str, str]:

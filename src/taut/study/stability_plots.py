@@ -41,7 +41,9 @@ def draw_locus(ax: Axes, locus: Locus, mark: Float64Array, unit: str = "") -> No
     pole_axes(ax, near if locus.dt is None else poles, locus.dt)
     unit = f" {unit}" if unit else ""
     low, high = locus.values[0], locus.values[-1]
-    ax.set_title(f"{locus.name} from {low:.4g} (x) to {high:.4g}{unit} (o)", fontsize=SMALL, color=INK, loc="left")
+    ax.set_title(
+        f"{locus.name} from {written(low)} (x) to {written(high)}{unit} (o)", fontsize=SMALL, color=INK, loc="left"
+    )
     for k, branch in enumerate(locus.poles.T):
         there = branch[np.isfinite(branch)]
         ax.plot(there.real, there.imag, color=colour(k), linewidth=1.5, solid_joinstyle="round")
@@ -64,9 +66,20 @@ def draw_locus(ax: Axes, locus: Locus, mark: Float64Array, unit: str = "") -> No
         s = crossing.pole
         ax.plot(s.real, s.imag, "D", color=INK, markersize=3.5, zorder=4)
         ax.annotate(
-            f"{locus.name} = {crossing.value:.4g}{unit}", (s.real, s.imag), xytext=(-6.0, 3.0), ha="right",
-            textcoords="offset points", fontsize=SMALL, color=INK,
+            f"{locus.name} = {written(crossing.value)}{unit}", (s.real, s.imag), xytext=(-6.0, 3.0), ha="right",
+            textcoords="offset points", fontsize=SMALL, color=INK, zorder=5,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5},
         )  # fmt: skip
+
+
+def written(value: float) -> str:
+    """A number of a title: four digits, and thousands in full.
+
+    Example:
+        >>> written(30000.0), written(18974.3), written(0.918182)
+        ('30000', '18970', '0.9182')
+    """
+    return f"{float(f'{value:.4g}'):.6g}"
 
 
 def of_map(found: StabilityMap, units: tuple[str, str], *, log: bool) -> Figure:

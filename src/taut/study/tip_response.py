@@ -162,8 +162,7 @@ class TipResponse:
             )
         if not self.lin.stable:
             raise RangeError(
-                f"the loop is unstable (a pole of modulus {self.lin.radius:.6g}), so that no sine settles; measure a "
-                "loop that is stable",
+                f"the loop is unstable ({self.lin.why}), so that no sine settles; measure a loop that is stable",
                 name="loop",
                 value=self.lin.radius,
             )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -20,6 +20,7 @@ from taut.study.tune_solvers import solved
 __all__ = ["Tick", "Trial", "Tuned", "tune"]
 
 METHODS: Final = ("search", "gradient")
+LARGEST_MARGIN: Final = 2.0  # of a loop that any gain and 90 degrees leave stable
 
 
 def tune(
@@ -106,13 +107,23 @@ def tune(
         bounds=bounds,
         limits=limits,
         chatter=None if chatter is None else positive_scalar("chatter", chatter),
-        margin=None if margin is None else finite_scalar("margin", margin),
+        margin=None if margin is None else _margin(margin),
         q0=q0,
         seeds=tuple(int(each) for each in seeds),
         evaluations=evaluations,
         progress=progress,
     )
     return solved(problem, method, seed, named(held_out, "held_out"))
+
+
+def _margin(given: float) -> float:
+    margin = finite_scalar("margin", given)
+    if not 0.0 < margin <= LARGEST_MARGIN:
+        raise RangeError(
+            f"margin is the least alpha of the disk margin, above 0 and at most {LARGEST_MARGIN:g}; got {given!r}",
+            name="margin",
+        )
+    return margin
 
 
 def named(loops: Loop | Sequence[Loop] | Mapping[str, Loop], name: str) -> dict[str, Loop]:
@@ -125,8 +136,8 @@ def named(loops: Loop | Sequence[Loop] | Mapping[str, Loop], name: str) -> dict[
         out = {"loop": loops}
     elif isinstance(loops, Mapping):
         out = dict(loops)
-    else:
-        out = {f"loop {i}": each for i, each in enumerate(loops)}
+    else:  # one thing that is no loop is refused below
+        out = {f"loop {i}": each for i, each in enumerate(loops if isinstance(loops, Iterable) else (loops,))}
     for each in out.values():
         if not isinstance(each, Loop):
             raise UsageError(f"{name} must be taut.Loop(ctrl, plant, ref, duration=...); got {each!r}", name=name)

@@ -26,6 +26,7 @@ __all__ = ["Answer", "Problem", "Stopped"]
 
 ROUNDING: Final = 1e-9  # of a limit
 TICK: Final = "a taut.Tick: t, q, v, tau, command, ref, e, turned, pose, loop"
+WHAT: Final = {"tau": "the torque", "tau_dot": "the torque rate", "chatter": "the chatter"}
 SHIFT: Final = 1e-5  # of a bound's width, for the gradient of a margin
 
 
@@ -84,6 +85,7 @@ class Problem:
         self._q0 = q0
         self._evaluations, self._progress = evaluations, progress
         self.history: list[Trial] = []
+        self._slacks: list[Float64Array] = []  # of each trial
         self.notices: dict[str, tuple[int, str]] = {}
         self._known: dict[bytes, Answer] = {}
         self._tangents: dict[str, TangentLoop] = {}
@@ -241,6 +243,7 @@ class Problem:
         slack = float(found.slacks.min(initial=1.0))
         trial = Trial(parameters=parameters, cost=found.cost, slack=slack)
         self.history.append(trial)
+        self._slacks.append(found.slacks)
         if self._progress is not None and self._progress(trial):
             raise Stopped(f"ended by progress after {trials(len(self.history))}")
         return found
@@ -372,6 +375,22 @@ class Problem:
         """The least cost of those that keep to the constraints."""
         kept = [trial for trial in self.history if trial.ok]
         return min(kept, key=lambda trial: trial.cost, default=None)
+
+    def missed(self) -> str:
+        """Which constraint the trial misses that keeps to them best, and by how much; nothing where none ran."""
+        ran = [k for k, trial in enumerate(self.history) if math.isfinite(trial.cost)]
+        if not ran or not self.constraints:
+            return ""
+        k = max(ran, key=lambda i: self.history[i].slack)
+        i = int(np.argmin(self._slacks[k]))
+        name, slack = self._names()[i], float(self._slacks[k][i])
+        kind, _, loop = name.partition(" of ")
+        if kind == "margin":
+            assert self.margin is not None
+            words = f"the disk margin of '{loop}' is {self.margin + slack:.4g} where {self.margin:g} is asked for"
+        else:
+            words = f"{WHAT[kind]} of '{loop}' is {1.0 - slack:.4g} times what is allowed"
+        return f"{words}, with {_places(self.history[k].parameters)}"
 
     def sentences(self) -> list[str]:
         """What happened on the way."""

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["Measured", "Trial", "Tuned", "trials"]
 
 WIDTH: Final = 13
+UNITS: Final = ("", "rad | m", "(N m)^2 s", "of limit", "of limit", "N m/s")
 WORST: Final = 100.0  # times the start's cost: what a picture shows of what is worse
 
 
@@ -108,6 +109,7 @@ class Tuned:
         names = ("cost", "rms_error", "effort", "torque", "rate", "chatter")
         width = max(len(_title(each)) for each in self.before)
         lines += ["", "   " + " " * width + "".join(f"{name:>{WIDTH}}" for name in names)]
+        lines += ["   " + " " * width + "".join(f"{unit:>{WIDTH}}" for unit in UNITS)]
         for before, after in zip(self.before, self.after, strict=True):
             for when, each in (("before", before), ("after", after)):
                 title = _title(before) if when == "before" else ""

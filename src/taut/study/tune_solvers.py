@@ -103,13 +103,19 @@ def _result(problem: Problem, method: str, ended: str, held_out: dict[str, Loop]
     kept = bool(problem.history) and problem.history[0].ok  # the first trial is the start
     if best is None or (kept and best.cost >= 1.0):
         best = start
-        notices.append(
-            "no trial was better than the start, which is kept"
-            if kept
-            else "no trial kept to the constraints, nor did the start, which is what there is"
-        )
-    elif not kept:
-        notices.append("the start did not keep to the constraints; this is the best that does")
+        if kept:
+            notices.append("no trial was better than the start, which is kept")
+        else:
+            notices.append("no trial kept to the constraints, nor did the start, which is what there is")
+            missed = problem.missed()
+            notices += [f"the nearest of them: {missed}"] if missed else []
+    else:
+        if not kept:
+            lacks = (
+                "keep to the constraints" if math.isfinite(problem.history[0].cost) else "have a cost, asked again"
+            )
+            notices.append(f"the start did not {lacks}; this is the best that does")
+        notices += space.at_bounds(best.parameters)
     loops = {**problem.loops, **held_out}
     firsts = {name: {path: np.array(loop.parameters[path]) for path in space.paths} for name, loop in loops.items()}
     tables: list[tuple[Measured, ...]] = []

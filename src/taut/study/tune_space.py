@@ -14,6 +14,7 @@ from taut.loop import Loop
 
 __all__ = ["Space"]
 
+AT_BOUND: Final = 1e-6  # of the way from bound to bound
 FACTOR: Final = 10.0  # up and down from the start, where no bounds are given
 
 
@@ -114,6 +115,18 @@ class Space:
         low, high = np.where(self.log, self.low, 1.0), np.where(self.log, self.high, 2.0)
         out = np.where(self.log, low * (high / low) ** x, self.low + x * (self.high - self.low))
         return np.clip(out, self.low, self.high)
+
+    def at_bounds(self, values: Mapping[str, Float64Array]) -> list[str]:
+        """A sentence for each parameter that a bound holds."""
+        x, k, told = self.inside(np.concatenate([np.ravel(values[path]) for path in self.paths])), 0, []
+        for path, shape in self.shapes.items():
+            here = x[k : k + int(np.prod(shape))]
+            k += len(here)
+            for which, there in (("low", here <= AT_BOUND), ("high", here >= 1.0 - AT_BOUND)):
+                some = "" if there.all() else f"[{', '.join(str(i) for i in np.flatnonzero(there))}]"
+                if there.any():
+                    told.append(f"{path}{some} ends at the {which} bound; bounds={{'{path}': (low, high)}} moves it")
+        return told
 
     def slopes(self, x: Float64Array) -> Float64Array:
         """(m,) how fast the values grow with x."""
