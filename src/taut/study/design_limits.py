@@ -51,7 +51,7 @@ class DesignLimit:
     Args:
         name: Of what: "torque", "torque rate", "speed", "damping", "rate", "delay", "gain margin", "encoder", "ki",
             "integral", "weight", "coupling", "stiffness", "at rest", "force pole", "decay", "backlash",
-            "elastic joint".
+            "elastic joint", "on plant".
         value: What the design has or needs.
         limit: What there is; infinite for none.
         unit: Of both.
