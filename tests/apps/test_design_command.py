@@ -32,6 +32,21 @@ def test_poses_may_begin_with_a_minus(capsys: pytest.CaptureFixture[str]) -> Non
     assert [pose["q"] for pose in json.loads(capsys.readouterr().out)["poses"]] == [[-0.3, 0.8], [-0.5, -0.8]]
 
 
+PLANE = '{ kind = "plane", point = [0.0, 0.0, -0.1], normal = [0, 0, 1] }'
+
+
+def test_a_hybrid_law_gets_what_it_touches_as_scenarios_write_it(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--arm", "gantry3", "--zeta", "1", "--omega_n", "10", "--force", "5"]
+    assert main(["design", "HybridMotionForce", *words, "--constraint", PLANE]) == 0
+    law = taut.laws.HybridMotionForce(
+        constraint=taut.Constraint.plane(point=[0.0, 0.0, -0.1], normal=[0.0, 0.0, 1.0]),
+        motion=taut.laws.TaskComputedTorque(kp=1.0, kd=1.0),
+    )
+    d = taut.design(law, taut.load_arm("gantry3"), zeta=1.0, omega_n=10.0, force=5.0)
+    assert capsys.readouterr().out == f"{d}\n"
+    assert d.forces[0].designed.omega_n == pytest.approx(5.0)
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -51,8 +66,11 @@ def test_poses_may_begin_with_a_minus(capsys: pytest.CaptureFixture[str]) -> Non
         (["PID", "--arm", "one_joint", "--zeta", "1"], "PID needs its speed: omega_n, settling or bandwidth"),
         (
             ["HybridMotionForce", "--zeta", "1"],
-            "HybridMotionForce needs its constraint, which no command line can give",
+            'HybridMotionForce needs what it touches: --constraint \'{ kind = "plane", point = ',
         ),
+        (["HybridMotionForce", "--constraint", "{ kind = "], "--constraint is no valid TOML"),
+        (["HybridMotionForce", "--constraint", '{ kind = "plan" }'], "--constraint: [constraint]"),
+        (["PID", "--constraint", "{}"], "--constraint has no meaning for PID, which holds to none; leave it out"),
         (["PID", "--zeta", "1", "--omega_n", "5", "--at", "0,0"], "at must be one pose (7,) or several (k, 7)"),
     ],
 )

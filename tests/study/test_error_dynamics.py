@@ -255,7 +255,7 @@ class TestSpecifications:
             ({"overshoot": 100.0, "omega_n": 1.0}, "overshoot must be below 100 %, which is that of no damping; got 100"),
             ({"zeta": 0.0, "settling": 1.0}, "zeta must be > 0 for a settling time: without damping nothing settles"),
             ({"zeta": 0.0, "kd": 1.0}, "zeta must be > 0 where kd = 1 is given: no kp takes the damping away"),
-            ({"omega_n": 1.0, "settling": 3.0}, r"settling must be at least 3.602 s, which is the fastest for omega_n = 1 rad/s, with zeta = 0.78; got 3 s"),
+            ({"omega_n": 1.0, "settling": 3.0}, r"settling must be at least 3.603 s, which is the fastest for omega_n = 1 rad/s, with zeta = 0.78; got 3 s"),
             ({"kd": 2.0, "settling": 1.0}, r"settling must be at least 2.809 s, which is the fastest for kd = 2, with zeta = 0.78; got 1 s"),
             ({"b": 1.0, "kp": 1.0, "kd": 1.0}, r"b is a friction \[N m s/rad\] and needs the inertia M= beside it; give M, or leave b out"),
             ({"M": 1.0, "b": 4.0, "omega_n": 1.0, "zeta": 1.0}, "zeta must be at least 2, which the friction b = 4 alone gives with kp = 1; got 1; a larger kp or omega_n allows less"),

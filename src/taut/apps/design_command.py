@@ -17,6 +17,8 @@ EXAMPLES: Final = """examples:
   taut design PID --arm planar2 --zeta 1 --omega_n 10 --at -0.3,0.8
   taut design GravityPID --arm ur10 --overshoot 5 --settling 0.5 --coupled --json
   taut design ForceControl --arm panda --force 5 --zeta 0.7 --contact 10000,200
+  taut design HybridMotionForce --arm panda --zeta 1 --omega_n 10 --force 5 \\
+      --constraint '{ kind = "plane", point = [0.3, 0.0, 0.5], normal = [0, 0, 1] }'
 
 """
 NUMBERS: Final = {
@@ -52,6 +54,12 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         command.add_argument(f"--{name}", metavar="X", help=text)
     for name, text in SINGLE.items():
         command.add_argument(f"--{name}", metavar="X", help=text)
+    command.add_argument(
+        "--constraint",
+        metavar="TABLE",
+        help="what HybridMotionForce touches, as scenarios write it: "
+        '{ kind = "plane", point = [0.3, 0.0, 0.5], normal = [0, 0, 1] }, or an array of such',
+    )
     command.add_argument("--coupled", action="store_true", help="matrices for gains of PID and GravityPID")
     command.add_argument("--friction", action="store_true", help="the arm's own viscous friction counts as damping")
     command.add_argument("--velocity", choices=("measured", "difference"), default="measured", help="how it is got")
@@ -77,28 +85,58 @@ def design_of(arguments: argparse.Namespace) -> Design:
     if arguments.friction:
         given["friction"] = "arm"
     return design(
-        _law(arguments.law), load_arm(arguments.arm), coupled=arguments.coupled, velocity=arguments.velocity, **given
+        _law(arguments.law, arguments.constraint),
+        load_arm(arguments.arm),
+        coupled=arguments.coupled,
+        velocity=arguments.velocity,
+        **given,
     )
 
 
-def _law(name: str) -> type[Law] | Law:
+def _law(name: str, constraint: str | None) -> type[Law] | Law:
     """A law by name; of those that hold others, with the ones that are usual."""
     from taut.base.errors import UsageError, unknown_name
     from taut.control import laws
     from taut.study.design_gains import RECIPES
 
-    known = [kind.__name__ for kind in RECIPES if kind not in (laws.Sum, laws.HybridMotionForce)]
+    known = [kind.__name__ for kind in RECIPES if kind is not laws.Sum]
     if name not in laws.__all__:
         raise unknown_name("taut design", "law", name, known)
+    if name == "HybridMotionForce":
+        return _hybrid(constraint)
+    if constraint is not None:
+        raise UsageError(
+            f"--constraint has no meaning for {name}, which holds to none; leave it out", name="constraint"
+        )
     if name == "ViaJointSpace":
         return laws.ViaJointSpace(inner=laws.ComputedTorque(kp=1.0, kd=1.0))
-    if name == "HybridMotionForce":
-        raise UsageError(
-            "HybridMotionForce needs its constraint, which no command line can give; call taut.design from Python",
-            name="law",
-        )
     found: type[Law] = getattr(laws, name)
     return found
+
+
+def _hybrid(constraint: str | None) -> Law:
+    """Hybrid motion and force over computed torque, against what the command line says.
+
+    Raises:
+        UsageError: Nothing is said.
+        ScenarioError: What is said is no constraint.
+    """
+    from taut.apps.read_constraint import read_constraint
+    from taut.apps.toml import section_of
+    from taut.base.errors import UsageError
+    from taut.control import laws
+
+    if constraint is None:
+        raise UsageError(
+            "HybridMotionForce needs what it touches: --constraint "
+            "'{ kind = \"plane\", point = [0.3, 0.0, 0.5], normal = [0, 0, 1] }', in metres and world axes",
+            name="constraint",
+        )
+    # One line, so that nothing beside the table can stand in it.
+    section = section_of(f"constraint = {' '.join(constraint.split())}", "--constraint", "--constraint")
+    held = read_constraint(section)
+    section.done()
+    return laws.HybridMotionForce(constraint=held, motion=laws.TaskComputedTorque(kp=1.0, kd=1.0))
 
 
 def _numbers(name: str, text: str) -> Any:

@@ -15,7 +15,7 @@ from typing import Any, Final
 from taut.base.checks import readable_file
 from taut.base.errors import FileError, ScenarioError, TautError, quoted_list
 
-__all__ = ["REQUIRED", "Section", "file_beside", "read_toml"]
+__all__ = ["REQUIRED", "Section", "file_beside", "read_toml", "section_of"]
 
 REQUIRED: Final = object()
 EMPTY: Final[Mapping[str, str]] = {}
@@ -73,12 +73,28 @@ def read_toml(path: Path, label: str = "") -> Section:
     if file.stat().st_size > MOST_BYTES:
         raise ScenarioError(f"scenario '{file}' is larger than {MOST_BYTES} bytes; a scenario is a page of text")
     try:
-        table = tomllib.loads(file.read_text(encoding="utf-8-sig"))  # editors on Windows begin a file with a mark
+        text = file.read_text(encoding="utf-8-sig")  # editors on Windows begin a file with a mark
     except UnicodeDecodeError as cause:
         raise ScenarioError(f"scenario '{file}' is no UTF-8 text ({cause.reason} at byte {cause.start})") from cause
+    return section_of(text, label or str(file), f"scenario '{file}'")
+
+
+def section_of(text: str, label: str, what: str) -> Section:
+    """The root section of a text.
+
+    Args:
+        text: The text.
+        label: What messages about its keys call it.
+        what: What a message calls it that it is no TOML.
+
+    Raises:
+        ScenarioError: It is no TOML, or none that a scenario could be.
+    """
+    try:
+        table = tomllib.loads(text)
     except (ValueError, RecursionError) as cause:  # TOML that is wrong, a number with thousands of digits
-        raise ScenarioError(f"scenario '{file}' is no valid TOML: {cause}") from cause
-    root = Section(label or str(file), "", table)
+        raise ScenarioError(f"{what} is no valid TOML: {cause}") from cause
+    root = Section(label, "", table)
     _refuse_monsters(root, table)
     return root
 

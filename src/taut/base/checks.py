@@ -224,6 +224,19 @@ def require_positive(name: str, array: Float64Array, *, unit: str = "", joints: 
     _require(name, array, lambda a: a > 0.0, "> 0", unit, joints)
 
 
+def rounded_up(value: float) -> str:
+    """A lower bound in four digits that keeps it.
+
+    Example:
+        >>> rounded_up(2.50501), rounded_up(2.0), rounded_up(0.0)
+        ('2.506', '2', '0')
+    """
+    if not 0.0 < value < math.inf:
+        return f"{value:g}"
+    digit = 10.0 ** (math.floor(math.log10(value)) - 3)
+    return f"{math.ceil(value / digit * (1.0 - 1e-12)) * digit:.4g}"
+
+
 def symmetric_psd(name: str, matrix: Float64Array, *, unit: str = "") -> None:
     """A symmetric positive semidefinite matrix, within rounding."""
     scale = max(float(np.abs(matrix).max(initial=0.0)), np.finfo(float).tiny)

@@ -17,7 +17,7 @@ from taut.base.types import ArrayLike, Float64Array
 from taut.study.second_order import second_order
 from taut.study.second_order_response import overshoot_of, settling_angle, zeta_of_overshoot
 
-__all__ = ["SPEEDS", "Asked", "bandwidth_ratio", "six_by_six"]
+__all__ = ["BAND", "SPEEDS", "Asked", "bandwidth_ratio", "plain", "six_by_six"]
 
 SPEEDS: Final = {"omega_n": "rad/s", "settling": "s", "bandwidth": "rad/s"}
 SHAPES: Final = ("zeta", "overshoot")
@@ -96,6 +96,8 @@ class Asked:
                     value=number,
                     rule="> 0",
                 )
+            if name == "force":  # a pole at zero takes no error away
+                require_positive(name, np.array(number), unit=unit)
             require_at_least(name, np.array(number), 0.0, unit=unit)
             object.__setattr__(self, name, number)
         if self.zeta is not None and self.overshoot is not None:
@@ -136,10 +138,11 @@ class Asked:
         return self.zeta if self.overshoot is None else _zeta_of(self.overshoot)
 
     def faster(self, factor: float) -> Asked:
-        """The same at another speed; what is asked as a stiffness grows with its square."""
+        """The same at another speed; a stiffness alone, or with a settling time, grows with its square."""
         scales: Mapping[str, float] = {"omega_n": factor, "settling": 1.0 / factor, "bandwidth": factor}
         new = {name: np.asarray(getattr(self, name)) * scales[name] for name in self.speeds}
-        if not new and self.K is not None:
+        alone = not new or (self.damping is None and self.speeds == ("settling",) and self.D is None)
+        if alone and self.K is not None:
             new["K"] = np.asarray(self.K) * factor**2
         if self.force is not None:
             return dataclasses.replace(self, **new, force=self.force * factor)  # type: ignore[arg-type]
@@ -264,3 +267,13 @@ def six_by_six(name: str, value: ArrayLike | None, size: int = 6) -> Float64Arra
         got = f"{len(given)} numbers" if given.ndim == 1 else f"shape {given.shape}"
         raise UsageError(f"{name} must be {shapes}; got {got}", name=name)
     return np.array(given)
+
+
+def plain(value: object) -> str:
+    """What was asked for, in words of four digits."""
+    array = np.asarray(value, dtype=np.float64)
+    if array.ndim == 0:
+        return f"{float(array):.4g}"
+    if array.ndim == 1:
+        return f"({', '.join(f'{x:.4g}' for x in array)})"
+    return f"a matrix of {array.shape[0]} rows"

@@ -26,13 +26,13 @@ from taut.plant.contact import RigidContact
 from taut.plant.disturbance import TORQUE
 from taut.plant.rigid import RigidPlant
 from taut.record.step import step_response
+from taut.study.design_asked import BAND
 from taut.study.design_disturbed import disturbed
 from taut.study.design_limits import KEPT, DesignLimit
 from taut.study.design_trial import Numbers, numbers_of_poles
 
 __all__ = ["Pressed", "force_gains", "force_limits", "pressed", "require_force_stable"]
 
-BAND: Final = 50.0  # of an error and its 2 %
 LONGER: Final = 2.5  # times the settling time that was designed for
 SHORTEST, LONGEST = 50, 40_000  # ticks
 UNKNOWN: Final = 1e-2  # [N | N m] of a force that nobody told the law of

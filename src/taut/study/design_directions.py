@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
@@ -13,6 +14,7 @@ from taut.base.types import Float64Array
 from taut.control import laws
 from taut.control.law import Law
 from taut.maths.snapshot import Snapshot
+from taut.study.design_coupled import Coupled
 from taut.study.design_place import AtTool, at_tool
 from taut.study.error_dynamics import ErrorDynamics
 from taut.study.joint_gains import JointGains
@@ -34,6 +36,8 @@ class Direction:
         column: (n,) the motion of the joints that goes along it by 1, and along no other one.
         dynamics: Its error dynamics in continuous time, by the gains and the inertia there.
         per_unit: What a motion by 1 makes of `unit`: the stiffness of a contact, where that is a force.
+        coupled: Those of all joints, where friction or unlike gains couple them so that this direction has none by
+            itself; `dynamics` is then what a motion along it alone would have.
     """
 
     name: str
@@ -42,6 +46,19 @@ class Direction:
     column: Float64Array
     dynamics: ErrorDynamics
     per_unit: float = 1.0
+    coupled: Coupled | None = None
+
+    @property
+    def settling(self) -> float:
+        """[s] within which it settles in continuous time."""
+        alone = self.dynamics.settling_time
+        return alone if self.coupled is None else max(alone, self.coupled.longest)
+
+    def error(self, dt: float, steps: int) -> Float64Array:
+        """(steps + 1,) of a step of 1 in continuous time."""
+        if self.coupled is None:
+            return self.dynamics.response(np.linspace(0.0, steps * dt, steps + 1))[0]
+        return np.asarray(self.coupled.response(self.column, dt, steps)[0] @ self.row)
 
 
 def designed_part(law: Law) -> Law:
@@ -61,7 +78,11 @@ def directions_of(law: Law, x: Snapshot, b: Float64Array) -> tuple[Direction, ..
     None where there is no error that dies away: of laws of force, and of those that draw the arm nowhere.
     """
     part: Any = designed_part(law)
-    return DIRECTIONS[type(part)](part, x, b)
+    found = DIRECTIONS[type(part)](part, x, b)
+    whole = COUPLED[type(part)](part, x, b) if found and type(part) in COUPLED else None
+    if whole is None:
+        return found
+    return tuple(d if whole.apart(d.column) else dataclasses.replace(d, coupled=whole) for d in found)
 
 
 def _second(M: float, kp: float, kd: float, ki: float, b: float = 0.0) -> ErrorDynamics:
@@ -221,6 +242,49 @@ def _none(law: Any, x: Snapshot, b: Float64Array) -> tuple[Direction, ...]:  # n
     return ()
 
 
+# -------------------------------------------------------------------- all joints together
+
+
+def _with_torques(law: Any, x: Snapshot, b: Float64Array) -> Coupled:
+    kp, kd, ki = (_matrix(gain, x.n) for gain in (law.kp, law.kd, law.ki))
+    return Coupled(M=np.asarray(x.M), C=kd + np.diag(b), b=b, K=kp, Ki=ki)
+
+
+def _with_accelerations(law: Any, x: Snapshot, b: Float64Array) -> Coupled:
+    M = np.asarray(x.M)
+    kp, kd, ki = (M @ _matrix(gain, x.n) for gain in (law.kp, law.kd, law.ki))
+    return Coupled(M=M, C=kd + np.diag(b), b=b, K=kp, Ki=ki)
+
+
+def _with_task(law: Any, x: Snapshot, b: Float64Array) -> Coupled:
+    place = at_tool(law, x)
+    of_tool = [place.Lambda @ place.inside(_matrix(gain, len(place.U))) for gain in (law.kp, law.kd, law.ki)]
+    kp, kd, ki = (place.rows.T @ C @ place.rows for C in of_tool)
+    return Coupled(M=np.asarray(x.M), C=kd + np.diag(b), b=b, K=kp, Ki=ki)
+
+
+def _with_felt(law: Any, x: Snapshot, b: Float64Array) -> Coupled:
+    """K and B at the tool; over D, what they make of its acceleration."""
+    place, size = at_tool(law, x), len(_spread(law))
+    K = place.inside(law.K.matrix(size))
+    D = place.inside(law.D.matrix(size)) if law.gives("D") else place.Lambda
+    if law.gives("zeta"):
+        squares, modes = eigh(K, D)
+        across = D @ modes
+        B = across @ np.diag(2.0 * float(law.zeta.as_array()) * np.sqrt(np.maximum(squares, 0.0))) @ across.T
+    else:
+        B = place.inside(law.B.matrix(size))
+    share = place.Lambda @ np.linalg.inv(D)
+    K, B = (place.rows.T @ share @ C @ place.rows for C in (K, B))
+    return Coupled(M=np.asarray(x.M), C=B + np.diag(b), b=b, K=K, Ki=np.zeros((x.n, x.n)))
+
+
+def _with_spring(law: Any, x: Snapshot, b: Float64Array) -> Coupled:
+    J = at_tool(law, x).J
+    K = J.T @ np.asarray(law.K.matrix(law.dimensions)) @ J
+    return Coupled(M=np.asarray(x.M), C=_matrix(law.kd, x.n) + np.diag(b), b=b, K=K, Ki=np.zeros((x.n, x.n)))
+
+
 DIRECTIONS: Final[dict[type[Law], Callable[[Any, Snapshot, Float64Array], tuple[Direction, ...]]]] = {
     laws.PID: _of_torques,
     laws.GravityPID: _of_torques,
@@ -234,4 +298,12 @@ DIRECTIONS: Final[dict[type[Law], Callable[[Any, Snapshot, Float64Array], tuple[
     laws.Stiffness: _of_spring,
     laws.Admittance: _of_felt,
     laws.ForceControl: _none,
+}
+COUPLED: Final[dict[type[Law], Callable[[Any, Snapshot, Float64Array], Coupled]]] = {
+    laws.PID: _with_torques,
+    laws.GravityPID: _with_torques,
+    laws.ComputedTorque: _with_accelerations,
+    laws.TaskComputedTorque: _with_task,
+    laws.Impedance: _with_felt,
+    laws.Stiffness: _with_spring,
 }

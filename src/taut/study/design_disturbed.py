@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from taut.base.errors import RangeError
-from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.loop import FloatLoop, NativeLoop
-from taut.control.feed import ReferenceFeed
-from taut.loop import DT, Loop
-from taut.study.loop_map import loop_map
+from taut.loop import Loop
+from taut.study.loop_map import loop_map, starting
 
 __all__ = ["disturbed"]
 
@@ -21,7 +19,7 @@ def disturbed(
     """What the loop records in a run from rest without a disturbance, and in one with each of them.
 
     Args:
-        loop: The loop, whose reference stays.
+        loop: The loop, whose reference is a sample that stays.
         q: (n,) where the runs start [rad | m].
         path: Which disturbance, of `taut.plant.disturbance`.
         values: (k, m) of it, each held through its run.
@@ -30,22 +28,18 @@ def disturbed(
     Raises:
         RangeError: A run that diverges.
     """
-    map_, side = loop_map(loop), loop.side
-    numbers = map_.values(loop.parameters)
-    side.check_start(q, {**loop.parameters, DT: loop.dt}, loop.ref)
-    rows = np.zeros((ticks, map_.inputs.size))
+    map_ = loop_map(loop)
+    start = starting(loop, map_, q)
+    rows, numbers = np.tile(start.inputs, (ticks, 1)), start.parameters
     views = map_.inputs.views(rows)
     views["t"][...] = np.arange(ticks) * loop.dt
-    feed = ReferenceFeed(loop.ref, side.law.reference, side.arm, loop.dt, side.at_rest(q))
-    feed.fill(subtree(views, "ref"), 0, lambda: None)
-    start = map_.start(q, np.zeros(len(q)), rows[0], numbers)
     kind = NativeLoop if loop.engine == "native" else FloatLoop
     blocks = (map_.inputs, map_.parameters, map_.memory)
-    made = kind(map_.step, map_.substep, map_.plant.substeps - 1, *blocks, (rows[0], numbers, start))
+    made = kind(map_.step, map_.substep, map_.plant.substeps - 1, *blocks, (rows[0], numbers, start.memory))
     seen = []
     for value in (np.zeros_like(values[0]), *values):
         views[path][...] = value
-        memory, record = start.copy(), np.zeros((ticks, made.outputs.size))
+        memory, record = start.memory.copy(), np.zeros((ticks, made.outputs.size))
         if made.run(rows, numbers, memory, record) < ticks:
             raise RangeError(f"a run with a {path.replace('.', ' of ')} diverged", name=path)
         seen.append(made.outputs.views(record))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
@@ -11,18 +12,20 @@ import numpy as np
 from scipy.linalg import eigh
 
 from taut.arm.description import Arm
+from taut.base.checks import require_positive, rounded_up
 from taut.base.errors import RangeError, UsageError
-from taut.base.types import Float64Array
+from taut.base.types import ArrayLike, Float64Array
 from taut.control import laws
 from taut.control.law import Law
 from taut.maths.snapshot import Snapshot
-from taut.study.design_asked import Asked, six_by_six
+from taut.study.design_asked import BAND, Asked, plain, six_by_six
 from taut.study.design_place import at_tool
 from taut.study.design_tool_gains import admittance, damped, impedance, stiffness
 from taut.study.second_order import second_order
 
 __all__ = ["Case", "gains_for"]
 
+ONE_TICK: Final = 0.5  # of the rate: a pole that is named as possible
 INNER: Final = 5.0  # times as fast as the model is the law that follows it
 SWING: Final = ("zeta", "overshoot", "omega_n", "settling", "bandwidth")
 
@@ -103,24 +106,31 @@ def _torque_gains(case: Case) -> Law:
         zeta, omega = case.asked.swing(case.name)
         omega = _per_joint("omega_n", omega, n) * _hurry(case, zeta)
         pairs = [(M[i] * omega[i] ** 2, 2.0 * zeta * omega[i] * M[i] - case.b[i]) for i in range(n)]
-        wrong = next((i for i in range(n) if pairs[i][1] < 0.0), None)
-        if wrong is not None:
-            least = case.b[wrong] / (2.0 * omega[wrong] * M[wrong])
-            raise RangeError(
-                f"zeta must be at least {least:.4g}, which the friction of joint '{case.arm.joint_names[wrong]}' "
-                f"alone gives with omega_n = {omega[wrong]:.4g} rad/s; got {zeta:.4g}; a larger omega_n allows less",
-                name="zeta",
-                value=zeta,
-            )
+        _require_more_than_friction(case, zeta, M, omega)
     kp, kd = (np.array(each) for each in zip(*pairs, strict=True))
     ki = case.asked.integral * (case.b + kd) * kp / M
     return _replaced(case.law, kp=kp, kd=kd, ki=ki)
 
 
+def _require_more_than_friction(case: Case, zeta: float, M: Float64Array, omega: Float64Array) -> None:
+    """A damping ratio that the friction of no joint has alone."""
+    alone = case.b / (2.0 * omega * M)
+    i = int(np.argmax(alone))
+    if zeta < alone[i]:
+        raise RangeError(
+            f"zeta must be at least {rounded_up(float(alone[i]))}, which the friction of joint "
+            f"'{case.arm.joint_names[i]}' alone gives with omega_n = {omega[i]:.4g} rad/s; got {zeta:.4g}; a larger "
+            f"{'K' if case.asked.K is not None else 'omega_n'} allows less",
+            name="zeta",
+            joint=case.arm.joint_names[i],
+            value=zeta,
+        )
+
+
 def _of_stiffness(case: Case, M: Float64Array) -> list[tuple[float, float]]:
     """kp and kd of joints whose stiffness is given."""
     asked = case.asked
-    K = _per_joint("K", np.asarray(asked.K, dtype=np.float64), case.arm.n)
+    K = _joint_stiffness(case)
     if (
         len(asked.speeds) > 1
         or (asked.speeds and asked.speeds != ("settling",))
@@ -133,14 +143,23 @@ def _of_stiffness(case: Case, M: Float64Array) -> list[tuple[float, float]]:
         )
     if asked.damping is None and not asked.speeds:
         raise UsageError(f"{case.name} with K needs its damping: zeta or overshoot, or settling", name="zeta")
-    made = []
-    for i in range(case.arm.n):
+    omega, made = np.sqrt(K / M), []
+    if asked.damping is not None:
+        _require_more_than_friction(case, asked.damping, M, omega)
+    for i in np.argsort(omega).tolist():  # the slowest first, which needs the most time
         settling = (
             None if not asked.speeds else float(_per_joint("settling", np.asarray(asked.settling), case.arm.n)[i])
         )
         d = second_order(M=M[i], b=float(case.b[i]), kp=float(K[i]), zeta=asked.damping, settling=settling)
-        made.append((d.kp, d.kd))
-    return made
+        made.append((i, (d.kp, d.kd)))
+    return [pair for _, pair in sorted(made)]
+
+
+def _joint_stiffness(case: Case) -> Float64Array:
+    """(n,) of joints, each of which must have some."""
+    K = _per_joint("K", np.asarray(case.asked.K, dtype=np.float64), case.arm.n)
+    require_positive("K", K, unit="N m/rad | N/m", joints=case.arm.joint_names)
+    return K
 
 
 def _hurry(case: Case, zeta: float) -> float:
@@ -191,7 +210,7 @@ def _acceleration_gains(case: Case) -> Law:
             raise UsageError(
                 f"K and the inertia determine omega_n of {case.name}: K goes with zeta or overshoot alone", name="K"
             )
-        K = _per_joint("K", np.asarray(case.asked.K, dtype=np.float64), case.arm.n)
+        K = _joint_stiffness(case)
         lightest = np.min([np.diag(np.asarray(x.M)) for x in case.at], axis=0)
         omega = np.sqrt(K / lightest)
     assert zeta is not None
@@ -204,15 +223,25 @@ def _acceleration_gains(case: Case) -> Law:
 def _floating(case: Case) -> Law:
     """kd = M_ii pole - b: what a push leaves of speed dies away with that pole, at the heaviest pose."""
     case.asked.only(case.name, "bandwidth", "settling")
-    pole = _per_joint("bandwidth", case.asked.pole(case.name), case.arm.n)
-    kd = case.heaviest * pole - case.b
-    if kd.min() < 0.0:
-        i = int(np.argmin(kd))
+    pole = _per_joint(
+        case.asked.speeds[0] if case.asked.speeds else "bandwidth", case.asked.pole(case.name), case.arm.n
+    )
+    kd, alone = case.heaviest * pole - case.b, case.b / case.heaviest
+    i = int(np.argmax(alone / pole))
+    if alone[i] > pole[i]:
+        (name,) = case.asked.speeds
+        least, got = (alone, pole) if name == "bandwidth" else (math.log(BAND) / alone, math.log(BAND) / pole)
+        bound = (
+            f"at least {rounded_up(float(least[i]))} rad/s"
+            if name == "bandwidth"
+            else f"at most {least[i] * 0.999:.4g} s"
+        )
         raise RangeError(
-            f"bandwidth must be at least {case.b[i] / case.heaviest[i]:.4g} rad/s, which the friction of joint "
-            f"'{case.arm.joint_names[i]}' alone gives; got {pole[i]:.4g}",
-            name="bandwidth",
-            value=float(pole[i]),
+            f"{name} must be {bound}, which the friction of joint '{case.arm.joint_names[i]}' alone gives; got "
+            f"{got[i]:.4g}",
+            name=name,
+            joint=case.arm.joint_names[i],
+            value=float(got[i]),
         )
     return _replaced(case.law, kd=kd)
 
@@ -228,8 +257,22 @@ def _velocity_gains(case: Case) -> Law:
 
 
 def _first_order(case: Case) -> Law:
+    """kp = pole, which the servo rate bounds: in one tick no more than all of an error can go."""
     case.asked.only(case.name, "bandwidth", "settling")
-    return _replaced(case.law, kp=case.asked.pole(case.name))
+    pole = case.asked.pole(case.name)
+    fastest = float(np.max(pole))
+    if fastest > case.rate:
+        slower = case.asked.faster(ONE_TICK * case.rate / fastest)
+        (name,) = slower.speeds
+        raise RangeError(
+            f"{name} = {plain(getattr(case.asked, name))} cannot be met: at {case.rate:g} Hz a pole of {case.rate:g} "
+            f"1/s takes all of an error away in one tick, and this would be one of {fastest:.4g} 1/s; the nearest "
+            f"that can has {name} = {plain(getattr(slower, name))}",
+            name=name,
+            value=fastest,
+            rule=f"<= {case.rate:g} 1/s",
+        )
+    return _replaced(case.law, kp=pole)
 
 
 def _per_joint(name: str, values: Float64Array, n: int) -> Float64Array:
@@ -296,21 +339,47 @@ def _force(case: Case) -> Law:
     kfp = law.kfp.matrix(6)
     gains: dict[str, Any] = {"kfi": (np.eye(6) + kfp) @ (np.asarray(pole) * np.eye(6))}
     zeta, contact = case.asked.damping, case.asked.contact
-    if (zeta is None) != (contact is None):
-        missing = "contact, the stiffness of what is pressed on" if contact is None else "zeta"
-        raise UsageError(f"kdamp of {case.name} follows from zeta and contact together; add {missing}", name="zeta")
+    if zeta is not None and contact is None:
+        raise UsageError(
+            f"kdamp of {case.name} follows from zeta and contact together; add contact, the stiffness of what is "
+            "pressed on",
+            name="contact",
+        )
+    if contact is not None:
+        _require_held(contact)
+        if zeta is None and not law.gives("kdamp"):
+            raise UsageError(f"kdamp of {case.name} follows from zeta and contact together; add zeta", name="zeta")
+    elif law.gives("kdamp"):
+        raise UsageError(
+            f"{case.name} needs contact, the stiffness of what is pressed on, for an error of the force dies away on "
+            "something only: contact=(1e4, 100.0)",
+            name="contact",
+        )
     if zeta is not None:
         spring = (np.eye(6) + kfp) @ six_by_six("contact", contact)
         places = [at_tool(case.law, x) for x in case.at]
         each = [p.outside(damped(p.Lambda, p.inside(spring), zeta)) for p in places]
         gains["kdamp"] = max(each, key=lambda B: float(np.trace(B)))
-    elif not law.gives("kdamp"):
+    elif contact is None:
         raise UsageError(
             f"{case.name} without kdamp has nothing that keeps it from swinging on a contact; add zeta and contact, "
             "the stiffness of what is pressed on: zeta=0.7, contact=(1e4, 100.0)",
             name="contact",
         )
     return _replaced(case.law, **gains)
+
+
+def _require_held(contact: ArrayLike) -> None:
+    """A contact that is stiff in every direction."""
+    least = float(np.linalg.eigvalsh(six_by_six("contact", contact))[0])
+    if least <= 0.0:
+        raise RangeError(
+            "contact must be stiff in every direction, > 0 [N/m, N m/rad], for a law of force floats where nothing "
+            f"answers it; got {least:g}; a small stiffness will do, contact=(1e4, 1.0)",
+            name="contact",
+            value=least,
+            rule="> 0",
+        )
 
 
 def _hybrid(case: Case) -> Law:

@@ -2,31 +2,45 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from scipy.optimize import root
 
 from taut.arm.description import Arm
+from taut.base.errors import UsageError
 from taut.base.types import Float64Array
 from taut.control import laws
 from taut.control.limits import RATE_PER_EFFORT
-from taut.maths.snapshot import Snapshot
+from taut.maths.snapshot import Snapshot, snapshot
 from taut.plant.rigid import RigidPlant
+from taut.study.design_coupled import Coupled
 from taut.study.design_directions import Direction
+from taut.study.design_motion import Motion
 from taut.study.design_trial import Bench, Numbers, Response
 from taut.study.impedance import check_impedance
 from taut.study.linear_loop import LinearLoop
+from taut.study.sampled import SampledLoop, largest_factor
 
-__all__ = ["DesignLimit", "Tried", "limits_of", "steps_of", "torque_limits"]
+__all__ = ["DesignLimit", "Tried", "growth", "limits_of", "step_limit", "steps_of"]
 
 KEPT: Final = 0.1  # of the damping ratio: what sampling, or an integral, may take
 COUNT: Final = 0.01  # of the effort limit: a torque that an encoder's step may make
 STEP_JOINT: Final = {"rad": 0.1, "m": 0.05}
 PRESS: Final = {"N": 10.0, "N m": 1.0}
 EVERY: Final = 1e-12
+ALIKE: Final = 1e-9  # of the largest entry: what rounding leaves of a symmetric matrix
+SLOWEST: Final = 0.1  # [Hz] below which no border is looked for
+ROUGH: Final = 20  # halvings of a border
+MOST_PERIODS: Final = 64  # of delay, of all joints together
+WEIGHTS: Final = (0.25, 0.5, 0.75, 1.0)  # shares of the weight, from which a sag is followed
+SAGGED: Final = 1e-10
+NONE: Final = 1e-9  # of a growth in a tick: rounding
+VISIBLE: Final = 5e-4  # likewise, which four digits show
 LASTING: Final = 1e-6  # [1/s] a pole that is slower is one that stays
 
 
@@ -37,7 +51,7 @@ class DesignLimit:
     Args:
         name: Of what: "torque", "torque rate", "speed", "damping", "rate", "delay", "gain margin", "encoder", "ki",
             "integral", "weight", "coupling", "stiffness", "at rest", "force pole", "decay", "backlash",
-            "elastic joint".
+            "elastic joint", "on plant".
         value: What the design has or needs.
         limit: What there is; infinite for none.
         unit: Of both.
@@ -53,16 +67,38 @@ class DesignLimit:
     sentence: str
 
 
-def steps_of(directions: tuple[Direction, ...], step: Float64Array | None) -> Float64Array:
+def growth(radius: float) -> str:
+    """How a loop grows in a tick, with the digits that tell it from 1."""
+    if radius - 1.0 < NONE:
+        return "does not die away"
+    return f"grows by the factor {radius:.4g}" if radius - 1.0 > VISIBLE else f"grows by 1 + {radius - 1.0:.2g}"
+
+
+def steps_of(law: str, directions: tuple[Direction, ...], step: Float64Array | None) -> Float64Array:
     """(k,) the step in each direction: what was asked for, or 0.1 rad and 0.05 m; of a force 10 N and 1 N m.
 
     Of a force it is the motion that the contact makes of it.
+
+    Raises:
+        UsageError: A step of a law that follows none, or one number for metres and radians.
     """
     if step is None:
         return np.array([PRESS[d.unit] / d.per_unit if d.unit in PRESS else STEP_JOINT[d.unit] for d in directions])
-    if step.ndim == 0:
-        return np.full(len(directions), float(step))
-    return np.array([float(step[0 if d.unit in ("m", "N") else 1]) / d.per_unit for d in directions])
+    if not directions:
+        raise UsageError(
+            f"step has no meaning for {law}, which draws the arm nowhere here; leave it out", name="step"
+        )
+    units = {d.unit for d in directions}
+    if step.ndim == 0 and len(units) > 1:
+        first, second = ("N", "N m") if "N" in units else ("m", "rad")
+        raise UsageError(
+            f"step needs one number in {first} and one in {second} for {law}, as in "
+            f"step=({PRESS.get(first) or STEP_JOINT[first]:g}, {PRESS.get(second) or STEP_JOINT[second]:g}); got "
+            f"{float(step):g} alone",
+            name="step",
+        )
+    pair = np.broadcast_to(step, (2,))
+    return np.array([float(pair[0 if d.unit in ("m", "N") else 1]) / d.per_unit for d in directions])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -152,6 +188,12 @@ def torque_limits(tried: Tried) -> Iterator[DesignLimit]:
     )  # fmt: skip
 
 
+def step_limit(tried: Tried) -> DesignLimit:
+    """What a step takes: of the torques, or of the speeds where drives make them."""
+    found = torque_limits(tried) if tried.bench.kind == "torque" else _speed(tried)
+    return next(iter(found))
+
+
 def _room(tried: Tried, hold: Float64Array, k: int) -> tuple[float, int]:
     """The largest step of a direction within the torque limits, and the joint that has no more."""
     effort, command = tried.arm.effort, tried.predicted[k].command
@@ -212,6 +254,10 @@ def _rate_and_delay(tried: Tried) -> Iterator[DesignLimit]:
         return
     delay = float(bench.plant.actuation.delay)
     velocity: Any = bench.ctrl.side.sensing.velocity
+    coupled = next((d.coupled for d in tried.directions if d.coupled is not None), None)
+    if coupled is not None:
+        yield from coupled_borders(coupled, rate=bench.ctrl.rate, delay=delay, velocity=velocity, motion=bench.motion)
+        return
     quick = max(tried.directions, key=lambda d: float(np.abs(d.dynamics.poles).max()))
     sampled = quick.dynamics.sampled(rate=bench.ctrl.rate, delay=delay, velocity=velocity, **bench.motion.sampled)
     least, most, rate = sampled.lowest_stable_rate, sampled.largest_stable_delay, bench.ctrl.rate
@@ -225,6 +271,50 @@ def _rate_and_delay(tried: Tried) -> Iterator[DesignLimit]:
         sentence=(
             f"stable up to {1e3 * most:.4g} ms from tick to torque ({quick.name}), where there are "
             f"{1e3 * delay:.4g} ms"
+        ),
+    )  # fmt: skip
+
+
+def coupled_borders(
+    coupled: Coupled, *, rate: float, delay: float, velocity: Any, motion: Motion
+) -> Iterator[DesignLimit]:
+    """Of all joints together, where none of their directions stands alone; none of a law that is not symmetric."""
+    K, B, Ki = coupled.K, coupled.C - np.diag(coupled.b), coupled.Ki
+    if any(np.abs(X - X.T).max() > ALIKE * np.abs(X).max() for X in (K, B, Ki) if X.any()):
+        return
+    K, B, Ki = (0.5 * (X + X.T) for X in (K, B, Ki))
+    loop = SampledLoop(
+        mass=coupled.M, damping=coupled.b, K=K, B=B, Ki=Ki, rate=rate, delay=delay, velocity=velocity,
+        **motion.sampled,
+    )  # fmt: skip
+
+    if not loop.stable:  # the linear model, which knows more of the law, has judged it
+        return
+
+    def at_rate(each: float) -> bool:
+        return dataclasses.replace(loop, rate=each, delay=delay if motion.exact else delay * rate / each).stable
+
+    def at_delay(periods: int) -> bool:
+        return dataclasses.replace(loop, delay=periods / rate).stable
+
+    slowest = 1.0 / SLOWEST
+    least = rate / largest_factor(lambda factor: at_rate(rate / factor), 1.0, slowest * rate, halvings=ROUGH)
+    yield DesignLimit(
+        name="rate", value=rate, limit=least, unit="Hz", ok=rate >= least,
+        sentence=f"stable from {least:.4g} Hz on (all joints together); the rate is {rate:g} Hz",
+    )  # fmt: skip
+    low, high = 0, 1
+    while high <= MOST_PERIODS and at_delay(high):
+        low, high = high, 2 * high
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if at_delay(middle) else (low, middle)
+    most = low / rate
+    yield DesignLimit(
+        name="delay", value=delay, limit=most, unit="s", ok=delay <= most,
+        sentence=(
+            f"stable up to {1e3 * most:.4g} ms of whole periods from tick to torque (all joints together), where "
+            f"there are {1e3 * delay:.4g} ms"
         ),
     )  # fmt: skip
 
@@ -351,9 +441,16 @@ def _weight(tried: Tried) -> Iterator[DesignLimit]:
     part: Any = tried.bench.law
     if not tried.bench.weightless or not isinstance(part, laws.PID):
         return
-    g = np.asarray(tried.x.g)
-    sag = np.abs(np.linalg.solve(part.kp.matrix(tried.x.n), g))
-    i, arm = int(np.argmax(sag)), tried.arm
+    g, arm = np.asarray(tried.x.g), tried.arm
+    sag = np.abs(_sagged(arm, np.asarray(tried.x.q), np.asarray(part.kp.matrix(tried.x.n))) - tried.x.q)
+    if not np.isfinite(sag).all():
+        yield DesignLimit(
+            name="weight", value=math.inf, limit=0.0, unit=arm.units[0], ok=False,
+            sentence="the weight makes it fall to where no gain of this design holds it; GravityPID, FeedForward() + "
+            "PID or a faster design help",
+        )  # fmt: skip
+        return
+    i = int(np.argmax(sag))
     held = bool(np.any(part.ki.as_array()))
     yield DesignLimit(
         name="weight", value=float(sag[i]), limit=0.0, unit=arm.units[i], ok=held,
@@ -363,6 +460,21 @@ def _weight(tried: Tried) -> Iterator[DesignLimit]:
             f"{' until the integral has it' if held else '; GravityPID, FeedForward() + PID or integral= help'}"
         ),
     )  # fmt: skip
+
+
+def _sagged(arm: Arm, q: Float64Array, kp: Float64Array) -> Float64Array:
+    """(n,) where kp (q_des - q) holds the weight, followed from none of it to all; NaN where it holds it nowhere."""
+
+    def left(at: Float64Array, share: float) -> Float64Array:
+        return np.asarray(kp @ (q - at) - share * np.asarray(snapshot(arm, at).g))
+
+    at = q
+    for share in WEIGHTS:
+        found = root(left, at, args=(share,), tol=SAGGED)
+        if not found.success:
+            return np.full(len(q), math.nan)
+        at = np.asarray(found.x)
+    return at
 
 
 def _coupling(tried: Tried) -> Iterator[DesignLimit]:

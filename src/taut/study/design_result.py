@@ -13,6 +13,7 @@ from taut.control.law import Law
 from taut.study.design_contact import Pressed, force_limits
 from taut.study.design_gears import gear_limits
 from taut.study.design_limits import DesignLimit, Tried, limits_of
+from taut.study.design_plant import plant_limits
 from taut.study.design_stiffness import Stiff, static_limits
 from taut.study.design_trial import Numbers, Response
 
@@ -113,7 +114,8 @@ class Design:
         return (
             *limits_of(self.tried),
             *gear_limits(self.tried),
-            *static_limits(self.stiffness),
+            *plant_limits(self.tried, tuple(each.on_plant for each in self.achieved), self.step),
+            *static_limits(self.stiffness, self.tried.bench.law),
             *force_limits(self.forces, self.rate),
         )
 

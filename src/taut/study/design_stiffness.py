@@ -11,6 +11,7 @@ import numpy as np
 
 from taut.base.types import ArrayLike, Float64Array
 from taut.control import laws
+from taut.control.law import Law
 from taut.control.reference import Hold
 from taut.maths.snapshot import Snapshot
 from taut.plant.disturbance import TORQUE, WRENCH
@@ -73,7 +74,7 @@ def stiffnesses(
     if not names:
         return ()
     forces = asked[:, np.newaxis] * SMALL * rows  # (k, n) on the joints
-    path = WRENCH if isinstance(bench.law, laws.Admittance) else TORQUE  # one that feels the force must measure it
+    path = WRENCH if "F_ext" in bench.ctrl.needs else TORQUE  # a law that feels the force must measure it
     values = forces if path == TORQUE else np.linalg.lstsq(np.asarray(x.J()).T, forces.T, rcond=None)[0].T
     C, B = lin.C[list(lin.rows("q"))], lin.B[:, list(lin.columns(path))]
     states = np.linalg.lstsq(np.eye(len(lin.A)) - lin.A, B @ values.T, rcond=None)[0]
@@ -133,16 +134,17 @@ def _wanted(each: Stiff) -> str:
     )
 
 
-def static_limits(stiffness: tuple[Stiff, ...]) -> Iterator[DesignLimit]:
+def static_limits(stiffness: tuple[Stiff, ...], law: Law) -> Iterator[DesignLimit]:
     """Of a stiffness that was asked for, what a force at rest finds."""
     if not stiffness:
         return
     worst = max(stiffness, key=lambda each: abs(each.designed / each.predicted - 1.0))
     ok = abs(worst.designed / worst.predicted - 1.0) <= STATIC
+    why = "; M couples the joints of a law of accelerations, GravityPID keeps them apart"
     yield DesignLimit(
         name="at rest", value=worst.predicted, limit=worst.designed, unit=worst.unit, ok=ok,
         sentence=(
             f"a force along {worst.direction} finds {worst.predicted:.4g} {worst.unit}, where {_wanted(worst)}"
-            f"{'' if ok else '; M couples the joints of a law of accelerations, GravityPID keeps them apart'}"
+            f"{'' if ok or isinstance(law, OF_TOOL) else why}"
         ),
     )  # fmt: skip

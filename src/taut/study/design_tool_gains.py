@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
@@ -78,9 +79,12 @@ def impedance(law: Any, at: tuple[Snapshot, ...], asked: Asked) -> dict[str, Any
         if law.gives("D"):
             return gains | {"K": S @ law.D.matrix(size) @ S}
         K = _stiff_enough(places, S)
-        pairs = [(place.Lambda, place.inside(K)) for place in places]
-        B, k = _damped_enough(pairs, zeta)
-        return {"K": K, "B": places[k].outside(B), "zeta": None}
+        candidates = [place.outside(damped(place.Lambda, place.inside(K), zeta)) for place in places]
+
+        def worst(B: Float64Array) -> float:
+            return min(least_damping(place.Lambda, place.inside(K), place.inside(B)) for place in places)
+
+        return {"K": K, "B": _damped_enough(candidates, worst, zeta), "zeta": None}
     if asked.K is None:
         return gains | {"K": S @ six_by_six("D", asked.D, size) @ S, "D": asked.D}
     slow = np.linalg.inv(S)
@@ -115,31 +119,41 @@ def stiffness(law: Any, at: tuple[Snapshot, ...], asked: Asked) -> dict[str, Any
         raise UsageError("Stiffness needs K=(linear, angular), (6,) or (6, 6), and zeta", name="K")
     zeta = _needs_damping("Stiffness", asked)
     K = six_by_six("K", asked.K, law.dimensions)
+    if not K.any():
+        raise RangeError(
+            "K of Stiffness must be > 0 in some direction, for it draws the arm nowhere", name="K", value=0.0
+        )
     pairs = []
     for x in at:
         J = at_tool(law, x).J
         pairs.append((np.asarray(x.M), J.T @ K @ J))
-    return {"K": asked.K, "kd": _damped_enough(pairs, zeta)[0]}
+    candidates = [damped(M, K_q, zeta) for M, K_q in pairs]
+
+    def worst(kd: Float64Array) -> float:
+        return min(least_damping(M, K_q, kd) for M, K_q in pairs)
+
+    return {"K": asked.K, "kd": _damped_enough(candidates, worst, zeta)}
 
 
-def _damped_enough(pairs: list[tuple[Float64Array, Float64Array]], zeta: float) -> tuple[Float64Array, int]:
-    """The damping for inertias and stiffnesses whose least damping ratio is zeta; and of which pose it is.
+def _damped_enough(
+    candidates: list[Float64Array], worst: Callable[[Float64Array], float], zeta: float
+) -> Float64Array:
+    """The damping with which the least damping ratio at all poses is zeta.
 
     Of several poses it is that of the one whose damping does best at the others, times what they lack.
+
+    Args:
+        candidates: That of each pose, in coordinates that all poses share.
+        worst: The least damping ratio that a damping makes at any of them.
+        zeta: The damping ratio that was asked for.
     """
-    candidates = [damped(M, K, zeta) for M, K in pairs]
-
-    def worst(B: Float64Array) -> float:
-        return min(least_damping(M, K, B) for M, K in pairs)
-
-    k = max(range(len(pairs)), key=lambda i: worst(candidates[i]))
-    B = candidates[k]
-    for _ in range(SCALINGS if len(pairs) > 1 else 0):
+    B = max(candidates, key=worst)
+    for _ in range(SCALINGS if len(candidates) > 1 else 0):
         share = worst(B) / min(zeta, 1.0) if zeta else 1.0
         if share >= 1.0 - BARELY:
             break
         B = B / min(share, 1.0 - BARELY)
-    return B, k
+    return B
 
 
 def admittance(asked: Asked) -> tuple[dict[str, Any], float]:

@@ -32,6 +32,7 @@ from taut.record.step import step_response
 from taut.runtime.simulate import run as simulate
 from taut.study.design_asked import six_by_six
 from taut.study.design_bandwidth import bandwidth_of, bandwidth_seen
+from taut.study.design_coupled import Coupled
 from taut.study.design_directions import Direction, designed_part
 from taut.study.design_motion import Motion
 from taut.study.error_dynamics import ErrorDynamics
@@ -125,6 +126,7 @@ class Response:
         kept: How many numbers a filter of the velocity keeps, or the sensor of a force.
         order: Of the error dynamics that were designed.
         whole: Whether it was followed for as long as what was designed takes to settle.
+        summed: (k,) the integral of the error, where it is known to be more than the sum over the ticks.
     """
 
     t: Float64Array
@@ -140,6 +142,7 @@ class Response:
     kept: int
     order: int
     whole: bool
+    summed: Float64Array | None = None
 
     @property
     def numbers(self) -> Numbers:
@@ -165,7 +168,7 @@ class Response:
         if self.second:
             states.append(self.e_dot * dt)
         if self.integral:
-            states.append(np.concatenate([[0.0], np.cumsum(self.e)[:-1]]))
+            states.append(np.concatenate([[0.0], np.cumsum(self.e)[:-1]]) if self.summed is None else self.summed)
         lags = range(1, self.late + self.kept + 1)  # what a filter keeps shows in the commands before
         states += [np.concatenate([np.zeros(lag), self.pushed[:-lag]]) for lag in lags]
         X = np.column_stack(states)[self.kept :]
@@ -282,9 +285,17 @@ class Bench:
 
     def ticks(self, directions: tuple[Direction, ...]) -> int:
         """How many ticks show all of them settle."""
-        longest = max((d.dynamics.settling_time for d in directions), default=0.0)
+        longest = max((d.settling for d in directions), default=0.0)
         wanted = LONGER * longest * self.ctrl.rate if math.isfinite(longest) else 1000.0
         return int(np.clip(wanted, SHORTEST, LONGEST))
+
+    def designed(self, directions: tuple[Direction, ...]) -> tuple[Numbers, ...]:
+        """By the book; where directions are coupled, what fits the steps of all joints, read at the ticks."""
+        ticks, dt = self.ticks(directions), 1.0 / self.ctrl.rate
+        return tuple(
+            Numbers.designed(d.dynamics) if d.coupled is None else _of_coupled(d, d.coupled, dt, ticks).numbers
+            for d in directions
+        )
 
     def predicted(self, lin: LinearLoop, x: Snapshot, directions: tuple[Direction, ...]) -> tuple[Response, ...]:
         """Steps of the linear model."""
@@ -338,7 +349,7 @@ class Bench:
             t=t, e=1.0 - q @ d.row, e_dot=-(v @ d.row), q=q, v=v, command=command, integral=self.integral,
             second=self.kind == "torque", pushed=command @ (d.column if self.kind == "torque" else d.row),
             late=self._late, kept=self._kept, order=d.dynamics.order,
-            whole=not t[-1] < WHOLE * d.dynamics.settling_time < math.inf,
+            whole=_whole(d, t),
         )  # fmt: skip
 
     def _of_reference(self, lin: LinearLoop) -> tuple[Float64Array, Float64Array]:
@@ -371,6 +382,20 @@ class Bench:
         T = x.T(self.law.controlled_frame)
         turn = np.asarray(rotation_exp(moved[3:]), dtype=np.float64)
         return TaskMotion(pose=Pose.of(turn @ np.asarray(T.R), np.asarray(T.p) + moved[:3]))
+
+
+def _whole(d: Direction, t: Float64Array) -> bool:
+    return not t[-1] < WHOLE * d.settling < math.inf
+
+
+def _of_coupled(d: Direction, coupled: Coupled, dt: float, ticks: int) -> Response:
+    """A step in continuous time along a direction that others go along with."""
+    t, none = np.linspace(0.0, ticks * dt, ticks + 1), np.zeros((ticks + 1, len(d.row)))
+    e, e_dot, summed = (rows @ d.row for rows in coupled.response(d.column, dt, ticks))
+    return Response(
+        t=t, e=e, e_dot=e_dot, q=none, v=none, command=none, integral=bool(np.any(coupled.Ki)), second=True,
+        pushed=none[:, 0], late=0, kept=0, order=d.dynamics.order, whole=_whole(d, t), summed=summed,
+    )  # fmt: skip
 
 
 def zeta_seen(run: Run, x: Snapshot, d: Direction, size: float) -> Numbers:

@@ -10,16 +10,14 @@ import numpy as np
 from taut.arm.angles import require_radians
 from taut.base.checks import finite_array, positive_scalar
 from taut.base.errors import RangeError, ShapeError, UsageError
-from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.feed import ReferenceFeed
 from taut.control.reference import Hold, Sample
-from taut.loop import DT, Loop
+from taut.loop import Loop
 from taut.record.run import Run
 from taut.runtime.fused import FusedRun
 from taut.study.equilibrium import Rest, moving_states, resting, telling
 from taut.study.linear_loop import LinearLoop
-from taut.study.loop_map import Derivative, LoopMap, Point, beside, finite_derivative, loop_map
+from taut.study.loop_map import Derivative, LoopMap, Point, beside, finite_derivative, loop_map, starting
 from taut.study.sides import sides_of, smooth
 
 __all__ = ["linearise", "rest_of"]
@@ -113,13 +111,7 @@ def rest_of(loop: Loop, map_: LoopMap, at: ArrayLike | None, within: float) -> R
             "make the loop with a sample or taut.hold(), or linearise along a run: along=run, times=...",
             name="loop",
         )
-    side, values = loop.side, map_.values(loop.parameters)
-    side.check_start(q, {**loop.parameters, DT: loop.dt}, loop.ref)
-    inputs = np.zeros((1, map_.inputs.size))
-    feed = ReferenceFeed(loop.ref, side.law.reference, side.arm, loop.dt, side.at_rest(q))
-    feed.fill(subtree(map_.inputs.views(inputs), "ref"), 0, lambda: None)
-    memory = map_.start(q, np.zeros_like(q), inputs[0], values)
-    return resting(map_, Point(inputs=inputs[0], parameters=values, memory=memory), within)
+    return resting(map_, starting(loop, map_, q), within)
 
 
 def _pose(loop: Loop, at: ArrayLike | None) -> Float64Array:

@@ -12,9 +12,11 @@ import numpy as np
 
 from taut.base import math as tm
 from taut.base.errors import RangeError, UsageError, unknown_name
+from taut.base.paths import subtree
 from taut.base.types import Float64Array, Vector
 from taut.codegen.layout import Block
 from taut.codegen.tangent import TANGENT, StepTangent, tangent_block
+from taut.control.feed import ReferenceFeed
 from taut.control.phases import Phases
 from taut.loop import DT, Loop, Values
 from taut.maths import dynamics as dyn
@@ -32,6 +34,7 @@ __all__ = [
     "finite_derivative",
     "loop_map",
     "small_turns",
+    "starting",
 ]
 
 OUTPUTS: Final = ("q", "v", "tip.p", "tip.R", "tip.twist", "command")
@@ -335,6 +338,21 @@ def loop_map(loop: Loop, with_respect_to: Iterable[str] = ()) -> LoopMap:
     if wanted not in known:
         known[wanted] = LoopMap(loop, wanted)
     return known[wanted]
+
+
+def starting(loop: Loop, map_: LoopMap, q: Float64Array) -> Point:
+    """Where a loop begins from rest at joint positions (n,), in the sample of its reference there.
+
+    Raises:
+        RangeError: It may not start there.
+    """
+    side, values = loop.side, map_.values(loop.parameters)
+    side.check_start(q, {**loop.parameters, DT: loop.dt}, loop.ref)
+    inputs = np.zeros((1, map_.inputs.size))
+    feed = ReferenceFeed(loop.ref, side.law.reference, side.arm, loop.dt, side.at_rest(q))
+    feed.fill(subtree(map_.inputs.views(inputs), "ref"), 0, lambda: None)
+    memory = map_.start(q, np.zeros_like(q), inputs[0], values)
+    return Point(inputs=inputs[0], parameters=values, memory=memory)
 
 
 def beside(map_: LoopMap, at: Point, found: Derivative, states: Iterable[int]) -> Derivative:

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from scipy.optimize import brentq
 
-from taut.base.checks import finite_scalar, positive_scalar, require_at_least
+from taut.base.checks import finite_scalar, positive_scalar, require_at_least, rounded_up
 from taut.base.errors import RangeError, UsageError
 from taut.study.error_dynamics import ErrorDynamics
 from taut.study.joint_gains import JointGains
@@ -160,8 +160,8 @@ def _gains(M: float, b: float, given: Mapping[str, float]) -> tuple[float, float
     if kd < 0.0:
         least = b / (2.0 * math.sqrt(kp * M)) if kp else math.inf
         raise RangeError(
-            f"zeta must be at least {least:.4g}, which the friction b = {b:g} alone gives with kp = {kp:.4g}; got "
-            f"{zeta:.4g}; a larger kp or omega_n allows less",
+            f"zeta must be at least {rounded_up(least)}, which the friction b = {b:g} alone gives with kp = {kp:.4g}"
+            f"; got {zeta:.4g}; a larger kp or omega_n allows less",
             name="zeta",
             value=zeta,
         )
@@ -184,8 +184,8 @@ def _settling_zeta(M: float, b: float, given: Mapping[str, float]) -> float:
         least *= FASTEST
     if asked < least * (1.0 - 1e-12):
         raise RangeError(
-            f"settling must be at least {time * least / asked:.4g} s, which is the fastest for {what}, with zeta = "
-            f"{FASTEST:.2f}; got {time:g} s",
+            f"settling must be at least {rounded_up(time * least / asked)} s, which is the fastest for {what}, with "
+            f"zeta = {FASTEST:.2f}; got {time:g} s",
             name="settling",
             value=time,
         )
