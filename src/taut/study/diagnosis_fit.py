@@ -22,6 +22,7 @@ REACH: Final = 0.25  # of the arm's length: how far from the tool a payload may 
 KNOWN: Final = 0.02  # [m] standard error of a payload's centre, beyond which a run does not tell it
 INDEPENDENT: Final = 100.0  # ticks of a run, neighbours of which are much alike, count as so many
 SURE: Final = 3.0  # standard errors of what a payload has beyond the declared one
+TINY: Final = 1e-12  # [kg] a mass that is none
 WEAK: Final = 0.01  # of what is known of a centre before the run: it only holds what nothing else does
 FRICTION: Final = ("viscous", "coulomb")
 
@@ -163,10 +164,10 @@ class _Problem:
         Q, R = np.linalg.qr(X)  # the same problem in as many rows as numbers
         d, count = Q.T @ self.d, X.shape[1] - 10
         start = _bounded(self.d, [X[:, :4], *rubbing], [-self.told_mass, *[-math.inf] * 3])
-        mass = self.told_mass + start[0]
-        centre = (self.told_mass * self.told_centre + start[1:4]) / mass if mass > 0.0 else self.told_centre
-        reach = REACH * self.model.length
-        centre = centre * min(1.0, reach / max(float(np.linalg.norm(centre)), 1e-12))
+        mass = max(self.told_mass + start[0], 0.0)  # rounding may leave it just below
+        moment = self.told_mass * self.told_centre + start[1:4]
+        far = float(np.linalg.norm(moment)) / (REACH * self.model.length)  # [kg] that has it within reach
+        centre = moment / max(mass, far) if max(mass, far) > TINY else self.told_centre
         hold = WEAK * self._prior_weight()
 
         def left(p: Float64Array) -> Float64Array:
@@ -175,7 +176,11 @@ class _Problem:
 
         low = np.concatenate([[0.0], np.full(3, -np.inf), np.zeros(count)])
         found = least_squares(
-            left, np.concatenate([[mass], centre, start[4:]]), bounds=(low, np.inf), x_scale="jac", xtol=1e-12
+            left,
+            np.maximum(np.concatenate([[mass], centre, start[4:]]), low),
+            bounds=(low, np.inf),
+            x_scale="jac",
+            xtol=1e-12,
         )
         return found.x[:4], found.x[4:]
 
@@ -268,12 +273,18 @@ def _by_centre(load: Float64Array) -> Float64Array:
 
 
 def _bounded(d: Float64Array, columns: list[Float64Array], low: list[float]) -> Float64Array:
-    """Least squares with lower bounds; what has none in `low` is friction, which does not drive."""
+    """Least squares with lower bounds; what has none in `low` is friction, which does not drive.
+
+    A number that the rows do not depend on, as the friction of a joint that never moved, is zero.
+    """
     if not columns:
         return np.zeros(0)
     X = np.concatenate(columns, axis=1)
     least = np.array([*low, *[0.0] * (X.shape[1] - len(low))])
     scale = np.linalg.norm(X, axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    Q, R = np.linalg.qr(X / scale)  # the same problem in as many rows as numbers
-    return np.asarray(lsq_linear(R, Q.T @ d, bounds=(least * scale, np.inf)).x / scale)
+    told, out = scale > 0.0, np.zeros(X.shape[1])
+    if told.any():
+        Q, R = np.linalg.qr(X[:, told] / scale[told])  # the same problem in as many rows as numbers
+        bounds = (least[told] * scale[told], np.inf)
+        out[told] = lsq_linear(R, Q.T @ d, bounds=bounds).x / scale[told]
+    return out
