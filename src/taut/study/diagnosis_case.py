@@ -35,6 +35,7 @@ FAR: Final = 0.2  # of the longest motion asked for: more than the slow end of a
 WAY: Final = 1e-3  # [m] at the tool, below which an error is none
 TAIL: Final = 0.1  # of the run: what is called its end
 PINNED: Final = 1e-9  # of its largest: torques that are as large
+STAYS: Final = 3  # ticks at the largest torque: fewer may be a peak
 EFFORT_SHARE: Final = 1e-9  # of the largest torque: below it a joint has done nothing
 
 
@@ -211,7 +212,7 @@ class Case:
             return np.zeros_like(self.run.q)
         tau, command = self.run.tau, self.run.command
         at = (np.abs(tau) >= (1.0 - PINNED) * np.max(np.abs(tau), axis=0)) & (np.abs(command) > 1.01 * np.abs(tau))
-        return np.where(at, tau - command, 0.0)
+        return np.where(at & (at.sum(axis=0) >= STAYS), tau - command, 0.0)
 
     @cached_property
     def limits_of_effort(self) -> Float64Array | None:

@@ -147,7 +147,7 @@ def _payload(case: Case, fit: Fit) -> Finding:
     told = float(case.model.payload[0])
     beyond = fit.mass - told
     centre: dict[str, Number] = {}
-    call, more = f"arm.with_payload({fit.mass:.3g})", ""
+    call, more, and_centre = f"arm.with_payload({fit.mass:.3g})", "", ""
     if fit.mass <= NOTHING * abs(beyond):
         call = "arm.with_payload(0)"
     else:
@@ -158,6 +158,7 @@ def _payload(case: Case, fit: Fit) -> Finding:
         if np.linalg.norm(fit.centre) > 1e-3:
             call = f"arm.with_payload({fit.mass:.3g}, com={_vector(fit.centre, 3)})"
             call += ", com in m in the tool frame"
+            and_centre = " and ['model.payload.com']"
         more = "".join(_not_known(way) for way in ways[:, blur > KNOWN].T)
     return Finding(
         name="wrong payload",
@@ -172,7 +173,7 @@ def _payload(case: Case, fit: Fit) -> Finding:
             **centre,
         },
         text=f"the torques are those of an arm with {beyond:+.3g} kg at its tool beyond what the law was told",
-        remedy=f"declare the payload: {call}, or ctrl.parameters['model.payload.mass']{more}",
+        remedy=f"declare the payload: {call}, or ctrl.parameters['model.payload.mass']{and_centre}{more}",
         picture=_picture(case, load, i, "payload that is not declared"),
     )
 
