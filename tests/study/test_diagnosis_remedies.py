@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import re
 from typing import Any
 
@@ -236,3 +237,39 @@ def test_an_arm_that_spins_at_a_limit_does_so_for_the_limit() -> None:
     found = taut.doctor(taut.run(ctrl, taut.RigidPlant(arm), ref, duration=1.6)).findings
     assert (found[0].name, found[0].term) == ("saturates", "rate_limit")
     assert all(each.follows == "saturates" and each.share <= 1.0 for each in found[1:])
+
+
+@functools.cache
+def carrying(told: str) -> taut.Diagnosis:
+    """A gantry to which 1.5 kg are given at 0.8 s, in the plant, in the law's model, or in both."""
+    arm = runs.arm_of("gantry3")
+    ctrl = taut.compile(joint_gains("gantry3", 144.0, 24.0), arm)
+    way = taut.Quintic(q0=arm.home, q1=arm.home + np.array([0.3, -0.2, 0.1]), duration=1.5)
+    values = {f"{whose}.payload.mass": 1.5 for whose in told.split()}
+    events = [taut.Event(t=0.8, set=values)]
+    return taut.doctor(taut.run(ctrl, taut.RigidPlant(arm), way, duration=3.0, events=events))
+
+
+@pytest.mark.parametrize(("told", "beyond"), [("plant", 1.5), ("model", -1.5)])
+def test_a_payload_that_is_taken_on_the_way_is_found_with_the_time(told: str, beyond: float) -> None:
+    (found,) = carrying(told).findings
+    assert found.name == "wrong payload"
+    assert found.evidence["beyond it"].value == pytest.approx(beyond, rel=1e-3)
+    since = re.search(r"beyond what the law was told, from ([\d.]+) s on", found.text)
+    assert since is not None
+    assert float(since[1]) == pytest.approx(0.8, abs=0.01)
+
+
+def test_a_payload_that_is_taken_and_told_is_none_that_is_wrong() -> None:
+    told = carrying("plant model")
+    assert told.healthy
+    assert told.looked_at["torque beyond the model"].value < 1e-6
+
+
+def test_a_step_late_in_a_run_is_no_oscillation_that_grows() -> None:
+    """A payload that is taken a second before the end: one swing of the feedback, fitted, would be a growing line."""
+    arm = runs.arm_of("ur5")
+    ctrl = taut.compile(joint_gains("ur5", 144.0, 24.0), arm)
+    events = [taut.Event(t=2.2, set={"plant.payload.mass": 1.66})]
+    run = taut.run(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=arm.home), duration=3.0, events=events)
+    assert "oscillates" not in [each.name for each in taut.doctor(run).findings]

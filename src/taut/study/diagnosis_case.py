@@ -159,6 +159,16 @@ class Case:
         return np.zeros((len(self.run), 1))
 
     @cached_property
+    def error_rate(self) -> Float64Array | None:
+        """(k, n) how fast the error of each joint changes, which damping answers; None where that is not known."""
+        if PARTS in self.run.info:
+            return None
+        wanted = getattr(self.run.reference.motion, "v", None)
+        if wanted is not None:
+            return np.asarray(wanted - self.run.v, dtype=np.float64)
+        return None if np.any(self.moving_reference) else -self.run.v
+
+    @cached_property
     def force_error(self) -> Float64Array | None:
         """(k, 6) error of the force that the arm applies, where one is asked for."""
         return force_error(self.run)

@@ -22,6 +22,10 @@ LEAST_TORQUE: Final = 0.02  # of the effort: smaller oscillations count only by 
 LEAST_SHARE: Final = 0.01  # of the feedback's effort in the run: less is not why a run is as it is
 TURNS: Final = 5  # ticks in a row, each with more feedback than the last and the other way round
 HARMONICS: Final = 5.0  # of the reference's frequency: what the reference itself brings
+SLOWLY: Final = 0.05  # damping ratio of what grows by a third in a period
+CLEAR: Final = 0.8  # of the variance that such a line is: of a pulse late in the window it is less
+CROSSINGS: Final = 3  # of its trend, in two periods of what grows
+TWO_PI: Final = 2.0 * math.pi
 WAVES: Final = 4  # half waves in a row, each larger than the last
 AWAY: Final = 3.0  # times as large as the first of them and all before: the last
 EVEN: Final = 2.0  # times as long as the shortest of them: the longest
@@ -49,6 +53,8 @@ def strongest_swing(case: Case) -> Swing | None:
             line = line_of(y[:, i], case.dt, HARMONICS * slow)
             if line is None or line.share < LINE or not -BOLTING < line.zeta < RINGING:
                 continue
+            if line.zeta < -SLOWLY and not (line.share > CLEAR and _turns_round(y[:, i], line, case.dt)):
+                continue
             swing = line_of(run.q[window, i], case.dt, 0.5 * line.omega)
             moves = 0.0 if swing is None else swing.amplitude * math.sqrt(max(swing.share, 0.0))
             if max(line.amplitude, line.last * (line.growth > 0.0)) < LEAST_TORQUE and moves < case.tolerance[i]:
@@ -62,6 +68,13 @@ def strongest_swing(case: Case) -> Swing | None:
             if share >= LEAST_SHARE:
                 return Swing(joint=best.joint, line=best.line, window=best.window, share=share)
     return None
+
+
+def _turns_round(y: Float64Array, line: Line, dt: float) -> bool:
+    """Whether what grows goes to and fro in its last two periods: a step at the end of a window does not."""
+    last = y[-max(round(2.0 * TWO_PI / (line.omega * dt)), 4) :]
+    last = without_trend(last[:, np.newaxis])[:, 0]
+    return int(np.count_nonzero(last[1:] * last[:-1] < 0.0)) >= CROSSINGS
 
 
 def alternating_swing(case: Case) -> Swing | None:

@@ -89,11 +89,10 @@ class Mode:
     @cached_property
     def damping_in_all(self) -> float:
         """[1/s] of the damping D along the whole motion of the window, through which the inertia may change."""
-        run, w = self.case.run, self.found.window
+        w, run = self.found.window, self.case.run
+        e_dot = -run.v if self.case.error_rate is None else self.case.error_rate
         if self.case.model is None or "D" not in run.terms:
             return math.nan
-        wanted = self.case.moving_reference
-        e_dot = (wanted if wanted.shape == run.v.shape else 0.0) - run.v
         M = np.array([self.case.model.mass_matrix(k) for k in range(w.start, w.stop)])
         inertia = float(np.einsum("ki,kij,kj->", e_dot[w], M, e_dot[w]))
         return float(np.sum(e_dot[w] * run.terms["D"][w])) / inertia if inertia > 0.0 else math.nan

@@ -45,10 +45,10 @@ def sign_findings(case: Case) -> Iterator[Finding]:
             "the spring of {0} pushes away from the target",
             "the error round: e = wanted - actual, tau = + kp e",
         ),
-        ("D", _error_rate(case), "the damping of {0} drives it on", "the damping round: tau = + kd (v_wanted - v)"),
+        ("D", case.error_rate, "the damping of {0} drives it on", "the damping round: tau = + kd (v_wanted - v)"),
     ):
-        i = _wrong_way(case, name, answered, grown)
-        if i is None:
+        i = None if answered is None else _wrong_way(case, name, answered, grown)
+        if i is None or answered is None:
             continue
         joint, work = run.joint_names[i], run.terms[name] * answered
         over = float(np.sum(work[:, i]) / np.sum(answered[:, i] ** 2))
@@ -97,12 +97,6 @@ def sign_findings(case: Case) -> Iterator[Finding]:
             ),
         )
         return
-
-
-def _error_rate(case: Case) -> Float64Array:
-    """(k, n) how fast the error of each joint changes: what the damping answers."""
-    wanted = case.moving_reference
-    return np.asarray((wanted if wanted.shape == case.run.v.shape else 0.0) - case.run.v)
 
 
 def _part(work: Float64Array) -> float:
