@@ -336,11 +336,16 @@ def _causes(one: Finding, other: Finding) -> bool:
         return other.term in LIMIT_TERMS
     if limited == ("oscillates", "saturates"):
         return one.term not in LIMIT_TERMS
-    if limited == ("saturates", "chatters"):  # what the model asks for jitters because the arm does
-        return other.term in MODEL_TERMS
+    if limited == ("saturates", "chatters"):
+        return not _cut_for_jitter(other, one)
     if limited == ("chatters", "saturates"):
-        return one.term not in MODEL_TERMS
+        return _cut_for_jitter(one, other)
     return other.name in CAUSES.get(one.name, ())
+
+
+def _cut_for_jitter(chatter: Finding, cut: Finding) -> bool:
+    """Whether a limit cuts jitter: it takes no more than there is, and no model asks for it."""
+    return chatter.term not in MODEL_TERMS and cut.share <= chatter.share
 
 
 def _looked_at(case: Case) -> dict[str, Number]:
