@@ -26,6 +26,7 @@ SLOWLY: Final = 0.05  # damping ratio of what grows by a third in a period
 CLEAR: Final = 0.8  # of the variance that such a line is: of a pulse late in the window it is less
 CROSSINGS: Final = 3  # of its trend, in two periods of what grows
 TWO_PI: Final = 2.0 * math.pi
+MAIN_SHARE: Final = 0.1  # of the feedback's effort, that what runs away is: less is tossed about by another joint
 WAVES: Final = 4  # half waves in a row, each larger than the last
 AWAY: Final = 3.0  # times as large as the first of them and all before: the last
 EVEN: Final = 2.0  # times as long as the shortest of them: the longest
@@ -135,7 +136,7 @@ def bolting_swing(case: Case) -> Swing | None:
         growth = math.log(last / first) / ((count - 1) * step)
         line = Line(omega=math.pi / step, growth=growth, amplitude=math.sqrt(first * last), last=last, share=1.0)
         share = min(1.0, float(np.sum((case.feedback[window, i] / case.size[i]) ** 2)) / case.effort)
-        if share >= LEAST_SHARE and (best is None or share > best.share):
+        if share >= MAIN_SHARE and (best is None or share > best.share):
             best = Swing(joint=i, line=line, window=window, share=share)
     return best
 
