@@ -11,11 +11,11 @@ import numpy as np
 
 from taut.arm.description import Arm
 from taut.base.errors import RangeError, UsageError
-from taut.base.types import Float64Array
+from taut.base.types import Array, Float64Array
 from taut.control.limiting import LIMIT_TERMS
 from taut.record.phases import PHASES
 from taut.record.run import Run
-from taut.study.diagnosis_case import Case
+from taut.study.diagnosis_case import MODEL_TERMS, Case
 from taut.study.diagnosis_chatter import chatter_findings
 from taut.study.diagnosis_finding import FAULTS, Finding, Number
 from taut.study.diagnosis_hybrid import surface_findings
@@ -24,7 +24,7 @@ from taut.study.diagnosis_load import load_findings
 from taut.study.diagnosis_model import model_of_run
 from taut.study.diagnosis_phases import SHORT, SHORT_TIME, Judged, of_phases
 from taut.study.diagnosis_sign import sign_findings
-from taut.study.diagnosis_swing import swing_findings
+from taut.study.diagnosis_swing import runaway_findings, swing_findings
 
 if TYPE_CHECKING:
     from taut.record.report_page import Page
@@ -32,8 +32,10 @@ if TYPE_CHECKING:
 __all__ = ["Diagnosis", "doctor"]
 
 START: Final = "jumps at start"  # which says nothing of the end
+EFFECTS: Final = frozenset({START, "saturates", "chatters"})  # of a loop that runs away
 FEWEST: Final = 16  # ticks that say anything
 COMMANDS: Final = {"velocity": "velocities", "position": "positions"}
+NONE: Final = 1e-9  # what is less is rounding
 WILD: Final = 1e3  # [rad/s | m/s] no arm is as fast
 BEYOND: Final = 10.0  # times the limits of an arm that has run away
 CALM: Final = 0.05  # [s] within the limits: what was beyond them before is over
@@ -173,7 +175,9 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
     problems = [] if run.outcome.ok else [f"it ended in a fault: {run.outcome}"]
     whole, gaps = _without_gaps(run)
     problems += gaps
-    sane = _sane(whole)
+    whole, unknown = _with_numbers(whole)
+    problems += unknown
+    sane, finite = _sane(whole)
     if len(sane) < len(whole):
         problems.append(f"it ran away: what came after {sane.t[-1]:.4g} s says nothing of the arm and was left out")
     if len(sane) < SHORT or len(sane) < SHORT_TIME * run.rate:
@@ -184,6 +188,9 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
     with np.errstate(over="ignore"):
         late = [] if gaps else list(period_findings(run.t, run.rate))
         told = of_phases(sane, lambda one: _judged(one, arm)) if PHASES in run.info else _judged(sane, arm)
+        if len(sane) < len(whole) and PHASES not in run.info and all(each.name in EFFECTS for each in told.found):
+            ran_away = tuple(runaway_findings(Case(run=finite, model=model_of_run(finite, arm)[0])))
+            told = dataclasses.replace(told, found=(*told.found, *ran_away))
         if PHASES not in run.info and all(finding.name == START for finding in told.found):
             problems += _not_at_rest(sane)
     return Diagnosis(
@@ -245,19 +252,40 @@ def _without_gaps(run: Run) -> tuple[Run, list[str]]:
     if not missing or run.outcome.tick + 1 - first < len(run) + missing:
         return run, []
     edges = np.concatenate([[0], np.flatnonzero(periods > 1.0) + 1, [len(run)]])
-    longest = int(np.argmax(np.diff(edges)))
-    start, end = int(edges[longest]), int(edges[longest + 1])
+    return _longest(run, np.column_stack([edges[:-1], edges[1:]]), f"gaps: {missing} ticks are missing")
+
+
+def _longest(run: Run, stretches: Array, what: str) -> tuple[Run, list[str]]:
+    """The longest of the stretches of a run, (k, 2) first tick and the one after the last, and what is wrong else."""
+    lengths = stretches[:, 1] - stretches[:, 0]
+    start, end = map(int, stretches[int(np.argmax(lengths))]) if len(lengths) else (0, 0)
     if end - start < FEWEST:
-        raise RangeError(
-            f"the run has gaps, {missing} ticks are missing, and no stretch of {FEWEST} without; record it anew",
-            name="run",
-        )
-    words = f"it has gaps: {missing} ticks are missing; judged from {run.t[start]:.4g} to {run.t[end - 1]:.4g} s"
+        raise RangeError(f"the run has {what}, and no stretch of {FEWEST} without; record it anew", name="run")
+    words = f"it has {what}; judged from {run.t[start]:.4g} to {run.t[end - 1]:.4g} s"
     return run.between(float(run.t[start]), float(run.t[end - 1])), [words]
 
 
-def _sane(run: Run) -> Run:
-    """The ticks before the loop ran away: what comes after is the simulation's, and says nothing of the arm.
+def _with_numbers(run: Run) -> tuple[Run, list[str]]:
+    """The longest stretch of a run in which all is a number, and what is none: a sensor that was unplugged.
+
+    A run that diverged ends without numbers, which is another matter.
+    """
+    if run.outcome.kind == "diverged":
+        return run, []
+    columns = {"q": run.q, "v": run.v, "torque": run.tau, "command": run.command, **run.terms}
+    if "F_ext" in run.extra:
+        columns["F_ext"] = run.extra["F_ext"]
+    known = {name: np.isfinite(value.reshape(len(run), -1)).all(axis=1) for name, value in columns.items()}
+    lost = [name for name, ticks in known.items() if not ticks.all()]
+    if not lost:
+        return run, []
+    good = np.all([known[name] for name in lost], axis=0)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(np.intp), [0]]))).reshape(-1, 2)
+    return _longest(run, edges, f"{int(np.sum(~good))} tick(s) without a number, in {', '.join(lost)}")
+
+
+def _sane(run: Run) -> tuple[Run, Run]:
+    """The ticks before the loop ran away, and those that are numbers: what comes after says nothing of the arm.
 
     It has where a command is no number or a joint is faster than any arm. Of a run with such an end, or that ended in
     a fault, what comes before it is left out too, as far as torque or speed are ten times the limit, with less than
@@ -276,8 +304,12 @@ def _sane(run: Run) -> Run:
         pauses = np.flatnonzero(np.diff(away) > calm)
         ends.append(int(away[pauses[-1] + 1 if pauses.size else 0]))
     if not ends:
-        return run
-    return run.between(float(run.t[0]), float(run.t[min(max(min(ends), FEWEST // 2), len(run)) - 1]))
+        return run, run
+    return _until(run, min(ends)), _until(run, int(wild[0])) if wild.size else run
+
+
+def _until(run: Run, tick: int) -> Run:
+    return run.between(float(run.t[0]), float(run.t[min(max(tick, FEWEST // 2), len(run)) - 1]))
 
 
 def _ordered(found: list[Finding]) -> tuple[Finding, ...]:
@@ -304,29 +336,40 @@ def _causes(one: Finding, other: Finding) -> bool:
         return other.term in LIMIT_TERMS
     if limited == ("oscillates", "saturates"):
         return one.term not in LIMIT_TERMS
+    if limited == ("saturates", "chatters"):
+        return not _cut_for_jitter(other, one)
+    if limited == ("chatters", "saturates"):
+        return _cut_for_jitter(one, other)
     return other.name in CAUSES.get(one.name, ())
+
+
+def _cut_for_jitter(chatter: Finding, cut: Finding) -> bool:
+    """Whether a limit cuts jitter: it takes no more than there is, and no model asks for it."""
+    return chatter.term not in MODEL_TERMS and cut.share <= chatter.share
 
 
 def _looked_at(case: Case) -> dict[str, Number]:
     """The figures of a run that the tests judged, each of the joint where it is largest."""
     run = case.run
+    of = "% of the effort" if case.limits_of_effort is not None else "% of the largest torque"
     out = {"ticks": Number(float(len(run)))}
     if case.error is not None:
         parts = np.abs(case.error) / case.tolerance
         out["peak error"] = Number(float(parts.max()), "times what counts")
         out["steady error"] = Number(float((np.abs(case.steady_error) / case.tolerance).max()), "times what counts")
     if case.of_torque:
-        out["torque"] = Number(100.0 * _largest(run.tau / case.size), "% of the effort")
-        out["first feedback"] = Number(100.0 * _largest(case.given[:1] / case.size), "% of the effort")
+        out["torque"] = Number(100.0 * _largest(run.tau / case.size), of)
+        out["first feedback"] = Number(100.0 * _largest(case.given[:1] / case.size), of)
         out["chatter"] = Number(float((run.metrics.chatter / case.size).max()), "efforts/s")
     out["cut"] = Number(100.0 * float((case.cut != 0.0).any(axis=1).mean()), "% of the ticks")
     out["longest period"] = Number(float(np.diff(run.t).max() * run.rate), "times the nominal")
     if case.of_task:
         out["least singular value"] = Number(float(run.task.least_singular_value.min()))
     if case.model is not None and case.of_torque and not case.in_contact:
-        out["torque beyond the model"] = Number(100.0 * _largest(case.model.residual / case.size), "% of the effort")
+        out["torque beyond the model"] = Number(100.0 * _largest(case.model.residual / case.size), of)
     return out
 
 
 def _largest(x: Float64Array) -> float:
-    return float(np.abs(x).max())
+    found = float(np.abs(x).max())
+    return found if found > NONE else 0.0

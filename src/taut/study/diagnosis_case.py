@@ -35,6 +35,7 @@ FAR: Final = 0.2  # of the longest motion asked for: more than the slow end of a
 WAY: Final = 1e-3  # [m] at the tool, below which an error is none
 TAIL: Final = 0.1  # of the run: what is called its end
 PINNED: Final = 1e-9  # of its largest: torques that are as large
+STAYS: Final = 3  # ticks at the largest torque: fewer may be a peak
 EFFORT_SHARE: Final = 1e-9  # of the largest torque: below it a joint has done nothing
 
 
@@ -158,6 +159,16 @@ class Case:
         return np.zeros((len(self.run), 1))
 
     @cached_property
+    def error_rate(self) -> Float64Array | None:
+        """(k, n) how fast the error of each joint changes, which damping answers; None where that is not known."""
+        if PARTS in self.run.info:
+            return None
+        wanted = getattr(self.run.reference.motion, "v", None)
+        if wanted is not None:
+            return np.asarray(wanted - self.run.v, dtype=np.float64)
+        return None if np.any(self.moving_reference) else -self.run.v
+
+    @cached_property
     def force_error(self) -> Float64Array | None:
         """(k, 6) error of the force that the arm applies, where one is asked for."""
         return force_error(self.run)
@@ -211,7 +222,7 @@ class Case:
             return np.zeros_like(self.run.q)
         tau, command = self.run.tau, self.run.command
         at = (np.abs(tau) >= (1.0 - PINNED) * np.max(np.abs(tau), axis=0)) & (np.abs(command) > 1.01 * np.abs(tau))
-        return np.where(at, tau - command, 0.0)
+        return np.where(at & (at.sum(axis=0) >= STAYS), tau - command, 0.0)
 
     @cached_property
     def limits_of_effort(self) -> Float64Array | None:

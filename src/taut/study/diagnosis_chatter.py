@@ -64,21 +64,21 @@ def chatter_findings(case: Case, swings: bool) -> Iterator[Finding]:
     cutoff = max(5.0, high * over ** (-2.0 / 3.0) / 4.0)
     remedy = {
         "D": f"low-pass the velocity, sensing=taut.Sensing(velocity=taut.Difference(cutoff={cutoff:.0f})), a finer "
-        f"encoder, or {over:.2g} times less kd",
+        f"encoder, or kd divided by {Number(over)}",
         "friction": "give friction by the reference, FrictionCompensation(at='ref'), or with a larger width",
-    }.get(term, f"low-pass what {term} is made of, or lower its gain {over:.2g} times")
+    }.get(term, f"low-pass what {term} is made of, or divide its gain by {Number(over)}")
     yield Finding(
         name="chatters",
         term=term,
         joint=joint,
-        share=float(np.sum((part / case.size) ** 2)) / case.effort,
+        share=min(1.0, float(np.sum((part / case.size) ** 2)) / case.effort),
         evidence={
             "total variation above the band": Number(float(jitter[i]), f"{unit}/s"),
             "of the rest": Number(float(smooth[i]), f"{unit}/s"),
             "band from": Number(low, "Hz"),
             "band to": Number(high, "Hz"),
         },
-        text=f"the torque of '{joint}' jitters by {jitter[i]:.3g} {unit} per second between {low:.0f} and "
+        text=f"the torque of '{joint}' jitters by {Number(float(jitter[i]))} {unit} per second between {low:.0f} and "
         f"{high:.0f} Hz",
         remedy=remedy,
         picture=Picture(

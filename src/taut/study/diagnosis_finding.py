@@ -114,12 +114,13 @@ class Finding:
         term: The term of the command that is responsible, as `run.terms` calls it; "delay" for what is between the
             command and the torque, "friction" and "transmission" for what is in the joint, "period" for the clock.
         joint: The joint where it is worst; None where it is about the whole arm.
-        share: 0 to 1, of the feedback's effort in the run: how much of it this explains.
+        share: 0 to 1, of the feedback's effort in the run, or of what `of` says: how much of it this explains.
         evidence: The numbers that it was found by.
         text: What was seen, in a sentence.
         remedy: What to do about it, in a sentence.
         follows: The name of the finding that this one follows from, where there is one.
         phase: Of a task, the phases in which it was found.
+        of: What the share is a part of.
     """
 
     name: str
@@ -132,6 +133,7 @@ class Finding:
     picture: Picture
     follows: str | None = None
     phase: str | None = None
+    of: str = "the feedback's effort"
 
     def plot(self) -> Figure:
         """The evidence, as a matplotlib Figure."""
@@ -157,6 +159,6 @@ class Finding:
         numbers = ", ".join(f"{name} {number}" for name, number in self.evidence.items())
         after = "" if self.follows is None else f"; it follows from '{self.follows}'"
         return (
-            f"{self.name}{where} (term {self.term}, {100.0 * self.share:.0f} % of the feedback's effort){after}\n"
+            f"{self.name}{where} (term {self.term}, {100.0 * self.share:.0f} % of {self.of}){after}\n"
             f"  {self.text}\n  {numbers}\n  remedy: {self.remedy}"
         )

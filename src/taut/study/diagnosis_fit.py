@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Any, Final
@@ -21,7 +22,10 @@ FLOOR: Final = 0.01  # of the largest gravity torque: what a model is not asked 
 REACH: Final = 0.25  # of the arm's length: how far from the tool a payload may have its centre
 KNOWN: Final = 0.02  # [m] standard error of a payload's centre, beyond which a run does not tell it
 INDEPENDENT: Final = 100.0  # ticks of a run, neighbours of which are much alike, count as so many
+HALF: Final = 0.5  # of what one mass leaves, that a second one has to explain
+FEWEST: Final = 16  # ticks of a part of a run
 SURE: Final = 3.0  # standard errors of what a payload has beyond the declared one
+TINY: Final = 1e-12  # [kg] a mass that is none
 WEAK: Final = 0.01  # of what is known of a centre before the run: it only holds what nothing else does
 FRICTION: Final = ("viscous", "coulomb")
 
@@ -42,6 +46,9 @@ class Fit:
     centre_error: Float64Array  # (3, 3) [m^2] its covariance
     viscous: Float64Array  # (n,)
     coulomb: Float64Array  # (n,)
+    told: float  # [kg] of the payload that the law was told
+    taken: float | None = None  # [s] from when on a payload is there, where it was not before
+    dropped: float | None = None  # [s] until when it is there, where it is not later
 
 
 def fit_of(model: ArmModel, size: Float64Array) -> Fit:
@@ -54,16 +61,60 @@ def fit_of(model: ArmModel, size: Float64Array) -> Fit:
     what lies under 1 % of the largest gravity torque counts as noise. A payload whose centre is further from the
     tool than a quarter of the arm is none: that is a wrong arm.
 
+    Where no load explains the whole run, one of a part of it is looked for, from the tick on, or up to it, that parts
+    the run best into two with a mass each; in the other one the torques are those of the model.
+
     Args:
         model: The model that the run's controller had.
         size: (n,) what the torques of each joint are weighed with.
     """
-    moving = np.abs(model.run.v[model.ticks]) > MOVING
-    if moving.any(axis=1).mean() >= ENOUGH:
+    count = len(model.ticks)
+    whole = _of_stretch(model, size, slice(0, count))
+    k, left = _change(model, size)
+    if k is None or (whole.holds and whole.kind in ("gravity", "payload") and left >= whole.left):
+        return whole
+    t = float(model.run.t[model.ticks[k]])
+    square = np.sum((model.residual / size) ** 2, axis=1)
+    for stretch, other in ((slice(k, count), slice(0, k)), (slice(0, k), slice(k, count))):
+        if float(square[other].mean()) > (1.0 - MOST) * float(square[stretch].mean()):
+            continue  # in one of its poses a heavier link is like a payload, but not now and then
+        part = _of_stretch(model, size, stretch)
+        sure = abs(part.mass - part.told) > SURE * part.mass_error
+        if part.kind == "payload" and part.holds and sure:
+            there = np.zeros((count, 1))
+            there[stretch] = 1.0
+            taken, dropped = (t, None) if stretch.start else (None, t)
+            return dataclasses.replace(part, load=there * part.load, taken=taken, dropped=dropped)
+    return whole
+
+
+def _of_stretch(model: ArmModel, size: Float64Array, stretch: slice) -> Fit:
+    """What explains the residual of some of the ticks."""
+    there = np.zeros((len(model.ticks), 1), dtype=bool)
+    there[stretch] = True
+    moving = (np.abs(model.run.v[model.ticks]) > MOVING) & there
+    if moving[stretch].any(axis=1).mean() >= ENOUGH:
         found = _fitted(model, size, moving, moving)  # what dry friction holds says nothing of a load
-        if found.kind != "payload" or abs(found.mass - float(model.payload[0])) > SURE * found.mass_error:
+        if found.kind != "payload" or abs(found.mass - found.told) > SURE * found.mass_error:
             return found
-    return _fitted(model, size, moving, np.ones_like(moving))
+    return _fitted(model, size, moving, np.broadcast_to(there, moving.shape))
+
+
+def _change(model: ArmModel, size: Float64Array) -> tuple[int | None, float]:
+    """Where a mass at the tool changes, two masses explaining most of what one does not, and what part they leave."""
+    column = (model.payload_columns @ _inertial(1.0, model.payload()[1])) / size
+    d = model.residual / size
+    a, b = np.cumsum(np.sum(column**2, axis=1)), np.cumsum(np.sum(column * d, axis=1))
+    fewest = max(FEWEST, round(ENOUGH * len(d)))
+    if len(d) < 2 * fewest or a[fewest - 1] <= 0.0 or a[-1] - a[-fewest] <= 0.0:
+        return None, 1.0
+    at = np.arange(fewest, len(d) - fewest)
+    explained = b[at - 1] ** 2 / a[at - 1] + (b[-1] - b[at - 1]) ** 2 / (a[-1] - a[at - 1])
+    k = int(np.argmax(explained))
+    whole, one = float(np.sum(d**2)), float(b[-1] ** 2 / a[-1])
+    if float(explained[k]) - one <= HALF * (whole - one) or whole <= 0.0:
+        return None, 1.0
+    return int(at[k]), 1.0 - float(explained[k]) / whole
 
 
 def _fitted(model: ArmModel, size: Float64Array, moving: Any, used: Any) -> Fit:
@@ -104,14 +155,20 @@ class _Problem:
     used: Any  # (k, n) the ticks and joints that are looked at
 
     @property
+    def told_payload(self) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """What the law was told, in the last of the ticks that are looked at."""
+        last = np.flatnonzero(self.used.any(axis=1))
+        return self.model.payload(int(self.model.ticks[last[-1]]) if len(last) else -1)
+
+    @property
     def told_mass(self) -> float:
         """[kg] that the law was told."""
-        return float(self.model.payload[0])
+        return float(self.told_payload[0])
 
     @property
     def told_centre(self) -> Float64Array:
         """(3,) [m]."""
-        return self.model.payload[1]
+        return self.told_payload[1]
 
     @property
     def d(self) -> Float64Array:
@@ -163,10 +220,10 @@ class _Problem:
         Q, R = np.linalg.qr(X)  # the same problem in as many rows as numbers
         d, count = Q.T @ self.d, X.shape[1] - 10
         start = _bounded(self.d, [X[:, :4], *rubbing], [-self.told_mass, *[-math.inf] * 3])
-        mass = self.told_mass + start[0]
-        centre = (self.told_mass * self.told_centre + start[1:4]) / mass if mass > 0.0 else self.told_centre
-        reach = REACH * self.model.length
-        centre = centre * min(1.0, reach / max(float(np.linalg.norm(centre)), 1e-12))
+        mass = max(self.told_mass + start[0], 0.0)  # rounding may leave it just below
+        moment = self.told_mass * self.told_centre + start[1:4]
+        far = float(np.linalg.norm(moment)) / (REACH * self.model.length)  # [kg] that has it within reach
+        centre = moment / max(mass, far) if max(mass, far) > TINY else self.told_centre
         hold = WEAK * self._prior_weight()
 
         def left(p: Float64Array) -> Float64Array:
@@ -175,7 +232,11 @@ class _Problem:
 
         low = np.concatenate([[0.0], np.full(3, -np.inf), np.zeros(count)])
         found = least_squares(
-            left, np.concatenate([[mass], centre, start[4:]]), bounds=(low, np.inf), x_scale="jac", xtol=1e-12
+            left,
+            np.maximum(np.concatenate([[mass], centre, start[4:]]), low),
+            bounds=(low, np.inf),
+            x_scale="jac",
+            xtol=1e-12,
         )
         return found.x[:4], found.x[4:]
 
@@ -250,6 +311,7 @@ class _Problem:
             centre_error=blur,
             viscous=found["viscous"],
             coulomb=found["coulomb"],
+            told=self.told_mass,
         )
 
 
@@ -268,12 +330,18 @@ def _by_centre(load: Float64Array) -> Float64Array:
 
 
 def _bounded(d: Float64Array, columns: list[Float64Array], low: list[float]) -> Float64Array:
-    """Least squares with lower bounds; what has none in `low` is friction, which does not drive."""
+    """Least squares with lower bounds; what has none in `low` is friction, which does not drive.
+
+    A number that the rows do not depend on, as the friction of a joint that never moved, is zero.
+    """
     if not columns:
         return np.zeros(0)
     X = np.concatenate(columns, axis=1)
     least = np.array([*low, *[0.0] * (X.shape[1] - len(low))])
     scale = np.linalg.norm(X, axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    Q, R = np.linalg.qr(X / scale)  # the same problem in as many rows as numbers
-    return np.asarray(lsq_linear(R, Q.T @ d, bounds=(least * scale, np.inf)).x / scale)
+    told, out = scale > 0.0, np.zeros(X.shape[1])
+    if told.any():
+        Q, R = np.linalg.qr(X[:, told] / scale[told])  # the same problem in as many rows as numbers
+        bounds = (least[told] * scale[told], np.inf)
+        out[told] = lsq_linear(R, Q.T @ d, bounds=bounds).x / scale[told]
+    return out

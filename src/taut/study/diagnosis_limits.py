@@ -20,6 +20,7 @@ GAINED: Final = 0.1  # of the largest feedback that the integral gained while th
 JUMP: Final = 0.25  # of the effort: 25 ms of the rate that Limits.of(arm, rate=True) allows
 OF_PEAK: Final = 0.5  # of the run's largest feedback that is there in the first tick
 AMPLIFIED: Final = 3.0  # times the feedback, near a singularity, of that elsewhere
+GIVES_UP: Final = ("singularity", "reach")  # terms of what a law does not ask for there
 LATE: Final = 1.5  # periods
 LATE_SHARE: Final = 0.01  # of the periods
 REMEDIES: Final = {
@@ -107,8 +108,8 @@ def _winds_up(case: Case) -> Finding | None:
     """An integral that grew into a limit, and then carried the joint beyond its target.
 
     While the command was cut the I term gained, in the direction of the cut, a tenth of the largest feedback or more;
-    when the error first changed sign it still held half of that gain; and the joint went on by more than what counts
-    as an error.
+    when an error that counts first changed sign it still held half of that gain; and the joint went on by more than
+    what counts as an error.
     """
     run = case.run
     if "I" not in run.terms or case.error is None:
@@ -118,23 +119,18 @@ def _winds_up(case: Case) -> Finding | None:
     best: tuple[float, int, float, float, int] | None = None
     for i in range(case.n):
         into = -np.sign(cut[1:, i])
-        gains = np.maximum(np.diff(integral[:, i]) * into, 0.0)
-        if not gains.any():
-            continue
-        first = int(np.flatnonzero(gains)[0])
-        way = float(into[first])
-        crossing = np.flatnonzero(case.error[first:, i] * way < 0.0)
-        if not crossing.size:
-            continue
-        at = first + int(crossing[0])
-        gained = float(np.sum(gains[:at]))
-        beyond = float(np.max(-way * case.error[at:, i]))
-        if gained < GAINED * float(np.abs(case.feedback[:, i]).max()) or beyond <= case.tolerance[i]:
-            continue
-        if way * integral[at, i] < 0.5 * gained:
-            continue
-        if best is None or gained / case.size[i] > best[0]:
-            best = gained / case.size[i], i, gained, beyond, at
+        away = [each for each in _swings(case.error[:, i]) if case.off[each[0] : each[1], i].any()]
+        for first, at, _ in away[:1]:  # later ones are those of a swing
+            way = float(np.sign(case.error[first, i]))
+            rises = np.diff(integral[first : at + 1, i]) * way
+            gained = float(np.sum(np.maximum(rises, 0.0) * (into[first:at] == way)))
+            beyond = float(np.max(-way * case.error[at:, i]))
+            if gained < GAINED * float(np.abs(case.feedback[:, i]).max()) or beyond <= case.tolerance[i]:
+                continue
+            if way * integral[at, i] < 0.5 * gained:
+                continue
+            if best is None or gained / case.size[i] > best[0]:
+                best = gained / case.size[i], i, gained, beyond, at
     if best is None:
         return None
     _, i, gained, beyond, at = best
@@ -166,6 +162,14 @@ def _winds_up(case: Case) -> Finding | None:
             marked=(cut[:, i] != 0.0).astype(np.float64),
         ),
     )
+
+
+def _swings(error: Float64Array) -> Iterator[tuple[int, int, int]]:
+    """Where an error of one sign begins, where it changes sign, and where that one ends."""
+    ticks = np.flatnonzero(error)
+    turns = ticks[1:][np.diff(np.sign(error[ticks])) != 0.0]
+    edges = [*(ticks[:1].tolist() if len(ticks) else []), *turns.tolist(), len(error)]
+    yield from zip(edges, edges[1:], edges[2:], strict=False)
 
 
 # -------------------------------------------------------------------- the start
@@ -233,7 +237,7 @@ def _loses_rank(case: Case) -> Finding | None:
     """A task that comes so near a singularity that the arm shows it.
 
     The smallest singular value of J falls under the border that the laws themselves use (`sizes_of`: 0.1, less for
-    an arm that reaches less than 0.9 m), and there the law gives something up (the term `singularity`), or feedback
+    an arm that reaches less than 0.9 m), and there the law gives something up (`singularity`, `reach`), or feedback
     is three times as large as elsewhere while the error counts, or a joint goes faster than its limit there alone.
     """
     run = case.run
@@ -245,7 +249,8 @@ def _loses_rank(case: Case) -> Finding | None:
     if not near.any():
         return None
     weighed = np.sum((case.feedback / case.size) ** 2, axis=1)
-    gives_up = run.terms["singularity"] if "singularity" in run.terms else np.zeros_like(run.q)
+    name = next((name for name in GIVES_UP if np.any(run.terms.get(name, 0.0))), "singularity")
+    gives_up = run.terms.get(name, np.zeros_like(run.q))
     # what the law leaves out must be something beside its feedback
     left_out = np.sum((gives_up / case.size) ** 2, axis=1)
     active = bool(np.any(left_out[near] > 0.01 * max(float(weighed.max()), np.finfo(np.float64).tiny)))
@@ -255,7 +260,7 @@ def _loses_rank(case: Case) -> Finding | None:
     if not (active or fast is not None or (louder and case.off[near].any())):
         return None
     if active:
-        term, more = "singularity", "; what the law leaves out there is its term 'singularity'"
+        term, more = name, f"; what the law leaves out there is its term '{name}'"
     else:
         term, more = ("feedforward" if fast is not None and "feedforward" in run.terms else "P"), ""
     speeds = {} if fast is None else {"joint speed there": Number(100.0 * fast[1], "% of its limit")}
@@ -317,6 +322,7 @@ def period_findings(t: Float64Array, rate: float) -> Iterator[Finding]:
         term="period",
         joint=None,
         share=float(late.mean()),
+        of="the periods",
         evidence={
             "late": Number(100.0 * float(late.mean()), "% of the periods"),
             "longest": Number(1e3 * float(periods.max()) / rate, "ms"),

@@ -19,6 +19,7 @@ __all__ = ["load_findings"]
 HALF: Final = 0.5  # of gravity: who gives more of it compensates it
 LEAST_LOAD: Final = 0.05  # of the largest gravity torque: a smaller payload is none
 NOTHING: Final = 0.01  # of the mass that is missing: what is left of it is none
+LEAST_SHARE: Final = 0.05  # of the feedback, that gravity which is given twice is
 LEAST_GRAVITY: Final = 0.01  # of the effort: arms with less have no gravity to speak of
 SLACK: Final = 1.5  # times the friction fitted in motion: static friction, and what the fit misses
 TORQUE_CHANGE: Final = 0.01  # of the effort: a free joint would have moved
@@ -91,9 +92,12 @@ def _picture(case: Case, load: Float64Array, i: int, name: str) -> Picture:
     return Picture(title=f"{case.run.joint_names[i]}", ylabel=f"[{unit}]", t=case.run.t, curves=curves)
 
 
-def _gravity_twice(case: Case, by_law: float, by_plant: float, g: Float64Array) -> Finding:
+def _gravity_twice(case: Case, by_law: float, by_plant: float, g: Float64Array) -> Finding | None:
+    """Feedback carries it; where friction would have to, there is none of it."""
     load = _at_ticks(case, -g)
     i = _worst(case, load)
+    if case.share_of(load) < LEAST_SHARE:
+        return None
     run = case.run
     term = "gravity" if "gravity" in run.terms else "nonlinear"
     return Finding(
@@ -144,10 +148,13 @@ def _payload(case: Case, fit: Fit) -> Finding:
     load, run = _at_ticks(case, fit.load), case.run
     i = _worst(case, load)
     assert case.model is not None
-    told = float(case.model.payload[0])
+    told = fit.told
     beyond = fit.mass - told
+    when = "" if fit.taken is None else f", from {fit.taken:.3g} s on"
+    when = when if fit.dropped is None else f", until {fit.dropped:.3g} s"
+    then = " then" if when else ""
     centre: dict[str, Number] = {}
-    call, more = f"arm.with_payload({fit.mass:.3g})", ""
+    call, more, and_centre = f"arm.with_payload({fit.mass:.3g})", "", ""
     if fit.mass <= NOTHING * abs(beyond):
         call = "arm.with_payload(0)"
     else:
@@ -158,6 +165,7 @@ def _payload(case: Case, fit: Fit) -> Finding:
         if np.linalg.norm(fit.centre) > 1e-3:
             call = f"arm.with_payload({fit.mass:.3g}, com={_vector(fit.centre, 3)})"
             call += ", com in m in the tool frame"
+            and_centre = " and ['model.payload.com']"
         more = "".join(_not_known(way) for way in ways[:, blur > KNOWN].T)
     return Finding(
         name="wrong payload",
@@ -171,8 +179,8 @@ def _payload(case: Case, fit: Fit) -> Finding:
             "of the residual explained": Number(100.0 * fit.explained, "%"),
             **centre,
         },
-        text=f"the torques are those of an arm with {beyond:+.3g} kg at its tool beyond what the law was told",
-        remedy=f"declare the payload: {call}, or ctrl.parameters['model.payload.mass']{more}",
+        text=f"the torques are those of an arm with {beyond:+.3g} kg at its tool beyond what the law was told{when}",
+        remedy=f"declare the payload{then}: {call}, or ctrl.parameters['model.payload.mass']{and_centre}{more}",
         picture=_picture(case, load, i, "payload that is not declared"),
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
@@ -31,6 +31,7 @@ __all__ = ["ENOUGH", "ArmModel", "model_of_run"]
 
 SAME: Final = 1e-9  # of kinematics: what counts as the same arm
 MOST_TICKS: Final = 600  # that a fit looks at, evenly spread
+PAYLOAD: Final = {"mass": slice(0, 1), "com": slice(1, 4), "inertia": slice(4, 10)}  # columns
 ENOUGH: Final = 0.05  # of the ticks: fewer in motion say nothing of friction
 LEAST_MOTION: Final = 32  # ticks in motion that say something of friction, however few they are
 
@@ -137,14 +138,24 @@ class ArmModel:
     arm: Arm
 
     @cached_property
-    def payload(self) -> tuple[Float64Array, Float64Array, Float64Array]:
+    def payloads(self) -> Float64Array:
+        """(k, 10) mass [kg], centre [m] and inertia [kg m^2] that the law was told, at every tick.
+
+        The log has what it was told at the start, and when that was changed.
+        """
+        out = np.zeros((len(self.run), 10))
+        sets: list[tuple[float, Mapping[str, Any]]] = [(-np.inf, self.run.info.get("parameters", {}))]
+        sets += [(float(event["t"]), event["set"]) for event in self.run.info.get("events", ())]
+        for t, values in sorted(sets, key=lambda pair: pair[0]):
+            for name, columns in PAYLOAD.items():
+                if f"model.payload.{name}" in values:
+                    out[self.run.t >= t - 0.5 / self.run.rate, columns] = values[f"model.payload.{name}"]
+        return out
+
+    def payload(self, tick: int = -1) -> tuple[Float64Array, Float64Array, Float64Array]:
         """Mass [kg], centre (3,) [m] and inertia (6,) [kg m^2] that the law was told."""
-        known = self.run.info.get("parameters", {})
-        sizes = {"mass": (), "com": (3,), "inertia": (6,)}
-        values = [
-            np.array(known.get(f"model.payload.{name}", np.zeros(s)), dtype=np.float64) for name, s in sizes.items()
-        ]
-        return values[0], values[1], values[2]
+        row = self.payloads[tick]
+        return np.array(row[0]), row[1:4].copy(), row[4:].copy()
 
     @cached_property
     def ticks(self) -> np.ndarray[Any, np.dtype[np.intp]]:
@@ -160,16 +171,15 @@ class ArmModel:
             spread = np.concatenate([spread, moving[few]])
         return np.unique(spread)
 
-    def _each(self, mass: Any, com: Any, inertia: Any, *, moving: bool) -> Float64Array:
+    def _each(self, payload: Float64Array, *, moving: bool) -> Float64Array:
+        """(ticks, n) torques with a payload (10,), or (ticks, 10) one at each tick."""
         torques = _native_torques(self.arm)
-        rest = np.zeros(self.run.n)
-        q = np.ascontiguousarray(self.run.q[self.ticks])
-        v = np.ascontiguousarray(self.run.v[self.ticks])
-        a = np.ascontiguousarray(self.acceleration)
-        mass, com, inertia = (np.array(x, dtype=np.float64) for x in (mass, com, inertia))
-        if moving:
-            return np.array([torques(q[k], v[k], a[k], mass, com, inertia) for k in range(len(q))])
-        return np.array([torques(each, rest, rest, mass, com, inertia) for each in q])
+        v, a = self.run.v[self.ticks], self.acceleration
+        if not moving:
+            v, a = np.zeros_like(v), np.zeros_like(a)
+        columns = np.broadcast_to(payload, (len(v), 10))
+        rows = zip(*(np.ascontiguousarray(x) for x in (self.run.q[self.ticks], v, a, columns)), strict=True)
+        return np.array([torques(q, v, a, np.array(p[0]), p[1:4], p[4:]) for q, v, a, p in rows])
 
     @cached_property
     def acceleration(self) -> Float64Array:
@@ -181,12 +191,12 @@ class ArmModel:
     @cached_property
     def gravity(self) -> Float64Array:
         """(ticks, n) g with the declared payload."""
-        return self._each(*self.payload, moving=False)
+        return self._each(self.payloads[self.ticks], moving=False)
 
     @cached_property
     def motion(self) -> Float64Array:
         """(ticks, n) M a + C v + g with the declared payload."""
-        return self._each(*self.payload, moving=True)
+        return self._each(self.payloads[self.ticks], moving=True)
 
     @cached_property
     def residual(self) -> Float64Array:
@@ -200,13 +210,13 @@ class ArmModel:
     @cached_property
     def payload_columns(self) -> Float64Array:
         """(ticks, n, 10) torque of a payload by what it is linear in: its mass, moment and inertia at the tool."""
-        none, far = np.zeros(6), np.eye(3)
-        empty = self._each(0.0, np.zeros(3), none, moving=True)
-        at = self._each(1.0, np.zeros(3), none, moving=True) - empty
-        turning = [self._each(0.0, np.zeros(3), unit, moving=True) - empty for unit in np.eye(6)]
+        unit = np.eye(10)
+        empty = self._each(np.zeros(10), moving=True)
+        at = self._each(unit[0], moving=True) - empty
+        turning = [self._each(unit[4 + i], moving=True) - empty for i in range(6)]
         moments = []
-        for i, axis in enumerate(far):
-            one = self._each(1.0, axis, none, moving=True) - empty - at
+        for i in range(3):
+            one = self._each(unit[0] + unit[1 + i], moving=True) - empty - at
             moments.append(one - sum(turning[j] for j in range(3) if j != i))
         return np.stack([at, *moments, *turning], axis=2)
 
@@ -227,7 +237,7 @@ class ArmModel:
 
     def mass_matrix(self, tick: int) -> Float64Array:
         """(n, n) M with the declared payload."""
-        return _native_mass(self.arm)(np.ascontiguousarray(self.run.q[tick]), *self.payload)
+        return _native_mass(self.arm)(np.ascontiguousarray(self.run.q[tick]), *self.payload(tick))
 
     def inertia_felt(self, tick: int) -> Float64Array:
         """(n,) what each joint's torque moves with the others free: 1 / (M^-1)_ii [kg m^2 | kg]."""

@@ -31,7 +31,13 @@ def page_of_diagnosis(told: Diagnosis) -> Page:
         for name, number in each.evidence.items()
     ]
     tables = (
-        Table(title="Findings, causes first", heads=heads, rows=rows, words=4, note="Of the feedback's effort."),
+        Table(
+            title="Findings, causes first",
+            heads=heads,
+            rows=rows,
+            words=4,
+            note="Of the feedback's effort; of runs that are late, of the periods.",
+        ),
         Table(title="Evidence", heads=("finding", "figure", "value"), rows=evidence, words=2),
         Table(
             title="What was looked at",

@@ -14,10 +14,17 @@ from taut.record.sticking import RESTING
 from taut.study.diagnosis_case import Case
 from taut.study.diagnosis_finding import Finding, Number, Picture
 from taut.study.diagnosis_line import line_of
-from taut.study.diagnosis_lines import RINGING, Swing, alternating_swing, strongest_swing, without_trend
+from taut.study.diagnosis_lines import (
+    RINGING,
+    Swing,
+    alternating_swing,
+    bolting_swing,
+    strongest_swing,
+    without_trend,
+)
 from taut.study.diagnosis_remedy import less_delay, less_integral, lower_gain, more_damping
 
-__all__ = ["swing_findings"]
+__all__ = ["runaway_findings", "swing_findings"]
 
 LOST: Final = 0.01  # of the work that is done on a swing, beyond which the torque takes it out
 TOO_MUCH: Final = 1.15  # times the dry friction that the motion showed
@@ -39,7 +46,8 @@ def swing_findings(case: Case) -> Iterator[Finding]:
     damping ratio is under 0.1 (more than six periods to 2 %) and above -0.3 (a joint that runs away), where it moves
     the joint by an error that counts or its torque by 2 % of the effort (of one that grows, at its end), and where it
     is faster than five times what the reference moves at; else a feedback that turns round in every tick and grows,
-    which runs away before a line can be fitted. It is fed
+    which runs away before a line can be fitted, or one
+    of four half waves and more, each larger than the last, at the end of the run. It is fed
     by the term that does positive work on it, sum tau_term dq over whole ticks, so that the hold counts:
 
     * stick-slip where the joint rests (|v| < 1e-4) for a tenth of the window, again and again between its jumps;
@@ -50,9 +58,17 @@ def swing_findings(case: Case) -> Iterator[Finding]:
     * else the loop's: the integral (I), the drives (delay), a limit (its term), or the gains against the rate (P, D);
       where no term feeds what lasts or dies out, damping is missing (D).
     """
-    if not case.of_torque:
-        return
-    found = strongest_swing(case) or alternating_swing(case)
+    if case.of_torque:
+        yield from _findings(case, strongest_swing(case) or alternating_swing(case) or bolting_swing(case))
+
+
+def runaway_findings(case: Case) -> Iterator[Finding]:
+    """The oscillation by which a loop ran away, of a run with what came when it was far beyond its limits."""
+    if case.of_torque:
+        yield from _findings(case, alternating_swing(case) or bolting_swing(case))
+
+
+def _findings(case: Case, found: Swing | None) -> Iterator[Finding]:
     if found is None:
         return
     run, i = case.run, found.joint
@@ -147,7 +163,10 @@ def _stick_slip(case: Case, found: Swing, rest: float) -> Finding:
         )
         return _limit_cycle(case, found, "stick-slip", "friction", share | more, text, remedy)
     text = "the joint sticks, the feedback grows until it breaks away, and it overshoots"
-    remedy = "add FrictionCompensation(at='ref') or a Dither; or lower ki, or stop the integral within the tolerance"
+    remedy = "add FrictionCompensation(at='ref') or a Dither"
+    remedy += (
+        "; or lower ki, or stop the integral within the tolerance" if _integrates(case, i) else ", or more damping"
+    )
     return _limit_cycle(case, found, "stick-slip", "I" if _integrates(case, i) else "friction", share, text, remedy)
 
 
