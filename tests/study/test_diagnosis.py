@@ -117,6 +117,7 @@ SCENARIOS = {  # of all others nothing is said
     ("panda_payload", "", "PID"): ("gravity not compensated", "P"),
     ("panda_payload", "", "PD + gravity"): ("wrong payload", "gravity"),
     ("panda_payload", "", "feedforward + PD"): ("wrong payload", "nonlinear"),
+    ("panda_geared", "direct, 2 kg", "feedforward + PID"): ("wrong payload", "nonlinear"),
     ("panda_payload", "", "computed torque"): ("wrong payload", "nonlinear"),
     ("so101_servo", "", "PD"): ("gravity not compensated", "P"),
     ("so101_servo", "", "PD + f meas"): ("gravity not compensated", "P"),
