@@ -166,7 +166,7 @@ def _payload(case: Case, fit: Fit) -> Finding:
             call = f"arm.with_payload({fit.mass:.3g}, com={_vector(fit.centre, 3)})"
             call += ", com in m in the tool frame"
             and_centre = " and ['model.payload.com']"
-        more = "".join(_not_known(way) for way in ways[:, blur > KNOWN].T)
+        more = _not_known(ways[:, blur > KNOWN].T)
     return Finding(
         name="wrong payload",
         term="gravity" if "gravity" in run.terms else "nonlinear",
@@ -189,13 +189,15 @@ def _vector(x: Float64Array, digits: int) -> str:
     return f"({', '.join(f'{value + 0.0:.{digits}f}' for value in np.round(x, digits))})"
 
 
-def _not_known(way: Float64Array) -> str:
-    """A direction of the tool frame in which the run does not tell where a payload's centre is."""
-    way = way * np.sign(way[np.argmax(np.abs(way))])
-    return f"; its centre along {_vector(way, 2)} of the tool frame is not known from this run: turn that to and fro"
-
-
-# -------------------------------------------------------------------- friction, and what else is constant
+def _not_known(ways: Float64Array) -> str:
+    """The directions of the tool frame (k, 3) in which the run does not tell where a payload's centre is."""
+    if len(ways) == 0:
+        return ""
+    named = " and ".join(_vector(way * np.sign(way[np.argmax(np.abs(way))]), 2) for way in ways)
+    return (
+        f"; its centre along {named} of the tool frame is not known from this run: motion that turns the tool "
+        "against its weight tells it"
+    )
 
 
 def _stiffness(case: Case, i: int) -> float:
