@@ -211,11 +211,14 @@ class Asked:
         ratio = float(value / omega)
         most, least = bandwidth_ratio(0.0), bandwidth_ratio(MOST_ZETA)
         if not least < ratio <= most:
+            rule = f"at most {most:.4g} omega_n = {most * float(omega):.4g} rad/s, which it is without damping"
+            if ratio <= least:
+                rule = (
+                    f"more than {least:.4g} omega_n = {least * float(omega):.4g} rad/s, which it is with zeta = "
+                    f"{MOST_ZETA:g}"
+                )
             raise RangeError(
-                f"bandwidth must be at most {most:.4g} omega_n = {most * float(omega):.4g} rad/s, which it is "
-                f"without damping; got {float(value):g} rad/s",
-                name="bandwidth",
-                value=float(value),
+                f"bandwidth must be {rule}; got {float(value):g} rad/s", name="bandwidth", value=float(value)
             )
         return float(brentq(lambda z: bandwidth_ratio(z) - ratio, 0.0, MOST_ZETA, xtol=1e-14)), omega
 

@@ -13,16 +13,18 @@ from scipy.linalg import eigh
 from taut.base.types import Float64Array
 from taut.control import laws
 from taut.control.law import Law
-from taut.maths.snapshot import Snapshot
+from taut.maths.snapshot import Snapshot, snapshot
 from taut.study.design_coupled import Coupled
 from taut.study.design_place import AtTool, at_tool
 from taut.study.error_dynamics import ErrorDynamics
 from taut.study.joint_gains import JointGains
 
-__all__ = ["Direction", "designed_part", "directions_of", "numbered"]
+__all__ = ["Direction", "designed_part", "directions_of", "fed_forward", "numbered", "weight_gradient"]
 
 FREE: Final = 1e-9  # of the largest stiffness over inertia: a motion that no spring draws back
 ALIKE: Final = 1e-9  # of stiffnesses over inertias
+NUDGE: Final = 1e-4  # [rad | m] of a difference of gravity torques
+ROUNDED: Final = 1e-9  # of the largest gravity torque: a smaller gradient is rounding
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,11 +80,32 @@ def directions_of(law: Law, x: Snapshot, b: Float64Array) -> tuple[Direction, ..
     None where there is no error that dies away: of laws of force, and of those that draw the arm nowhere.
     """
     part: Any = designed_part(law)
+    if fed_forward(law):
+        kp = _matrix(part.kp, x.n) + weight_gradient(x)
+        if np.linalg.eigvalsh(kp)[0] > 0.0:  # else it falls over, and is refused for it
+            part = dataclasses.replace(part, kp=kp)
     found = DIRECTIONS[type(part)](part, x, b)
     whole = COUPLED[type(part)](part, x, b) if found and type(part) in COUPLED else None
     if whole is None:
         return found
     return tuple(d if whole.apart(d.column) else dataclasses.replace(d, coupled=whole) for d in found)
+
+
+def fed_forward(law: Law) -> bool:
+    """Whether the weight is compensated where the reference is, so that its gradient draws at an error."""
+    beside = isinstance(law, laws.Sum) and any(isinstance(part, laws.FeedForward) for part in law.children().values())
+    return beside and isinstance(designed_part(law), laws.PID)
+
+
+def weight_gradient(x: Snapshot) -> Float64Array:
+    """(n, n) dg/dq [N m/rad], which adds to kp where the weight is compensated along the reference."""
+    q, columns = np.asarray(x.q), []
+    for nudge in NUDGE * np.eye(x.n):
+        up, down = (np.asarray(snapshot(x.arm, at).g) for at in (q + nudge, q - nudge))
+        columns.append((up - down) / (2.0 * NUDGE))
+    G = np.column_stack(columns)
+    G[np.abs(G) < ROUNDED * max(float(np.abs(x.g).max()), 1e-300)] = 0.0
+    return np.asarray(0.5 * (G + G.T))
 
 
 def _second(M: float, kp: float, kd: float, ki: float, b: float = 0.0) -> ErrorDynamics:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from scipy.linalg import eigh
 from scipy.optimize import root
 
 from taut.arm.description import Arm
@@ -19,7 +20,7 @@ from taut.control.limits import RATE_PER_EFFORT
 from taut.maths.snapshot import Snapshot, snapshot
 from taut.plant.rigid import RigidPlant
 from taut.study.design_coupled import Coupled
-from taut.study.design_directions import Direction
+from taut.study.design_directions import Direction, designed_part, fed_forward, weight_gradient
 from taut.study.design_motion import Motion
 from taut.study.design_trial import Bench, Numbers, Response
 from taut.study.impedance import check_impedance
@@ -39,6 +40,7 @@ ROUGH: Final = 20  # halvings of a border
 MOST_PERIODS: Final = 64  # of delay, of all joints together
 WEIGHTS: Final = (0.25, 0.5, 0.75, 1.0)  # shares of the weight, from which a sag is followed
 SAGGED: Final = 1e-10
+PULLED: Final = 0.2  # of kp: what the weight's gradient may add or take, a tenth of omega_n
 NONE: Final = 1e-9  # of a growth in a tick: rounding
 VISIBLE: Final = 5e-4  # likewise, which four digits show
 LASTING: Final = 1e-6  # [1/s] a pole that is slower is one that stays
@@ -439,6 +441,8 @@ def _laws(tried: Tried) -> list[Any]:
 def _weight(tried: Tried) -> Iterator[DesignLimit]:
     """How far a law without gravity compensation sags."""
     part: Any = tried.bench.law
+    if fed_forward(part):
+        yield from _gradient(tried)
     if not tried.bench.weightless or not isinstance(part, laws.PID):
         return
     g, arm = np.asarray(tried.x.g), tried.arm
@@ -458,6 +462,24 @@ def _weight(tried: Tried) -> Iterator[DesignLimit]:
             f"the weight of {g[i]:.3g} {_torque(arm.units[i])} at '{arm.joint_names[i]}' makes it sag by "
             f"{sag[i]:.3g} {arm.units[i]}"
             f"{' until the integral has it' if held else '; GravityPID, FeedForward() + PID or integral= help'}"
+        ),
+    )  # fmt: skip
+
+
+def _gradient(tried: Tried) -> Iterator[DesignLimit]:
+    """What the weight's gradient makes of kp, where FeedForward compensates the weight of the reference."""
+    part: Any = designed_part(tried.bench.law)
+    kp, G = np.asarray(part.kp.matrix(tried.x.n)), weight_gradient(tried.x)
+    if not G.any():
+        return
+    shares = 1.0 + eigh(G, 0.5 * (kp + kp.T), eigvals_only=True)
+    worst = float(shares[np.argmax(np.abs(shares - 1.0))])
+    yield DesignLimit(
+        name="weight", value=worst, limit=1.0, unit="of kp", ok=abs(worst - 1.0) <= PULLED,
+        sentence=(
+            f"FeedForward holds the weight where the reference is: off it dg/dq adds to kp, and makes {worst:.3g} "
+            "of it in one motion of the joints, with which the book reckons; GravityPID holds the weight where the "
+            "arm is"
         ),
     )  # fmt: skip
 
@@ -485,11 +507,15 @@ def _coupling(tried: Tried) -> Iterator[DesignLimit]:
     low, high = (pick(each.zeta for each in tried.designed) for pick in (min, max))
     if high - low < KEPT:
         return
+    mixed, way_out = "M couples", "coupled=True"
+    if isinstance(tried.bench.law, laws.Sum):  # which coupled=True does not take
+        way_out = "GravityPID with coupled=True"
+        mixed = "M and dg/dq couple" if fed_forward(tried.bench.law) else mixed
     yield DesignLimit(
         name="coupling", value=low, limit=high, unit="", ok=False,
         sentence=(
-            f"M couples the joints: their modes have zeta from {low:.3g} to {high:.3g} where each by itself has the "
-            "one that was asked for; coupled=True makes gains with which they are alike"
+            f"{mixed} the joints: their modes have zeta from {low:.3g} to {high:.3g} where each by itself has the "
+            f"one that was asked for; {way_out} makes gains with which they are alike"
         ),
     )  # fmt: skip
 

@@ -37,7 +37,8 @@ def plot(d: Design) -> Figure:
         left.plot(response.t, response.e, color=colour(i), linewidth=1.3, label=each.direction)
         t = np.linspace(0.0, response.t[-1], POINTS)
         designed = d.tried.directions[i].error(float(t[1]), POINTS - 1)
-        left.plot(t, designed, color=INK, linewidth=0.8, linestyle=DASHED)
+        label = "designed" if i == len(d.achieved[:MOST]) - 1 else None  # once, below the directions
+        left.plot(t, designed, color=INK, linewidth=0.8, linestyle=DASHED, label=label)
         share = 100.0 / d.arm.effort if limited else np.ones(d.arm.n)
         right.plot(response.t, size * np.abs(response.command * share).max(axis=1), color=colour(i), linewidth=1.3)
     left.axhline(0.0, color=INK, linewidth=0.6)

@@ -14,7 +14,7 @@ from taut.base.errors import RangeError
 from taut.base.types import Float64Array
 from taut.maths.snapshot import Snapshot
 from taut.study.design_asked import Asked, plain
-from taut.study.design_directions import Direction
+from taut.study.design_directions import Direction, designed_part, fed_forward, weight_gradient
 from taut.study.design_gains import Case, gains_for
 from taut.study.design_limits import DesignLimit, growth
 from taut.study.design_result import AtPose
@@ -31,6 +31,7 @@ SLOWER: Final = 1e-3  # of what is stable: slower is not searched for more dampi
 LEAST: Final = 0.5  # of a damping ratio that the book has: what a sampled loop must keep
 MOST: Final = 0.9  # what one that is named as possible keeps, where one can
 BARELY: Final = 0.55  # what it keeps where none can
+FASTER: Final = 2.0**10  # of what was asked: faster is not searched for one that does not fall over
 BELOW: Final = 0.99  # of a border: what is named as possible
 CLOSE: Final = 1e-3  # of a border
 NEAR: Final = 1e-2  # of one of damping, each trial of which is a simulation
@@ -70,9 +71,16 @@ class Refusals:
     def unstable(self, models: list[LinearLoop]) -> RangeError:
         """Some model is not stable."""
         radius = max(lin.radius for lin in models)
+        why, nearest = "", self._nearest
+        if self._falls():
+            why = (
+                ", for its kp is less than the weight's gradient dg/dq takes off it, which FeedForward compensates "
+                "along the reference only, at any rate"
+            )
+            nearest = self._upwards
         return RangeError(
-            f"{self._what} cannot be met: at {self._where} the sampled loop {growth(radius)} in a tick; "
-            f"{self._nearest()}",
+            f"{self._what} cannot be met: at {self._where} the sampled loop {growth(radius)} in a tick{why}; "
+            f"{nearest()}",
             name=self._name,
             value=radius,
             rule="stable",
@@ -126,6 +134,27 @@ class Refusals:
             if part is not None:
                 return f"the nearest that can has integral = {part * self.case.asked.integral:.4g}"
         return "no slower design can either; raise the rate, or ask for another damping"
+
+    def _falls(self) -> bool:
+        """Whether the arm falls over, as one above the horizontal does with too small a kp."""
+        law = self.bench.law
+        if not fed_forward(law):
+            return False
+        part: Any = designed_part(law)
+        return any(np.linalg.eigvalsh(part.kp.matrix(x.n) + weight_gradient(x))[0] <= 0.0 for x in self.case.at)
+
+    def _upwards(self) -> str:
+        """The slowest design that does not fall over."""
+        other = "GravityPID compensates the weight where the arm is"
+        low, high = 1.0, 2.0
+        while not self._keeps(BARELY, high):
+            low, high = high, 2.0 * high
+            if high > FASTER:
+                return f"no faster design of it can either; {other}"
+        while high / low > 1.0 + NEAR:
+            middle = math.sqrt(low * high)
+            low, high = (low, middle) if self._keeps(BARELY, middle) else (middle, high)
+        return f"the nearest that can has {self._slower(high / BELOW)}; {other}"
 
     def _can(self, factor: float, stable: float) -> str:
         kept = self._share(factor)

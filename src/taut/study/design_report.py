@@ -12,6 +12,7 @@ from taut.arm.catalogue import CATALOGUE
 from taut.record.report_page import Page, Picture, Table
 from taut.record.report_run import law_in_python
 from taut.record.table import number_text
+from taut.study.design_words import gains_of
 
 if TYPE_CHECKING:
     from taut.study.design import Design
@@ -58,7 +59,7 @@ def page_of_design(d: Design) -> Page:
 
 
 def _gains(d: Design) -> Table:
-    rows = [(f"law.{name}", _python(values)) for name, values in d.law.parameters().items()]
+    rows = [(f"law.{name}", _python(values)) for name, values in gains_of(d).items()]
     return Table(title="Gains, by path", heads=("parameter", "value"), rows=rows, words=2)
 
 

@@ -12,6 +12,7 @@ from taut.arm.description import Arm
 from taut.arm.friction import Friction
 from taut.base.pose import Pose
 from taut.base.types import ArrayLike, Float64Array
+from taut.control import laws
 from taut.control.filters import LowPass
 from taut.control.law import Law
 from taut.control.reference import Hold, JointMotion, Sample, as_reference
@@ -52,6 +53,7 @@ ROUNDING: Final = 1e-9  # of a pole: a smaller imaginary part is none
 PAIRED: Final = 1e-6  # of a pole: as near is its conjugate
 HELD: Final = 1e-9  # of the step: below it an error is rounding
 ENDS: Final = 0.9  # of a step's run: an error that is least after it falls all the time
+FAINT: Final = 1e-6  # of the largest singular value: below it a drive's own pole is not told from rounding
 SEEN: Final = 0.1  # [%] of overshoot that tells a damping ratio
 NOTHING: Final = np.zeros(6)
 REFERENCES: Final[dict[type[Sample], tuple[str, ...]]] = {JointMotion: ("ref.q",), TaskForce: ("ref.F_world",)}
@@ -122,11 +124,12 @@ class Response:
         integral: Whether the law integrates the error.
         second: Whether the rate of the error is a state.
         pushed: (k,) what is commanded along it.
-        late: How many commands are under way.
-        kept: How many numbers a filter of the velocity keeps, or the sensor of a force.
+        late: How many commands before a tick count in it: under way, or for what is measured a tick late.
+        kept: How many numbers a filter of the velocity keeps.
         order: Of the error dynamics that were designed.
         whole: Whether it was followed for as long as what was designed takes to settle.
         summed: (k,) the integral of the error, where it is known to be more than the sum over the ticks.
+        swings: Whether drives follow a swing of the law's own, of which the command of a tick is a state.
     """
 
     t: Float64Array
@@ -143,6 +146,7 @@ class Response:
     order: int
     whole: bool
     summed: Float64Array | None = None
+    swings: bool = False
 
     @property
     def numbers(self) -> Numbers:
@@ -169,16 +173,17 @@ class Response:
             states.append(self.e_dot * dt)
         if self.integral:
             states.append(np.concatenate([[0.0], np.cumsum(self.e)[:-1]]) if self.summed is None else self.summed)
-        lags = range(1, self.late + self.kept + 1)  # what a filter keeps shows in the commands before
-        states += [np.concatenate([np.zeros(lag), self.pushed[:-lag]]) for lag in lags]
-        X = np.column_stack(states)[self.kept :]
+        lags = range(0 if self.swings else 1, self.late + self.kept + 1)  # a filter shows in the commands before
+        states += [np.concatenate([np.zeros(lag), self.pushed[: len(self.pushed) - lag]]) for lag in lags]
+        unknown = self.late + 2 if self.swings else 0  # ticks, till the first command of the law has moved the arm
+        X = np.column_stack(states)[self.kept + unknown :]
         if lags:
             X = np.diff(X, axis=0)  # what is commanded in the end, against a weight or a spring, is no state
         live = int(np.flatnonzero(np.abs(self.e) > HELD)[-1]) + 1 if np.any(np.abs(self.e) > HELD) else len(X)
         X = X[: max(min(live, len(X)), len(states) + 3)]
         scale = np.abs(X).max(axis=0)
         X = X / np.where(scale > 0.0, scale, 1.0)
-        A, *_ = np.linalg.lstsq(X[:-1], X[1:], rcond=None)
+        A, *_ = np.linalg.lstsq(X[:-1], X[1:], rcond=FAINT if self.swings else None)
         if len(A) == 2 and not lags:
             return _pair(float(np.trace(A)), float(np.linalg.det(A)), dt)
         z = np.linalg.eigvals(A).astype(np.complex128)
@@ -236,7 +241,7 @@ class Bench:
         filtered = isinstance(velocity, (LowPass, Difference)) and velocity.cutoff is not None
         self._kept: int = velocity.order if filtered and not isinstance(velocity, str) else 0
         if self.law.reference is TaskForce:
-            self._kept += 1  # what is measured is a tick old
+            self._late += 1  # what is measured is a tick old
         self.ctrl: Controller = compile(self.law, arm, rate=rate, sensing=sensing)
         probe = self.ctrl.side.probe
         self.weightless = probe.kind == "torque" and "gravity" not in probe.used and bool(np.any(arm.gravity))
@@ -262,7 +267,8 @@ class Bench:
             substeps=self.motion.substeps,
         )
         if not isinstance(velocity, LowPass) and velocity != "measured" and not self.motion.one_step:
-            self._kept += 1  # the torque of the tick before, which bends the way that is differenced
+            self._late += 1  # the torque of the tick before, which bends the way that is differenced
+        self.swings = driven and isinstance(self.law, laws.Admittance)
         self.loop = Loop(self.ctrl, self.plant, duration=1.0)
         self.integral = any(
             np.any(value) for path, value in self.law.parameters().items() if path.rpartition(".")[2] in ("ki", "kfi")
@@ -347,9 +353,10 @@ class Bench:
     ) -> Response:
         return Response(
             t=t, e=1.0 - q @ d.row, e_dot=-(v @ d.row), q=q, v=v, command=command, integral=self.integral,
-            second=self.kind == "torque", pushed=command @ (d.column if self.kind == "torque" else d.row),
+            second=self.kind == "torque" or self.swings,
+            pushed=command @ (d.column if self.kind == "torque" else d.row),
             late=self._late, kept=self._kept, order=d.dynamics.order,
-            whole=_whole(d, t),
+            whole=_whole(d, t), swings=self.swings,
         )  # fmt: skip
 
     def _of_reference(self, lin: LinearLoop) -> tuple[Float64Array, Float64Array]:

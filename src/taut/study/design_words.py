@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from taut.study.design_contact import Pressed
+from taut.study.design_directions import designed_part
 from taut.study.design_result import Achieved
 from taut.study.design_stiffness import STATIC, Stiff
 from taut.study.design_trial import Numbers
@@ -18,7 +19,7 @@ from taut.study.design_trial import Numbers
 if TYPE_CHECKING:
     from taut.study.design import Design
 
-__all__ = ["as_json", "report"]
+__all__ = ["as_json", "gains_of", "report"]
 
 WIDTH: Final = 110
 COLUMNS: Final = {
@@ -31,6 +32,12 @@ BANDWIDTH: Final = {"bandwidth": "bandwidth [rad/s]"}
 GAINS: Final = ("kp", "kd", "ki", "K", "B", "D", "zeta", "kfp", "kfi", "kdamp")
 NOTHING: Final = 1e-6  # of a number that is shown: what rounding leaves of none
 MOST: Final = 6  # of the poses that are listed
+
+
+def gains_of(d: Design) -> dict[str, Any]:
+    """The gains, by path; those of free motion only where the task leaves any."""
+    free = d.arm.n > getattr(designed_part(d.law), "dimensions", 6)
+    return {name: x for name, x in d.law.parameters().items() if free or "null" not in name.split(".")}
 
 
 def report(d: Design) -> str:
@@ -159,7 +166,7 @@ def as_json(d: Design) -> dict[str, Any]:
         "arm": d.arm.name,
         "rate": d.rate,
         "asked": {name: np.asarray(value).tolist() for name, value in d.asked.items()},
-        "gains": {name: np.asarray(value).tolist() for name, value in d.law.parameters().items()},
+        "gains": {name: np.asarray(value).tolist() for name, value in gains_of(d).items()},
         "q": d.q.tolist(),
         "achieved": [_row(each) for each in d.achieved],
         "stiffness": [
