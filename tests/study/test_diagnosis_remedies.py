@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import taut
+from taut.study.diagnosis_line import line_of
 
 L = taut.laws
 RATE = 200.0
@@ -273,3 +274,53 @@ def test_a_step_late_in_a_run_is_no_oscillation_that_grows() -> None:
     events = [taut.Event(t=2.2, set={"plant.payload.mass": 1.66})]
     run = taut.run(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=arm.home), duration=3.0, events=events)
     assert "oscillates" not in [each.name for each in taut.doctor(run).findings]
+
+
+# -------------------------------------------------------------------- what does not follow, and what is none
+
+
+def test_friction_that_holds_a_joint_follows_from_no_payload_that_hardly_moves_it() -> None:
+    """Half a kilogram has next to no moment about the last wrist axis; each fault stands by what it explains."""
+    arm = taut.load_arm("ur5")
+    q = np.array([0.2, -1.2, 1.5, -1.0, 0.8, 0.3])
+    ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)
+    plant = taut.RigidPlant(arm.with_payload(0.5).with_friction(taut.Friction(coulomb=1.0, viscous=1.0)))
+    run = taut.run(ctrl, plant, taut.Quintic(q0=q, q1=q + 0.6, duration=1.0), duration=3.0, q0=q)
+    found = taut.doctor(run).findings
+    assert [(each.name, each.follows) for each in found] == [("sticks", None), ("wrong payload", None)]
+    assert found[0].share > 0.3 > found[1].share
+
+
+def test_gravity_is_told_of_a_joint_that_it_pulls_at() -> None:
+    """Joint 5 is farthest off, and held by friction; what gravity holds back are joints 2 and 4."""
+    arm = taut.load_arm("xarm7")
+    inertia = np.diag(np.asarray(taut.snapshot(arm, arm.home).M))
+    ctrl = taut.compile(taut.laws.PID(kp=400.0 * inertia, kd=40.0 * inertia), arm)
+    path = taut.Quintic(q0=arm.home, q1=np.add(arm.home, 0.3), duration=1.0)
+    run = taut.run(ctrl, taut.RigidPlant(arm), path, duration=3.0)
+    gravity, sticks = taut.doctor(run).findings
+    assert (gravity.name, sticks.name, sticks.follows) == ("gravity not compensated", "sticks", None)
+    assert gravity.joint in ("joint2", "joint4")
+    assert gravity.evidence["gravity torque"].value > 5.0
+
+
+def test_a_line_at_half_of_the_rate_is_as_large_as_it_shows() -> None:
+    """There sine and cosine are one at the ticks: what a fit makes of each is not what the joint does."""
+    k = np.arange(76)
+    line = line_of(0.003 * (-1.0) ** k * np.exp(-0.004 * k), 0.04)
+    assert line is not None
+    assert line.omega == pytest.approx(np.pi / 0.04, rel=1e-3)
+    assert line.amplitude == pytest.approx(0.003 * np.exp(-0.004 * 37.5), rel=0.02)
+    arm = taut.load_arm("z1")
+    ctrl = taut.compile(taut.laws.ComputedTorque(kp=400.0, kd=40.0), arm, rate=25.0)
+    path = taut.Quintic(q0=arm.home, q1=np.add(arm.home, 0.2), duration=1.0)
+    assert taut.doctor(taut.run(ctrl, taut.RigidPlant(arm, friction=None), path, duration=3.0)).healthy
+
+
+def test_a_run_that_diverges_at_once_is_refused_with_how_it_ended() -> None:
+    arm = taut.load_arm("kinova")
+    path = taut.Quintic(q0=arm.home, q1=np.add(arm.home, 0.3), duration=1.0)
+    ctrl = taut.compile(taut.laws.PID(kp=300.0, kd=30.0), arm)
+    run = taut.run(ctrl, taut.RigidPlant(arm, friction=None), path, duration=3.0)
+    with pytest.raises(taut.RangeError, match=r"why it ended in a fault; got \d+: the simulation diverged at t = "):
+        taut.doctor(run)

@@ -103,7 +103,7 @@ class Diagnosis:
         lines = [f"not a whole run: {problem}" for problem in self.problems]
         lines += [f"{i}. {finding}" for i, finding in enumerate(self.findings, start=1)]
         if not self.findings:
-            lines.append("nothing found")
+            lines.append("no cause found in what was judged" if self.problems else "nothing found")
         lines += [f"not looked for: {note}" for note in self.notes]
         lines.append("looked at: " + ", ".join(f"{name} {number}" for name, number in self.looked_at.items()))
         lines.append(f"model: {self.model}")
@@ -166,6 +166,13 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
     """
     if not isinstance(run, Run):
         raise UsageError(f"doctor takes a Run from taut.run or taut.load_run; got {type(run).__name__}", name="run")
+    if len(run) < FEWEST and not run.outcome.ok:
+        raise RangeError(
+            f"a run of {FEWEST} ticks at least is needed to say why it ended in a fault; got {len(run)}: "
+            f"{run.outcome.message}",
+            name="run",
+            value=len(run),
+        )
     if len(run) < FEWEST:
         raise RangeError(
             f"a run of {FEWEST} ticks at least is needed to say anything; got {len(run)}; record it for longer",
@@ -317,7 +324,9 @@ def _ordered(found: list[Finding]) -> tuple[Finding, ...]:
     by_share = sorted(found, key=lambda finding: -finding.share)
     out, follow = [], []
     for finding in by_share:
-        cause = next((other.name for other in by_share if _causes(other, finding)), None)
+        cause = next(
+            (other.name for other in by_share if _causes(other, finding) and other.name not in finding.apart), None
+        )
         if cause is None:
             out.append(finding)
         else:

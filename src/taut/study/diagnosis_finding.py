@@ -121,6 +121,7 @@ class Finding:
         follows: The name of the finding that this one follows from, where there is one.
         phase: Of a task, the phases in which it was found.
         of: What the share is a part of.
+        apart: The names of findings that it does not follow from, though such a one may.
     """
 
     name: str
@@ -134,6 +135,7 @@ class Finding:
     follows: str | None = None
     phase: str | None = None
     of: str = "the feedback's effort"
+    apart: frozenset[str] = frozenset()
 
     def plot(self) -> Figure:
         """The evidence, as a matplotlib Figure."""

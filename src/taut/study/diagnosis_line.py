@@ -82,10 +82,13 @@ def line_of(y: Float64Array, dt: float, above: float = 0.0) -> Line | None:
     scale = math.sqrt(power)
     found = least_squares(lambda p: left(p) / scale, [0.0, 0.0], bounds=([-40.0, -2.0], [40.0, 2.0]), max_nfev=40)
     values = np.linalg.lstsq(basis(found.x), y, rcond=None)[0]
+    # At half of the rate sine and cosine are one at the ticks, and their numbers may be anything.
+    shown = float(np.abs(basis(found.x)[:, :2] @ values[:2] * np.exp(-found.x[0] * x)).max())
+    amplitude = min(math.hypot(values[0], values[1]), shown)
     return Line(
         omega=start + float(found.x[1]) * width,
         growth=float(found.x[0]) / half,
-        amplitude=float(math.hypot(values[0], values[1])),
-        last=float(math.hypot(values[0], values[1]) * math.exp(found.x[0])),
+        amplitude=amplitude,
+        last=amplitude * math.exp(found.x[0]),
         share=1.0 - float(np.sum(left(found.x) ** 2)) / power,
     )

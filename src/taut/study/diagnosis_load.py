@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from typing import Final
 
@@ -36,9 +37,24 @@ def load_findings(case: Case) -> Iterator[Finding]:
     of_load = None if fit is None else _load(case, fit)
     if of_load is not None:
         yield of_load
-    for finding in (_sticks(case, fit), None if of_load is not None else _sags(case, fit)):
-        if finding is not None:
-            yield finding
+    sticks = _sticks(case, fit)
+    if sticks is not None:
+        if of_load is not None and not _carries(case, of_load.name)[case.run.joint_names.index(str(sticks.joint))]:
+            sticks = dataclasses.replace(sticks, apart=frozenset({of_load.name}))
+        yield sticks
+    sags = None if of_load is not None else _sags(case, fit)
+    if sags is not None:
+        yield sags
+
+
+def _carries(case: Case, name: str) -> Array:
+    """(n,) whether a load that was found is half and more of what a joint's feedback holds at the end of the run."""
+    assert case.model is not None
+    assert case.fit is not None
+    load = case.model.gravity if name == "gravity not compensated" else case.fit.load
+    end = tail(case.run)
+    held = np.abs(case.feedback[end].mean(axis=0))
+    return np.asarray(np.abs(_at_ticks(case, load)[end].mean(axis=0)) >= HALF * held)
 
 
 # -------------------------------------------------------------------- gravity and payload
@@ -126,7 +142,8 @@ def _no_gravity(case: Case, by_law: float, g: Float64Array) -> Finding | None:
     left = np.where(case.settled > 0.0, np.abs(case.steady_error), rms)
     if not (left > case.tolerance).any():
         return None
-    i = int(np.argmax(left / case.tolerance))
+    bad = (left > case.tolerance) & _carries(case, "gravity not compensated")  # dry friction may hold the others
+    i = int(np.argmax(left / case.tolerance * (bad if bad.any() else 1.0)))
     run = case.run
     return Finding(
         name="gravity not compensated",

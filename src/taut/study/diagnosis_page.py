@@ -45,7 +45,7 @@ def page_of_diagnosis(told: Diagnosis) -> Page:
             rows=[(name, str(number)) for name, number in told.looked_at.items()],
         ),
     )
-    first = ", ".join(each.name for each in told.findings) or "nothing found"
+    first = ", ".join(each.name for each in told.findings) or ("no cause found" if told.problems else "nothing found")
     return Page(
         title=f"Diagnosis: {first}",
         summary=tuple(f"Not looked for: {note}." for note in told.notes),
