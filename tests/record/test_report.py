@@ -113,6 +113,16 @@ def test_the_lines_of_a_report_make_the_same_run_again(
     np.testing.assert_array_equal(again.command, run.command)
 
 
+def require_the_same_again(made: taut.Run) -> None:
+    """Its page's lines, run in a folder with its log, make the same run."""
+    made.save("run.mcap")
+    known: dict[str, object] = {}
+    exec(page_of(made).repeat, known)
+    again = known["run"]
+    assert isinstance(again, taut.Run)
+    np.testing.assert_array_equal(again.q, made.q)
+
+
 @pytest.mark.parametrize("friction", [None, taut.Friction(viscous=[0.3, 0.2], coulomb=0.4, static=0.6)])
 def test_the_lines_of_a_report_have_the_friction_of_the_plant(
     friction: taut.Friction | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -129,12 +139,7 @@ def test_the_lines_of_a_report_have_the_friction_of_the_plant(
     ref = taut.Quintic(q0=arm.home, q1=arm.home + 0.2, duration=0.2)
     made = taut.run(ctrl, plant, ref, duration=0.25)
     monkeypatch.chdir(tmp_path)
-    made.save("run.mcap")
-    known: dict[str, object] = {}
-    exec(page_of(made).repeat, known)
-    again = known["run"]
-    assert isinstance(again, taut.Run)
-    np.testing.assert_array_equal(again.q, made.q)
+    require_the_same_again(made)
 
 
 def test_the_lines_of_a_report_make_a_task_law_of_six_joints(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -144,12 +149,7 @@ def test_the_lines_of_a_report_make_a_task_law_of_six_joints(tmp_path: Path, mon
         taut.compile(taut.laws.TaskComputedTorque(kp=100.0, kd=20.0), arm), taut.RigidPlant(arm), duration=0.02
     )
     monkeypatch.chdir(tmp_path)
-    made.save("run.mcap")
-    known: dict[str, object] = {}
-    exec(page_of(made).repeat, known)
-    again = known["run"]
-    assert isinstance(again, taut.Run)
-    np.testing.assert_array_equal(again.q, made.q)
+    require_the_same_again(made)
 
 
 def test_the_lines_of_a_report_say_what_they_leave_to_the_reader() -> None:
