@@ -324,3 +324,18 @@ def test_a_run_that_diverges_at_once_is_refused_with_how_it_ended() -> None:
     run = taut.run(ctrl, taut.RigidPlant(arm, friction=None), path, duration=3.0)
     with pytest.raises(taut.RangeError, match=r"why it ended in a fault; got \d+: the simulation diverged at t = "):
         taut.doctor(run)
+
+
+def test_what_sticks_at_a_constant_target_is_not_advised_by_the_sign_of_the_reference() -> None:
+    """FrictionCompensation(at='ref') gives nothing where the reference never moves."""
+    arm = taut.load_arm("planar2")
+    plant = taut.RigidPlant(arm.with_friction(taut.Friction(coulomb=1.0)))
+    ctrl = taut.compile(taut.laws.GravityPID(kp=40.0, kd=12.0), arm)
+    target = np.add(arm.home, 0.3)
+    still = taut.run(ctrl, plant, taut.JointMotion(q=target), duration=3.0)
+    moved = taut.run(ctrl, plant, taut.Quintic(q0=arm.home, q1=target, duration=1.0), duration=3.0)
+    remedies = [
+        next(each.remedy for each in taut.doctor(run).findings if each.name == "sticks") for run in (still, moved)
+    ]
+    assert remedies[0].startswith("add an integral, RaisedGains or a Dither; kp alone would leave up to ")
+    assert remedies[1].startswith("add FrictionCompensation(at='ref') with ")

@@ -246,6 +246,8 @@ def _sticks(case: Case, fit: Fit | None) -> Finding | None:
     known = fit is not None and fit.coulomb[i] > 0.0
     dry = float(fit.coulomb[i]) if fit is not None and known else most
     integral = "" if np.any(run.terms.get("I", np.zeros_like(run.q))[:, i]) else "an integral, "
+    moves = bool(np.any(case.moving_reference))  # where a reference never does, its sign is nothing to go by
+    by_reference = f"FrictionCompensation(at='ref') with {dry:.3g} {unit} of Coulomb friction, " if moves else ""
     return Finding(
         name="sticks",
         term="friction",
@@ -258,8 +260,8 @@ def _sticks(case: Case, fit: Fit | None) -> Finding | None:
             **({"dry friction fitted": Number(dry, unit)} if known else {}),
         },
         text=f"'{joint}' rests off its target while the feedback pushes it: dry friction holds it",
-        remedy=f"add FrictionCompensation(at='ref') with {dry:.3g} {unit} of Coulomb friction, {integral}or "
-        f"RaisedGains; kp alone would leave up to {dry:.3g} {unit} / kp",
+        remedy=f"add {by_reference}{integral}RaisedGains or a Dither; kp alone would leave up to {dry:.3g} "
+        f"{unit} / kp",
         picture=Picture(
             title=f"{joint}: error, and feedback in parts of its largest (shaded: at rest)",
             ylabel="[1]",
