@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from taut.base.errors import RangeError as RangeError
     from taut.base.errors import ScenarioError as ScenarioError
     from taut.base.errors import ShapeError as ShapeError
+    from taut.base.errors import StabilityWarning as StabilityWarning
     from taut.base.errors import TautError as TautError
     from taut.base.errors import TraceError as TraceError
     from taut.base.errors import UnknownNameError as UnknownNameError
@@ -211,6 +212,7 @@ _HOME: Final = {
         "RangeError",
         "ScenarioError",
         "ShapeError",
+        "StabilityWarning",
         "TautError",
         "TraceError",
         "UnknownNameError",

@@ -26,6 +26,7 @@ __all__ = [
     "RangeError",
     "ScenarioError",
     "ShapeError",
+    "StabilityWarning",
     "TautError",
     "TraceError",
     "UnknownNameError",
@@ -104,6 +105,10 @@ class ScenarioError(TautError, ValueError):
 
 class NumericalError(TautError, ArithmeticError):
     """A tick did not give finite numbers."""
+
+
+class StabilityWarning(RuntimeWarning):
+    """A simulation begins with a loop that is unstable at its start pose."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,15 +9,18 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from taut.arm.description import Arm
 from taut.base.errors import NumericalError, RangeError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
+from taut.codegen.coordinates import BlockCoordinates
 from taut.codegen.layout import Block
 from taut.codegen.loop import FloatLoop, NativeLoop
 from taut.control.feed import ReferenceFeed, plain_snapshot
 from taut.control.limiting import take_up
 from taut.control.phase_feed import PhaseFeed
 from taut.control.phases import Phases
+from taut.control.reference import Hold
 from taut.loop import DT, Loop
 from taut.maths.snapshot import Snapshot
 from taut.plant.swing import check_swing
@@ -25,13 +28,70 @@ from taut.record.outcome import Outcome
 from taut.runtime.events import Event
 from taut.runtime.tape import RowLog, Tape
 
-__all__ = ["FusedRun"]
+__all__ = ["FusedRun", "Period"]
 
 BLOCK: Final = 4096  # ticks between two visits of Python
 TASK_BLOCK: Final = 256  # the same for a task, in which a block may have to be taken back
 
 # A loop keeps its code, so that it is traced once however often it runs.
 _COMPILED: Final[WeakKeyDictionary[Loop, NativeLoop | FloatLoop]] = WeakKeyDictionary()
+
+
+class Period:
+    """One control period of a loop as a function of its memory, the reference and the clock held, without noise.
+
+    Args:
+        run: The compiled loop.
+        inputs: (1, i) the inputs of the period.
+        parameters: Block of the parameters.
+        numbers: (p,) their values.
+        memory: Block of the memory.
+        start: (m,) the memory at the start.
+        arm: The true arm.
+        dt: Control period [s].
+    """
+
+    def __init__(
+        self,
+        run: NativeLoop | FloatLoop,
+        inputs: Float64Array,
+        parameters: Block,
+        numbers: Float64Array,
+        memory: Block,
+        start: Float64Array,
+        arm: Arm,
+        dt: float,
+    ) -> None:
+        self._run, self._inputs, self._block, self._numbers = run, inputs, parameters, numbers
+        self.coordinates = BlockCoordinates(memory)
+        self.values = {path: np.array(value) for path, value in parameters.views(numbers).items()}
+        self.start, self.arm, self.dt = start, arm, dt
+
+    def numbers(self, memory: Float64Array) -> Float64Array:
+        """(N,) the numbers of a memory in its coordinates."""
+        return self.coordinates.read(memory, memory[np.newaxis])[0]
+
+    def command(self, memory: Float64Array) -> Float64Array:
+        """(n,) what the law commands in the period."""
+        row = np.zeros((1, self._run.outputs.size))
+        self._run.run(self._inputs, self._numbers, memory.copy(), row)
+        return self._run.outputs.views(row[0])["command"]
+
+    def after(self, changed: Mapping[str, Any]) -> Callable[[Float64Array], Float64Array]:
+        """The map from the memory before the period to that after it, with some parameters changed by path.
+
+        Where the memory after it is not finite, it is NaN.
+        """
+        numbers, row = self._numbers.copy(), np.zeros((1, self._run.outputs.size))
+        for path, value in changed.items():
+            self._block.views(numbers)[path][...] = value
+
+        def map_(memory: Float64Array) -> Float64Array:
+            new = np.array(memory)
+            done = self._run.run(self._inputs, numbers, new, row)
+            return new if done else np.full_like(new, np.nan)
+
+        return map_
 
 
 class FusedRun:
@@ -55,7 +115,7 @@ class FusedRun:
         events: Iterable[tuple[int, Event]],
         info: dict[str, Any],
     ) -> None:
-        self._loop = loop
+        self._loop, self._q = loop, q
         side = loop.side
         self._events: dict[int, dict[str, Float64Array]] = {}
         values = dict(loop.parameters)
@@ -88,6 +148,20 @@ class FusedRun:
         self._run = self._compiled(memory, first[0])
         self.tape = Tape(side, loop.plant, loop.ticks, self._inputs, self._run.outputs, info)
         self.tape.input_rows[0] = first[0]
+
+    def period(self) -> Period:
+        """A control period of the loop, its reference held where the run starts, at rest."""
+        side, q = self._loop.side, self._q
+        row = np.zeros((1, self._inputs.size))
+        views = self._inputs.views(row)
+        at_rest = side.at_rest(q)
+        feed = ReferenceFeed(Hold(), side.law.reference, side.arm, self._loop.dt, at_rest)
+        feed.fill(subtree(views, "ref"), 0, lambda: None)
+        memory = self._loop.start(q, np.zeros_like(q), self._inputs.views(row[0]), self._parameters.views(self._values))
+        return Period(
+            self._run, row, self._parameters, self._values, self._memory, self._memory.pack(memory),
+            self._loop.plant.arm, self._loop.dt,
+        )  # fmt: skip
 
     def _started(self, q: Float64Array, v: Float64Array, first: Float64Array) -> dict[str, Any]:
         """Memory in the first tick, whose reference and noise (1, ...) are filled in here, before there is a tape."""

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from taut.base.types import ArrayLike, Float64Array
 from taut.loop import AnyPlant
 
-__all__ = ["HostPlant"]
+__all__ = ["HostPlant", "RealArm"]
 
 
 class HostPlant(AnyPlant, Protocol):
@@ -49,4 +49,14 @@ class HostPlant(AnyPlant, Protocol):
 
     def extra(self) -> dict[str, Any]:
         """Further columns of the record, by name; the same names in every tick."""
+        ...
+
+
+@runtime_checkable
+class RealArm(Protocol):
+    """A host plant that may be a real arm: then a run with an unstable loop is refused, not begun with a warning."""
+
+    @property
+    def real(self) -> bool:
+        """Whether commands move a real arm."""
         ...

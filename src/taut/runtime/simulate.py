@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterable, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from taut.base.checks import positive_scalar
-from taut.base.errors import RangeError, UsageError
+from taut.base.errors import RangeError, StabilityWarning, UsageError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike
 from taut.control.phase import Phase
@@ -23,8 +24,9 @@ from taut.record.run import Run
 from taut.runtime.around_info import around_info
 from taut.runtime.events import Event, sorted_events
 from taut.runtime.fused import FusedRun
-from taut.runtime.host import HostPlant
+from taut.runtime.host import HostPlant, RealArm
 from taut.runtime.hosted import HostedRun
+from taut.runtime.judgement import Judgement, judged
 from taut.runtime.tool_info import tool_info
 
 __all__ = ["run"]
@@ -118,6 +120,14 @@ def run(
         both = {**ctrl.parameters, **target.parameters}
         info["parameters"] = {path: value.tolist() for path, value in both.items()}
         going = HostedRun(ctrl, target, reference, ticks, q, v, due, info)
+    verdict = judged(ctrl, target, q, going if isinstance(going, FusedRun) else None)
+    info["stability"] = {"stable": None, "message": verdict} if isinstance(verdict, str) else verdict.json()
+    unstable = verdict.message if isinstance(verdict, Judgement) and verdict.unstable else None
+    if unstable is not None:
+        if isinstance(target, RealArm) and target.real:
+            raise RangeError(f"{unstable} (plant '{target.name}' is a real arm: nothing was sent)", name="law")
+        warnings.warn(unstable, StabilityWarning, stacklevel=2)
+        going.tape.unstable = unstable
     return _recorded(going, log, progress)
 
 
@@ -145,11 +155,11 @@ def _recorded(going: FusedRun | HostedRun, log: str | os.PathLike[str] | None, p
     with Progress(len(tape.inputs["t"]), progress) as bar:
         if log is None:
             kept, outcome = going.go(bar.advance, None)
-            outcome = tape.with_phases(outcome)
+            outcome = tape.explained(outcome)
         else:
             with open_log(log) as file:
                 kept, outcome = going.go(bar.advance, file)
-                outcome = tape.with_phases(outcome)
+                outcome = tape.explained(outcome)
                 file.finish(outcome)
     return tape.piece(0, kept, outcome)
 

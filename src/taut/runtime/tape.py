@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any, Final, Protocol
 
@@ -79,6 +80,7 @@ class Tape:
         self.inputs["t"][...] = np.arange(ticks) * side.dt
         self.info = info
         self._phases = side.law.names if isinstance(side.law, Phases) else ()
+        self.unstable = ""  # why the loop is, where the run starts
 
     def reference(self, first: int, end: int) -> dict[str, Float64Array]:
         """The reference's columns for some ticks, to be filled."""
@@ -133,8 +135,10 @@ class Tape:
         message += self._remarks(ticks) + self.out_of_reach(ticks)
         return Outcome(kind="completed", message=message, tick=ticks - 1)
 
-    def with_phases(self, outcome: Outcome) -> Outcome:
-        """The outcome with how the phases of a task ended, where the law is one."""
+    def explained(self, outcome: Outcome) -> Outcome:
+        """The outcome with how the phases of a task ended, and why the loop is unstable where it is."""
+        if self.unstable:
+            outcome = dataclasses.replace(outcome, message=f"{outcome.message}; {self.unstable}")
         if not self._phases or outcome.tick < 0:
             return outcome
         rows = slice(outcome.tick + 1)

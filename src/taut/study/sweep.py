@@ -15,7 +15,7 @@ from taut.plant.disturbance import WRENCH
 from taut.study.frequency import Complex
 from taut.study.linear_loop import LinearLoop
 from taut.study.linearise import WITHIN, rest_of
-from taut.study.loop_map import loop_map, small_turns
+from taut.study.loop_map import loop_map
 
 __all__ = ["swept"]
 

@@ -205,7 +205,7 @@ class MujocoPlant:
         self._name = f"MujocoPlant({arm.name})"
         numbers = PlantNumbers(arm=arm, drivetrain=train, actuation=drives, sensors=seen, environment=environment)
         self._settings: Settings | None = Settings(rig, numbers)
-        self._actuation, self._sensors = drives, seen
+        self._friction, self._actuation, self._sensors = friction, drives, seen
         self._stage = None
         if drives.acts or train.compliant or train.lossy or (left is not None and (left.falls or left.loaded)):
             self._stage = JointStage(rig, drives, train, what, self._takes)
@@ -263,7 +263,7 @@ class MujocoPlant:
         plant._settings = None
         plant._compensation = None
         plant._stage = plant._touching = plant._normals = None
-        plant._actuation, plant._sensors = Actuation(), Sensors()
+        plant._friction, plant._actuation, plant._sensors = "arm", Actuation(), Sensors()
         plant._take(rig, drives)
         plant._view = SceneView(rig, tool=False)
         return plant
@@ -311,6 +311,16 @@ class MujocoPlant:
     def data(self) -> mujoco.MjData:
         """MuJoCo's state, and what it computed last."""
         return self._rig.data
+
+    @property
+    def friction(self) -> Literal["arm"] | None:
+        """The arm's friction, or none; the model's own of an attached arm."""
+        return self._friction
+
+    @property
+    def actuation(self) -> Actuation:
+        """The drives; ideal ones of an attached arm."""
+        return self._actuation
 
     @property
     def sensors(self) -> Sensors:

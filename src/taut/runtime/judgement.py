@@ -1,0 +1,373 @@
+"""Judgement of a sampled loop about the pose at which it starts: stable or not, in which direction, by which gain.
+
+The map of one control period is the compiled loop that simulates it; its derivative is taken by central differences.
+Dry friction is left out of the map, in the plant and in its compensation: it has no slope while a joint slides, and
+a joint that sticks hides an unstable loop only until a push sets it free. Limits and noise are left out too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import scipy.linalg
+
+from taut.base.errors import TautError
+from taut.base.types import Float64Array
+from taut.codegen.coordinates import BlockCoordinates
+from taut.control.describe import all_laws
+from taut.control.friction import FrictionCompensation
+from taut.control.lawside import LawSide
+from taut.loop import AnyPlant, HasLawSide, Loop
+from taut.maths.snapshot import snapshot
+from taut.plant.rigid import RigidPlant
+from taut.runtime.fused import FusedRun, Period
+from taut.runtime.stand_in import stand_in
+
+__all__ = ["Judgement", "judge", "judged"]
+
+STEP: Final = 1e-6  # [-] of a state's size, of central differences
+REST: Final = 1e-9  # [-] of a state's size in a period: the loop rests
+NEWTON_STEPS: Final = 20
+REACH: Final = 0.5  # [rad | m] between the start pose and the equilibrium, as in `taut.linearise`
+RANK: Final = 1e-9  # [-] of the largest singular value: a motion below it is free, and rests where it is
+ROUNDING: Final = 1e-9  # [-] of a modulus of one
+KINK: Final = 1e-2  # [-] by how much the slopes of a smooth loop differ between the two sides
+FACTORS: Final = 2.0 ** -np.arange(1, 15)  # [-] of a gain, at which a stable loop is looked for
+FINE: Final = 0.01  # [-] of the largest stable factor
+PART: Final = 0.2  # [-] the least part in a mode that a sentence names
+HUGE: Final = 1e12  # a limit that is never reached
+DRY: Final = ("coulomb", "static", "load_motor", "load_external", "load_motor_static", "load_external_static")
+VISCOUS: Final = "plant.friction.viscous"
+EFFICIENCY: Final = "actuation.transmission.efficiency"
+AXES: Final = tuple(f"{kind} {axis}" for kind in ("translation", "rotation") for axis in "xyz")
+
+Map = Callable[[Float64Array], Float64Array]
+"""Memory before a control period -> memory after it."""
+Changes = Mapping[str, Any]
+"""Parameters by path that differ from those of the run."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judgement:
+    """Stability of a sampled loop about its equilibrium next to the start pose, without limits and dry friction.
+
+    Args:
+        dt: Control period [s].
+        radius: Spectral radius of the one-period map [-].
+        unstable: Whether it is above one by more than the map is known.
+        joints: Part of each joint in the least stable mode, by name, the largest first.
+        tool: Part of each axis of the tool in it, by kinetic energy (world axes), likewise.
+        largest: Of an unstable loop: the largest value of a gain, by path, with which the loop is stable, the others
+            as they are; "law" with a factor where only all gains together help; empty where nothing does.
+        relies_on: Friction of the plant that keeps deviations from growing: viscous friction without which a stable
+            loop is unstable; dry friction that holds an unstable loop while it is at rest.
+        plant: Name of the plant that it was judged with.
+    """
+
+    dt: float
+    radius: float
+    unstable: bool
+    joints: Mapping[str, float]
+    tool: Mapping[str, float]
+    largest: Mapping[str, Any]
+    relies_on: tuple[str, ...]
+    plant: str
+
+    @property
+    def message(self) -> str:
+        """The verdict, and what to do about it, in one sentence."""
+        on = f"; it relies on {' and '.join(self.relies_on)}" if self.relies_on else ""
+        if not self.unstable:
+            return f"the sampled loop is stable at the start pose, {self._judged_with}{on}"
+        hidden = f"; {' and '.join(self.relies_on)} hides it at rest" if self.relies_on else ""
+        joints = ", ".join(f"'{name}'" for name, part in self.joints.items() if part >= PART)
+        tool = ", ".join(name for name, part in self.tool.items() if part >= PART)
+        where = f" along joint {joints}" + (f" (tool: {tool})" if tool else "") if joints else " in the law's memory"
+        return (
+            f"the sampled loop is unstable at the start pose, {self._judged_with}: deviations{where} grow "
+            f"{self._growth}{hidden}; {self._remedy}"
+        )
+
+    @property
+    def _judged_with(self) -> str:
+        return f"judged with {self.plant} at {1.0 / self.dt:g} Hz"
+
+    @property
+    def _growth(self) -> str:
+        if self.radius > 1.1:
+            return f"{self.radius:.3g} times a period (spectral radius)"
+        return f"by a factor e in {self.dt / np.log(self.radius):.3g} s (spectral radius 1 + {self.radius - 1.0:.2g})"
+
+    @property
+    def _remedy(self) -> str:
+        if not self.largest:
+            return "no smaller gain makes it stable: change the law, its gains together, or the rate"
+        if "law" in self.largest:
+            return f"no single smaller gain makes it stable, and all gains times {self.largest['law']:.3g} do"
+        gains = " or ".join(f"{path} = {_short(value)}" for path, value in self.largest.items())
+        return f"the largest that is stable is {gains}; use less, or a higher rate"
+
+    def json(self) -> dict[str, Any]:
+        """As plain values, for the record of a run."""
+        return {
+            "stable": not self.unstable,
+            "radius": float(f"{self.radius:.9g}"),
+            "joints": {name: round(part, 3) for name, part in self.joints.items() if part >= PART},
+            "tool": {name: round(part, 3) for name, part in self.tool.items() if part >= PART},
+            "largest": {path: np.asarray(value).tolist() for path, value in self.largest.items()},
+            "relies_on": list(self.relies_on),
+            "plant": self.plant,
+            "message": self.message,
+        }
+
+
+def judged(ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, run: FusedRun | None) -> Judgement | str:
+    """The judgement of a run at its start: of its own loop, or of one with the same arm as a smooth model plant.
+
+    Args:
+        ctrl: The controller, or the loop.
+        plant: What it runs against.
+        q: (n,) the start pose [rad | m].
+        run: The run of a model plant, before it begins; None for an engine or a robot.
+    """
+    if ctrl.engine != "native":
+        return "not judged: plain Python is for debugging, and the loop is judged where it is compiled"
+    smooth = stand_in(plant, ctrl.side.needs)
+    if smooth is plant and run is not None:
+        return judge(run, ctrl.side, plant.name)
+    try:
+        loop = Loop(_Side(ctrl.side, {**ctrl.side.parameters}, ctrl.engine), smooth, duration=ctrl.side.dt)
+        for path, value in {**plant.parameters, **ctrl.parameters}.items():
+            if path in loop.parameters:
+                loop.parameters[path] = value
+        made = FusedRun(loop, q, np.zeros_like(q), 0, (), {})
+    except TautError as error:
+        return f"not judged: {error}"
+    name = f"{plant.name} without steps" if isinstance(plant, RigidPlant) else f"{smooth.name} in place of {plant.name}"
+    return judge(made, ctrl.side, name)
+
+
+@dataclass(frozen=True)
+class _Side:
+    """A controller as a loop takes it."""
+
+    side: LawSide
+    parameters: Mapping[str, Float64Array]
+    engine: str
+
+
+def judge(run: FusedRun, side: LawSide, plant: str) -> Judgement | str:
+    """Judge the loop of a run about the equilibrium next to its start pose, its reference held there.
+
+    Law:          x(k+1) = f(x(k)), A = df/dx where f(x) = x; unstable where an eigenvalue of A has a modulus above one
+
+    Args:
+        run: The run, before it begins.
+        side: The law side of its loop.
+        plant: What the plant is called.
+
+    Returns:
+        The judgement; a sentence why there is none: no equilibrium within reach, or a map without a derivative.
+    """
+    period = run.period()
+    left_out = _left_out(side, period.values)
+    after = period.after(left_out)
+    rest = _equilibrium(period, after, after(period.start))  # what begins in the first tick has begun
+    if isinstance(rest, str):
+        return rest
+    A, kept, memory = rest
+    z, slack, left, right = _eigenvalues(A)
+    unstable = bool(_unstable(z, slack))
+    moving = np.abs(z - 1.0) > slack  # what rests where it is put is no mode that could be less stable
+    worst = int(np.argmax(np.where(moving, np.abs(z), -1.0)))
+    joints, tool = _directions(period, kept, memory, z[worst], left[:, worst], right[:, worst])
+
+    nearby = memory + STEP * period.coordinates.basis(memory).sum(axis=0)
+    elsewhere = after(nearby)
+    if np.array_equal(period.command(memory), period.command(nearby)):
+        return "not judged: nothing that is measured changes the command"
+
+    def stable_with(changed: Changes) -> bool:
+        after = period.after({**left_out, **changed})
+        if np.array_equal(after(nearby), elsewhere):
+            return not unstable  # the gains of a phase that does not act, say
+        found = _equilibrium(period, after, memory)
+        return not isinstance(found, str) and not _unstable(*_eigenvalues(found[0])[:2])
+
+    largest: dict[str, Any] = {}
+    relies_on: tuple[str, ...] = ()
+    dry = tuple(path for path in left_out if path.startswith("plant.friction.") or path == EFFICIENCY)
+    if unstable:
+        largest = _largest_gains(period.values, stable_with)
+        if any(np.any(period.values[path] != value) for path, value in left_out.items() if path in dry):
+            relies_on = ("dry friction",)
+    elif VISCOUS in period.values and np.any(period.values[VISCOUS]):
+        without = {VISCOUS: np.zeros_like(period.values[VISCOUS])}
+        relies_on = () if stable_with(without) else ("the viscous friction of the joints",)
+    return Judgement(
+        dt=period.dt,
+        radius=float(np.abs(z).max()),
+        unstable=unstable,
+        joints=joints,
+        tool=tool,
+        largest=largest,
+        relies_on=relies_on,
+        plant=plant,
+    )
+
+
+def _left_out(side: LawSide, values: Changes) -> dict[str, Any]:
+    """Parameters that leave limits and dry friction out of a loop, those of its compensation included."""
+    out = {path: np.zeros_like(values[path]) for path in values if path.startswith("plant.friction.") and _dry(path)}
+    if EFFICIENCY in values:
+        out[EFFICIENCY] = np.ones_like(values[EFFICIENCY])
+    out |= {f"limits.{name}": HUGE for name in ("tau", "tau_dot", "v") if f"limits.{name}" in values}
+    for path, law in all_laws(side.law, "law"):
+        if isinstance(law, FrictionCompensation):
+            out[f"{path}.width"] = HUGE
+    return out
+
+
+def _dry(path: str) -> bool:
+    return path.rpartition(".")[2] in DRY
+
+
+# -------------------------------------------------------------------- the derivative of a period
+
+
+def _equilibrium(
+    period: Period, after: Map, memory: Float64Array
+) -> tuple[Float64Array, list[int], Float64Array] | str:
+    """A at the equilibrium that Newton finds from a memory, its states, and the memory there; why there is none."""
+    coordinates = period.coordinates
+    places = coordinates.places["plant.q"]
+    first = period.numbers(memory)[places]
+    for _ in range(NEWTON_STEPS):
+        found = _differences(period, after, memory)
+        if isinstance(found, str):
+            return found
+        A, next_memory = found
+        kept = _acting(A, coordinates)
+        residual = coordinates.difference(next_memory, memory)
+        sizes = 1.0 + np.abs(period.numbers(memory))
+        if (np.abs(residual) <= REST * sizes)[kept].all():
+            return A[np.ix_(kept, kept)], kept, memory
+        by = np.zeros(len(coordinates))
+        block = (np.eye(len(A)) - A)[np.ix_(kept, kept)]
+        by[kept] = np.linalg.lstsq(block, residual[kept], rcond=RANK)[0]
+        longest = float(np.abs(by[places]).max(initial=0.0))
+        memory = coordinates.moved(memory, by * min(1.0, REACH / max(longest, 1e-300)))
+        off = np.abs(period.numbers(memory)[places] - first)
+        if not off.max(initial=0.0) < REACH:
+            return f"not judged: the loop does not rest within {REACH:g} rad (or m) of the start pose"
+    return "not judged: the loop does not rest near the start pose"
+
+
+def _differences(period: Period, after: Map, memory: Float64Array) -> tuple[Float64Array, Float64Array] | str:
+    """(N, N) derivative of the memory after a period by that before it, and the memory after it."""
+    coordinates, here = period.coordinates, after(memory)
+    steps = STEP * (1.0 + np.abs(period.numbers(memory)))
+    moves = steps[:, np.newaxis] * coordinates.basis(memory)
+    ends = np.stack([after(memory + move) - after(memory - move) for move in moves])
+    slopes = coordinates.read(here, ends) / (2.0 * steps[:, np.newaxis])
+    if not np.isfinite(slopes).all():
+        return "not judged: a period of the loop is not finite at the start pose"
+    return slopes.T, here
+
+
+def _acting(A: Float64Array, coordinates: BlockCoordinates) -> list[int]:
+    """States on which the joints' motion depends, now or later; no constants and no clock, which nothing drives."""
+    joints = np.zeros(len(A), dtype=bool)
+    for path in ("plant.q", "plant.v"):
+        joints[coordinates.places[path]] = True
+    acting = joints
+    for _ in range(len(A)):
+        acting = acting | (A[acting] != 0.0).any(axis=0)
+    constant = (np.count_nonzero(A, axis=1) == 1) & (np.abs(np.diag(A) - 1.0) < STEP)
+    return np.flatnonzero(joints | (acting & ~constant)).tolist()
+
+
+def _eigenvalues(A: Float64Array) -> tuple[Any, Float64Array, Any, Any]:
+    """Eigenvalues of A, how far each is uncertain by the rounding of differences, left and right eigenvectors."""
+    _, (scale, _) = scipy.linalg.matrix_balance(A, permute=False, separate=True)
+    balanced = A * scale / scale[:, np.newaxis]
+    z, left, right = scipy.linalg.eig(balanced, left=True, right=True)
+    aligned = np.abs(np.einsum("ij,ij->j", left.conj(), right))
+    noise = np.finfo(float).eps / STEP * max(1.0, float(np.abs(balanced).max()))
+    slack = ROUNDING + noise / np.maximum(aligned, 1e-300)
+    return z, np.minimum(slack, np.sqrt(noise)), left, right
+
+
+def _unstable(z: Any, slack: Float64Array) -> bool:
+    return bool((np.abs(z) > 1.0 + slack).any())
+
+
+# -------------------------------------------------------------------- direction and gains
+
+
+def _directions(
+    period: Period, kept: list[int], memory: Float64Array, z: complex, left: Any, right: Any
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Parts of the joints, and of the axes of the tool, in a mode."""
+    arm, places = period.arm, period.coordinates.places
+    parts = np.zeros(len(period.coordinates))
+    parts[kept] = np.abs(left) * np.abs(right)
+    of_joints = sum((parts[places[path]] for path in ("plant.q", "plant.v")), np.zeros(arm.n))
+    total = float(parts.sum()) or 1.0
+    joints = {arm.joint_names[i]: float(of_joints[i] / total) for i in np.argsort(-of_joints)}
+    shape = np.zeros(len(period.coordinates), dtype=np.complex128)
+    shape[kept] = right
+    q = period.numbers(memory)[places["plant.q"]]
+    x = snapshot(arm, q)
+    J = np.asarray(x.J())
+    velocity = np.abs(J @ shape[places["plant.q"]]) ** 2  # of a mode, v = (z - 1) q / dt in every joint
+    mobility = np.diag(J @ np.linalg.solve(np.asarray(x.M), J.T))
+    energy = np.divide(velocity, mobility, out=np.zeros(6), where=mobility > RANK * mobility.max(initial=0.0))
+    whole = float(energy.sum()) or 1.0
+    return joints, {AXES[i]: float(energy[i] / whole) for i in np.argsort(-energy)}
+
+
+def _largest_gains(values: Changes, stable_with: Callable[[Changes], bool]) -> dict[str, Any]:
+    """The largest value of each gain that alone makes an unstable loop stable; else "law": the factor on all."""
+    gains = {path: value for path, value in values.items() if path.startswith("law.") and np.any(value)}
+    out: dict[str, Any] = {}
+    for path, value in gains.items():
+        factor = _largest_factor(lambda f, path=path, value=value: stable_with({path: f * value}))  # type: ignore[misc]
+        if factor is not None:
+            out[path] = factor * value
+    if out or len(gains) < 2:
+        return out
+    factor = _largest_factor(lambda f: stable_with({path: f * value for path, value in gains.items()}))
+    return {} if factor is None else {"law": factor}
+
+
+def _largest_factor(stable_at: Callable[[float], bool]) -> float | None:
+    """The largest factor below one at which a loop is stable, rounded down to what was tried; None for none."""
+    high = 1.0
+    for low in FACTORS.tolist():
+        if stable_at(low):
+            break
+        high = low
+    else:
+        return None
+    while high / low > 1.0 + FINE:
+        middle = float(np.sqrt(low * high))
+        low, high = (middle, high) if stable_at(middle) else (low, middle)
+    return low
+
+
+def _short(value: Any) -> str:
+    """Numbers of a gain, rounded down to three digits so that the loop is stable with them."""
+    flat = np.atleast_1d(np.asarray(value, dtype=float))
+    if flat.ndim == 2 and np.array_equal(flat, np.diag(np.diag(flat))):
+        flat = np.diag(flat)
+    text = np.array2string(_rounded_down(flat), separator=", ", max_line_width=10_000)
+    return text[1:-1] if flat.size == 1 else text
+
+
+def _rounded_down(values: Float64Array) -> Float64Array:
+    digits = 10.0 ** (np.floor(np.log10(np.maximum(np.abs(values), 1e-300))) - 2.0)
+    return np.asarray(np.sign(values) * np.floor(np.abs(values) / digits) * digits)
