@@ -157,7 +157,9 @@ class FusedRun:
         at_rest = side.at_rest(q)
         feed = ReferenceFeed(Hold(), side.law.reference, side.arm, self._loop.dt, at_rest)
         feed.fill(subtree(views, "ref"), 0, lambda: None)
-        memory = self._loop.start(q, np.zeros_like(q), self._inputs.views(row[0]), self._parameters.views(self._values))
+        memory = self._loop.start(
+            q, np.zeros_like(q), self._inputs.views(row[0]), self._parameters.views(self._values)
+        )
         return Period(
             self._run, row, self._parameters, self._values, self._memory, self._memory.pack(memory),
             self._loop.plant.arm, self._loop.dt,

@@ -34,7 +34,6 @@ NEWTON_STEPS: Final = 20
 REACH: Final = 0.5  # [rad | m] between the start pose and the equilibrium, as in `taut.linearise`
 RANK: Final = 1e-9  # [-] of the largest singular value: a motion below it is free, and rests where it is
 ROUNDING: Final = 1e-9  # [-] of a modulus of one
-KINK: Final = 1e-2  # [-] by how much the slopes of a smooth loop differ between the two sides
 FACTORS: Final = 2.0 ** -np.arange(1, 15)  # [-] of a gain, at which a stable loop is looked for
 FINE: Final = 0.01  # [-] of the largest stable factor
 PART: Final = 0.2  # [-] the least part in a mode that a sentence names
@@ -60,8 +59,9 @@ class Judgement:
         unstable: Whether it is above one by more than the map is known.
         joints: Part of each joint in the least stable mode, by name, the largest first.
         tool: Part of each axis of the tool in it, by kinetic energy (world axes), likewise.
-        largest: Of an unstable loop: the largest value of a gain, by path, with which the loop is stable, the others
-            as they are; "law" with a factor where only all gains together help; empty where nothing does.
+        largest: Of an unstable loop: the largest factor on a gain, by path, with which the loop is stable, the others
+            as they are; on all of them, "law", where only that helps; empty where nothing does.
+        gains: The gains as they are, by path.
         relies_on: Friction of the plant that keeps deviations from growing: viscous friction without which a stable
             loop is unstable; dry friction that holds an unstable loop while it is at rest.
         plant: Name of the plant that it was judged with.
@@ -72,7 +72,8 @@ class Judgement:
     unstable: bool
     joints: Mapping[str, float]
     tool: Mapping[str, float]
-    largest: Mapping[str, Any]
+    largest: Mapping[str, float]
+    gains: Mapping[str, Float64Array]
     relies_on: tuple[str, ...]
     plant: str
 
@@ -104,11 +105,11 @@ class Judgement:
     @property
     def _remedy(self) -> str:
         if not self.largest:
-            return "no smaller gain makes it stable: change the law, its gains together, or the rate"
+            return "no smaller gain that was tried makes it stable; change the law, its gains or the rate"
         if "law" in self.largest:
             return f"no single smaller gain makes it stable, and all gains times {self.largest['law']:.3g} do"
-        gains = " or ".join(f"{path} = {_short(value)}" for path, value in self.largest.items())
-        return f"the largest that is stable is {gains}; use less, or a higher rate"
+        gains = " or ".join(f"{path} = {_times(x, self.gains[path])}" for path, x in self.largest.items())
+        return f"the largest gain that is stable is {gains}, the others as they are; use less, or a higher rate"
 
     def json(self) -> dict[str, Any]:
         """As plain values, for the record of a run."""
@@ -117,7 +118,7 @@ class Judgement:
             "radius": float(f"{self.radius:.9g}"),
             "joints": {name: round(part, 3) for name, part in self.joints.items() if part >= PART},
             "tool": {name: round(part, 3) for name, part in self.tool.items() if part >= PART},
-            "largest": {path: np.asarray(value).tolist() for path, value in self.largest.items()},
+            "largest": dict(self.largest),
             "relies_on": list(self.relies_on),
             "plant": self.plant,
             "message": self.message,
@@ -146,7 +147,9 @@ def judged(ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, run: FusedRun | N
         made = FusedRun(loop, q, np.zeros_like(q), 0, (), {})
     except TautError as error:
         return f"not judged: {error}"
-    name = f"{plant.name} without steps" if isinstance(plant, RigidPlant) else f"{smooth.name} in place of {plant.name}"
+    name = (
+        f"{plant.name} without steps" if isinstance(plant, RigidPlant) else f"{smooth.name} in place of {plant.name}"
+    )
     return judge(made, ctrl.side, name)
 
 
@@ -197,7 +200,7 @@ def judge(run: FusedRun, side: LawSide, plant: str) -> Judgement | str:
         found = _equilibrium(period, after, memory)
         return not isinstance(found, str) and not _unstable(*_eigenvalues(found[0])[:2])
 
-    largest: dict[str, Any] = {}
+    largest: dict[str, float] = {}
     relies_on: tuple[str, ...] = ()
     dry = tuple(path for path in left_out if path.startswith("plant.friction.") or path == EFFICIENCY)
     if unstable:
@@ -214,6 +217,7 @@ def judge(run: FusedRun, side: LawSide, plant: str) -> Judgement | str:
         joints=joints,
         tool=tool,
         largest=largest,
+        gains={path: period.values[path] for path in largest if path != "law"},
         relies_on=relies_on,
         plant=plant,
     )
@@ -330,14 +334,14 @@ def _directions(
     return joints, {AXES[i]: float(energy[i] / whole) for i in np.argsort(-energy)}
 
 
-def _largest_gains(values: Changes, stable_with: Callable[[Changes], bool]) -> dict[str, Any]:
-    """The largest value of each gain that alone makes an unstable loop stable; else "law": the factor on all."""
+def _largest_gains(values: Changes, stable_with: Callable[[Changes], bool]) -> dict[str, float]:
+    """The largest factor on each gain that alone makes an unstable loop stable; else "law": the one on all."""
     gains = {path: value for path, value in values.items() if path.startswith("law.") and np.any(value)}
-    out: dict[str, Any] = {}
-    for path, value in gains.items():
-        factor = _largest_factor(lambda f, path=path, value=value: stable_with({path: f * value}))  # type: ignore[misc]
+    out: dict[str, float] = {}
+    for path in gains:
+        factor = _largest_factor(lambda f, path=path: stable_with({path: f * gains[path]}))  # type: ignore[misc]
         if factor is not None:
-            out[path] = factor * value
+            out[path] = factor
     if out or len(gains) < 2:
         return out
     factor = _largest_factor(lambda f: stable_with({path: f * value for path, value in gains.items()}))
@@ -345,7 +349,7 @@ def _largest_gains(values: Changes, stable_with: Callable[[Changes], bool]) -> d
 
 
 def _largest_factor(stable_at: Callable[[float], bool]) -> float | None:
-    """The largest factor below one at which a loop is stable, rounded down to what was tried; None for none."""
+    """The largest factor below one at which a loop is stable, of those tried, in three digits; None for none."""
     high = 1.0
     for low in FACTORS.tolist():
         if stable_at(low):
@@ -354,20 +358,19 @@ def _largest_factor(stable_at: Callable[[float], bool]) -> float | None:
     else:
         return None
     while high / low > 1.0 + FINE:
-        middle = float(np.sqrt(low * high))
+        middle = float(f"{np.sqrt(low * high):.3g}")
+        if not low < middle < high:
+            break
         low, high = (middle, high) if stable_at(middle) else (low, middle)
-    return low
+    return float(low)
 
 
-def _short(value: Any) -> str:
-    """Numbers of a gain, rounded down to three digits so that the loop is stable with them."""
-    flat = np.atleast_1d(np.asarray(value, dtype=float))
-    if flat.ndim == 2 and np.array_equal(flat, np.diag(np.diag(flat))):
-        flat = np.diag(flat)
-    text = np.array2string(_rounded_down(flat), separator=", ", max_line_width=10_000)
-    return text[1:-1] if flat.size == 1 else text
-
-
-def _rounded_down(values: Float64Array) -> Float64Array:
-    digits = 10.0 ** (np.floor(np.log10(np.maximum(np.abs(values), 1e-300))) - 2.0)
-    return np.asarray(np.sign(values) * np.floor(np.abs(values) / digits) * digits)
+def _times(factor: float, value: Any) -> str:
+    """A gain times a factor: the number, (linear, angular), or numbers of joints; of a matrix the factor alone."""
+    flat = factor * np.asarray(value, dtype=float)
+    if flat.ndim == 2:
+        return f"{factor:.3g} times what it is"
+    if flat.shape == (6,) and np.ptp(flat[:3]) == np.ptp(flat[3:]) == 0.0:
+        flat = flat[[0, 3]]
+    numbers = ", ".join(f"{x:.4g}" for x in np.atleast_1d(flat))
+    return numbers if flat.size == 1 else f"({numbers})"

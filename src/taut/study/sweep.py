@@ -9,6 +9,7 @@ import numpy as np
 
 from taut.base.errors import RangeError
 from taut.base.types import Float64Array
+from taut.codegen.coordinates import small_turns
 from taut.codegen.loop import FloatLoop, NativeLoop
 from taut.loop import Loop
 from taut.plant.disturbance import WRENCH
