@@ -75,7 +75,7 @@ class Period:
         """(n,) what the law commands in the period."""
         row = np.zeros((1, self._run.outputs.size))
         self._run.run(self._inputs, self._numbers, memory.copy(), row)
-        return self._run.outputs.views(row[0])["command"]
+        return np.array(self._run.outputs.views(row[0])["command"])
 
     def after(self, changed: Mapping[str, Any]) -> Callable[[Float64Array], Float64Array]:
         """The map from the memory before the period to that after it, with some parameters changed by path.

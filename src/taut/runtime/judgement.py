@@ -165,7 +165,7 @@ class _Side:
 def judge(run: FusedRun, side: LawSide, plant: str) -> Judgement | str:
     """Judge the loop of a run about the equilibrium next to its start pose, its reference held there.
 
-    Law:          x(k+1) = f(x(k)), A = df/dx where f(x) = x; unstable where an eigenvalue of A has a modulus above one
+    Law:          x(k+1) = f(x(k)), A = df/dx where f(x) = x; unstable where abs(eig(A)) > 1
 
     Args:
         run: The run, before it begins.
@@ -186,7 +186,7 @@ def judge(run: FusedRun, side: LawSide, plant: str) -> Judgement | str:
     unstable = bool(_unstable(z, slack))
     moving = np.abs(z - 1.0) > slack  # what rests where it is put is no mode that could be less stable
     worst = int(np.argmax(np.where(moving, np.abs(z), -1.0)))
-    joints, tool = _directions(period, kept, memory, z[worst], left[:, worst], right[:, worst])
+    joints, tool = _directions(period, kept, memory, left[:, worst], right[:, worst])
 
     nearby = memory + STEP * period.coordinates.basis(memory).sum(axis=0)
     elsewhere = after(nearby)
@@ -313,7 +313,7 @@ def _unstable(z: Any, slack: Float64Array) -> bool:
 
 
 def _directions(
-    period: Period, kept: list[int], memory: Float64Array, z: complex, left: Any, right: Any
+    period: Period, kept: list[int], memory: Float64Array, left: Any, right: Any
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Parts of the joints, and of the axes of the tool, in a mode."""
     arm, places = period.arm, period.coordinates.places

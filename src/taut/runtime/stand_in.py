@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Container
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, cast, runtime_checkable
 
 import numpy as np
 
+from taut.arm.description import CommandKind
 from taut.loop import AnyPlant, ModelPlant
 from taut.plant.actuation import Actuation
 from taut.plant.environment_push import Push
@@ -49,7 +50,7 @@ def stand_in(plant: AnyPlant, needs: Container[str]) -> ModelPlant:
     if isinstance(plant, RigidPlant):
         return dataclasses.replace(plant, actuation=actuation, sensors=sensors)
     return RigidPlant(
-        plant.arm, stages.friction, takes=plant.takes, actuation=actuation, sensors=sensors, adds=plant.adds,
+        plant.arm, stages.friction, takes=cast(CommandKind, plant.takes), actuation=actuation, sensors=sensors, adds=plant.adds,
         environment=Push(peak=np.zeros(6)) if "F_ext" in needs else None,
     )  # fmt: skip
 
