@@ -69,7 +69,7 @@ class Period:
 
     def numbers(self, memory: Float64Array) -> Float64Array:
         """(N,) the numbers of a memory in its coordinates."""
-        return self.coordinates.read(memory, memory[np.newaxis])[0]
+        return np.asarray(self.coordinates.read(memory, memory[np.newaxis])[0])
 
     def command(self, memory: Float64Array) -> Float64Array:
         """(n,) what the law commands in the period."""

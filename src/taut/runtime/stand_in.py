@@ -50,9 +50,14 @@ def stand_in(plant: AnyPlant, needs: Container[str]) -> ModelPlant:
     if isinstance(plant, RigidPlant):
         return dataclasses.replace(plant, actuation=actuation, sensors=sensors)
     return RigidPlant(
-        plant.arm, stages.friction, takes=cast(CommandKind, plant.takes), actuation=actuation, sensors=sensors, adds=plant.adds,
+        plant.arm,
+        stages.friction,
+        takes=cast(CommandKind, plant.takes),
+        actuation=actuation,
+        sensors=sensors,
+        adds=plant.adds,
         environment=Push(peak=np.zeros(6)) if "F_ext" in needs else None,
-    )  # fmt: skip
+    )
 
 
 def _without_steps(part: Any) -> Any:

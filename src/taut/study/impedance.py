@@ -1,4 +1,4 @@
-"""Whether the spring and damper of an impedance law are safe, as the controller samples them."""
+"""Whether an impedance controller is stable and passive, as it samples the arm."""
 
 from __future__ import annotations
 
@@ -6,29 +6,31 @@ from typing import Final
 
 import numpy as np
 
-from taut.base.checks import finite_array
-from taut.base.errors import UsageError
-from taut.base.linalg import factor_spd
+from taut.base.checks import finite_array, require_at_least
+from taut.base.errors import ShapeError, UsageError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.compliance import Compliance, modal_damping
+from taut.control.command import Torque
 from taut.control.describe import all_laws
+from taut.control.friction import FrictionCompensation
 from taut.control.impedance import Impedance, Stiffness
-from taut.control.law import Law
-from taut.control.task_reference import TaskMotion
+from taut.control.law import Law, call, initial_memory
 from taut.control.velocity import Kalman
 from taut.control.virtual_objects import VirtualBall, VirtualGroove, VirtualWall
 from taut.controller import Controller
 from taut.maths.model import PayloadValues
 from taut.maths.snapshot import Snapshot
-from taut.study.limits import StiffnessCheck, check_stiffness
+from taut.study.limits import StiffnessCheck, checked_band
+from taut.study.sampled import SampledLoop
+from taut.study.tip import OF_JOINTS
 
 __all__ = ["check_impedance", "impedance_of"]
 
 VIRTUAL: Final = (VirtualBall, VirtualGroove, VirtualWall)
 HAND: Final = 20.0  # [Hz]: faster than hands and pushes move a tool
-REACH: Final = 1e-6  # of the Jacobian: below it a direction cannot be moved in
-NO_DAMPING: Final = 1e-12  # [N m s/rad], in place of none
+STEP: Final = 1e-6  # [rad | m], [rad/s | m/s] of the differences that give the law's feedback
+ROUNDING: Final = 1e-7  # of the largest stiffness or damping, below which differences know none
+NO_DRY: Final = 1e12  # [rad/s | m/s] of speed over which dry friction is compensated: none is
 
 
 def impedance_of(law: Law) -> tuple[Impedance | Stiffness, str] | None:
@@ -42,20 +44,35 @@ def impedance_of(law: Law) -> tuple[Impedance | Stiffness, str] | None:
 
 
 def check_impedance(
-    ctrl: Controller, q: ArrayLike | None = None, *, delay: float = 0.0, band: float = HAND
+    ctrl: Controller,
+    q: ArrayLike | None = None,
+    *,
+    delay: float = 0.0,
+    band: float = HAND,
+    damping: ArrayLike | None = None,
 ) -> StiffnessCheck:
-    """Whether the stiffness of an impedance controller is safe at a pose, with gains, payload and sensing as now.
+    """Stability and passivity of an impedance controller at a pose, with gains, payload and sensing as they are now.
 
-    At rest at the reference, with gravity compensated; the damping of the arm's own viscous friction counts.
+    Law:          M dv/dt + damping v = -(K_q dq + B_q v) held for a period, with the feedback of the whole law,
+                  K_q = -d(tau - g)/dq and B_q = -d tau/dv: J^T K J and J^T B J of Impedance, J^T K J and kd of
+                  Stiffness; a damper of the law acts once in a period, and is no physical damping
+
+    Exact for small motions about rest at the reference, with gravity compensated, in the coordinates of the joints,
+    so that motion in the null space counts too. Dry friction and its compensation are left out. Passive is: with
+    every passive environment at the joints, which for redundant arms is more than at the tool.
 
     Args:
         ctrl: A controller with an `Impedance` or `Stiffness` law.
         q: (n,) positions [rad | m]; home if left out.
-        delay: [s] from the tick to the torque, beyond the hold.
+        delay: [s] from the tick to the torque, beyond the zero-order hold.
         band: [Hz] of the motions that must get no energy out of it.
+        damping: (n,) or a number, viscous friction of the joints [N m s/rad | N s/m]; the arm's own if left out, 0
+            for a verdict that relies on none. The verdict names it in `relies_on`.
 
     Raises:
-        UsageError: No such law, one that feels an inertia D, virtual objects beside it, a Kalman filter.
+        UsageError: No such law, one with an inertia D, virtual objects beside it, a Kalman filter, feedback that is
+            no spring and damper.
+        ShapeError, RangeError: A number that has no meaning, by name.
 
     Example:
         >>> import taut
@@ -79,12 +96,7 @@ def check_impedance(
             "taut.check_stiffness_at(arm, q, K=...) with the stiffness of both together",
             name="ctrl",
         )
-    law, path = found
-    own = f"{path}."
-    values = {p[len(own) :]: v for p, v in ctrl.parameters.items() if p.startswith(own)}
-    law = law.bound(values)  # type: ignore[assignment]  # the same class
-    assert isinstance(law, (Impedance, Stiffness))
-    if isinstance(law, Impedance) and law.has("D"):
+    if isinstance(found[0], Impedance) and found[0].has("D"):
         raise UsageError(
             "check_impedance speaks of the arm's own inertia; with D the loop goes through the wrist sensor too",
             name="D",
@@ -93,53 +105,67 @@ def check_impedance(
     if isinstance(velocity, Kalman):
         raise UsageError("check_impedance knows no Kalman filter; use a low-pass of the same delay", name="sensing")
     arm = ctrl.arm
-    q = arm.home if q is None else finite_array("q", q, shape=(arm.n,), joints=arm.joint_names)
-    payload = PayloadValues.of(subtree(ctrl.parameters, "model.payload"))
-    x = Snapshot(ctrl.side.model, q=q, v=np.zeros(arm.n), payload=payload)
-    ref = TaskMotion.at_rest(x, law.tool)
-    felt = Compliance.of(law.error, law.frame, x, ref, law.tool, law.coordinates)
-    J = felt.error.J
-    mobility = felt.matrix_inwards(J @ x.M_factors.solve(J.T))
-    sizes, axes = np.linalg.eigh(_symmetric(mobility))
-    U = axes[:, sizes > REACH**2 * sizes[-1]]  # (k, r) the ways that the tool can move
-    Lambda = np.linalg.inv(U.T @ mobility @ U)
-    K, B = _spring_and_damper(law, x, U, Lambda)
-    joints = np.maximum(arm.viscous + _joint_damping(law, arm.n), NO_DAMPING)
-    damping = np.linalg.inv(U.T @ felt.matrix_inwards((J / joints) @ J.T) @ U)
-    damping = np.zeros_like(damping) if np.abs(damping).max() < 1e3 * NO_DAMPING else damping
-    return check_stiffness(
-        _symmetric(Lambda),
-        K=_symmetric(K),
-        B=_symmetric(B),
-        damping=_symmetric(damping),
+    at = arm.home if q is None else finite_array("q", q, shape=(arm.n,), joints=arm.joint_names)
+    friction = arm.viscous if damping is None else finite_array("damping", damping, unit="N m s/rad | N s/m")
+    if friction.shape not in ((), (arm.n,)):
+        raise ShapeError(f"damping must be a number or ({arm.n},); got shape {friction.shape}", name="damping")
+    require_at_least("damping", friction, 0.0, unit="N m s/rad | N s/m")
+    M, K, B = _feedback(ctrl, at)
+    loop = SampledLoop(
+        mass=M,
+        K=K,
+        B=B,
+        damping=np.broadcast_to(friction, (arm.n,)),
         rate=ctrl.rate,
         delay=delay,
         velocity=velocity,
-        band=min(band, 0.5 * ctrl.rate),
     )
+    return StiffnessCheck(loop=loop, band=checked_band(min(band, 0.5 * loop.rate), loop.rate), damping=OF_JOINTS)
 
 
-def _symmetric(matrix: Float64Array) -> Float64Array:
-    return np.asarray(0.5 * (matrix + matrix.T))
+def _feedback(ctrl: Controller, q: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """(n, n) each: M, and stiffness and damping that the law gives the joints at rest at its reference."""
+    values = dict(ctrl.parameters)
+    for path, law in all_laws(ctrl.law, "law"):
+        if isinstance(law, FrictionCompensation):
+            values[f"{path}.width"] = np.asarray(NO_DRY)
+    law = ctrl.law.bound(subtree(values, "law"))
+    payload = PayloadValues.of(subtree(values, "model.payload"))
+    n = ctrl.arm.n
+
+    def seen(q: Float64Array, v: Float64Array) -> Snapshot:
+        return Snapshot(ctrl.side.model, q=q, v=v, payload=payload)
+
+    start = seen(q, np.zeros(n))
+    ref = law.at_rest(start)
+    memory = initial_memory(law, start, ref)
+
+    def feedback(dq: Float64Array, v: Float64Array) -> Float64Array:
+        x = seen(q + dq, v)
+        command, _ = call(law, x, ref, memory, ctrl.side.dt)
+        assert isinstance(command, Torque)
+        return np.asarray(x.h - command.total, dtype=np.float64)
+
+    steps, none = STEP * np.eye(n), np.zeros(n)
+    K = np.column_stack([(feedback(e, none) - feedback(-e, none)) / (2.0 * STEP) for e in steps])
+    B = np.column_stack([(feedback(none, e) - feedback(none, -e)) / (2.0 * STEP) for e in steps])
+    return np.asarray(start.M, dtype=np.float64), _spring(K, "stiffness", least=0.0), _spring(B, "damping")
 
 
-def _joint_damping(law: Impedance | Stiffness, n: int) -> Float64Array:
-    """(n,) of a Stiffness law; a matrix counts by its diagonal."""
-    if isinstance(law, Impedance):
-        return np.zeros(n)
-    kd = np.asarray(law.kd.as_array())
-    return np.diag(kd) if kd.ndim == 2 else kd * np.ones(n)
+def _spring(matrix: Float64Array, what: str, least: float | None = None) -> Float64Array:
+    """A symmetric matrix without the rounding of differences.
 
-
-def _spring_and_damper(
-    law: Impedance | Stiffness, x: Snapshot, U: Float64Array, Lambda: Float64Array
-) -> tuple[Float64Array, Float64Array]:
-    """(r, r) each, in the ways U (k, r) that the tool can move, with the inertia Lambda there."""
-    size, r = law.dimensions, U.shape[1]
-    if isinstance(law, Stiffness):
-        return U.T @ np.asarray(law.K.matrix(size)) @ U, np.zeros((r, r))
-    K = U.T @ np.asarray(law.gain_at("K", x).matrix(size)) @ U
-    if law.has("B"):
-        return K, U.T @ np.asarray(law.gain_at("B", x).matrix(size)) @ U
-    factors, zeta = factor_spd(Lambda), law.zeta.as_array()
-    return K, np.column_stack([modal_damping(factors, K, zeta, column) for column in np.eye(r)])
+    Raises:
+        UsageError: It is not symmetric, or pushes away.
+    """
+    size = float(np.abs(matrix).max())
+    skew = float(np.abs(matrix - matrix.T).max())
+    sizes, axes = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    sizes[np.abs(sizes) < ROUNDING * size] = 0.0
+    if skew > 100.0 * ROUNDING * size or (least is not None and sizes[0] < least):
+        raise UsageError(
+            f"check_impedance is for feedback that is a spring and a damper; the {what} of this law at the joints is "
+            f"{'not symmetric' if skew > 100.0 * ROUNDING * size else 'negative in a direction'}; use taut.linearise",
+            name="ctrl",
+        )
+    return np.asarray((axes * sizes) @ axes.T)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,11 +26,13 @@ class StiffnessLimits:
         loop: The sampled loop, with K = 1.
         band: [Hz] of the motions that `passive_in_band` speaks of.
         unit: Of a stiffness.
+        damping: What the physical damping of the loop is.
     """
 
     loop: SampledLoop
     band: float
     unit: str = "N/m"
+    damping: str = "physical damping"
 
     @cached_property
     def stable(self) -> float:
@@ -95,6 +98,7 @@ class StiffnessLimits:
             stable,
             f"{passive}; (b - |B|) / (T/2 + delay) says {_number(self.formula_passive)} {unit}",
             f"gives no energy to motion below {self.band:g} Hz up to {_number(self.passive_in_band)} {unit}",
+            *([f"all of this relies on the {self.damping}, b = {b:.4g} {unit.replace('/', ' s/')}"] if b else []),
         )
 
     def __str__(self) -> str:
@@ -156,14 +160,25 @@ class StiffnessCheck:
     Args:
         loop: The sampled loop.
         band: [Hz] of the motions that `passive_in_band` speaks of.
+        damping: What the physical damping of the loop is, for `relies_on`.
     """
 
     loop: SampledLoop
     band: float
+    damping: str = "physical damping"
+
+    @cached_property
+    def relies_on(self) -> tuple[str, ...]:
+        """The physical damping without which one of the verdicts would be another; empty where none is needed."""
+        if not np.any(np.asarray(self.loop.damping)):
+            return ()
+        bare = dataclasses.replace(self, loop=dataclasses.replace(self.loop, damping=0.0))
+        verdicts = [(check.stable, check.passive, check.passive_in_band) for check in (self, bare)]
+        return (self.damping,) if verdicts[0] != verdicts[1] else ()
 
     @cached_property
     def stable(self) -> bool:
-        """Whether nothing that is set off grows."""
+        """Whether no small deviation grows."""
         return self.loop.stable
 
     @cached_property
@@ -207,8 +222,8 @@ class StiffnessCheck:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """One for each question."""
-        return (
+        """One for each question, and one for the damping that the answers rely on."""
+        answers = (
             _answer(self.stable, "stable by itself", "unstable by itself", self.stable_up_to),
             _answer(
                 self.passive,
@@ -222,6 +237,15 @@ class StiffnessCheck:
                 f"gives energy to some motion below {self.band:g} Hz",
                 self.passive_in_band_up_to,
             ),
+        )
+        if not self.relies_on:
+            return answers
+        sizes = np.linalg.eigvalsh(np.asarray(self.loop.damping))
+        bare = dataclasses.replace(self.loop, damping=0.0)
+        return (
+            *answers,
+            f"this relies on the {self.damping}, {_number(sizes[0])} to {_number(sizes[-1])}; without it the loop is "
+            f"{'stable' if bare.stable else 'unstable'} by itself",
         )
 
     def __str__(self) -> str:

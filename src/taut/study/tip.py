@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Final, Literal
 
 import numpy as np
@@ -20,6 +21,7 @@ Frame = Literal["world", "tool"]
 FRAMES: Final[tuple[Frame, ...]] = ("world", "tool")
 REACH: Final = 1e-6  # of the Jacobian: below it a direction cannot be moved in
 NO_DAMPING: Final = 1e-12  # [N m s/rad], in place of none
+OF_JOINTS: Final = "viscous friction of the joints"
 
 
 def safe_stiffness(
@@ -83,7 +85,7 @@ def safe_stiffness(
         mass=1.0 / moved, damping=_of_looseness(1.0 / lost), K=1.0, B=B, rate=rate, delay=delay, velocity=velocity
     )
     unit = "N/m" if way[:3].any() else "N m/rad"
-    return StiffnessLimits(loop=loop, band=checked_band(band, loop.rate), unit=unit)
+    return StiffnessLimits(loop=loop, band=checked_band(band, loop.rate), unit=unit, damping=OF_JOINTS)
 
 
 def check_stiffness_at(
@@ -138,10 +140,11 @@ def check_stiffness_at(
     Lambda = np.linalg.inv(U.T @ mobility @ U)
     own = np.linalg.inv(U.T @ looseness @ U)
     own = np.zeros_like(own) if np.abs(own).max() < 1e3 * NO_DAMPING else own
-    return check_stiffness(
+    check = check_stiffness(
         0.5 * (Lambda + Lambda.T), K=_symmetric(inside["K"]), B=_symmetric(inside["B"]), damping=_symmetric(own),
         rate=rate, delay=delay, velocity=velocity, band=band,
     )  # fmt: skip
+    return dataclasses.replace(check, damping=OF_JOINTS)
 
 
 def _symmetric(matrix: Float64Array) -> Float64Array:
