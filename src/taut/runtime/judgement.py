@@ -204,7 +204,7 @@ def judge(run: FusedRun, side: LawSide, plant: str) -> Judgement | str:
     relies_on: tuple[str, ...] = ()
     dry = tuple(path for path in left_out if path.startswith("plant.friction.") or path == EFFICIENCY)
     if unstable:
-        largest = _largest_gains(period.values, stable_with)
+        largest = _largest_gains(_gains(side, period.values), stable_with)
         if any(np.any(period.values[path] != value) for path, value in left_out.items() if path in dry):
             relies_on = ("dry friction",)
     elif VISCOUS in period.values and np.any(period.values[VISCOUS]):
@@ -334,9 +334,16 @@ def _directions(
     return joints, {AXES[i]: float(energy[i] / whole) for i in np.argsort(-energy)}
 
 
-def _largest_gains(values: Changes, stable_with: Callable[[Changes], bool]) -> dict[str, float]:
+def _gains(side: LawSide, values: Changes) -> dict[str, Any]:
+    """The gains of the law by path: its parameters that are 0 or more, and so no points, axes or bounds."""
+    of_law = {path: value for path, value in values.items() if path.startswith("law.") and np.any(value)}
+    return {
+        path: value for path, value in of_law.items() if side.law.gain_field(path[len("law.") :])[0].minimum == 0.0
+    }
+
+
+def _largest_gains(gains: Changes, stable_with: Callable[[Changes], bool]) -> dict[str, float]:
     """The largest factor on each gain that alone makes an unstable loop stable; else "law": the one on all."""
-    gains = {path: value for path, value in values.items() if path.startswith("law.") and np.any(value)}
     out: dict[str, float] = {}
     for path in gains:
         factor = _largest_factor(lambda f, path=path: stable_with({path: f * gains[path]}))  # type: ignore[misc]
