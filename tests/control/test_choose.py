@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import taut
 
 PAGE = (Path(__file__).parents[2] / "docs" / "choose.md").read_text(encoding="utf-8")
 DRIVES = ("Velocities", "Positions")  # the page's headings for arms whose drives close these loops
-LINE = re.compile(r"^\|[^|`]*\| `((?:laws|taut)\.[^`]*\))`", re.MULTILINE)
+LINE = re.compile(r"^\|[^|`]*\| `((?:laws|taut)\.[^`]*(?:\)|\.law))`", re.MULTILINE)
 
 
 def lines() -> list[tuple[str, str]]:
@@ -30,8 +31,8 @@ def test_the_page_has_a_line_for_every_kind_of_robot() -> None:
 
 @pytest.mark.parametrize(("heading", "code"), lines(), ids=lambda text: text[:60])
 def test_a_line_of_the_page_makes_a_law_that_runs(heading: str, code: str) -> None:
-    law = eval(code, {"taut": taut, "laws": taut.laws})
     arm = taut.load_arm("ur10" if heading in DRIVES else "panda")
+    law = eval(code, {"taut": taut, "laws": taut.laws, "arm": arm})
     ctrl = taut.compile(law, arm, engine="float")
     at_home = {
         taut.TaskMotion: taut.TaskMotion(pose=taut.snapshot(arm, arm.home).T()),
@@ -43,3 +44,28 @@ def test_a_line_of_the_page_makes_a_law_that_runs(heading: str, code: str) -> No
     command = ctrl.step(arm.home, np.zeros(arm.n), at_home[law.reference], F_ext=wrist)
     assert np.isfinite(command).all()
     assert ctrl.kind == {"Velocities": "velocity", "Positions": "position"}.get(heading, "torque")
+
+
+WHOLE = bool(os.environ.get("TAUT_BARS"))  # `make bars`
+LIGHT = ("ur10", "xarm7")  # arms with the lightest last joints
+ALL = ("panda", "fr3", "z1", "kinova", "ur3", "ur5", *LIGHT)
+OF_ONE_JOINT = re.compile(r"laws\.PID\(")  # whose gains are for one_joint, as the page states
+TOUCHING = taut.Push(peak=[0.0, 0.0, 0.0])  # nothing, but the wrench is measured
+
+
+@pytest.mark.bars
+@pytest.mark.parametrize(
+    "code", [code for heading, code in lines() if heading not in DRIVES], ids=lambda text: text[:60]
+)
+def test_the_gains_of_a_line_are_stable_on_every_arm(code: str) -> None:
+    names = ("one_joint",) if OF_ONE_JOINT.search(code) else ALL if WHOLE else LIGHT
+    for name in names:
+        arm = taut.load_arm(name)
+        for friction in ("arm", None) if WHOLE else (None,):
+            if "null=" in code and arm.n < 7:  # a null space that an arm of six joints does not have
+                continue
+            law = eval(code, {"taut": taut, "laws": taut.laws, "arm": arm})
+            ctrl = taut.compile(law, arm)
+            plant = taut.RigidPlant(arm, friction=friction, environment=TOUCHING if "F_ext" in ctrl.needs else None)
+            found = taut.run(ctrl, plant, duration=2.0 / ctrl.rate).info["stability"]
+            assert found["stable"] is not False, (name, friction, found["message"])

@@ -29,7 +29,7 @@ from taut.runtime.stand_in import stand_in
 __all__ = ["Judgement", "judge", "judged"]
 
 STEP: Final = 1e-6  # [-] of a state's size, of central differences
-REST: Final = 1e-9  # [-] of a state's size in a period: the loop rests
+REST: Final = 1e-11  # [-] of a state's size in a period: the loop rests
 NEWTON_STEPS: Final = 20
 REACH: Final = 0.5  # [rad | m] between the start pose and the equilibrium, as in `taut.linearise`
 RANK: Final = 1e-9  # [-] of the largest singular value: a motion below it is free, and rests where it is
@@ -181,8 +181,8 @@ def judge(run: FusedRun, side: LawSide, plant: str) -> Judgement | str:
     rest = _equilibrium(period, after, after(period.start))  # what begins in the first tick has begun
     if isinstance(rest, str):
         return rest
-    A, kept, memory = rest
-    z, slack, left, right = _eigenvalues(A)
+    A, error, kept, memory = rest
+    z, slack, left, right = _eigenvalues(A, error)
     unstable = bool(_unstable(z, slack))
     moving = np.abs(z - 1.0) > slack  # what rests where it is put is no mode that could be less stable
     worst = int(np.argmax(np.where(moving, np.abs(z), -1.0)))
@@ -198,7 +198,7 @@ def judge(run: FusedRun, side: LawSide, plant: str) -> Judgement | str:
         if np.array_equal(after(nearby), elsewhere):
             return not unstable  # the gains of a phase that does not act, say
         found = _equilibrium(period, after, memory)
-        return not isinstance(found, str) and not _unstable(*_eigenvalues(found[0])[:2])
+        return not isinstance(found, str) and not _unstable(*_eigenvalues(*found[:2])[:2])
 
     largest: dict[str, float] = {}
     relies_on: tuple[str, ...] = ()
@@ -244,8 +244,8 @@ def _dry(path: str) -> bool:
 
 def _equilibrium(
     period: Period, after: Map, memory: Float64Array
-) -> tuple[Float64Array, list[int], Float64Array] | str:
-    """A at the equilibrium that Newton finds from a memory, its states, and the memory there; why there is none."""
+) -> tuple[Float64Array, Float64Array, list[int], Float64Array] | str:
+    """A at the equilibrium that Newton finds from a memory, its error and states, and the memory; why there is none."""
     coordinates = period.coordinates
     places = coordinates.places["plant.q"]
     first = period.numbers(memory)[places]
@@ -253,12 +253,12 @@ def _equilibrium(
         found = _differences(period, after, memory)
         if isinstance(found, str):
             return found
-        A, next_memory = found
+        A, error, next_memory = found
         kept = _acting(A, coordinates)
         residual = coordinates.difference(next_memory, memory)
         sizes = 1.0 + np.abs(period.numbers(memory))
         if (np.abs(residual) <= REST * sizes)[kept].all():
-            return A[np.ix_(kept, kept)], kept, memory
+            return A[np.ix_(kept, kept)], error[np.ix_(kept, kept)], kept, memory
         by = np.zeros(len(coordinates))
         block = (np.eye(len(A)) - A)[np.ix_(kept, kept)]
         by[kept] = np.linalg.lstsq(block, residual[kept], rcond=RANK)[0]
@@ -270,16 +270,21 @@ def _equilibrium(
     return "not judged: the loop does not rest near the start pose"
 
 
-def _differences(period: Period, after: Map, memory: Float64Array) -> tuple[Float64Array, Float64Array] | str:
-    """(N, N) derivative of the memory after a period by that before it, and the memory after it."""
+def _differences(
+    period: Period, after: Map, memory: Float64Array
+) -> tuple[Float64Array, Float64Array, Float64Array] | str:
+    """(N, N) derivative of the memory after a period by that before it, its error, and the memory after it."""
     coordinates, here = period.coordinates, after(memory)
-    steps = STEP * (1.0 + np.abs(period.numbers(memory)))
-    moves = steps[:, np.newaxis] * coordinates.basis(memory)
-    ends = np.stack([after(memory + move) - after(memory - move) for move in moves])
-    slopes = coordinates.read(here, ends) / (2.0 * steps[:, np.newaxis])
-    if not np.isfinite(slopes).all():
+    steps = STEP * (1.0 + np.abs(period.numbers(memory)))[:, np.newaxis]
+    moves = steps * coordinates.basis(memory)
+    near, far = (
+        coordinates.read(here, np.stack([after(memory + k * move) - after(memory - k * move) for move in moves]))
+        / (2.0 * k * steps)
+        for k in (1.0, 2.0)
+    )
+    if not (np.isfinite(near).all() and np.isfinite(far).all()):
         return "not judged: a period of the loop is not finite at the start pose"
-    return slopes.T, here
+    return (4.0 * near - far).T / 3.0, np.abs(near - far).T, here
 
 
 def _acting(A: Float64Array, coordinates: BlockCoordinates) -> list[int]:
@@ -294,13 +299,14 @@ def _acting(A: Float64Array, coordinates: BlockCoordinates) -> list[int]:
     return np.flatnonzero(joints | (acting & ~constant)).tolist()
 
 
-def _eigenvalues(A: Float64Array) -> tuple[Any, Float64Array, Any, Any]:
-    """Eigenvalues of A, how far each is uncertain by the rounding of differences, left and right eigenvectors."""
+def _eigenvalues(A: Float64Array, error: Float64Array) -> tuple[Any, Float64Array, Any, Any]:
+    """Eigenvalues of A, how far each is uncertain by the error of A, left and right eigenvectors."""
     _, (scale, _) = scipy.linalg.matrix_balance(A, permute=False, separate=True)
     balanced = A * scale / scale[:, np.newaxis]
     z, left, right = scipy.linalg.eig(balanced, left=True, right=True)
     aligned = np.abs(np.einsum("ij,ij->j", left.conj(), right))
-    noise = np.finfo(float).eps / STEP * max(1.0, float(np.abs(balanced).max()))
+    rounding = np.finfo(float).eps / STEP * max(1.0, float(np.abs(balanced).max()))
+    noise = rounding + float(np.linalg.norm(error * scale / scale[:, np.newaxis], 2))
     slack = ROUNDING + noise / np.maximum(aligned, 1e-300)
     return z, np.minimum(slack, np.sqrt(noise)), left, right
 

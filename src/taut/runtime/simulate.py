@@ -70,7 +70,12 @@ def run(
     Returns:
         The record, with one row per control tick, both ends included.
 
+    Warns:
+        StabilityWarning: The sampled loop is unstable at the start pose; the outcome and `info["stability"]` name the
+            direction, the spectral radius, and the largest gain that is stable.
+
     Raises:
+        RangeError: The same, of a plant that is a real arm.
         MatchError: Controller and plant do not fit.
         UsageError, ShapeError, RangeError: Something about the reference, the state or an event.
 
