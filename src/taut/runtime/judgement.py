@@ -245,7 +245,7 @@ def _dry(path: str) -> bool:
 def _equilibrium(
     period: Period, after: Map, memory: Float64Array
 ) -> tuple[Float64Array, Float64Array, list[int], Float64Array] | str:
-    """A at the equilibrium that Newton finds from a memory, its error and states, and the memory; why there is none."""
+    """A at the equilibrium near a memory, by Newton, its error and states, and the memory; why there is none."""
     coordinates = period.coordinates
     places = coordinates.places["plant.q"]
     first = period.numbers(memory)[places]
