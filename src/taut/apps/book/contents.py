@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import difflib
 import io
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,7 +35,7 @@ from taut.apps.book import (
     task_space,
 )
 from taut.apps.book.page import Entry, Page, Row
-from taut.base.errors import FileError, NumericalError, unknown_name
+from taut.base.errors import FileError, NumericalError, StabilityWarning, unknown_name
 
 __all__ = ["CONTENTS", "Made", "chosen", "made", "prepared_folder", "table", "write"]
 
@@ -104,7 +105,9 @@ def made(entries: Iterable[Entry], say: Callable[[str], None] = lambda _: None) 
     pages = []
     for entry in entries:
         say(f"{entry.id}: {entry.title}")
-        page = entry.make()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", StabilityWarning)  # the chapter shows what lies beyond its bounds too
+            page = entry.make()
         for each in page.rows:
             if not (abs(each.computed) < float("inf") and abs(each.expected) < float("inf")):
                 raise NumericalError(f"{entry.id}: {each.quantity} is {each.computed}, and should be {each.expected}")
