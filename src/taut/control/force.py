@@ -106,8 +106,8 @@ class ForceControl(Law):
         ('v', 'F_ext')
         >>> x = taut.snapshot(ctrl.arm, ctrl.arm.home)
         >>> v, omega = law.speed_bound(F_app=[0, 0, -10.0, 0, 0, 0], x=x, rate=1000.0)
-        >>> round(v, 3)  # [m/s]: (1.5 * 10 N + 5 / s * 20 N s) / (100 N s/m), and what the moment's integral adds
-        1.597
+        >>> round(v, 3)  # [m/s]: (1.5 * 10 N + 5 / s * 20 N s) / (100 N s/m), the moment's integral, dt Lambda^-1
+        1.895
 
     References:
         Section 10.3 force control. Khatib (1987), IEEE Journal of Robotics and Automation 3 (1), on J_bar.
@@ -211,7 +211,7 @@ class ForceControl(Law):
             added = root @ _numbers(self.kfi)
             size += sum(m * float(np.linalg.norm(added[:, k : k + 3], 2)) for m, k in zip(most, (0, 3), strict=True))
         linear, angular = (float(np.linalg.norm(inverse[k : k + 3, k : k + 3], 2)) ** 0.5 for k in (0, 3))
-        return linear * size, angular * size
+        return float(linear * size), float(angular * size)
 
     def command(
         self, x: Snapshot, ref: TaskForce, memory: MemoryView, dt: float
