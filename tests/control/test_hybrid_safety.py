@@ -91,6 +91,26 @@ def test_damping_beside_the_tool_is_stable_off_contact_on_light_directions_too(n
     assert (np.einsum("ti,ij,tj->t", rate, np.linalg.inv(inverse), rate) < 1.01 * lam @ inverse @ lam).all()
 
 
+@pytest.mark.parametrize(("kfp", "stable"), [(0.55, True), (0.66, False)])
+def test_joint_torques_off_contact_bear_kfp_as_far_as_the_damping_leaves_it(kfp: float, stable: bool) -> None:
+    """kfp + kfi dt / 2 + d / 2 < 1, d the largest eigenvalue of D dt A Lambda^-1 A^T: 0.79 beside the tool of a UR10."""
+    arm = taut.load_arm("ur10")
+    x = taut.snapshot(arm, arm.home)
+    T, kdamp = x.T(), np.array([40.0, 2.0, 2.0])
+    normal = T.R[:, 0]
+    face = Constraint.plane(point=T.p, normal=normal, face=T.R.T @ -normal, one_sided=False)
+    A = np.asarray(face.at(x).A)
+    S = 1e-3 * kdamp[:, np.newaxis] * (A @ x.J() @ np.linalg.solve(x.M, x.J().T) @ A.T)
+    d = np.linalg.eigvals(np.linalg.solve(np.eye(3) + S, S)).real.max()
+    assert (kfp + 0.5 * d < 1.0) == stable
+    gains = {"kfp": kfp, "kdamp": kdamp, "feedback": "joint_torque"}
+    ctrl = taut.compile(HybridMotionForce(constraint=face, motion=motion(), **gains), arm)  # type: ignore[arg-type]
+    press = taut.pressing(taut.TaskMotion(pose=T), lam=[-4.0, 0.1, 0.1])
+    out = taut.run(ctrl, taut.RigidPlant(arm, friction=None), press, duration=0.3)
+    turns = np.abs(np.diff(out.task.twist, n=2, axis=0)).max(axis=1)  # from tick to tick
+    assert (turns[-20:].max() < 0.05 * turns[:20].max()) == stable
+
+
 def test_the_damping_against_a_row_is_that_of_the_end_of_the_tick() -> None:
     ctrl = taut.compile(law(kfp=None, kfi=None, kdamp=KDAMP), ARM, engine="float")
     x = taut.snapshot(ARM, ARM.home, 0.1 * np.ones(ARM.n))

@@ -79,9 +79,11 @@ class HybridMotionForce(Law):
     `patience`, memory `lost` is 1; the metric contact_lost_time and the outcome tell. With kdamp the speed y = A V +
     phi_t against the rows is bounded from rest, y . D y <= w . D^-1 w with w = (1 + kfp) lam_des + kfi e_int_max, as
     that of `ForceControl`: one row moves at no more than (1 / kdamp + dt A Lambda^-1 A^T) w. Of several rows that
-    holds as long as they are pressed: damping does not pull at a one-sided row either. Without kdamp, the force goes
-    within the patience to twice `contact` and the integral rests, motion against the row is braked within 0.02 s,
-    term `lost`, and contact that is there again is taken up within the patience.
+    holds as long as they are pressed: damping does not pull at a one-sided row either. With joint torques, which show
+    the law's own force a tick late, kfp + kfi dt / 2 + d / 2 < 1 is needed off contact, d the largest eigenvalue of D
+    dt A Lambda^-1 A^T: 1/2 for what kfp and kfi have serves any kdamp. Without kdamp, the force goes within the
+    patience to twice `contact` and the integral rests, motion against the row is braked within 0.02 s, term `lost`,
+    and contact that is there again is taken up within the patience.
 
     The outcome of a run tells too where a motion was asked for that is off the constraint by more than the tolerance,
     which is followed along it only, and a force that it does not bear, of which only the rest is applied.
