@@ -177,13 +177,39 @@ def test_a_moment_that_meets_nothing_is_lost_too_and_none_is_where_none_is_asked
 
 
 def test_the_bound_of_the_speed_is_the_formula_for_damping_that_is_alike_in_all_directions() -> None:
+    """At a rate at which the mass of an arm counts for nothing, and on a gantry of 3 kg, whose axes are on their own."""
     law = L.ForceControl(kfp=0.5, kfi=3.0, kdamp=(60.0, 2.0), e_int_max=(2.0, 1e-9))
-    linear, angular = law.speed_bound(F_app=[0, 0, -10.0, 0, 0, 0])
+    x = taut.snapshot(PANDA, Q)
+    linear, angular = law.speed_bound(F_app=[0, 0, -10.0, 0, 0, 0], x=x, rate=1e12)
     assert linear == pytest.approx((1.5 * 10.0 + 3.0 * 2.0) / 60.0)
     assert angular == pytest.approx((1.5 * 10.0 + 3.0 * 2.0) / np.sqrt(60.0 * 2.0))
-    assert L.ForceControl(kfp=0.5).speed_bound(F_app=F_DES) == (np.inf, np.inf)
+    gantry = taut.load_arm("gantry3")
     bare = L.ForceControl(feedback="none", kdamp=(60.0, 2.0))
-    assert bare.speed_bound(F_app=[0, 6.0, 0, 0, 0, 0])[0] == pytest.approx(0.1)
+    linear, _ = bare.speed_bound(F_app=[0, 0, 6.0, 0, 0, 0], x=taut.snapshot(gantry, np.zeros(3)), rate=200.0)
+    assert linear == pytest.approx(np.sqrt((1.0 / 60.0 + 1.0 / (3.0 * 200.0)) ** 2) * 6.0)
+
+
+@pytest.mark.parametrize(
+    "gains",
+    [
+        {},
+        {"kdamp": [40.0, 40.0, 40.0, 2.0, 2.0, 0.0]},
+        {"kdamp": (40.0, 2.0), "kfp": 0.3, "feedback": "joint_torque"},
+    ],
+)
+def test_no_bound_of_the_speed_is_stated_where_none_is_known(gains: Any) -> None:
+    x = taut.snapshot(PANDA, Q)
+    assert L.ForceControl(**gains).speed_bound(F_app=F_DES, x=x, rate=1000.0) == (np.inf, np.inf)
+
+
+def test_the_bound_of_the_speed_is_in_the_axes_of_the_gains() -> None:
+    x = taut.snapshot(PANDA, Q)
+    R = x.T().R
+    gains = {"kfp": 0.5, "kfi": 3.0, "kdamp": KDAMP, "feedback": "wrench"}
+    tool = L.ForceControl(frame="tool", **gains).speed_bound(F_app=F_DES, x=x, rate=1000.0)
+    turned = {**gains, "kdamp": both(R) @ np.diag(KDAMP) @ both(R).T}
+    world = L.ForceControl(**turned).speed_bound(F_app=both(R) @ F_DES, x=x, rate=1000.0)
+    np.testing.assert_allclose(tool, world, rtol=1e-12)
 
 
 def test_directions_that_an_arm_never_has_count_for_nothing() -> None:
@@ -245,6 +271,7 @@ MESSAGES: Any = [
     (lambda: asked(F_ext=F_DES), "a wrench is F_app=, of the arm on the environment, or F_ext=, of the environment on the arm; got both; give one of them"),
     (lambda: taut.TaskForce(), "a wrench is F_app=, of the arm on the environment, or F_ext=, of the environment on the arm; got neither; give one of them"),
     (lambda: asked(frame="body"), "frame must be one of 'world', 'tool'; got 'body'"),
+    (lambda: L.ForceControl(kdamp=(50.0, 1.0)).speed_bound(F_app=F_DES, x=taut.snapshot(PANDA, Q), rate=0.0), "rate must be > 0 [Hz]; got 0"),
     (lambda: L.ForceControl(kdamp=50.0), "kdamp needs one number for metres and one for radians, kdamp=(linear, angular), or six, or (6, 6) [N s/m, N m s/rad]; got 50 alone"),
     (lambda: L.ForceControl(e_int_max=20.0), "e_int_max needs one number for metres and one for radians, e_int_max=(linear, angular), or six, or (6, 6) [N s, N m s]; got 20 alone"),
     (lambda: L.ForceControl(contact=1.0), "contact needs one number for metres and one for radians, contact=(linear, angular), or six, or (6, 6) [N, N m]; got 1 alone"),

@@ -136,3 +136,17 @@ def test_gains_have_a_unit_for_joints_that_turn_and_one_for_those_that_slide(nam
         turn, _, slide = unit.partition(" | ")
         expected = turn.replace("N m", "N").replace("rad", "m")
         assert slide == ("" if expected == turn else expected), (name, gain)
+
+
+@pytest.mark.parametrize("name", ["ur10", "kinova"])
+@pytest.mark.parametrize(("share", "stable"), [(0.97, True), (1.03, False)])
+def test_the_damping_of_gravity_pid_is_held_over_a_tick_and_diverges_on_light_joints(
+    name: str, share: float, stable: bool
+) -> None:
+    """Above 2 for an eigenvalue of M^-1 kd dt: kd = 1.05 N m s/rad on a UR10 without rotors at 1 kHz."""
+    arm = taut.load_arm(name)
+    light = np.linalg.eigvalsh(taut.snapshot(arm, arm.home).M).min()
+    ctrl = taut.compile(taut.laws.GravityPID(kp=1e-3, kd=share * 2.0 * light / 1e-3), arm)
+    plant, v0 = taut.RigidPlant(arm, friction=None), np.full(arm.n, 1e-4)
+    out = taut.run(ctrl, plant, taut.JointMotion(q=arm.home), duration=0.5, v0=v0)
+    assert (np.abs(out.v[-1]).max() < 1e-4) == stable

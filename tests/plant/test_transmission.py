@@ -73,6 +73,48 @@ class TestEfficiency:
             link == pytest.approx(0.8 * motor, rel=1e-9) if forward else motor == pytest.approx(0.8 * link, rel=1e-9)
         )
 
+    @pytest.mark.parametrize("efficiency", [0.8, 0.4])
+    @pytest.mark.parametrize(
+        ("tau", "v0", "drives"), [(2.0, 0.0, True), (2.0, 1.0, True), (-2.0, -1.0, True), (-2.0, 9.0, False)]
+    )
+    @pytest.mark.parametrize("kind", [taut.RigidPlant, taut.MujocoPlant])
+    def test_the_gear_passes_its_share_of_what_the_rotor_s_acceleration_leaves(
+        self, kind: Any, tau: float, v0: float, drives: bool, efficiency: float
+    ) -> None:
+        """M a = passed (tau - B a): with 80 % of 2 N m, 0.5 and 0.25 kg m^2, 2.2857 rad/s^2."""
+        passed = efficiency if drives else 1.0 / efficiency
+        law = taut.compile(taut.laws.PID(kp=1e-9), GEARED)
+        plant = kind(GEARED, actuation=self.gears(efficiency))
+        run = taut.run(law, plant, taut.JointMotion(q=[1e9 * tau]), duration=0.1, q0=[0.0], v0=[v0])
+        a = (run.v[-1, 0] - run.v[1, 0]) / (run.t[-1] - run.t[1])
+        assert a == pytest.approx(passed * tau / (0.5 + passed * 0.25), rel=1e-9)
+
+    @pytest.mark.parametrize("kind", [taut.RigidPlant, taut.MujocoPlant])
+    def test_a_load_that_accelerates_the_rotor_alone_loses_in_the_gear_too(self, kind: Any) -> None:
+        """M a = -weight - B a / 0.4, from 2.2 rad/s^2 on without loss."""
+        arm = HANGING.with_gears(ratio=50.0, motor_inertia=1e-4)
+        run = held(arm, 0.0, duration=0.02, actuation=self.gears(0.4)) if kind is taut.RigidPlant else taut.run(
+            idle(arm), kind(arm, actuation=self.gears(0.4)), duration=0.02, q0=[0.0]
+        )  # fmt: skip
+        M = float(taut.snapshot(HANGING, [0.0]).M[0, 0])
+        a = (run.v[-1, 0] - run.v[1, 0]) / (run.t[-1] - run.t[1])
+        assert a == pytest.approx(-WEIGHT / (M + 0.25 / 0.4), rel=1e-4)
+
+    def test_of_coupled_joints_each_gear_loses_its_share_of_what_reaches_it(self) -> None:
+        """Power into each gear, less that of its rotor; a step of stick-slip predicts which joints move."""
+        arm = taut.load_arm("panda").with_gears(ratio=100.0, motor_inertia=2e-5)
+        efficiency = np.array([0.8] * 4 + [0.5] * 3)
+        gears = taut.Actuation(transmission=taut.Transmission(efficiency=efficiency))
+        plant = taut.RigidPlant(arm, friction=None, actuation=gears, energy=True)
+        law = taut.compile(taut.laws.GravityPID(kp=200.0, kd=20.0), arm)
+        ref = taut.Sine(center=arm.home, amplitude=0.2, frequency=0.7)
+        run = taut.run(law, plant, ref, duration=2.0)
+        motor, rotor, lost, step = (np.diff(run.extra[f"work.{x}"], axis=0) for x in ("motor", "rotor", "gears", "integration"))  # fmt: skip
+        reaching = motor - rotor - step
+        expected = np.where(reaching > 0.0, 1.0 - efficiency, 1.0 - 1.0 / efficiency) * reaching
+        assert (lost >= -1e-15).all()
+        assert np.abs(lost - expected).sum() < 1e-3 * expected.sum()
+
     def test_direct_drive_without_losses_is_power_in_is_power_out(self) -> None:
         run = held(FREE, 1.0, actuation=self.gears(1.0), energy=True)
         assert run.extra["work.motor"][-1, 0] == pytest.approx(run.extra["work.link"][-1, 0], rel=1e-12)
@@ -122,6 +164,20 @@ class TestElasticity:
         law = taut.compile(taut.laws.GravityPID(kp=0.0, kd=0.0), arm)
         run = taut.run(law, plant, duration=1.0, q0=[0.0])
         assert np.abs(run.v).max() < 1e-9
+
+    def test_a_gear_that_loses_power_makes_the_rotor_light_and_asks_for_shorter_steps(self) -> None:
+        """A motor that drives: 0.1 of the rotor on the spring, and so 10 times its K / B."""
+        law, push = taut.compile(taut.laws.PID(kp=1e-9), GEARED), taut.JointMotion(q=[2e9])
+        for efficiency, substeps, refused in ((1.0, 1, False), (0.1, 1, True), (0.1, 20, False)):
+            drives = taut.Actuation(transmission=taut.Transmission(efficiency=efficiency, stiffness=1.3e5))
+            plant = taut.RigidPlant(GEARED, actuation=drives, substeps=substeps)
+            if refused:
+                with pytest.raises(taut.RangeError, match="substeps=3"):
+                    taut.run(law, plant, push, duration=1.0, q0=[0.0], v0=[1.0])
+                continue
+            run = taut.run(law, plant, push, duration=1.0, q0=[0.0], v0=[1.0])
+            a = efficiency * 2.0 / (0.5 + efficiency * 0.25)  # of both together
+            assert run.v[-1, 0] == pytest.approx(1.0 + a, rel=0.01)
 
     def test_a_very_stiff_one_is_a_rigid_one(self) -> None:
         stiff = taut.Transmission(stiffness=4e5, damping=50.0)

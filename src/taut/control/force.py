@@ -7,12 +7,13 @@ from typing import Any, ClassVar, Final, Literal
 import numpy as np
 
 from taut.base import math as tm
-from taut.base.checks import one_of, require_positive, vector
+from taut.base.checks import one_of, positive_scalar, require_positive, vector
 from taut.base.errors import ShapeError
 from taut.base.types import ArrayLike, Float64Array, Matrix, Rotation, Vector, Wrench
 from taut.control.command import Command, Terms, Torque
 from taut.control.compliance import check_sensor, wrench_at
 from taut.control.contact_loss import CONTACT, E_INT_MAX, PATIENCE, counted, misses
+from taut.control.damping import damping_force
 from taut.control.gains import Gain, GainValue, Memory
 from taut.control.integral import ANTI_WINDUP, AntiWindup, check_force_pole, check_tracking, integrated
 from taut.control.law import Law, MemoryView
@@ -41,13 +42,16 @@ class ForceControl(Law):
                   feedback="none" is eq. 10.34; kfp and kfi make eq. 10.35, kdamp eq. 10.38
                   kdamp V is that of the arm alone when the tick ends, (I + kdamp Lambda^-1 dt)^-1 kdamp V, which is
                     stable for any kdamp at any pose
-    Closed loop:  (I + kfp) F_e + kfi int(F_e) = kdamp V + what g does not know: at rest F_e decays with the pole
+                  which is D V with D = (kdamp^-1 + dt Lambda^-1)^-1: kdamp in series with Lambda / dt, the strongest
+                    damper that a torque held over a tick can be
+    Closed loop:  (I + kfp) F_e + kfi int(F_e) = D V + what g does not know: at rest F_e decays with the pole
                     -kfi / (1 + kfp), to nothing whatever is wrong with g              eq. 10.36, 10.37 corrected
                   on a contact of stiffness k and damping b the arm swings as m s^2 + c s + (1 + kfp) k with
-                    c = kdamp + (1 + kfp) b - kfp k lag, which needs c > 0 and kfi < (1 + kfp) c / m; the lag is
+                    c = D + (1 + kfp) b - kfp k lag, which needs c > 0 and kfi < (1 + kfp) c / m; the lag is
                     dt / 2 of the hold and the age of the measured force
                   on a rigid contact, with a force that is a tick old, stable where kfp + kfi dt / 2 < 1
-                  with nothing to press on V tends to kdamp^-1 ((I + kfp) F_des + kfi int(F_e)); see `speed_bound`
+                  with nothing to press on V tends to D^-1 ((I + kfp) F_des + kfi int(F_e)): what kdamp asks for and
+                    dt Lambda^-1 on top, which is most of it in directions that are light for the rate; `speed_bound`
 
     What F_app is, feedback="joint_torque": J_bar^T (tau_meas - C v - g) with J_bar = M^-1 J^T Lambda, the least
     squares of the joints' residuals weighted with M^-1. For six joints it is J^-T of them; of more joints this is
@@ -58,13 +62,18 @@ class ForceControl(Law):
     Contact is lost when less than `contact` is measured along F_des while more is asked for, longer than
     `patience`: memory `lost` is 1, a column of a run; the metric contact_lost_time and the outcome tell.
 
-    Loss of contact, why the speed is bounded: with w = (I + kfp) F_des + kfi int(F_e), E = v . M v / 2, exact g,
-    and a null law that feeds no energy in, E-dot = V . w - V . kdamp V. With D = V . kdamp V and D_w = w . kdamp^-1
-    w that is at most sqrt(D D_w) - D. So E falls whenever D > D_w, and over any time T the mean of D is at most max
-    D_w + 2 E(0) / T, for any arm and any motion. Where Lambda hardly changes, as about a pose, y = kdamp^1/2 V
-    obeys y-dot = -S (y - y_w), S = kdamp^1/2 Lambda^-1 kdamp^1/2 symmetric positive, and a start from rest keeps D
-    <= max D_w at every instant, for w along one line; sampled, Lambda^-1 w dt may come on top of V. The integral is
-    cut at e_int_max, so that w is bounded.
+    Loss of contact, why the speed is bounded: let w = (I + kfp) F_des + kfi int(F_e), E = v . M v / 2, g exact, and a
+    null law that feeds no energy in. A tick under the wrench f = w - D V adds dt (V . f + f . dt Lambda^-1 f / 2) to
+    E, which is at most dt (w . D^-1 w - V . D V) / 2, as dt Lambda^-1 <= D^-1. So E falls whenever V . D V > w . D^-1
+    w, and over any time T the mean of V . D V is at most max w . D^-1 w + 2 E(0) / T, for any arm and any motion.
+    Where Lambda hardly changes, as about a pose, y = D^1/2 V goes to (I - S) y + S y_w, with y_w = D^-1/2 w and S =
+    D^1/2 dt Lambda^-1 D^1/2 symmetric, its eigenvalues in [0, 1): a start from rest keeps V . D V <= max w . D^-1 w
+    at every instant, for w along one line. The part dt Lambda^-1 w is in the speed of any law that presses with w:
+    so fast is the tool a tick after contact is lost. The integral is cut at e_int_max, so that w is bounded.
+
+    With joint torques the law takes its own force, a tick old, for F_app, also where the tool is free. There it is
+    stable where kfp + kfi dt / 2 + d / 2 < 1, d the largest eigenvalue of D dt Lambda^-1: 1/2 for what kfp and kfi
+    have serves any kdamp. With a wrist sensor any kdamp is stable off contact.
 
     Frames:
         frame= names the axes of the gains and the integral, "world" or "tool"; F_des has a frame of its own. All at
@@ -95,9 +104,10 @@ class ForceControl(Law):
         >>> ctrl = taut.compile(law, taut.load_arm("panda"))
         >>> ctrl.needs
         ('v', 'F_ext')
-        >>> v, omega = law.speed_bound(F_app=[0, 0, -10.0, 0, 0, 0])
-        >>> round(v, 3)  # [m/s]: (1.5 * 10 N + 5 / s * 20 N s) / (100 N s/m), and what the moment's integral adds
-        1.597
+        >>> x = taut.snapshot(ctrl.arm, ctrl.arm.home)
+        >>> v, omega = law.speed_bound(F_app=[0, 0, -10.0, 0, 0, 0], x=x, rate=1000.0)
+        >>> round(v, 3)  # [m/s]: (1.5 * 10 N + 5 / s * 20 N s) / (100 N s/m), the moment's integral, dt Lambda^-1
+        1.895
 
     References:
         Section 10.3 force control. Khatib (1987), IEEE Journal of Robotics and Automation 3 (1), on J_bar.
@@ -167,23 +177,36 @@ class ForceControl(Law):
         if self.feedback == "wrench":
             check_sensor(x, self.tool)
 
-    def speed_bound(self, *, F_app: ArrayLike) -> tuple[float, float]:
-        """What bounds the tool's speed and angular speed when contact is lost [m/s, rad/s]; see the law.
+    def speed_bound(self, *, F_app: ArrayLike, x: Snapshot, rate: float) -> tuple[float, float]:
+        """Bounds of the tool's speed and angular speed in the sampled loop when contact is lost [m/s, rad/s].
 
-        With w = (I + kfp) F_des + kfi e_int_max, each part of the integral along what it adds to most:
-        V . kdamp V <= w . kdamp^-1 w, of which each part has its share. Infinite without kdamp.
+        V . D V <= w . D^-1 w, of which each part has its share, with w = (I + kfp) F_des + kfi e_int_max, each part
+        of the integral along what it adds to most. It holds about the pose x at every instant, from rest; of a
+        motion through other poses in the mean square, with the D of each: see the law.
+
+        Infinite where kdamp damps less than all six directions, and for kfp of joint torques, for which no bound is
+        known.
 
         Args:
             F_app: (6,) the desired wrench in the axes of the gains [N, N m].
+            x: The arm at the pose, such as taut.snapshot(arm, q).
+            rate: Of the control loop [Hz].
         """
-        if not self.gives("kdamp"):
-            return np.inf, np.inf
         F = vector("F_app", F_app, 6, unit="N, N m")
-        inverse = np.linalg.inv(_numbers(self.kdamp))
-        root = np.linalg.cholesky(inverse).T  # |root w|^2 = w . kdamp^-1 w
-        size = float(np.linalg.norm(root @ F))
+        rate = positive_scalar("rate", rate, unit="Hz")
+        kfp, kdamp = _numbers(self.kfp) if self.measures else np.zeros((6, 6)), np.zeros((6, 6))
+        if self.gives("kdamp"):
+            kdamp = _numbers(self.kdamp)
+        if np.linalg.matrix_rank(kdamp) < 6 or (self.feedback == "joint_torque" and kfp.any()):
+            return np.inf, np.inf
+        T, J = x.T(self.tool), x.J(self.tool)
+        mobility = J @ x.M_factors.solve(J.T)
+        if self.frame == "tool":
+            mobility = rotated_matrix(T.R.T, mobility)
+        inverse = np.linalg.inv(kdamp) + np.asarray(mobility, dtype=np.float64) / rate
+        root = np.linalg.cholesky(inverse).T  # |root w|^2 = w . D^-1 w
+        size = float(np.linalg.norm(root @ (F + kfp @ F)))
         if self.measures:
-            size = float(np.linalg.norm(root @ (F + _numbers(self.kfp) @ F)))
             most = np.asarray(self.e_int_max.as_array(), dtype=np.float64)
             added = root @ _numbers(self.kfi)
             size += sum(m * float(np.linalg.norm(added[:, k : k + 3], 2)) for m, k in zip(most, (0, 3), strict=True))
@@ -206,7 +229,8 @@ class ForceControl(Law):
             after |= {"e_int": e_int} | self._contact(F_des, F_app, memory.alone, dt)
             w = w + Terms(P=self.kfp @ F_e, I=self.kfi @ e_int)
         if self.gives("kdamp"):
-            w = w + Terms(D=-self._damping(_inwards(R, J @ x.v), inertia.mobility, R, dt))
+            mobility = inertia.mobility if R is None else rotated_matrix(R.T, inertia.mobility)
+            w = w + Terms(D=-damping_force(self.kdamp.matrix(6), mobility, _inwards(R, J @ x.v), dt))
         tau = J.T @ w.mapped(lambda F: F if R is None else rotated(R, F)) + Terms(gravity=x.g)
         if self.null is not None:
             after["null"] = memory["null"]
@@ -214,16 +238,6 @@ class ForceControl(Law):
             free, after["null"] = null_torque(self.null, x, ref, memory["null"], dt, inertia)
             tau = tau + free
         return Torque(tau), after
-
-    def _damping(self, V: Vector, mobility: Matrix, R: Rotation | None, dt: Any) -> Wrench:
-        """(6,) kdamp V as it will be when the tick ends, of the arm alone: (I + kdamp Lambda^-1 dt)^-1 kdamp V.
-
-        Held over a tick kdamp V itself would throw about what is light, such as a last link about its own axis.
-        """
-        K = self.kdamp.matrix(6)
-        inverse = mobility if R is None else rotated_matrix(R.T, mobility)
-        out: Wrench = tm.solve(tm.eye(6) + dt * (K @ inverse), K @ V)
-        return out
 
     def _integral(
         self, x: Snapshot, e_int: Vector, F_e: Wrench, R: Rotation | None, inertia: TaskInertia, dt: Any

@@ -24,6 +24,7 @@ from taut.control.constraint_checks import (
 )
 from taut.control.constraint_estimate import NEVER, NormalEstimate, turn_between, turned_rows
 from taut.control.contact_loss import CONTACT, E_INT_MAX, PATIENCE, counted, taken_back
+from taut.control.damping import damping_force
 from taut.control.gains import Gain, Memory
 from taut.control.hybrid_motion import MOST_ROWS, HybridMotion, hybrid_kind
 from taut.control.integral import check_force_pole
@@ -49,7 +50,8 @@ class HybridMotionForce(Law):
 
     Law:          tau = J^T (P F_motion + (I - P) F_force + gamma + eta - F_curved)                     eq. 10.45
                   F_motion = Lambda (a_des + kp X_e + ki int(X_e) + kd V_e), or what else `motion` is     eq. 10.31
-                  F_force  = A^T (lam_des + kfp lam_e + kfi int(lam_e) - kdamp (A V + phi_t))             eq. 10.38
+                  F_force  = A^T (lam_des + kfp lam_e + kfi int(lam_e) - D (A V + phi_t))                 eq. 10.38
+                  D = (kdamp^-1 + dt A Lambda^-1 A^T)^-1, the damping kdamp when the tick ends, as of `ForceControl`
                   F_curved = A^T S (A-dot V + ...), the term `curvature`, which the chapter leaves out
                   P = I - A^T S A Lambda^-1, S = (A Lambda^-1 A^T)^-1                                     eq. 10.44
                   with A X_e = 0, A V_e = 0, A a_des = -(A-dot V + ...): what a reference of the tool asks against a
@@ -74,11 +76,14 @@ class HybridMotionForce(Law):
     a contact would be pulled at, and the error pushes further that way; it is cut at e_int_max.
 
     Loss of contact: of a one-sided row, less than `contact` is measured while more is asked for. Longer than
-    `patience`, memory `lost` is 1; the metric contact_lost_time and the outcome tell. With kdamp the speed against
-    the row stays below kdamp^-1 times the size of (1 + kfp) lam_des + kfi e_int_max, from rest, as that of
-    `ForceControl`. Without, the force goes within the patience to twice `contact` and the integral rests, motion
-    against the row is braked within 0.02 s, term `lost`, and contact that is there again is taken up within the
-    patience.
+    `patience`, memory `lost` is 1; the metric contact_lost_time and the outcome tell. With kdamp the speed y = A V +
+    phi_t against the rows is bounded from rest, y . D y <= w . D^-1 w with w = (1 + kfp) lam_des + kfi e_int_max, as
+    that of `ForceControl`: one row moves at no more than (1 / kdamp + dt A Lambda^-1 A^T) w. Of several rows that
+    holds as long as they are pressed: damping does not pull at a one-sided row either. With joint torques, which show
+    the law's own force a tick late, kfp + kfi dt / 2 + d / 2 < 1 is needed off contact, d the largest eigenvalue of D
+    dt A Lambda^-1 A^T: 1/2 for what kfp and kfi have serves any kdamp. Without kdamp, the force goes within the
+    patience to twice `contact` and the integral rests, motion against the row is braked within 0.02 s, term `lost`,
+    and contact that is there again is taken up within the patience.
 
     The outcome of a run tells too where a motion was asked for that is off the constraint by more than the tolerance,
     which is followed along it only, and a force that it does not bear, of which only the rest is applied.
@@ -391,7 +396,8 @@ class HybridMotionForce(Law):
         if self.gives("kfp"):
             lam = lam + Terms(force_P=self.kfp @ e)
         if self.gives("kdamp"):
-            lam = lam + Terms(force_D=-(self.kdamp @ rows.rate(x.v)))
+            mobility = rows.A_q @ held.Minv_AT
+            lam = lam + Terms(force_D=-damping_force(self.kdamp.matrix(rows.count), mobility, rows.rate(x.v), dt))
         if self.gives("kfi"):
             e_int = memory.e_int + zero
             pushed = (lam + Terms(force_I=self.kfi @ e_int)).total

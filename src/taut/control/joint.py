@@ -122,7 +122,8 @@ class GravityPID(Law):
     Law:          tau = kp e + ki int(e) + kd e_dot + g(q)                              eq. 10.22
     Closed loop:  M a + C v = kp e - kd v, for a set-point, ki = 0, an exact g and no friction    eq. 10.23
                   V = e . kp e / 2 + v . M v / 2 falls at the rate v . kd v                        eq. 10.25, 10.27
-                  globally asymptotically stable for kp > 0 and kd > 0, where no joint wraps
+                  globally asymptotically stable for kp > 0 and kd > 0, where no joint wraps, in continuous time;
+                    held over a tick, kd diverges where M^-1 kd dt has an eigenvalue above 2
                   viscous friction adds to kd; dry friction leaves an error of up to mu / kp
 
     References:

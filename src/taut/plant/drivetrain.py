@@ -5,20 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from taut.arm.description import Arm, Friction
 from taut.base import math as tm
 from taut.base.paths import subtree
-from taut.base.types import Float64Array, Vector
+from taut.base.types import Float64Array, Matrix, Vector
 from taut.maths.friction_law import FrictionValues, dry_limit
 from taut.plant.transmission import Transmission
 
 __all__ = ["Drivetrain", "FrictionLimits", "RotorStep"]
 
 Values = Mapping[str, Any]
+SIDES: Final = 2  # times that the side which drives each gear is looked up; a third one changes nothing on a Panda
+RESTS: Final = 1e-9  # [rad/s | m/s] of a joint that friction holds: in MuJoCo it is not exactly zero
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,19 +116,62 @@ class Drivetrain:
         return memory
 
     def limits(
-        self, values: FrictionValues, memory: Values, parameters: Values, v: Vector, tau: Vector, load: Vector
+        self,
+        values: FrictionValues,
+        memory: Values,
+        parameters: Values,
+        v: Vector,
+        tau: Vector,
+        load: Vector,
+        M: Matrix,
+        dt: Any,
+        contact: Any = 0.0,
     ) -> FrictionLimits:
         """The friction limits of a step, from the motors' speeds v, their torques and what loads them.
 
-        What friction there is depends on speed and torque at the start of the step.
+        What friction there is depends on speed and torque at the start of the step. What the gears lose depends on
+        the torque that reaches them, what accelerating the rotors leaves of that of the motors: for that M is the
+        mass matrix of the links, and contact what rigid contacts put on the joints.
         """
         at_rest = memory["at_rest"] > 0.5 if self.remembers_rest else None
         dry = dry_limit(values, v, at_rest, tau, load) if values.dry else tm.zeros(self.arm.n)
         if not self.lossy:
             return FrictionLimits(dry=dry, low=dry, high=dry)
         assert self.transmission is not None
-        forth, back = self.transmission.loss_limits(tau, subtree(parameters, "actuation.transmission"))
+        rotor, p = parameters.get("plant.rotor_inertia"), subtree(parameters, "actuation.transmission")
+        reaching = tau
+        if rotor is not None:
+            b = _per_joint(0.0 if values.viscous is None else values.viscous, self.arm.n)
+            outside = load + contact - b * v - tm.sign(v) * dry
+            reaching = tau - rotor * self._accelerations(M, tau, outside, v, rotor, b, p["efficiency"], dt)
+        forth, back = self.transmission.loss_limits(reaching, p)
         return FrictionLimits(dry=dry, low=dry + forth, high=dry + back)
+
+    def _accelerations(
+        self, M: Matrix, tau: Vector, load: Vector, v: Vector, rotor: Any, b: Vector, efficiency: Any, dt: Any
+    ) -> Vector:
+        """(n,) of the rotors in a step: M a = load + passed (tau - rotor a), joints at rest held; none reverses.
+
+        passed is the efficiency where the motor drives and its inverse where the load does. Which one drives does not
+        depend on what the gear passes, of one joint, so that a solution without losses shows it; of coupled joints
+        the next one corrects it.
+        """
+        n, rotor = self.arm.n, _per_joint(rotor, self.arm.n)
+        moves = tm.where(tm.abs(v) > RESTS, 1.0, 0.0)
+        with_link = moves * np.array([float(i in self.rigid) for i in range(n)])
+        links = np.outer(with_link, with_link) * M
+
+        def solved(passed: Vector) -> Vector:
+            alone = passed * rotor + dt * b + (1.0 - moves)
+            out: Vector = tm.solve_spd(links + tm.eye(n) * alone, moves * (load + passed * tau))
+            return out
+
+        a = solved(tm.zeros(n) + 1.0)
+        for _ in range(SIDES):
+            driving = v * (tau - rotor * a) > 0.0
+            a = solved(tm.where(driving, efficiency, 1.0 / efficiency) + tm.zeros(n))
+        out: Vector = tm.where(v * (v + dt * a) > 0.0, a, -v / dt)
+        return out
 
     def spring(self, q: Vector, v: Vector, memory: Values, parameters: Values) -> Vector:
         """(n,) what springs and teeth put on the links; of rigid joints zero."""

@@ -192,19 +192,21 @@ class Motion:
             load = load + force
         spring = train.spring(q, v, memory, parameters) if train.compliant else tau
         M = dyn.mass_matrix(self.link_model, q, payload)
+        limits, borne = None, memory.get("contact.load")
+        if train.dry:
+            v_m, loads = memory.get("v_motor", v), train.merged(load, -spring)
+            held = 0.0 if borne is None else train.merged(borne, tm.zeros(self.arm.n))
+            limits = train.limits(values, memory, parameters, v_m, tau, loads, M, dt, held)
         rhs = train.merged(tau if b is None else tau - b * v, spring) + load
         for i in train.rigid:
             M[i, i] = M[i, i] + _entry(rotor, i) + dt * _entry(b, i)
         factors = tm.factor_spd(M)
         v_new = v + dt * factors.solve(rhs)
         after: dict[str, Any] = {}
-        limits, f, at_rest = None, np.zeros(self.arm.n), np.zeros(self.arm.n)
-        if train.dry:
-            v_m = memory.get("v_motor", v)
-            limits = train.limits(values, memory, parameters, v_m, tau, train.merged(load, -spring))
+        f, at_rest = np.zeros(self.arm.n), np.zeros(self.arm.n)
         if limits is not None and train.rigid:
             # What rigid contacts bear, friction takes as of the last step; these then act with what it is.
-            borne, slowed = memory.get("contact.load"), v_new
+            slowed = v_new
             if borne is not None:
                 slowed = v_new + dt * factors.solve(borne)
             pushed = rhs if borne is None else rhs + borne

@@ -57,7 +57,9 @@ def require_short_steps(
         _check_torque_loop(train.arm, p, share, dt, way_out)
     if train.compliant:
         joints = list(train.compliant)
-        both = 1.0 / rotor[joints] + np.diag(np.linalg.inv(links))[joints]
+        # A gear that a motor drives passes the rotor's inertia on in its efficiency's measure.
+        light = rotor * p.get("transmission.efficiency", 1.0)
+        both = 1.0 / light[joints] + np.diag(np.linalg.inv(links))[joints]
         _check_springs(train.arm, joints, subtree(p, "transmission"), both, dt, way_out)
 
 

@@ -24,10 +24,11 @@ class Transmission:
     """Gears that lose power, have play, or give way. The ratio itself and the rotor stand in the Arm.
 
     Model:        power: the motor drives, P_out = efficiency P_in; the load drives, P_in = efficiency P_out back
-                  as a friction of the gear: |f| <= (1 - efficiency) |tau| against motion that the motor drives,
-                  |f| <= (1 / efficiency - 1) |tau| against motion that the load drives; at rest it sticks
-                  tau is the motor's torque, what accelerates its rotor included: a motor without torque is driven
-                  back without loss; what a load alone holds is a taut.Friction(load_external=...)
+                  as a friction of the gear: |f| <= (1 - efficiency) |tau_in| against motion that the motor drives,
+                  |f| <= (1 / efficiency - 1) |tau_in| against motion that the load drives; at rest it sticks
+                  tau_in = tau - B a_motor is what reaches the gear: the motor's torque less what accelerates its
+                  rotor, so that M a = efficiency (tau - B a) + ... where the motor drives. Of a motor without torque
+                  a load has the rotor alone to accelerate; what it holds besides is taut.Friction(load_external=...)
                   play and elasticity: tau_link = K z(delta) + D delta_dot where the teeth touch, delta = q_motor - q,
                   z(delta) = delta beyond +-backlash / 2, else 0; the rotor then has a motion of its own,
                   B a_motor = tau - friction - tau_link, and friction acts on its side
@@ -114,7 +115,7 @@ class Transmission:
     # ---------------------------------------------------------------- the pure functions
 
     def loss_limits(self, tau: Vector, p: Values) -> tuple[Vector, Vector]:
-        """(n,) largest friction of the gears against motion in the positive, and in the negative direction."""
+        """(n,) largest friction of gears that tau reaches, against positive and against negative motion."""
         driving = (1.0 - p["efficiency"]) * tm.abs(tau)
         driven = driving / p["efficiency"]
         forward = tau > 0.0

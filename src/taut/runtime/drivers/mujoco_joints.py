@@ -80,10 +80,10 @@ class JointStage:
     ) -> None:
         self._rig, self._actuation, self._train, self._adds = rig, actuation, train, adds
         self._model = model_of(rig.arm)
+        self._links = model_of(rig.arm.with_joints(rotor_inertia=0.0))
         self._follower: Follower | None = None
         if takes != "torque":
-            links = model_of(rig.arm.with_joints(rotor_inertia=0.0))
-            self._follower = Follower(arm=rig.arm, takes=takes, model=links)
+            self._follower = Follower(arm=rig.arm, takes=takes, model=self._links)
         self._rigid = np.array(train.rigid, dtype=np.intp)
         self._dofs = np.array(rig.dofs, dtype=np.intp)
         self._arrived = LinkTorque(rig)
@@ -106,13 +106,14 @@ class JointStage:
         out = {**memory, **after}
         tau = asked + added
         load: Any = np.zeros(self._rig.arm.n)
-        if train.friction is not None and np.any(train.friction.load_external_static):
+        if train.lossy or (train.friction is not None and np.any(train.friction.load_external_static)):
             load = dyn.jacobian(self._model, q).T @ inputs["F_ext"] - dyn.bias(self._model, q, v, payload)
         spring = train.spring(q, v, memory, parameters) if train.compliant else tau
         values = train.values(parameters)
         onto, half, limits = tau, np.zeros(self._rig.arm.n), None
         if train.dry:
-            limits = train.limits(values, memory, parameters, v_m, tau, train.merged(load, -spring))
+            M = dyn.mass_matrix(self._links, q, payload)
+            limits = train.limits(values, memory, parameters, v_m, tau, train.merged(load, -spring), M, dt)
             half = 0.5 * (limits.low + limits.high)
             onto = tau + 0.5 * (limits.high - limits.low)
         if train.compliant:
