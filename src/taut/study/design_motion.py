@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -13,11 +13,14 @@ from taut.arm.description import Arm
 from taut.base.types import Float64Array
 from taut.maths.snapshot import Snapshot
 from taut.plant.rigid import Integrator, RigidPlant
+from taut.study.design_directions import weight_gradient
 
 __all__ = ["Motion"]
 
 LONGEST: Final = 5e-3  # [s] of a step of rk4, for what weight does
 MOST: Final = 1000  # steps in a period
+COARSE: Final = 1.0  # the same at slower ticks, for a stability limit within 1 %
+SLOWEST: Final = 0.1  # [Hz] a servo rate below which none is tried
 REACH: Final = 0.3  # of a step of rk4 times the fastest rate: its fifth order is below 1e-4 there
 
 
@@ -71,10 +74,13 @@ class Motion:
         """Whether what joints move by in a period is their speed at its end, times the period."""
         return self.driven or (not self.exact and self.substeps == 1)
 
-    @property
-    def sampled(self) -> dict[str, Any]:
-        """The same of `ErrorDynamics.sampled`."""
-        return {} if self.exact else {"integrator": self.integrator, "substeps": self.substeps}
+    def slowest_rate(self, x: Snapshot, viscous: Float64Array, contact: Float64Array | None) -> float:
+        """[Hz] at which its steps are just short enough for friction, a spring at the tool and weight."""
+        if not self.exact:
+            return SLOWEST
+        weight = np.linalg.solve(np.asarray(x.M), weight_gradient(x))
+        fastest = max(_fastest(x, viscous, contact), math.sqrt(float(np.abs(np.linalg.eigvals(weight)).max())))
+        return max(SLOWEST, fastest / (COARSE * self.substeps))
 
     @property
     def steps(self) -> str:

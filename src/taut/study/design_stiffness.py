@@ -12,7 +12,6 @@ import numpy as np
 from taut.base.types import ArrayLike, Float64Array
 from taut.control import laws
 from taut.control.law import Law
-from taut.control.reference import Hold
 from taut.maths.snapshot import Snapshot
 from taut.plant.disturbance import TORQUE, WRENCH
 from taut.study.design_directions import Direction
@@ -54,12 +53,18 @@ class Stiff:
 
 
 def stiffnesses(
-    bench: Bench, x: Snapshot, lin: LinearLoop, directions: tuple[Direction, ...], K: ArrayLike | None
+    bench: Bench,
+    at: Float64Array,
+    x: Snapshot,
+    lin: LinearLoop,
+    directions: tuple[Direction, ...],
+    K: ArrayLike | None,
 ) -> tuple[Stiff, ...]:
     """Those of a law that was asked for a stiffness; none with an integral, which gives nowhere in the end.
 
     Args:
         bench: The law in the plant that the design is for.
+        at: (n,) of the reference.
         x: The arm at rest.
         lin: The linear model there.
         directions: Of its error.
@@ -80,8 +85,7 @@ def stiffnesses(
     states = np.linalg.lstsq(np.eye(len(lin.A)) - lin.A, B @ values.T, rcond=None)[0]
     moved = (C @ states).T
     ticks = bench.ticks(directions)
-    bench.loop.ref, bench.loop.duration = Hold(), ticks / bench.ctrl.rate
-    without, *seen = (record["q"][-1] for record in disturbed(bench.loop, np.asarray(x.q), path, values, ticks))
+    without, *seen = (record["q"][-1] for record in disturbed(bench.loop, bench.resting(at), path, values, ticks))
     return tuple(
         Stiff(
             direction=names[i],
