@@ -245,7 +245,7 @@ def _damping(tried: Tried) -> Iterator[DesignLimit]:
 
 def _rate(tried: Tried) -> Iterator[DesignLimit]:
     """The servo rate from which on the whole loop is stable, a delay of as many periods included."""
-    bench, rate, slowest = tried.bench, tried.bench.ctrl.rate, tried.bench.slowest_rate(tried.x)
+    bench, rate, slowest = tried.bench, tried.bench.ctrl.rate, tried.bench.motion.slowest_rate
     if bench.kind != "torque" or rate < TWICE * slowest:
         return
     rest = bench.resting(tried.q)

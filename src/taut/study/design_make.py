@@ -87,7 +87,7 @@ class Maker:
         )  # fmt: skip
         simulated = self.bench.simulated(pose.q, x, directions)
         on_plant = self._on_plant(pose.q, x, directions, steps)
-        stiffness = stiffnesses(self.bench, pose.q, x, lin, directions, asked.K)
+        stiffness = stiffnesses(self.bench, x, lin, directions, asked.K)
         contact = self._in_contact(x)
         if asked.K is not None:
             requirements += stiffness_requirements(stiffness)

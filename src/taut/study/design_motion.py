@@ -32,12 +32,14 @@ class Motion:
         exact: Whether it moves all the time, as a real arm does: rk4 in steps that are short enough.
         integrator: Of the plant.
         substeps: Of it in a period.
+        fastest: [1/s] of what friction, a spring at the tool and weight do to the arm; 0 where the steps are its own.
         driven: Whether it follows drives instead of torques.
     """
 
     exact: bool
     integrator: Integrator
     substeps: int
+    fastest: float
     driven: bool
 
     @classmethod
@@ -62,25 +64,22 @@ class Motion:
             driven: Whether the command goes to drives.
         """
         if driven:  # whose steps are exact by themselves
-            return cls(exact=True, integrator="semi-implicit-euler", substeps=1, driven=True)
+            return cls(exact=True, integrator="semi-implicit-euler", substeps=1, fastest=0.0, driven=True)
         if plant is not None and plant.integrator != "rk4":
-            return cls(exact=False, integrator=plant.integrator, substeps=plant.substeps, driven=False)
+            return cls(exact=False, integrator=plant.integrator, substeps=plant.substeps, fastest=0.0, driven=False)
         fastest = max(_fastest(x, arm.viscous, contact) for x in at)
         wanted = math.ceil(dt * max(1.0 / LONGEST, fastest / REACH) * (1.0 - 1e-9))
-        return cls(exact=True, integrator="rk4", substeps=min(max(wanted, 1), MOST), driven=False)
+        return cls(exact=True, integrator="rk4", substeps=min(max(wanted, 1), MOST), fastest=fastest, driven=False)
 
     @property
     def one_step(self) -> bool:
         """Whether what joints move by in a period is their speed at its end, times the period."""
         return self.driven or (not self.exact and self.substeps == 1)
 
-    def slowest_rate(self, x: Snapshot, viscous: Float64Array, contact: Float64Array | None) -> float:
-        """[Hz] at which its steps are just short enough for friction, a spring at the tool and weight."""
-        if not self.exact:
-            return SLOWEST
-        weight = np.linalg.solve(np.asarray(x.M), weight_gradient(x))
-        fastest = max(_fastest(x, viscous, contact), math.sqrt(float(np.abs(np.linalg.eigvals(weight)).max())))
-        return max(SLOWEST, fastest / (COARSE * self.substeps))
+    @property
+    def slowest_rate(self) -> float:
+        """[Hz] of ticks at which its steps are just short enough for what moves the arm between them."""
+        return max(SLOWEST, self.fastest / (COARSE * self.substeps))
 
     @property
     def steps(self) -> str:
@@ -98,10 +97,9 @@ class Motion:
 
 
 def _fastest(x: Snapshot, viscous: Float64Array, contact: Float64Array | None) -> float:
-    """[1/s] of what friction and a spring at the tool do to the arm."""
-    Minv = np.linalg.inv(np.asarray(x.M))
+    """[1/s] of what friction, weight and a spring at the tool do to the arm."""
+    Minv, drawn, J = np.linalg.inv(np.asarray(x.M)), weight_gradient(x), np.asarray(x.J())
+    if contact is not None:
+        drawn = drawn + J.T @ contact @ J
     rubbed = float(np.abs(np.linalg.eigvals(Minv * viscous)).max())
-    if contact is None:
-        return rubbed
-    J = np.asarray(x.J())
-    return max(rubbed, math.sqrt(float(np.abs(np.linalg.eigvals(Minv @ J.T @ contact @ J)).max())))
+    return max(rubbed, math.sqrt(float(np.abs(np.linalg.eigvals(Minv @ drawn)).max())))

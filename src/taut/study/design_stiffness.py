@@ -53,18 +53,12 @@ class Stiff:
 
 
 def stiffnesses(
-    bench: Bench,
-    at: Float64Array,
-    x: Snapshot,
-    lin: LinearLoop,
-    directions: tuple[Direction, ...],
-    K: ArrayLike | None,
+    bench: Bench, x: Snapshot, lin: LinearLoop, directions: tuple[Direction, ...], K: ArrayLike | None
 ) -> tuple[Stiff, ...]:
     """Those of a law that was asked for a stiffness; none with an integral, which gives nowhere in the end.
 
     Args:
         bench: The law in the plant that the design is for.
-        at: (n,) of the reference.
         x: The arm at rest.
         lin: The linear model there.
         directions: Of its error.
@@ -85,7 +79,9 @@ def stiffnesses(
     states = np.linalg.lstsq(np.eye(len(lin.A)) - lin.A, B @ values.T, rcond=None)[0]
     moved = (C @ states).T
     ticks = bench.ticks(directions)
-    without, *seen = (record["q"][-1] for record in disturbed(bench.loop, bench.resting(at), path, values, ticks))
+    without, *seen = (
+        record["q"][-1] for record in disturbed(bench.loop, bench.resting(lin.q - lin.moved), path, values, ticks)
+    )
     return tuple(
         Stiff(
             direction=names[i],

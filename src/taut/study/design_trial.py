@@ -261,7 +261,7 @@ class Bench:
         felt: Any = Push(peak=NOTHING, duration=1.0) if "F_ext" in self.ctrl.needs else None
         if self.contact is not None:
             felt = Spring(stiffness=self.contact)
-        rubbed = self.arm if friction is None else self.arm.with_friction(Friction(viscous=self.arm.viscous))
+        rubbed = self.arm.with_friction(Friction(viscous=self.arm.viscous if friction else 0.0))
         driven = probe.kind != "torque"
         self.motion = Motion.like(like, rubbed, at, 1.0 / rate, self.contact, driven=driven)
         self.plant = RigidPlant(
@@ -301,11 +301,6 @@ class Bench:
         """That equilibrium itself."""
         self.loop.ref, self.loop.duration = Hold(), 1.0
         return rest_of(self.loop, loop_map(self.loop), q, ANYWHERE).point
-
-    def slowest_rate(self, x: Snapshot) -> float:
-        """[Hz] of the ticks at which the steps between them are just short enough at a pose."""
-        viscous = np.zeros(x.n) if self.plant.friction is None else np.asarray(self.plant.arm.viscous)
-        return self.motion.slowest_rate(x, viscous, self.contact)
 
     def radius_at(self, rest: Point, lin: LinearLoop, rate: float) -> float:
         """The largest modulus of a pole of the loop about an equilibrium, at another rate with the same gains."""
