@@ -365,7 +365,7 @@ def _design(arguments: argparse.Namespace) -> int:
         _print_json(found.json())
     else:
         print(found.report())
-    return DONE if found.met else WRONG
+    return DONE if found.met else FAILED
 
 
 def _bench(arguments: argparse.Namespace) -> int:
