@@ -98,7 +98,7 @@ def design(
         >>> d.law
         PID(kp=[50.0], kd=[10.0], ki=[0.0])
         >>> round(d.achieved[0].simulated.zeta, 3)  # of the sampled loop
-        1.003
+        1.002
 
     References:
         Chapter, sections 10.2.1.1 to 10.2.1.5, 10.2.2, 10.3 and 10.5. MATHS of sampled loops: Astrom and Wittenmark,

@@ -16,10 +16,9 @@ from taut.base.types import ArrayLike, Float64Array
 from taut.study.second_order import second_order
 from taut.study.second_order_response import overshoot_of, settling_angle, zeta_of_overshoot
 
-__all__ = ["BAND", "SHAPES", "SPEEDS", "Asked", "bandwidth_ratio", "plain", "six_by_six"]
+__all__ = ["BAND", "SPEEDS", "Asked", "bandwidth_ratio", "plain", "six_by_six"]
 
 SPEEDS: Final = {"omega_n": "rad/s", "settling": "s", "bandwidth": "rad/s"}
-SHAPES: Final = ("zeta", "overshoot")
 MATRICES: Final = {"K": "N/m, N m/rad", "D": "kg, kg m^2", "contact": "N/m, N m/rad"}
 MOST_ZETA: Final = 1e3
 BAND: Final = 50.0  # of an error and its 2 %

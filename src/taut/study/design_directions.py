@@ -284,20 +284,20 @@ def _none(law: Any, x: Snapshot, b: Float64Array) -> tuple[Direction, ...]:  # n
 
 def _with_torques(law: Any, x: Snapshot, b: Float64Array) -> Coupled:
     kp, kd, ki = (_matrix(gain, x.n) for gain in (law.kp, law.kd, law.ki))
-    return Coupled(M=np.asarray(x.M), C=kd + np.diag(b), b=b, K=kp, Ki=ki)
+    return Coupled(M=np.asarray(x.M), C=kd + np.diag(b), K=kp, Ki=ki)
 
 
 def _with_accelerations(law: Any, x: Snapshot, b: Float64Array) -> Coupled:
     M = np.asarray(x.M)
     kp, kd, ki = (M @ _matrix(gain, x.n) for gain in (law.kp, law.kd, law.ki))
-    return Coupled(M=M, C=kd + np.diag(b), b=b, K=kp, Ki=ki)
+    return Coupled(M=M, C=kd + np.diag(b), K=kp, Ki=ki)
 
 
 def _with_task(law: Any, x: Snapshot, b: Float64Array) -> Coupled:
     place = at_tool(law, x)
     of_tool = [place.Lambda @ place.inside(_matrix(gain, len(place.U))) for gain in (law.kp, law.kd, law.ki)]
     kp, kd, ki = (place.rows.T @ C @ place.rows for C in of_tool)
-    return Coupled(M=np.asarray(x.M), C=kd + np.diag(b), b=b, K=kp, Ki=ki)
+    return Coupled(M=np.asarray(x.M), C=kd + np.diag(b), K=kp, Ki=ki)
 
 
 def _with_felt(law: Any, x: Snapshot, b: Float64Array) -> Coupled:
@@ -313,13 +313,13 @@ def _with_felt(law: Any, x: Snapshot, b: Float64Array) -> Coupled:
         B = place.inside(law.B.matrix(size))
     share = place.Lambda @ np.linalg.inv(D)
     K, B = (place.rows.T @ share @ C @ place.rows for C in (K, B))
-    return Coupled(M=np.asarray(x.M), C=B + np.diag(b), b=b, K=K, Ki=np.zeros((x.n, x.n)))
+    return Coupled(M=np.asarray(x.M), C=B + np.diag(b), K=K, Ki=np.zeros((x.n, x.n)))
 
 
 def _with_spring(law: Any, x: Snapshot, b: Float64Array) -> Coupled:
     J = at_tool(law, x).J
     K = J.T @ np.asarray(law.K.matrix(law.dimensions)) @ J
-    return Coupled(M=np.asarray(x.M), C=_matrix(law.kd, x.n) + np.diag(b), b=b, K=K, Ki=np.zeros((x.n, x.n)))
+    return Coupled(M=np.asarray(x.M), C=_matrix(law.kd, x.n) + np.diag(b), K=K, Ki=np.zeros((x.n, x.n)))
 
 
 DIRECTIONS: Final[dict[type[Law], Callable[[Any, Snapshot, Float64Array], tuple[Direction, ...]]]] = {

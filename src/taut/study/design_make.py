@@ -19,15 +19,9 @@ from taut.study.design_contact import force_gains, pressed, require_force_stable
 from taut.study.design_directions import Direction, directions_of, weight_gradient
 from taut.study.design_force import force_directions
 from taut.study.design_gains import Case
-from taut.study.design_limits import Tried, largest_steps, steps_of
+from taut.study.design_limits import Tried, steps_of
 from taut.study.design_refusals import no_rest, require_pace, require_stable
-from taut.study.design_requirements import (
-    Requirement,
-    force_requirements,
-    requirements_of,
-    step_requirements,
-    stiffness_requirements,
-)
+from taut.study.design_requirements import Requirement, of_force_and_step, of_motion
 from taut.study.design_result import Achieved, AtPose, Design
 from taut.study.design_stiffness import stiffnesses
 from taut.study.design_trial import Bench, Numbers, Response, zeta_seen
@@ -89,12 +83,7 @@ class Maker:
         on_plant = self._on_plant(pose.q, x, directions, steps)
         stiffness = stiffnesses(self.bench, x, lin, directions, asked.K)
         contact = self._in_contact(x)
-        if asked.K is not None:
-            requirements += stiffness_requirements(stiffness)
-        if asked.force is not None:
-            requirements += force_requirements(asked.force, directions, predicted, contact.get("forces", ()))
-        if step is not None:
-            requirements += step_requirements(directions, steps, np.array([most for most, _ in largest_steps(tried)]))
+        requirements += of_force_and_step(asked, tried, stiffness, contact.get("forces", ()), step=step is not None)
         part = self.bench.law
         return Design(
             law=self.law,
@@ -152,9 +141,7 @@ class Maker:
         predicted = self.bench.predicted(lin, x, directions)
         part = self.bench.law
         size = x.n if part.reference is JointMotion else getattr(part, "dimensions", 6)
-        requirements = requirements_of(
-            self.case.asked, size, directions, predicted, lin, several=len(self.case.at) > 1
-        )
+        requirements = of_motion(self.case.asked, size, directions, predicted, lin, several=len(self.case.at) > 1)
         numbers = [each.numbers for each in predicted]
         zetas = [each.zeta for each in numbers] or [math.nan]
         pose = AtPose(

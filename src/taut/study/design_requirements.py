@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from taut.base.types import Float64Array
-from taut.study.design_asked import BAND, SHAPES, SPEEDS, Asked
+from taut.study.design_asked import BAND, SPEEDS, Asked
 from taut.study.design_contact import Pressed
 from taut.study.design_directions import Direction
+from taut.study.design_limits import Tried, largest_steps
 from taut.study.design_stiffness import STATIC, Stiff
 from taut.study.design_trial import Response
 from taut.study.linear_loop import LinearLoop
 
-__all__ = ["Requirement", "requirements_of", "force_requirements", "step_requirements", "stiffness_requirements"]
+__all__ = ["Requirement", "of_force_and_step", "of_motion"]
 
 TOLERANCE: Final = 0.05  # of a number that was asked for: within it it is met
 OVERSHOOT: Final = 1.0  # [%] of the step that an overshoot may exceed what was asked for by besides
@@ -46,8 +47,22 @@ class Requirement:
     got: float
     met: bool
 
+    @classmethod
+    def of(
+        cls, name: str, direction: str, unit: str, asked: float, got: float, *, several: bool = False
+    ) -> Requirement:
+        """With the verdict, `several` where the design is for other poses too; NaN is not met."""
+        if name in ("settling", "overshoot"):
+            met = got <= asked * (1.0 + TOLERANCE) + (OVERSHOOT if name == "overshoot" else 0.0)
+        elif name == "step":
+            met = got >= asked
+        else:
+            least = min(asked, 1.0) if name == "zeta" else asked  # two real poles have no less than 1
+            met = got >= least * (1.0 - TOLERANCE) and (several or got <= asked * (1.0 + TOLERANCE))
+        return cls(name=name, direction=direction, unit=unit, asked=float(asked), got=float(got), met=bool(met))
 
-def requirements_of(
+
+def of_motion(
     asked: Asked,
     size: int,
     directions: tuple[Direction, ...],
@@ -67,29 +82,18 @@ def requirements_of(
         several: Whether the design is for other poses too.
     """
     found = []
-    for name in (*SHAPES, *SPEEDS):
-        value = getattr(asked, name)
-        if value is None:
+    for name, unit in UNITS.items():
+        if getattr(asked, name) is None:
             continue
-        each = np.asarray(value, dtype=np.float64)
+        each = np.asarray(getattr(asked, name), dtype=np.float64)
         each = np.repeat(each, 3) if each.shape == (2,) and size == 6 else each  # (linear, angular)
         wanted = np.broadcast_to(each, (size,))
-        rows = [
-            (d.name, float(wanted[d.axis]), _got(name, d, response))
-            for d, response in zip(directions, predicted, strict=True)
-        ]
+        rows = [(d.name, wanted[d.axis], _got(name, d, p)) for d, p in zip(directions, predicted, strict=True)]
         if not directions:
             slowest = min((-mode.s.real for mode in lin.modes if abs(mode.s) > STAYS), default=math.nan)
-            rows = [("the slowest motion", float(wanted.flat[0]), math.log(BAND) / slowest)]
-            if name != "settling":
-                rows = [("the slowest motion", float(wanted.min()), slowest)]
-        found += [
-            Requirement(
-                name=name, direction=direction, unit=UNITS[name], asked=number, got=got,
-                met=_met(name, number, got, several=several),
-            )
-            for direction, number, got in rows
-        ]  # fmt: skip
+            got = math.log(BAND) / slowest if name == "settling" else slowest
+            rows = [("the slowest motion", (np.max if name == "settling" else np.min)(wanted), got)]
+        found += [Requirement.of(name, where, unit, number, got, several=several) for where, number, got in rows]
     return tuple(found)
 
 
@@ -100,46 +104,23 @@ def _got(name: str, d: Direction, response: Response) -> float:
     return float(getattr(response.numbers, name))
 
 
-def _met(name: str, asked: float, got: float, *, several: bool = False) -> bool:
-    """Whether a number is what was asked for; NaN is not."""
-    if name in ("settling", "overshoot"):
-        return got <= asked * (1.0 + TOLERANCE) + (OVERSHOOT if name == "overshoot" else 0.0)
-    least = min(asked, 1.0) if name == "zeta" else asked  # two real poles have no less than 1
-    return got >= least * (1.0 - TOLERANCE) and (several or got <= asked * (1.0 + TOLERANCE))
-
-
-def stiffness_requirements(stiffness: tuple[Stiff, ...]) -> tuple[Requirement, ...]:
-    """Of a stiffness that was asked for: met where it is what all of K makes of the motions that the arm has."""
-    return tuple(
-        Requirement(
-            name="K", direction=each.direction, unit=each.unit, asked=each.asked, got=each.predicted,
-            met=abs(each.predicted / each.designed - 1.0) <= STATIC,
-        )
-        for each in stiffness
-    )  # fmt: skip
-
-
-def force_requirements(
-    force: float, directions: tuple[Direction, ...], predicted: tuple[Response, ...], forces: tuple[Pressed, ...]
+def of_force_and_step(
+    asked: Asked, tried: Tried, stiffness: tuple[Stiff, ...], forces: tuple[Pressed, ...], *, step: bool
 ) -> tuple[Requirement, ...]:
-    """Of the pole of a force that was asked for: of a law of force on its contact, of a hybrid one each row of it."""
-    rows = [(each.direction, each.predicted.omega_n) for each in forces] or [
-        (d.name, float(np.abs(response.poles).min())) for d, response in zip(directions, predicted, strict=True)
-    ]
-    return tuple(
-        Requirement(name="force", direction=name, unit="1/s", asked=force, got=got, met=_met("force", force, got))
-        for name, got in rows
-    )
+    """A stiffness, the pole of a force and a step, where they were asked for.
 
-
-def step_requirements(
-    directions: tuple[Direction, ...], steps: Float64Array, largest: Float64Array
-) -> tuple[Requirement, ...]:
-    """Of a step that was to keep within the limits of the joints, against the largest that does."""
-    return tuple(
-        Requirement(
-            name="step", direction=d.name, unit=d.unit, asked=float(size) * d.per_unit, got=float(most) * d.per_unit,
-            met=bool(size <= most),
-        )
-        for d, size, most in zip(directions, steps, largest, strict=True)
-    )  # fmt: skip
+    A stiffness is met where it is what all of K makes of the motions that the arm has.
+    """
+    found: list[Requirement] = []
+    for each in stiffness if asked.K is not None else ():
+        met = abs(each.predicted / each.designed - 1.0) <= STATIC
+        row = Requirement.of("K", each.direction, each.unit, each.asked, each.predicted)
+        found.append(dataclasses.replace(row, met=met))
+    directions = tried.directions
+    if asked.force is not None:
+        slow = [(d.name, np.abs(p.poles).min()) for d, p in zip(directions, tried.predicted, strict=True)]
+        rows = [(each.direction, each.predicted.omega_n) for each in forces] or slow
+        found += [Requirement.of("force", name, "1/s", asked.force, got) for name, got in rows]
+    for d, size, (most, _) in zip(directions, tried.steps, largest_steps(tried), strict=True) if step else ():
+        found.append(Requirement.of("step", d.name, d.unit, size * d.per_unit, most * d.per_unit))
+    return tuple(found)
