@@ -16,13 +16,7 @@ __all__ = ["disturbed", "runs_from"]
 
 
 def runs_from(loop: Loop, start: Point, inputs: Sequence[Float64Array], ticks: int) -> list[dict[str, Float64Array]]:
-    """What the loop records in runs from one point, each with inputs that stay.
-
-    Args:
-        loop: The loop.
-        start: Its parameters, and its memory in the first tick.
-        inputs: Of each run.
-        ticks: Of each run.
+    """What the loop records in runs from one point, each of so many ticks with inputs that stay.
 
     Raises:
         RangeError: A run that diverges.
@@ -45,18 +39,7 @@ def runs_from(loop: Loop, start: Point, inputs: Sequence[Float64Array], ticks: i
 
 
 def disturbed(loop: Loop, start: Point, path: str, values: Float64Array, ticks: int) -> list[dict[str, Float64Array]]:
-    """What the loop records in a run without a disturbance, and in one with each of them.
-
-    Args:
-        loop: The loop, whose reference is a sample that stays.
-        start: Where the runs start.
-        path: Which disturbance, of `taut.plant.disturbance`.
-        values: (k, m) of it, each held through its run.
-        ticks: Of each run.
-
-    Raises:
-        RangeError: A run that diverges.
-    """
+    """The same of a run without a disturbance, and with each `values[k]` of one of `taut.plant.disturbance`."""
     inputs = np.tile(start.inputs, (1 + len(values), 1))
     loop_map(loop).inputs.views(inputs)[path][1:] = values
     return runs_from(loop, start, list(inputs), ticks)

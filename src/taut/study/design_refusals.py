@@ -25,11 +25,7 @@ HELP: Final = "GravityPID compensates the weight where the arm is; or ask for a 
 
 
 def require_pace(asked: Asked, bench: Bench, poles: Sequence[Any]) -> None:
-    """An error must decay by more in a tick than rounding hides.
-
-    Raises:
-        RangeError: It does not.
-    """
+    """Refuse an error that decays by less in a tick than rounding hides."""
     rates = [rate for s in poles for rate in -s.real if rate > STAYS * np.abs(s).max()]
     slowest = float(min(rates, default=math.inf)) / bench.ctrl.rate
     if slowest < SLOWEST:
@@ -43,22 +39,12 @@ def require_pace(asked: Asked, bench: Bench, poles: Sequence[Any]) -> None:
 
 
 def require_stable(asked: Asked, bench: Bench, lin: LinearLoop) -> None:
-    """The sampled loop must be stable about its equilibrium.
-
-    Args:
-        asked: The specification.
-        bench: Where it was tried.
-        lin: The linear model about the equilibrium.
-
-    Raises:
-        RangeError: It is not; with what makes it so.
-    """
+    """Refuse a sampled loop that is not stable about its equilibrium, with what makes it so."""
     if lin.stable:
         return
-    why, rest = "ask for a slower design, more damping or a higher rate", (np.round(lin.q, 4) + 0.0).tolist()
-    where = ""
+    why, where = "ask for a slower design, more damping or a higher rate", ""
     if bench.uncompensated:
-        where = f" about its equilibrium under the weight, q = {rest}"
+        where = f" about its equilibrium under the weight, q = {(np.round(lin.q, 4) + 0.0).tolist()}"
         part: Any = designed_part(bench.law)
         least = float(np.linalg.eigvalsh(part.kp.matrix(len(lin.q)) + weight_gradient(snapshot(bench.arm, lin.q)))[0])
         if least <= 0.0:

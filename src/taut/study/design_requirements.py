@@ -71,15 +71,9 @@ def of_motion(
     *,
     several: bool,
 ) -> tuple[Requirement, ...]:
-    """Damping and speed at a pose, in each direction; of a law without directions that of the slowest motion.
+    """Damping and speed at one of several poses, in each direction; of a law without any that of the slowest motion.
 
-    Args:
-        asked: The specification.
-        size: Joints, or coordinates of the tool, of which a speed may have one each.
-        directions: Of the law's error at the pose.
-        predicted: Steps of the linear model along them.
-        lin: The linear model.
-        several: Whether the design is for other poses too.
+    A speed may be one number for each of `size` joints or coordinates of the tool.
     """
     found = []
     for name, unit in UNITS.items():

@@ -171,11 +171,6 @@ def common_delay(sensitivity: Sensitivity, dt: float, poles: Float64Array) -> fl
     """How many periods more all commands may be late, not whole, of a stable loop: where it first is not.
 
     Law:          det(I + L z^-d) = 0: an eigenvalue of L has modulus 1 and d omega dt = arg + pi, modulo 2 pi
-
-    Args:
-        sensitivity: Gives S = (I + L)^-1 (k, n, n) at (k,) frequencies [rad/s].
-        dt: Period [s].
-        poles: Their frequencies [rad/s], about which to look closely.
     """
 
     def loci(omega: Float64Array) -> Complex:
