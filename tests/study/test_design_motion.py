@@ -77,15 +77,16 @@ def test_a_delay_of_whole_periods_may_be_the_last_that_is_stable(arm: taut.Arm) 
 
 
 def test_refusals_are_of_the_same_motion(arm: taut.Arm) -> None:
-    with pytest.raises(taut.RangeError, match=r"grows by the factor 8.558 .* omega_n = 989") as refused:
+    with pytest.raises(taut.RangeError, match=r"grows by the factor 8.558 in a tick") as refused:
         taut.design(laws.PID, arm, zeta=1.0, omega_n=3000.0)
     assert refused.value.value == pytest.approx(abs(held(M * 9e6, M * 6000.0, 1000.0)).max(), rel=1e-6)
     with pytest.raises(taut.RangeError, match=rf"at 1000 Hz and {STEPPED} has it.* grows by the factor 13.37"):
         taut.design(laws.PID, arm, zeta=1.0, omega_n=3000.0, plant=taut.RigidPlant(arm))
     with pytest.raises(taut.RangeError, match=r"at 20 Hz the sampled loop grows by the factor 1.003 in a tick"):
         taut.design(laws.PID, arm, zeta=0.05, omega_n=5.0, rate=20.0)
-    with pytest.raises(taut.RangeError, match="damping ratio at 11 Hz"):  # stable from 10 Hz on, and hardly damped
-        taut.design(laws.PID, arm, zeta=1.0, omega_n=10.0, rate=11.0)
+    hardly = taut.design(laws.PID, arm, zeta=1.0, omega_n=10.0, rate=11.0)  # stable from 10 Hz on, and hardly damped
+    assert not hardly.met
+    assert hardly.achieved[0].predicted.zeta < 0.5
 
 
 def test_friction_and_slow_ticks_take_shorter_steps_of_the_same_motion(arm: taut.Arm) -> None:
@@ -100,9 +101,10 @@ def test_friction_and_slow_ticks_take_shorter_steps_of_the_same_motion(arm: taut
 
 
 def test_speeds_beyond_reason_are_refused_with_what_is_true_of_them(arm: taut.Arm) -> None:
-    for settling in (1e-9, 1e-4):
-        with pytest.raises(taut.RangeError, match=r"it is stable up to settling = 0.00589"):
+    for settling in (1e-9, 1e-4, 0.0058):
+        with pytest.raises(taut.RangeError, match=r"the sampled loop grows"):
             taut.design(laws.PID, arm, zeta=1.0, settling=settling)
+    assert taut.design(laws.PID, arm, zeta=1.0, settling=0.0059).tried.lin.stable
     for settling in (1e6, 1e9):
         with pytest.raises(taut.RangeError, match=r"cannot be tried at 1000 Hz: .* ask for a faster design"):
             taut.design(laws.PID, arm, zeta=1.0, settling=settling)
@@ -169,7 +171,7 @@ def test_more_damping_than_designed_is_no_fault_and_no_limit_is_not_kept(arm: ta
     assert d.limit("damping").ok
     count = len(d.limits) - 1
     assert (
-        d.report_page().summary[0] == f"It keeps to {count} of {count} limits; 'one_joint' states no torque limits."
+        f"It keeps to {count} of {count} limits; 'one_joint' states no torque limits." in d.report_page().summary[0]
     )
     late = taut.design(laws.ComputedTorque, arm, zeta=0.5, omega_n=10.0, delay=2e-2)
     assert not late.limit("damping").ok

@@ -180,7 +180,7 @@ def _parser() -> argparse.ArgumentParser:
     patient.add_argument("--arm", metavar="MODEL", help="the arm that the controller was compiled for")
     patient.add_argument("--out", type=Path, metavar="DIR", help="folder for a picture of each finding")
     gains = add("design", _design, "Find the gains of a law from a specification, and what they run into.")
-    gains.epilog = f"{design_command.EXAMPLES}{STATUS}"
+    gains.epilog = design_command.EXAMPLES
     design_command.add_arguments(gains)
     bench = add("bench", _bench, "Measure what a tick, a compile and a closed loop cost on this machine.")
     bench.add_argument("arm", nargs="?", default="planar3", metavar="ARM", help="name or file (default: planar3)")
@@ -365,7 +365,7 @@ def _design(arguments: argparse.Namespace) -> int:
         _print_json(found.json())
     else:
         print(found.report())
-    return DONE
+    return DONE if found.met else FAILED
 
 
 def _bench(arguments: argparse.Namespace) -> int:

@@ -20,6 +20,10 @@ EXAMPLES: Final = """examples:
   taut design HybridMotionForce --arm panda --zeta 1 --omega_n 10 --force 5 \\
       --constraint '{ kind = "plane", point = [0.3, 0.0, 0.5], normal = [0, 0, 1] }'
 
+exit status:
+  0  done, and all that was asked for is met
+  1  done, and something that was asked for is missed
+  2  the request was wrong, or no loop with these gains is stable
 """
 NUMBERS: Final = {
     "zeta": "damping ratio; 1 for critical damping",
@@ -141,7 +145,7 @@ def _hybrid(constraint: str | None) -> Law:
 
 def _numbers(name: str, text: str) -> Any:
     """A number, or numbers with commas between them, in brackets or not."""
-    inside = text.strip()
+    inside = text.strip().removesuffix("%" if name == "overshoot" else "")
     inside = inside[1:-1] if inside[:1] == "[" and inside[-1:] == "]" else inside
     try:
         flat = [float(value) for value in inside.split(",")]  # NaN too, which the design refuses by name

@@ -1,4 +1,4 @@
-"""taut.design: from a specification to the gains of a law, its limits, and what the loop then really does."""
+"""taut.design: from a specification to the gains of a law, what of it is met, and the limits."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from taut.study.design_asked import Asked
 from taut.study.design_gains import PLACEHOLDER, RECIPES, Case, gains_for
 from taut.study.design_make import Maker
 from taut.study.design_place import poses_of
-from taut.study.design_result import Achieved, AtPose, Design
+from taut.study.design_result import Achieved, AtPose, Design, Requirement
 from taut.study.sampled import VelocityKind
 
-__all__ = ["Achieved", "AtPose", "Design", "design"]
+__all__ = ["Achieved", "AtPose", "Design", "Requirement", "design"]
 
 
 def design(
@@ -48,15 +48,16 @@ def design(
     step: ArrayLike | None = None,
     plant: RigidPlant | None = None,
 ) -> Design:
-    """Gains of a law from a specification, the limits that they run into, and designed against achieved numbers.
+    """Gains of a law from a specification, what of it the sampled loop has, and the limits that they run into.
 
     Law:          of joints in torque units   kp = M_ii omega_n^2, kd = 2 zeta omega_n M_ii - b, rotors included
                   of accelerations            kp = omega_n^2, kd = 2 zeta omega_n
                   of the tool's impedance     K and zeta as they are; K = omega_n^2 Lambda; D = K / omega_n^2
                   of first order              kp = bandwidth, or ln 50 / settling
                   of force                    kfi = (1 + kfp) pole
-    Closed loop:  that of the law's own docstring; it is linearised with its hold, delay and filters, and simulated,
-                  with an arm that moves all the time between ticks (exact hold), or in the steps of `plant`
+    Closed loop:  that of the law's own docstring; it is linearised about its equilibrium, with its zero-order hold,
+                  delay, filters and the weight that it does not compensate, and simulated, with an arm that moves all
+                  the time between ticks (exact hold), or in the steps of `plant`
 
     Ask for a damping (zeta or overshoot) and a speed (omega_n, settling or bandwidth), or for a stiffness. Critical
     damping is zeta=1. Over several poses gains are those of the worst one: the heaviest for joints in torque units,
@@ -88,7 +89,7 @@ def design(
 
     Raises:
         UsageError: A specification that says too little, too much or what the law has not; a law without gains.
-        RangeError: What contradicts itself, or cannot be met on this arm: which limit, and the nearest that can be.
+        RangeError: What contradicts itself, or whose sampled loop is not stable: which limit is in the way.
 
     Example:
         >>> import taut
@@ -97,7 +98,7 @@ def design(
         >>> d.law
         PID(kp=[50.0], kd=[10.0], ki=[0.0])
         >>> round(d.achieved[0].simulated.zeta, 3)  # of the sampled loop
-        1.003
+        1.002
 
     References:
         Chapter, sections 10.2.1.1 to 10.2.1.5, 10.2.2, 10.3 and 10.5. MATHS of sampled loops: Astrom and Wittenmark,

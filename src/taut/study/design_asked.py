@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -20,7 +19,6 @@ from taut.study.second_order_response import overshoot_of, settling_angle, zeta_
 __all__ = ["BAND", "SPEEDS", "Asked", "bandwidth_ratio", "plain", "six_by_six"]
 
 SPEEDS: Final = {"omega_n": "rad/s", "settling": "s", "bandwidth": "rad/s"}
-SHAPES: Final = ("zeta", "overshoot")
 MATRICES: Final = {"K": "N/m, N m/rad", "D": "kg, kg m^2", "contact": "N/m, N m/rad"}
 MOST_ZETA: Final = 1e3
 BAND: Final = 50.0  # of an error and its 2 %
@@ -136,17 +134,6 @@ class Asked:
     def damping(self) -> float | None:
         """The damping ratio, by either name."""
         return self.zeta if self.overshoot is None else _zeta_of(self.overshoot)
-
-    def faster(self, factor: float) -> Asked:
-        """The same at another speed; a stiffness alone, or with a settling time, grows with its square."""
-        scales: Mapping[str, float] = {"omega_n": factor, "settling": 1.0 / factor, "bandwidth": factor}
-        new = {name: np.asarray(getattr(self, name)) * scales[name] for name in self.speeds}
-        alone = not new or (self.damping is None and self.speeds == ("settling",) and self.D is None)
-        if alone and self.K is not None:
-            new["K"] = np.asarray(self.K) * factor**2
-        if self.force is not None:
-            return dataclasses.replace(self, **new, force=self.force * factor)  # type: ignore[arg-type]
-        return dataclasses.replace(self, **new)  # type: ignore[arg-type]
 
     def only(self, law: str, *names: str) -> None:
         """Refuse what has no meaning for a law.

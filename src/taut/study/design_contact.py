@@ -30,6 +30,7 @@ from taut.study.design_asked import BAND
 from taut.study.design_disturbed import disturbed
 from taut.study.design_limits import KEPT, DesignLimit
 from taut.study.design_trial import Numbers, numbers_of_poles
+from taut.study.loop_map import loop_map, starting
 
 __all__ = ["Pressed", "force_gains", "force_limits", "pressed", "require_force_stable"]
 
@@ -38,8 +39,6 @@ SHORTEST, LONGEST = 50, 40_000  # ticks
 UNKNOWN: Final = 1e-2  # [N | N m] of a force that nobody told the law of
 ENDED: Final = 1e-9  # of a pole in z: a delay that ends by itself
 HELD: Final = 1e-9  # of the first error: below it an error is rounding
-BELOW: Final = 0.99  # of a border: what is named as possible
-HALVINGS: Final = 40
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,7 +136,7 @@ def require_force_stable(law: HybridMotionForce, rate: float, delay: float) -> N
     """The force loop must be stable on a rigid contact, where what is measured is a tick old.
 
     Raises:
-        RangeError: It is not; with the nearest pole of the force that is.
+        RangeError: It is not.
     """
     kfp, kfi = force_gains(law)
     late, force = round(delay * rate), float(np.max(np.diag(kfi) / (1.0 + np.diag(kfp))))
@@ -145,20 +144,12 @@ def require_force_stable(law: HybridMotionForce, rate: float, delay: float) -> N
     if radius < 1.0:
         return
     where = f"{rate:g} Hz" + (f" and {1e3 * delay:g} ms of delay" if delay else "")
-    head = (
-        f"force = {force:g} cannot be met: at {where} an error of the force grows by the factor {radius:.4g} in a "
-        "tick on a rigid contact, where what is measured is a tick old"
-    )
-    if _radius(kfp, 0.0 * kfi, rate, late) >= 1.0:
-        raise RangeError(
-            f"{head}, and so it does with kfp alone, which must be below 1; lower kfp", name="force", value=radius
-        )
-    low, high = 0.0, 1.0
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if _radius(kfp, middle * kfi, rate, late) < 1.0 else (low, middle)
+    alone = _radius(kfp, 0.0 * kfi, rate, late) >= 1.0
+    way_out = "and so it does with kfp alone, which must be below 1; lower kfp"
     raise RangeError(
-        f"{head}; the nearest that is stable has force = {BELOW * low * force:.4g}",
+        f"force = {force:g} cannot be met: at {where} an error of the force grows by the factor {radius:.4g} in a "
+        "tick on a rigid contact, where the measured force is a tick old"
+        f"{f', {way_out}' if alone else '; ask for a slower force, or a higher rate'}",
         name="force",
         value=radius,
         rule="stable",
@@ -177,7 +168,7 @@ def force_limits(forces: tuple[Pressed, ...], rate: float) -> Iterator[DesignLim
         name="force pole", value=seen, limit=book, unit="1/s", ok=ok,
         sentence=(
             f"at {rate:g} Hz an error of the {worst.direction} dies away with {seen:.4g} 1/s{how} on a rigid "
-            f"contact, {book:.4g} 1/s by the book"
+            f"contact, {book:.4g} 1/s in continuous time"
         ),
     )  # fmt: skip
 
@@ -203,7 +194,7 @@ def force_gains(law: HybridMotionForce) -> tuple[Float64Array, Float64Array]:
     return np.asarray(given[0], dtype=np.float64), np.asarray(given[1], dtype=np.float64)
 
 
-# -------------------------------------------------------------------- by the book of the tick
+# -------------------------------------------------------------------- the law from tick to tick
 
 
 def _matrix(kfp: Float64Array, kfi: Float64Array, rate: float, late: int) -> Float64Array:
@@ -270,5 +261,6 @@ def _slow(z: NDArray[np.complex128], rate: float) -> NDArray[np.complex128]:
 def _simulated(loop: Loop, q: Float64Array, held: Constraint, ticks: int) -> Float64Array:
     """(k, ticks) the same of runs of the loop: what a force that the law does not know adds to each multiplier."""
     A_q = np.asarray(held.at(snapshot(loop.plant.arm, q)).A_q, dtype=np.float64)
-    without, *seen = (record["contact.lam"] for record in disturbed(loop, q, TORQUE, UNKNOWN * A_q, ticks))
+    start = starting(loop, loop_map(loop), q)
+    without, *seen = (record["contact.lam"] for record in disturbed(loop, start, TORQUE, UNKNOWN * A_q, ticks))
     return np.array([(lam - without)[:, i] / UNKNOWN for i, lam in enumerate(seen)])

@@ -27,14 +27,12 @@ class Coupled:
     Args:
         M: (n, n) inertia.
         C: (n, n) damping, the arm's own friction included.
-        b: (n,) that friction.
         K: (n, n) stiffness.
         Ki: (n, n) of the integral.
     """
 
     M: Float64Array
     C: Float64Array
-    b: Float64Array
     K: Float64Array
     Ki: Float64Array
 

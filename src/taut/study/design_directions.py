@@ -37,7 +37,10 @@ class Direction:
         row: (n,) how far a motion of the joints goes along it.
         column: (n,) the motion of the joints that goes along it by 1, and along no other one.
         dynamics: Its error dynamics in continuous time, by the gains and the inertia there.
+        axis: Number of the joint or of the axis of the tool that it moves most.
         per_unit: What a motion by 1 makes of `unit`: the stiffness of a contact, where that is a force.
+        step: (n,) the step of a reference of joints that ends in `column`, where it is another one: under weight that
+            the law does not compensate.
         coupled: Those of all joints, where friction or unlike gains couple them so that this direction has none by
             itself; `dynamics` is then what a motion along it alone would have.
     """
@@ -47,7 +50,9 @@ class Direction:
     row: Float64Array
     column: Float64Array
     dynamics: ErrorDynamics
+    axis: int
     per_unit: float = 1.0
+    step: Float64Array | None = None
     coupled: Coupled | None = None
 
     @property
@@ -74,17 +79,23 @@ def designed_part(law: Law) -> Law:
     return law
 
 
-def directions_of(law: Law, x: Snapshot, b: Float64Array) -> tuple[Direction, ...]:
-    """Those of a law at the state of a snapshot; b (n,) is the friction that counts.
+def directions_of(law: Law, x: Snapshot, b: Float64Array, G: Float64Array | None = None) -> tuple[Direction, ...]:
+    """Those of a law about the equilibrium of a snapshot; none of laws of force, and of those without a stiffness.
 
-    None where there is no error that dies away: of laws of force, and of those that draw the arm nowhere.
+    Args:
+        law: The law.
+        x: The arm at rest.
+        b: (n,) the friction that counts.
+        G: (n, n) the weight's gradient dg/dq where it adds to kp, as the law does not compensate it there.
     """
     part: Any = designed_part(law)
-    if fed_forward(law):
-        kp = _matrix(part.kp, x.n) + weight_gradient(x)
-        if np.linalg.eigvalsh(kp)[0] > 0.0:  # else it falls over, and is refused for it
-            part = dataclasses.replace(part, kp=kp)
+    kp = _matrix(part.kp, x.n) if G is not None else np.eye(x.n)
+    if G is not None and np.linalg.eigvalsh(kp + G)[0] > 0.0:  # else it falls over, and is refused for it
+        part = dataclasses.replace(part, kp=kp + G)
     found = DIRECTIONS[type(part)](part, x, b)
+    if G is not None and not fed_forward(law) and not np.any(part.ki.as_array()):
+        ends = np.asarray(np.linalg.solve(kp, kp + G), dtype=np.float64)
+        found = tuple(dataclasses.replace(d, step=np.asarray(ends @ d.column)) for d in found)
     whole = COUPLED[type(part)](part, x, b) if found and type(part) in COUPLED else None
     if whole is None:
         return found
@@ -98,7 +109,7 @@ def fed_forward(law: Law) -> bool:
 
 
 def weight_gradient(x: Snapshot) -> Float64Array:
-    """(n, n) dg/dq [N m/rad], which adds to kp where the weight is compensated along the reference."""
+    """(n, n) dg/dq [N m/rad], which adds to kp where the weight is not compensated at the joints' own position."""
     q, columns = np.asarray(x.q), []
     for nudge in NUDGE * np.eye(x.n):
         up, down = (np.asarray(snapshot(x.arm, at).g) for at in (q + nudge, q - nudge))
@@ -125,7 +136,7 @@ def _matrix(gain: Any, n: int) -> Float64Array:
 def _joints(x: Snapshot, dynamics: Callable[[int], ErrorDynamics]) -> tuple[Direction, ...]:
     eye = np.eye(x.n)
     return tuple(
-        Direction(name=name, unit=x.arm.units[i], row=eye[i], column=eye[i], dynamics=dynamics(i))
+        Direction(name=name, unit=x.arm.units[i], row=eye[i], column=eye[i], dynamics=dynamics(i), axis=i)
         for i, name in enumerate(x.arm.joint_names)
     )
 
@@ -159,6 +170,7 @@ def _of_torques(law: Any, x: Snapshot, b: Float64Array) -> tuple[Direction, ...]
                 row=M @ mode * mode[i],
                 column=scaled,
                 dynamics=_second(1.0, float(square), kd_, ki_, b_),
+                axis=i,
             )
         )
     return tuple(found)
@@ -207,6 +219,7 @@ def _at_tool(
                 row=place.rows.T @ across[:, k] * scale,
                 column=back @ way / scale,
                 dynamics=dynamics(k),
+                axis=i,
             )
         )
     return tuple(found)
@@ -256,6 +269,7 @@ def _of_spring(law: Any, x: Snapshot, b: Float64Array) -> tuple[Direction, ...]:
                 row=M @ mode * float(moved[i]),
                 column=mode / float(moved[i]),
                 dynamics=_second(1.0, float(square), float(mode @ kd @ mode), 0.0, float(mode @ np.diag(b) @ mode)),
+                axis=i,
             )
         )
     return tuple(found)
@@ -270,20 +284,20 @@ def _none(law: Any, x: Snapshot, b: Float64Array) -> tuple[Direction, ...]:  # n
 
 def _with_torques(law: Any, x: Snapshot, b: Float64Array) -> Coupled:
     kp, kd, ki = (_matrix(gain, x.n) for gain in (law.kp, law.kd, law.ki))
-    return Coupled(M=np.asarray(x.M), C=kd + np.diag(b), b=b, K=kp, Ki=ki)
+    return Coupled(M=np.asarray(x.M), C=kd + np.diag(b), K=kp, Ki=ki)
 
 
 def _with_accelerations(law: Any, x: Snapshot, b: Float64Array) -> Coupled:
     M = np.asarray(x.M)
     kp, kd, ki = (M @ _matrix(gain, x.n) for gain in (law.kp, law.kd, law.ki))
-    return Coupled(M=M, C=kd + np.diag(b), b=b, K=kp, Ki=ki)
+    return Coupled(M=M, C=kd + np.diag(b), K=kp, Ki=ki)
 
 
 def _with_task(law: Any, x: Snapshot, b: Float64Array) -> Coupled:
     place = at_tool(law, x)
     of_tool = [place.Lambda @ place.inside(_matrix(gain, len(place.U))) for gain in (law.kp, law.kd, law.ki)]
     kp, kd, ki = (place.rows.T @ C @ place.rows for C in of_tool)
-    return Coupled(M=np.asarray(x.M), C=kd + np.diag(b), b=b, K=kp, Ki=ki)
+    return Coupled(M=np.asarray(x.M), C=kd + np.diag(b), K=kp, Ki=ki)
 
 
 def _with_felt(law: Any, x: Snapshot, b: Float64Array) -> Coupled:
@@ -299,13 +313,13 @@ def _with_felt(law: Any, x: Snapshot, b: Float64Array) -> Coupled:
         B = place.inside(law.B.matrix(size))
     share = place.Lambda @ np.linalg.inv(D)
     K, B = (place.rows.T @ share @ C @ place.rows for C in (K, B))
-    return Coupled(M=np.asarray(x.M), C=B + np.diag(b), b=b, K=K, Ki=np.zeros((x.n, x.n)))
+    return Coupled(M=np.asarray(x.M), C=B + np.diag(b), K=K, Ki=np.zeros((x.n, x.n)))
 
 
 def _with_spring(law: Any, x: Snapshot, b: Float64Array) -> Coupled:
     J = at_tool(law, x).J
     K = J.T @ np.asarray(law.K.matrix(law.dimensions)) @ J
-    return Coupled(M=np.asarray(x.M), C=_matrix(law.kd, x.n) + np.diag(b), b=b, K=K, Ki=np.zeros((x.n, x.n)))
+    return Coupled(M=np.asarray(x.M), C=_matrix(law.kd, x.n) + np.diag(b), K=K, Ki=np.zeros((x.n, x.n)))
 
 
 DIRECTIONS: Final[dict[type[Law], Callable[[Any, Snapshot, Float64Array], tuple[Direction, ...]]]] = {

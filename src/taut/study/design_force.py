@@ -38,6 +38,7 @@ def force_directions(law: Any, x: Snapshot, spring: Float64Array) -> tuple[Direc
                 row=place.rows.T @ (place.Lambda @ mode) * moved[i],
                 column=place.back @ mode / moved[i],
                 dynamics=ErrorDynamics.of_gains(JointGains(M=1.0, kp=float(square), kd=kd, ki=ki)),
+                axis=i,
                 per_unit=float(spring[i, i]),
             )
         )

@@ -25,7 +25,6 @@ from taut.study.second_order import second_order
 
 __all__ = ["Case", "gains_for"]
 
-ONE_TICK: Final = 0.5  # of the rate: a pole that is named as possible
 INNER: Final = 5.0  # times as fast as the model is the law that follows it
 SWING: Final = ("zeta", "overshoot", "omega_n", "settling", "bandwidth")
 
@@ -262,12 +261,11 @@ def _first_order(case: Case) -> Law:
     pole = case.asked.pole(case.name)
     fastest = float(np.max(pole))
     if fastest > case.rate:
-        slower = case.asked.faster(ONE_TICK * case.rate / fastest)
-        (name,) = slower.speeds
+        (name,) = case.asked.speeds
         raise RangeError(
             f"{name} = {plain(getattr(case.asked, name))} cannot be met: at {case.rate:g} Hz a pole of {case.rate:g} "
-            f"1/s takes all of an error away in one tick, and this would be one of {fastest:.4g} 1/s; the nearest "
-            f"that can has {name} = {plain(getattr(slower, name))}",
+            f"1/s takes all of an error away in one tick, and this would be one of {fastest:.4g} 1/s; ask for a "
+            "slower design, or a higher rate",
             name=name,
             value=fastest,
             rule=f"<= {case.rate:g} 1/s",
@@ -331,7 +329,7 @@ def _force(case: Case) -> Law:
         name = "force" if case.asked.force is not None else "bandwidth"
         raise RangeError(
             f"{name}: a pole of the force of {fastest:g} 1/s cannot be met: at {case.rate:g} Hz one of {most:g} 1/s "
-            "or more swings on any contact, and what is nearest depends on the contact; 1 to 20 1/s are usual",
+            "or more oscillates on any contact; 1 to 20 1/s are usual",
             name=name,
             value=fastest,
             rule=f"< {most:g} 1/s",

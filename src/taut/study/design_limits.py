@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,36 +9,33 @@ from typing import Any, Final
 
 import numpy as np
 from scipy.linalg import eigh
-from scipy.optimize import root
 
 from taut.arm.description import Arm
 from taut.base.errors import UsageError
 from taut.base.types import Float64Array
 from taut.control import laws
 from taut.control.limits import RATE_PER_EFFORT
-from taut.maths.snapshot import Snapshot, snapshot
+from taut.maths.snapshot import Snapshot
 from taut.plant.rigid import RigidPlant
-from taut.study.design_coupled import Coupled
 from taut.study.design_directions import Direction, designed_part, fed_forward, weight_gradient
-from taut.study.design_motion import Motion
 from taut.study.design_trial import Bench, Numbers, Response
 from taut.study.impedance import check_impedance
 from taut.study.linear_loop import LinearLoop
-from taut.study.sampled import SampledLoop, largest_factor
+from taut.study.margins import common_delay
+from taut.study.sampled import largest_factor
 
-__all__ = ["DesignLimit", "Tried", "growth", "limits_of", "step_limit", "steps_of"]
+__all__ = ["RESTS", "DesignLimit", "Tried", "growth", "largest_steps", "limits_of", "steps_of"]
 
 KEPT: Final = 0.1  # of the damping ratio: what sampling, or an integral, may take
 COUNT: Final = 0.01  # of the effort limit: a torque that an encoder's step may make
 STEP_JOINT: Final = {"rad": 0.1, "m": 0.05}
 PRESS: Final = {"N": 10.0, "N m": 1.0}
 EVERY: Final = 1e-12
-ALIKE: Final = 1e-9  # of the largest entry: what rounding leaves of a symmetric matrix
-SLOWEST: Final = 0.1  # [Hz] below which no border is looked for
-ROUGH: Final = 20  # halvings of a border
-MOST_PERIODS: Final = 64  # of delay, of all joints together
-WEIGHTS: Final = (0.25, 0.5, 0.75, 1.0)  # shares of the weight, from which a sag is followed
-SAGGED: Final = 1e-10
+ROUGH: Final = 20  # halvings of a stability limit
+TWICE: Final = 2.0  # times the slowest rate that can be tried: below it no limit is looked for
+STANDS: Final = 1e-6  # of the modulus of a pole at 1, which rounding splits
+ROUNDS: Final = 1e-9  # of a period
+RESTS: Final = 1e-9  # [rad | m] of a steady-state error: rounding
 PULLED: Final = 0.2  # of kp: what the weight's gradient may add or take, a tenth of omega_n
 NONE: Final = 1e-9  # of a growth in a tick: rounding
 VISIBLE: Final = 5e-4  # likewise, which four digits show
@@ -109,11 +105,12 @@ class Tried:
 
     Args:
         bench: The law in the plant that the design is for.
-        arm: With its weight.
-        x: At rest at the pose.
+        arm: The arm.
+        q: (n,) of the reference.
+        x: At the equilibrium of the loop.
         lin: The linear model there.
         directions: Of the error.
-        designed: In each, by the book.
+        designed: In each, in continuous time.
         predicted: In each, a step of the sampled loop.
         steps: (k,) the steps that limits are told for.
         plant: The user's own, if there is one.
@@ -121,6 +118,7 @@ class Tried:
 
     bench: Bench
     arm: Arm
+    q: Float64Array
     x: Snapshot
     lin: LinearLoop
     directions: tuple[Direction, ...]
@@ -134,9 +132,9 @@ def limits_of(tried: Tried) -> tuple[DesignLimit, ...]:
     """All that have a meaning for the law and the arm."""
     found: list[DesignLimit] = []
     if tried.bench.kind == "torque":
-        found += torque_limits(tried)
+        found += _torque_limits(tried)
     if tried.directions:
-        found += [*_speed(tried), *_damping(tried), *_rate_and_delay(tried)]
+        found += [*_speed(tried), *_damping(tried), *_rate(tried), *_delay(tried)]
     found += [
         *_slow(tried),
         *_margins(tried),
@@ -149,13 +147,13 @@ def limits_of(tried: Tried) -> tuple[DesignLimit, ...]:
 
 
 def _holding(tried: Tried) -> Float64Array:
-    """(n,) torques at rest, of the arm with its weight."""
-    return np.asarray(tried.x.g) if not tried.bench.weightless else np.zeros(tried.x.n)
+    """(n,) torques of the law at rest, none where the plant carries the weight."""
+    return np.zeros(tried.x.n) if tried.bench.carried else np.asarray(tried.x.g)
 
 
-def torque_limits(tried: Tried) -> Iterator[DesignLimit]:
+def _torque_limits(tried: Tried) -> Iterator[DesignLimit]:
     """Of the torque and of its rate, for the stated steps."""
-    arm, hold = tried.arm, _holding(tried)
+    arm = tried.arm
     if not np.isfinite(arm.effort).any():
         yield DesignLimit(
             name="torque", value=0.0, limit=math.inf, unit="N m", ok=True,
@@ -164,7 +162,7 @@ def torque_limits(tried: Tried) -> Iterator[DesignLimit]:
         return
     if not tried.directions:
         return
-    found = [_room(tried, hold, k) for k in range(len(tried.directions))]
+    found = largest_steps(tried)
     k = min(range(len(found)), key=lambda i: found[i][0] / float(tried.steps[i]))
     (most, joint), d, size = found[k], tried.directions[k], float(tried.steps[k])
     ok = most >= size
@@ -190,18 +188,17 @@ def torque_limits(tried: Tried) -> Iterator[DesignLimit]:
     )  # fmt: skip
 
 
-def step_limit(tried: Tried) -> DesignLimit:
-    """What a step takes: of the torques, or of the speeds where drives make them."""
-    found = torque_limits(tried) if tried.bench.kind == "torque" else _speed(tried)
-    return next(iter(found))
-
-
-def _room(tried: Tried, hold: Float64Array, k: int) -> tuple[float, int]:
-    """The largest step of a direction within the torque limits, and the joint that has no more."""
-    effort, command = tried.arm.effort, tried.predicted[k].command
-    left = np.where(command > 0.0, effort - hold, effort + hold)
-    room = np.divide(left, np.abs(command), out=np.full(command.shape, np.inf), where=np.abs(command) > EVERY)
-    return float(room.min()), int(np.argmin(room.min(axis=0)))
+def largest_steps(tried: Tried) -> list[tuple[float, int]]:
+    """Of each direction the largest step within the limits of torque, or of the speed of drives, and the joint."""
+    found = []
+    for response in tried.predicted:
+        effort, used, hold = tried.arm.effort, response.command, _holding(tried)
+        if tried.bench.kind != "torque":
+            effort, used, hold = tried.arm.velocity, response.v, np.zeros(tried.x.n)
+        left = np.where(used > 0.0, effort - hold, effort + hold)
+        room = np.divide(left, np.abs(used), out=np.full(used.shape, np.inf), where=np.abs(used) > EVERY)
+        found.append((float(room.min()), int(np.argmin(room.min(axis=0)))))
+    return found
 
 
 def _ramp(tried: Tried, k: int) -> tuple[float, int]:
@@ -240,83 +237,45 @@ def _damping(tried: Tried) -> Iterator[DesignLimit]:
     yield DesignLimit(
         name="damping", value=seen, limit=book, unit="", ok=bool(lost[at] <= KEPT),
         sentence=(
-            f"at {tried.bench.ctrl.rate:g} Hz zeta is {seen:.4g} along {tried.directions[at].name}, where the book "
-            f"has {book:.4g}"
+            f"at {tried.bench.ctrl.rate:g} Hz zeta is {seen:.4g} along {tried.directions[at].name}, in "
+            f"continuous time {book:.4g}"
         ),
     )  # fmt: skip
 
 
-def _rate_and_delay(tried: Tried) -> Iterator[DesignLimit]:
-    """Of the direction with the most damping for its inertia, at a servo rate."""
-    bench = tried.bench
-    law: Any = bench.law
-    if isinstance(law, (laws.ForceControl, laws.Admittance)) or bench.kind != "torque":
-        return  # their loop goes through the force, and through the law that follows it
-    if isinstance(law, laws.Impedance) and law.has("D"):
+def _rate(tried: Tried) -> Iterator[DesignLimit]:
+    """The servo rate from which on the whole loop is stable, a delay of as many periods included."""
+    bench, rate, slowest = tried.bench, tried.bench.ctrl.rate, tried.bench.motion.slowest_rate
+    if bench.kind != "torque" or rate < TWICE * slowest:
         return
-    delay = float(bench.plant.actuation.delay)
-    velocity: Any = bench.ctrl.side.sensing.velocity
-    coupled = next((d.coupled for d in tried.directions if d.coupled is not None), None)
-    if coupled is not None:
-        yield from coupled_borders(coupled, rate=bench.ctrl.rate, delay=delay, velocity=velocity, motion=bench.motion)
-        return
-    quick = max(tried.directions, key=lambda d: float(np.abs(d.dynamics.poles).max()))
-    sampled = quick.dynamics.sampled(rate=bench.ctrl.rate, delay=delay, velocity=velocity, **bench.motion.sampled)
-    least, most, rate = sampled.lowest_stable_rate, sampled.largest_stable_delay, bench.ctrl.rate
+    rest = bench.resting(tried.q)
+
+    def stable(factor: float) -> bool:
+        return bench.radius_at(rest, tried.lin, rate / factor) <= 1.0 + STANDS
+
+    factor = largest_factor(stable, 1.0, rate / slowest, halvings=ROUGH)
+    least = slowest if math.isinf(factor) else rate / factor
+    found = f"at {least:.4g} Hz too" if math.isinf(factor) else f"from {least:.4g} Hz on"
     yield DesignLimit(
-        name="rate", value=rate, limit=least, unit="Hz", ok=rate >= least,
-        sentence=f"stable from {least:.4g} Hz on ({quick.name}); the rate is {rate:g} Hz",
+        name="rate", value=rate, limit=least, unit="Hz", ok=True,
+        sentence=f"the loop of all joints is stable {found}; the rate is {rate:g} Hz",
     )  # fmt: skip
+
+
+def _delay(tried: Tried) -> Iterator[DesignLimit]:
+    """The largest delay of whole periods with which the whole loop is stable."""
+    if tried.bench.kind != "torque":
+        return
+    delay, lin, dt = float(tried.bench.plant.actuation.delay), tried.lin, tried.lin.dt
+    angles = np.abs(np.angle(lin.poles[np.abs(lin.poles) > EVERY])) / dt
+    more = common_delay(lin.input_sensitivity, dt, angles)
+    most = math.inf if math.isinf(more) else delay + max(math.ceil(more - ROUNDS) - 1, 0) * dt
     yield DesignLimit(
-        name="delay", value=delay, limit=most, unit="s",
-        ok=delay < most if bench.motion.exact else delay <= most,  # whole periods, the last of them stable
+        name="delay", value=delay, limit=most, unit="s", ok=True,
         sentence=(
-            f"stable up to {1e3 * most:.4g} ms from tick to torque ({quick.name}), where there are "
-            f"{1e3 * delay:.4g} ms"
-        ),
-    )  # fmt: skip
-
-
-def coupled_borders(
-    coupled: Coupled, *, rate: float, delay: float, velocity: Any, motion: Motion
-) -> Iterator[DesignLimit]:
-    """Of all joints together, where none of their directions stands alone; none of a law that is not symmetric."""
-    K, B, Ki = coupled.K, coupled.C - np.diag(coupled.b), coupled.Ki
-    if any(np.abs(X - X.T).max() > ALIKE * np.abs(X).max() for X in (K, B, Ki) if X.any()):
-        return
-    K, B, Ki = (0.5 * (X + X.T) for X in (K, B, Ki))
-    loop = SampledLoop(
-        mass=coupled.M, damping=coupled.b, K=K, B=B, Ki=Ki, rate=rate, delay=delay, velocity=velocity,
-        **motion.sampled,
-    )  # fmt: skip
-
-    if not loop.stable:  # the linear model, which knows more of the law, has judged it
-        return
-
-    def at_rate(each: float) -> bool:
-        return dataclasses.replace(loop, rate=each, delay=delay if motion.exact else delay * rate / each).stable
-
-    def at_delay(periods: int) -> bool:
-        return dataclasses.replace(loop, delay=periods / rate).stable
-
-    slowest = 1.0 / SLOWEST
-    least = rate / largest_factor(lambda factor: at_rate(rate / factor), 1.0, slowest * rate, halvings=ROUGH)
-    yield DesignLimit(
-        name="rate", value=rate, limit=least, unit="Hz", ok=rate >= least,
-        sentence=f"stable from {least:.4g} Hz on (all joints together); the rate is {rate:g} Hz",
-    )  # fmt: skip
-    low, high = 0, 1
-    while high <= MOST_PERIODS and at_delay(high):
-        low, high = high, 2 * high
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if at_delay(middle) else (low, middle)
-    most = low / rate
-    yield DesignLimit(
-        name="delay", value=delay, limit=most, unit="s", ok=delay <= most,
-        sentence=(
-            f"stable up to {1e3 * most:.4g} ms of whole periods from tick to torque (all joints together), where "
-            f"there are {1e3 * delay:.4g} ms"
+            "the loop of all joints is stable "
+            f"{'with any delay' if math.isinf(most) else f'up to {1e3 * most:.4g} ms of whole periods'} from tick to "
+            f"torque, where there are {1e3 * delay:.4g} ms"
         ),
     )  # fmt: skip
 
@@ -337,7 +296,8 @@ def _slow(tried: Tried) -> Iterator[DesignLimit]:
     seen = min(float(np.abs(p.poles).min()) for p in tried.predicted)
     yield DesignLimit(
         name="force pole", value=seen, limit=book, unit="1/s", ok=abs(seen / book - 1.0) < KEPT,
-        sentence=f"an error of the force dies away with {seen:.4g} 1/s on this contact, {book:.4g} 1/s by the book",
+        sentence=f"an error of the force dies away with {seen:.4g} 1/s on this contact, {book:.4g} 1/s in "
+            "continuous time",
     )  # fmt: skip
 
 
@@ -439,64 +399,43 @@ def _laws(tried: Tried) -> list[Any]:
 
 
 def _weight(tried: Tried) -> Iterator[DesignLimit]:
-    """How far a law without gravity compensation sags."""
-    part: Any = tried.bench.law
-    if fed_forward(part):
-        yield from _gradient(tried)
-    if not tried.bench.weightless or not isinstance(part, laws.PID):
+    """What the weight does that the law does not compensate: a steady-state error, and its gradient beside kp."""
+    law, arm = tried.bench.law, tried.arm
+    if not tried.bench.uncompensated:
         return
-    g, arm = np.asarray(tried.x.g), tried.arm
-    sag = np.abs(_sagged(arm, np.asarray(tried.x.q), np.asarray(part.kp.matrix(tried.x.n))) - tried.x.q)
-    if not np.isfinite(sag).all():
-        yield DesignLimit(
-            name="weight", value=math.inf, limit=0.0, unit=arm.units[0], ok=False,
-            sentence="the weight makes it fall to where no gain of this design holds it; GravityPID, FeedForward() + "
-            "PID or a faster design help",
-        )  # fmt: skip
-        return
-    i = int(np.argmax(sag))
-    held = bool(np.any(part.ki.as_array()))
-    yield DesignLimit(
-        name="weight", value=float(sag[i]), limit=0.0, unit=arm.units[i], ok=held,
-        sentence=(
-            f"the weight of {g[i]:.3g} {_torque(arm.units[i])} at '{arm.joint_names[i]}' makes it sag by "
-            f"{sag[i]:.3g} {arm.units[i]}"
-            f"{' until the integral has it' if held else '; GravityPID, FeedForward() + PID or integral= help'}"
-        ),
-    )  # fmt: skip
-
-
-def _gradient(tried: Tried) -> Iterator[DesignLimit]:
-    """What the weight's gradient makes of kp, where FeedForward compensates the weight of the reference."""
-    part: Any = designed_part(tried.bench.law)
+    part: Any = designed_part(law)
     kp, G = np.asarray(part.kp.matrix(tried.x.n)), weight_gradient(tried.x)
-    if not G.any():
-        return
     shares = 1.0 + eigh(G, 0.5 * (kp + kp.T), eigvals_only=True)
     worst = float(shares[np.argmax(np.abs(shares - 1.0))])
+    kept = abs(worst - 1.0) <= PULLED
+    added = f"dg/dq adds to kp, and makes {worst:.3g} of it in one motion of the joints"
+    if fed_forward(law):
+        if G.any():
+            yield DesignLimit(
+                name="weight", value=worst, limit=1.0, unit="of kp", ok=kept,
+                sentence=(
+                    f"FeedForward compensates the weight at the reference: off it {added}; GravityPID compensates it "
+                    "where the arm is"
+                ),
+            )  # fmt: skip
+        return
+    g, droop = np.asarray(tried.x.g), np.abs(tried.lin.moved)
+    i = int(np.argmax(droop))
+    rests = bool(droop[i] <= RESTS)
+    sentence = (
+        f"the weight of {g[i]:.3g} {_torque(arm.units[i])} at '{arm.joint_names[i]}' leaves a steady-state error of "
+        f"{droop[i]:.3g} {arm.units[i]}; GravityPID, FeedForward() + PID or integral= help"
+    )
+    if rests:
+        carried = "in the end the integral carries the weight" if tried.bench.integral else "no weight acts here"
+        sentence = f"{carried}, without a steady-state error"
+    out = np.flatnonzero((tried.lin.q < arm.lower) | (tried.lin.q > arm.upper))
+    if out.size:
+        sentence += f"; '{arm.joint_names[out[0]]}' would be beyond its limits there"
     yield DesignLimit(
-        name="weight", value=worst, limit=1.0, unit="of kp", ok=abs(worst - 1.0) <= PULLED,
-        sentence=(
-            f"FeedForward holds the weight where the reference is: off it dg/dq adds to kp, and makes {worst:.3g} "
-            "of it in one motion of the joints, with which the book reckons; GravityPID holds the weight where the "
-            "arm is"
-        ),
+        name="weight", value=0.0 if rests else float(droop[i]), limit=0.0, unit=arm.units[i],
+        ok=rests and kept and not out.size, sentence=f"{sentence}; about it {added}" if G.any() else sentence,
     )  # fmt: skip
-
-
-def _sagged(arm: Arm, q: Float64Array, kp: Float64Array) -> Float64Array:
-    """(n,) where kp (q_des - q) holds the weight, followed from none of it to all; NaN where it holds it nowhere."""
-
-    def left(at: Float64Array, share: float) -> Float64Array:
-        return np.asarray(kp @ (q - at) - share * np.asarray(snapshot(arm, at).g))
-
-    at = q
-    for share in WEIGHTS:
-        found = root(left, at, args=(share,), tol=SAGGED)
-        if not found.success:
-            return np.full(len(q), math.nan)
-        at = np.asarray(found.x)
-    return at
 
 
 def _coupling(tried: Tried) -> Iterator[DesignLimit]:
@@ -507,10 +446,9 @@ def _coupling(tried: Tried) -> Iterator[DesignLimit]:
     low, high = (pick(each.zeta for each in tried.designed) for pick in (min, max))
     if high - low < KEPT:
         return
-    mixed, way_out = "M couples", "coupled=True"
-    if isinstance(tried.bench.law, laws.Sum):  # which coupled=True does not take
+    mixed, way_out = "M and dg/dq couple" if tried.bench.uncompensated else "M couples", "coupled=True"
+    if tried.bench.uncompensated or isinstance(tried.bench.law, laws.Sum):  # for which it is not enough, or not taken
         way_out = "GravityPID with coupled=True"
-        mixed = "M and dg/dq couple" if fed_forward(tried.bench.law) else mixed
     yield DesignLimit(
         name="coupling", value=low, limit=high, unit="", ok=False,
         sentence=(

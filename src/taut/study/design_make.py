@@ -1,35 +1,49 @@
-"""A design made of gains: tried at all poses, its limits read off, and what is nearest where something cannot be."""
+"""A design made of gains: tried at all poses, with what was asked for beside what the loop has, and its limits."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from taut.base.errors import RangeError
 from taut.base.types import Float64Array
 from taut.control import laws
 from taut.control.law import Law
+from taut.control.reference import JointMotion
 from taut.loop import Loop
-from taut.maths.snapshot import Snapshot
+from taut.maths.snapshot import Snapshot, snapshot
 from taut.plant.rigid import RigidPlant
 from taut.study.design_contact import force_gains, pressed, require_force_stable
-from taut.study.design_directions import Direction, directions_of
+from taut.study.design_directions import Direction, directions_of, weight_gradient
 from taut.study.design_force import force_directions
 from taut.study.design_gains import Case
-from taut.study.design_limits import DesignLimit, Tried, step_limit, steps_of
-from taut.study.design_refusals import LEAST, Refusals, TriedAt, kept_of
+from taut.study.design_limits import Tried, steps_of
+from taut.study.design_refusals import no_rest, require_pace, require_stable
+from taut.study.design_requirements import Requirement, of_force_and_step, of_motion
 from taut.study.design_result import Achieved, AtPose, Design
 from taut.study.design_stiffness import stiffnesses
-from taut.study.design_trial import Bench, Numbers, zeta_seen
+from taut.study.design_trial import Bench, Numbers, Response, zeta_seen
 from taut.study.linear_loop import LinearLoop
 from taut.study.sampled import VelocityKind
 
 __all__ = ["Maker"]
 
 
+class _Found(NamedTuple):
+    """What a model about the equilibrium at a pose has."""
+
+    pose: AtPose
+    x: Snapshot
+    lin: LinearLoop
+    directions: tuple[Direction, ...]
+    predicted: tuple[Response, ...]
+    requirements: tuple[Requirement, ...]
+
+
 class Maker:
-    """What makes a design of gains: the bench, the poses, and what is nearest where something cannot be."""
+    """What makes a design of gains: the law on its bench, at the poses."""
 
     def __init__(
         self,
@@ -53,60 +67,46 @@ class Maker:
 
     def design(self, step: Float64Array | None) -> Design:
         """Tried at all poses, its limits at the worst."""
-        refusals = Refusals(self.case, self.bench, self._at)
-        refusals.require_pace([d.dynamics.poles for x in self.case.at for d in self._directions(x)])
-        models = [self.bench.linear(np.asarray(x.q)) for x in self.case.at]
-        if not all(lin.stable for lin in models):
-            raise refusals.unstable(models)
-        tried = [self._at(x, lin) for x, lin in zip(self.case.at, models, strict=True)]
-        if kept_of(tried) < LEAST:
-            raise refusals.undamped(kept_of(tried))
-        poses = tuple(pose for pose, _, _, _ in tried)
-        k = min(range(len(poses)), key=lambda i: (poses[i].zeta[0], -poses[i].settling))
-        x, lin, (_, directions, designed, predicted) = self.case.at[k], models[k], tried[k]
-        read_off = self._read_off(x, lin, tried[k], step)
-        steps = read_off.steps
-        if step is not None:
-            limit = step_limit(read_off)
-            if not limit.ok:
-                raise refusals.step(limit, step, lambda: self._step_limit(x, step))
-        simulated = self.bench.simulated(x, directions)
-        on_plant = self._on_plant(x, directions, steps)
-        achieved = tuple(
-            Achieved(
-                direction=d.name, unit=d.unit, designed=book, predicted=p.numbers, simulated=s.numbers, on_plant=real
-            )
-            for d, book, p, s, real in zip(directions, designed, predicted, simulated, on_plant, strict=True)
+        require_pace(
+            self.case.asked, self.bench, [d.dynamics.poles for x in self.case.at for d in self._directions(x)]
         )
+        found = [self._at(np.asarray(x.q)) for x in self.case.at]
+        k = min(range(len(found)), key=lambda i: (found[i].pose.zeta[0], -found[i].pose.settling))
+        (pose, x, lin, directions, predicted, requirements), asked = found[k], self.case.asked
+        designed = self.bench.designed(directions)
+        steps = steps_of(type(self.law).__name__, directions, step)
+        tried = Tried(
+            bench=self.bench, arm=self.case.arm, q=pose.q, x=x, lin=lin, directions=directions, designed=designed,
+            predicted=predicted, steps=steps, plant=self.plant,
+        )  # fmt: skip
+        simulated = self.bench.simulated(pose.q, x, directions)
+        on_plant = self._on_plant(pose.q, x, directions, steps)
+        stiffness = stiffnesses(self.bench, x, lin, directions, asked.K)
+        contact = self._in_contact(x)
+        requirements += of_force_and_step(asked, tried, stiffness, contact.get("forces", ()), step=step is not None)
         part = self.bench.law
         return Design(
             law=self.law,
-            achieved=achieved,
-            q=np.array(x.q),
-            poses=poses,
-            asked=self.case.asked.given,
+            achieved=tuple(
+                Achieved(
+                    direction=d.name, unit=d.unit, designed=ideal, predicted=p.numbers, simulated=s.numbers,
+                    on_plant=real,
+                )
+                for d, ideal, p, s, real in zip(directions, designed, predicted, simulated, on_plant, strict=True)
+            ),
+            requirements=requirements,
+            q=pose.q,
+            poses=tuple(each.pose for each in found),
+            asked=asked.given,
             arm=self.case.arm,
             rate=self.bench.ctrl.rate,
-            weightless=self.bench.weightless,
             alone="" if part is self.law else type(part).__name__,
             step=steps,
             responses=simulated,
-            tried=read_off,
-            stiffness=stiffnesses(self.bench, x, lin, directions, self.case.asked.K),
-            **self._in_contact(x),
-        )
-
-    def _read_off(self, x: Snapshot, lin: LinearLoop, tried: TriedAt, step: Float64Array | None) -> Tried:
-        _, directions, designed, predicted = tried
-        return Tried(
-            bench=self.bench, arm=self.case.arm, x=x, lin=lin, directions=directions, designed=designed,
-            predicted=predicted, steps=steps_of(type(self.law).__name__, directions, step), plant=self.plant,
+            tried=tried,
+            stiffness=stiffness,
+            **contact,
         )  # fmt: skip
-
-    def _step_limit(self, x: Snapshot, step: Float64Array) -> DesignLimit:
-        """Of a step with the gains that the bench has."""
-        lin = self.bench.linear(np.asarray(x.q))
-        return step_limit(self._read_off(x, lin, self._at(x, lin), step))
 
     def _in_contact(self, x: Snapshot) -> dict[str, Any]:
         """Of a hybrid law that feeds the force back, what becomes of an error of it."""
@@ -120,25 +120,43 @@ class Maker:
     def _directions(self, x: Snapshot) -> tuple[Direction, ...]:
         if isinstance(self.bench.law, laws.ForceControl):
             return () if self.bench.contact is None else force_directions(self.bench.law, x, self.bench.contact)
-        return directions_of(self.bench.law, x, self.case.b)
+        G = weight_gradient(x) if self.bench.uncompensated else None
+        return directions_of(self.bench.law, x, self.case.b, G)
 
-    def _at(self, x: Snapshot, lin: LinearLoop) -> TriedAt:
+    def _at(self, q: Float64Array) -> _Found:
+        """The model about the equilibrium with the reference at a pose.
+
+        Raises:
+            RangeError: There is none, or it is not stable.
+        """
+        try:
+            lin = self.bench.linear(q)
+        except RangeError as error:
+            if not self.bench.uncompensated:
+                raise
+            raise no_rest(self.case.asked, q, error) from error
+        require_stable(self.case.asked, self.bench, lin)
+        x = snapshot(self.case.arm, lin.q)
         directions = self._directions(x)
         predicted = self.bench.predicted(lin, x, directions)
+        part = self.bench.law
+        size = x.n if part.reference is JointMotion else getattr(part, "dimensions", 6)
+        requirements = of_motion(self.case.asked, size, directions, predicted, lin, several=len(self.case.at) > 1)
         numbers = [each.numbers for each in predicted]
         zetas = [each.zeta for each in numbers] or [math.nan]
         pose = AtPose(
-            q=np.array(x.q),
+            q=np.array(q),
             zeta=(float(np.min(zetas)), float(np.max(zetas))),
             settling=max((each.settling for each in numbers), default=math.nan),
             stable=lin.stable,
+            met=all(each.met for each in requirements),
         )
-        return pose, directions, self.bench.designed(directions), predicted
+        return _Found(pose=pose, x=x, lin=lin, directions=directions, predicted=predicted, requirements=requirements)
 
     # ---------------------------------------------------------------- the user's plant
 
     def _on_plant(
-        self, x: Snapshot, directions: tuple[Direction, ...], steps: Float64Array
+        self, q: Float64Array, x: Snapshot, directions: tuple[Direction, ...], steps: Float64Array
     ) -> tuple[Numbers | None, ...]:
         if self.plant is None:
             return (None,) * len(directions)
@@ -146,6 +164,6 @@ class Maker:
         ticks = self.bench.ticks(directions)
         found = []
         for d, size in zip(directions, steps, strict=True):
-            run = self.bench.step(loop, x, d, float(size), ticks)
+            run = self.bench.step(loop, q, x, d, float(size), ticks)
             found.append(zeta_seen(run, x, d, float(size)))
         return tuple(found)

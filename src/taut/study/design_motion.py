@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -13,11 +13,14 @@ from taut.arm.description import Arm
 from taut.base.types import Float64Array
 from taut.maths.snapshot import Snapshot
 from taut.plant.rigid import Integrator, RigidPlant
+from taut.study.design_directions import weight_gradient
 
 __all__ = ["Motion"]
 
 LONGEST: Final = 5e-3  # [s] of a step of rk4, for what weight does
 MOST: Final = 1000  # steps in a period
+COARSE: Final = 1.0  # the same at slower ticks, for a stability limit within 1 %
+SLOWEST: Final = 0.1  # [Hz] a servo rate below which none is tried
 REACH: Final = 0.3  # of a step of rk4 times the fastest rate: its fifth order is below 1e-4 there
 
 
@@ -29,12 +32,14 @@ class Motion:
         exact: Whether it moves all the time, as a real arm does: rk4 in steps that are short enough.
         integrator: Of the plant.
         substeps: Of it in a period.
+        fastest: [1/s] of what friction, a spring at the tool and weight do to the arm; 0 where the steps are its own.
         driven: Whether it follows drives instead of torques.
     """
 
     exact: bool
     integrator: Integrator
     substeps: int
+    fastest: float
     driven: bool
 
     @classmethod
@@ -59,12 +64,12 @@ class Motion:
             driven: Whether the command goes to drives.
         """
         if driven:  # whose steps are exact by themselves
-            return cls(exact=True, integrator="semi-implicit-euler", substeps=1, driven=True)
+            return cls(exact=True, integrator="semi-implicit-euler", substeps=1, fastest=0.0, driven=True)
         if plant is not None and plant.integrator != "rk4":
-            return cls(exact=False, integrator=plant.integrator, substeps=plant.substeps, driven=False)
+            return cls(exact=False, integrator=plant.integrator, substeps=plant.substeps, fastest=0.0, driven=False)
         fastest = max(_fastest(x, arm.viscous, contact) for x in at)
         wanted = math.ceil(dt * max(1.0 / LONGEST, fastest / REACH) * (1.0 - 1e-9))
-        return cls(exact=True, integrator="rk4", substeps=min(max(wanted, 1), MOST), driven=False)
+        return cls(exact=True, integrator="rk4", substeps=min(max(wanted, 1), MOST), fastest=fastest, driven=False)
 
     @property
     def one_step(self) -> bool:
@@ -72,9 +77,9 @@ class Motion:
         return self.driven or (not self.exact and self.substeps == 1)
 
     @property
-    def sampled(self) -> dict[str, Any]:
-        """The same of `ErrorDynamics.sampled`."""
-        return {} if self.exact else {"integrator": self.integrator, "substeps": self.substeps}
+    def slowest_rate(self) -> float:
+        """[Hz] of ticks at which its steps are just short enough for what moves the arm between them."""
+        return max(SLOWEST, self.fastest / (COARSE * self.substeps))
 
     @property
     def steps(self) -> str:
@@ -92,10 +97,9 @@ class Motion:
 
 
 def _fastest(x: Snapshot, viscous: Float64Array, contact: Float64Array | None) -> float:
-    """[1/s] of what friction and a spring at the tool do to the arm."""
-    Minv = np.linalg.inv(np.asarray(x.M))
+    """[1/s] of what friction, weight and a spring at the tool do to the arm."""
+    Minv, drawn, J = np.linalg.inv(np.asarray(x.M)), weight_gradient(x), np.asarray(x.J())
+    if contact is not None:
+        drawn = drawn + J.T @ contact @ J
     rubbed = float(np.abs(np.linalg.eigvals(Minv * viscous)).max())
-    if contact is None:
-        return rubbed
-    J = np.asarray(x.J())
-    return max(rubbed, math.sqrt(float(np.abs(np.linalg.eigvals(Minv @ J.T @ contact @ J)).max())))
+    return max(rubbed, math.sqrt(float(np.abs(np.linalg.eigvals(Minv @ drawn)).max())))

@@ -12,7 +12,7 @@ from taut.base.errors import TautError
 from taut.base.types import Float64Array
 from taut.loop import Loop
 from taut.study.design_limits import DesignLimit, Tried, growth
-from taut.study.design_trial import Numbers
+from taut.study.design_trial import ANYWHERE, Numbers
 from taut.study.linear_loop import LinearLoop
 from taut.study.linearise import linearise
 
@@ -72,6 +72,6 @@ def _model(tried: Tried) -> LinearLoop | None:
     assert tried.plant is not None
     loop = Loop(tried.bench.for_plant(tried.arm, tried.plant), tried.plant, duration=1.0)
     try:
-        return linearise(loop, at=np.asarray(tried.x.q))
+        return linearise(loop, at=tried.q, within=ANYWHERE)
     except TautError:
         return None

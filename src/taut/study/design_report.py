@@ -30,16 +30,19 @@ def page_of_design(d: Design) -> Page:
     none = [each.sentence for each in d.limits if each.ok and math.isinf(each.limit)]
     count = len(d.limits) - len(none)
     alike = f"tried as {d.alone} alone, which {type(d.law).__name__} holds. " if d.alone else ""
-    weight = "Tried without gravity, which this law leaves to others. " if d.weightless else ""
+    names = dict.fromkeys(each.name for each in d.requirements if not each.met)
+    met = "All that was asked for is met" if d.met else f"Missed: {', '.join(names) or 'at another pose'}"
     kept = f"It keeps to {count - len(missed)} of {count} limits{''.join(f'; {sentence}' for sentence in none)}."
     return Page(
         title=f"Design: {type(d.law).__name__} on {d.arm.name} at {d.rate:g} Hz",
         summary=(
-            f"{alike[:1].upper()}{alike[1:]}{weight}{kept}",
+            f"{alike[:1].upper()}{alike[1:]}{met}. {kept}",
             *(f"Beyond a limit: {sentence}." for sentence in missed),
         ),
         tables=tuple(
-            table for table in (_gains(d), _achieved(d), _stiffness(d), _limits(d), _poses(d)) if table.rows
+            table
+            for table in (_requirements(d), _gains(d), _achieved(d), _stiffness(d), _limits(d), _poses(d))
+            if table.rows
         ),
         pictures=(Picture(title="Steps of each direction, and the torque that they take", figure=d.plot()),)
         if d.achieved
@@ -56,6 +59,19 @@ def page_of_design(d: Design) -> Page:
         texts={"In words": d.report()},
         repeat=_again(d),
     )
+
+
+def _requirements(d: Design) -> Table:
+    """One row for each number that was asked for, in each direction."""
+    rows = [
+        (each.name, each.direction, "met" if each.met else "missed", each.unit, *map(_number, (each.asked, each.got)))
+        for each in d.requirements
+    ]
+    heads = ("number", "direction", "verdict", "unit", "asked", "got")
+    note = (
+        "Got by the linear model of the sampled loop about its equilibrium; of a step the largest within the limits."
+    )
+    return Table(title="Asked and got", heads=heads, rows=rows, words=4, note=note)
 
 
 def _gains(d: Design) -> Table:
@@ -111,14 +127,15 @@ def _poses(d: Design) -> Table:
         (
             str(np.round(pose.q, 4).tolist()),
             "yes" if pose.stable else "no",
+            "met" if pose.met else "missed",
             f"{pose.zeta[0]:.4g}",
             f"{pose.zeta[1]:.4g}",
             _number(pose.settling),
         )
         for pose in d.poses
     ]
-    heads = ("q [rad | m]", "stable", "least zeta", "largest zeta", "settling [s]")
-    return Table(title="Poses", heads=heads, rows=rows if len(rows) > 1 else [], words=2)
+    heads = ("q [rad | m]", "stable", "asked", "least zeta", "largest zeta", "settling [s]")
+    return Table(title="Poses", heads=heads, rows=rows if len(rows) > 1 else [], words=3)
 
 
 def _number(value: float) -> str:

@@ -14,6 +14,7 @@ from taut.study.design_contact import Pressed, force_limits
 from taut.study.design_gears import gear_limits
 from taut.study.design_limits import DesignLimit, Tried, limits_of
 from taut.study.design_plant import plant_limits
+from taut.study.design_requirements import Requirement
 from taut.study.design_stiffness import Stiff, static_limits
 from taut.study.design_trial import Numbers, Response
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
     from taut.record.report_page import Page
 
-__all__ = ["Achieved", "AtPose", "Design", "Pressed", "Stiff"]
+__all__ = ["Achieved", "AtPose", "Design", "Pressed", "Requirement", "Stiff"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,29 +56,31 @@ class AtPose:
         zeta: The least and the largest damping ratio of its directions, predicted for the sampled loop.
         settling: The longest 2 % settling time of them [s].
         stable: Whether the sampled loop is.
+        met: Whether the damping and the speed that were asked for are met there.
     """
 
     q: Float64Array
     zeta: tuple[float, float]
     settling: float
     stable: bool
+    met: bool
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Design:
-    """The gains of a law for a specification, the limits that they run into, and designed against achieved numbers.
+    """The gains of a law for a specification, what of it is met, the limits, and designed against achieved numbers.
 
     Print it for all of that; `taut.design` makes it.
 
     Args:
         law: The law with its gains.
         achieved: Each direction at the pose that is designed for: designed, predicted, simulated.
+        requirements: Each number that was asked for in each direction there: asked, got, met.
         q: (n,) that pose, the worst of those asked for [rad | m].
         poses: All of them.
         asked: The specification.
         arm: The arm.
         rate: [Hz].
-        weightless: Whether the law was tried without gravity, which it leaves to others.
         alone: The name of the law that was tried by itself, where another one holds it; else empty.
         step: (k,) the steps that the limits speak of.
         responses: (k,) steps of the nonlinear loop, for the plot.
@@ -89,12 +92,12 @@ class Design:
 
     law: Law
     achieved: tuple[Achieved, ...]
+    requirements: tuple[Requirement, ...]
     q: Float64Array
     poses: tuple[AtPose, ...]
     asked: dict[str, object]
     arm: Arm
     rate: float
-    weightless: bool
     alone: str
     step: Float64Array
     responses: tuple[Response, ...] = field(repr=False)
@@ -102,6 +105,11 @@ class Design:
     stiffness: tuple[Stiff, ...] = ()
     forces: tuple[Pressed, ...] = ()
     q_contact: Float64Array | None = None
+
+    @property
+    def met(self) -> bool:
+        """Whether all that was asked for is met, at all poses."""
+        return all(each.met for each in self.requirements) and all(pose.met for pose in self.poses)
 
     @property
     def motion(self) -> str:

@@ -12,7 +12,6 @@ import numpy as np
 from taut.base.types import ArrayLike, Float64Array
 from taut.control import laws
 from taut.control.law import Law
-from taut.control.reference import Hold
 from taut.maths.snapshot import Snapshot
 from taut.plant.disturbance import TORQUE, WRENCH
 from taut.study.design_directions import Direction
@@ -80,8 +79,9 @@ def stiffnesses(
     states = np.linalg.lstsq(np.eye(len(lin.A)) - lin.A, B @ values.T, rcond=None)[0]
     moved = (C @ states).T
     ticks = bench.ticks(directions)
-    bench.loop.ref, bench.loop.duration = Hold(), ticks / bench.ctrl.rate
-    without, *seen = (record["q"][-1] for record in disturbed(bench.loop, np.asarray(x.q), path, values, ticks))
+    without, *seen = (
+        record["q"][-1] for record in disturbed(bench.loop, bench.resting(lin.q - lin.moved), path, values, ticks)
+    )
     return tuple(
         Stiff(
             direction=names[i],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Any, Final, Literal
@@ -21,7 +22,8 @@ from taut.control.task_force import TaskForce
 from taut.control.task_reference import TaskMotion
 from taut.control.velocity import Difference
 from taut.controller import Controller, compile
-from taut.loop import Loop
+from taut.loop import DT, Loop
+from taut.maths.adds import Adds
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotation_exp
 from taut.plant.actuation import Actuation
@@ -34,16 +36,19 @@ from taut.runtime.simulate import run as simulate
 from taut.study.design_asked import six_by_six
 from taut.study.design_bandwidth import bandwidth_of, bandwidth_seen
 from taut.study.design_coupled import Coupled
-from taut.study.design_directions import Direction, designed_part
+from taut.study.design_directions import Direction, designed_part, fed_forward
+from taut.study.design_disturbed import runs_from
 from taut.study.design_motion import Motion
 from taut.study.error_dynamics import ErrorDynamics
 from taut.study.linear_loop import LinearLoop
-from taut.study.linearise import linearise
+from taut.study.linearise import linearise, rest_of
+from taut.study.loop_map import Point, finite_derivative, loop_map, starting
 from taut.study.sampled import VelocityKind
 from taut.study.second_order_response import zeta_of_overshoot
 
-__all__ = ["Bench", "Numbers", "Response", "numbers_of_poles", "zeta_seen"]
+__all__ = ["ANYWHERE", "Bench", "Numbers", "Response", "numbers_of_poles", "zeta_seen"]
 
+ANYWHERE: Final = 1e3  # [rad | m] from the reference: an equilibrium is taken wherever it is
 SMALL: Final = 1e-4  # [m | rad] a step for which a loop is as good as linear
 DRIVE: Final = 1e4  # [rad/s] of drives that are as good as ideal
 LONGER: Final = 2.5  # times the settling time that was designed for
@@ -79,7 +84,7 @@ class Numbers:
 
     @classmethod
     def designed(cls, dynamics: ErrorDynamics) -> Numbers:
-        """In continuous time, by the book."""
+        """In continuous time."""
         zeta, omega_n = numbers_of_poles(dynamics.poles)
         return cls(
             zeta=zeta, omega_n=omega_n, overshoot=dynamics.overshoot, settling=dynamics.settling_time,
@@ -207,8 +212,8 @@ def _pair(trace: float, det: float, dt: float) -> Any:
 class Bench:
     """A law on its arm, to be tried: compiled once, in the plant that the design is for.
 
-    A law that leaves the weight to others, as PID does, is tried on a weightless arm: its error dynamics are those
-    about where it rests, and how far it sags is another number of the design.
+    All is about the equilibrium of the sampled loop under the arm's weight, which a law without gravity compensation
+    has elsewhere than at its reference; a plant that adds gravity itself carries the weight here too.
 
     Args:
         law: With its gains.
@@ -219,7 +224,8 @@ class Bench:
         friction: "arm" or None.
         at: Where it is tried.
         contact: Stiffness of a spring that holds the tool where it starts, for laws of force.
-        like: A plant whose integrator moves the arm; None for the exact hold, an arm that moves all the time.
+        like: A plant whose integrator moves the arm, and which may carry its weight; None for the exact hold, an arm
+            that moves all the time.
     """
 
     def __init__(
@@ -242,19 +248,20 @@ class Bench:
         self._kept: int = velocity.order if filtered and not isinstance(velocity, str) else 0
         if self.law.reference is TaskForce:
             self._late += 1  # what is measured is a tick old
-        self.ctrl: Controller = compile(self.law, arm, rate=rate, sensing=sensing)
+        self.carried = like is not None and Adds.of(like.adds).gravity
+        adds = ("gravity",) if self.carried else ()
+        self.ctrl: Controller = compile(self.law, arm, rate=rate, sensing=sensing, adds=adds)
         probe = self.ctrl.side.probe
-        self.weightless = probe.kind == "torque" and "gravity" not in probe.used and bool(np.any(arm.gravity))
-        self.arm = arm.with_gravity(np.zeros(3)) if self.weightless else arm
-        if self.weightless:
-            self.ctrl = compile(self.law, self.arm, rate=rate, sensing=sensing)
-        self.kind = probe.kind
+        self.kind, self.arm = probe.kind, arm
+        self.uncompensated = (
+            probe.kind == "torque" and not self.carried and ("gravity" not in probe.used or fed_forward(self.law))
+        )
         drives = Actuation(delay=delay, bandwidth=None if probe.kind == "torque" else DRIVE)
         self.contact = None if contact is None else six_by_six("contact", contact)
         felt: Any = Push(peak=NOTHING, duration=1.0) if "F_ext" in self.ctrl.needs else None
         if self.contact is not None:
             felt = Spring(stiffness=self.contact)
-        rubbed = self.arm if friction is None else self.arm.with_friction(Friction(viscous=self.arm.viscous))
+        rubbed = self.arm.with_friction(Friction(viscous=self.arm.viscous if friction else 0.0))
         driven = probe.kind != "torque"
         self.motion = Motion.like(like, rubbed, at, 1.0 / rate, self.contact, driven=driven)
         self.plant = RigidPlant(
@@ -263,6 +270,7 @@ class Bench:
             takes=probe.kind,  # type: ignore[arg-type]  # the kinds of commands are those of plants
             actuation=drives,
             environment=felt,
+            adds=adds,
             integrator=self.motion.integrator,
             substeps=self.motion.substeps,
         )
@@ -285,9 +293,22 @@ class Bench:
             self.loop.parameters[f"law.{path}"] = value
 
     def linear(self, q: Float64Array) -> LinearLoop:
-        """The linear model about a pose."""
+        """The linear model about the equilibrium with the reference at a pose."""
         self.loop.ref, self.loop.duration = Hold(), 1.0
-        return linearise(self.loop, at=q)
+        return linearise(self.loop, at=q, within=ANYWHERE)
+
+    def resting(self, q: Float64Array) -> Point:
+        """That equilibrium itself."""
+        self.loop.ref, self.loop.duration = Hold(), 1.0
+        return rest_of(self.loop, loop_map(self.loop), q, ANYWHERE).point
+
+    def radius_at(self, rest: Point, lin: LinearLoop, rate: float) -> float:
+        """The largest modulus of a pole of the loop about an equilibrium, at another rate with the same gains."""
+        map_, parameters = loop_map(self.loop), rest.parameters.copy()
+        map_.parameters.views(parameters)[DT][...] = 1.0 / rate
+        found = finite_derivative(map_, dataclasses.replace(rest, parameters=parameters))
+        keep = [map_.state_coordinates.names.index(name) for name in lin.states]
+        return float(np.abs(np.linalg.eigvals(found.A[np.ix_(keep, keep)])).max())
 
     def ticks(self, directions: tuple[Direction, ...]) -> int:
         """How many ticks show all of them settle."""
@@ -296,7 +317,7 @@ class Bench:
         return int(np.clip(wanted, SHORTEST, LONGEST))
 
     def designed(self, directions: tuple[Direction, ...]) -> tuple[Numbers, ...]:
-        """By the book; where directions are coupled, what fits the steps of all joints, read at the ticks."""
+        """In continuous time; where directions are coupled, what fits the steps of all joints, read at the ticks."""
         ticks, dt = self.ticks(directions), 1.0 / self.ctrl.rate
         return tuple(
             Numbers.designed(d.dynamics) if d.coupled is None else _of_coupled(d, d.coupled, dt, ticks).numbers
@@ -324,27 +345,22 @@ class Bench:
             for i, d in enumerate(directions)
         )
 
-    def simulated(self, x: Snapshot, directions: tuple[Direction, ...]) -> tuple[Response, ...]:
-        """Small steps of the whole nonlinear loop."""
-        ticks = self.ticks(directions)
-        found = []
+    def simulated(self, q: Float64Array, x: Snapshot, directions: tuple[Direction, ...]) -> tuple[Response, ...]:
+        """Small steps of the whole nonlinear loop from where it rests, less what it does there without one."""
+        ticks, rest, inputs = self.ticks(directions), self.resting(q), []
         for d in directions:
-            run = self.step(self.loop, x, d, SMALL, ticks)
-            rest = self._holding(x)
-            found.append(self._response(d, run.t, (run.q - x.q) / SMALL, run.v / SMALL, (run.command - rest) / SMALL))
-        return tuple(found)
+            self.loop.ref = as_reference(self._target(q, x, d, SMALL))
+            inputs.append(starting(self.loop, loop_map(self.loop), q).inputs)
+        without, *seen = runs_from(self.loop, rest, [rest.inputs, *inputs], ticks + 1)
+        t = np.linspace(0.0, ticks / self.ctrl.rate, ticks + 1)
+        return tuple(
+            self._response(d, t, *((run[name] - without[name]) / SMALL for name in ("q", "v", "command")))
+            for d, run in zip(directions, seen, strict=True)
+        )
 
-    def _holding(self, x: Snapshot) -> Float64Array:
-        """(1, n) the command that holds the arm at rest."""
-        if self.kind == "position":
-            return np.array(x.q)[np.newaxis]
-        if self.kind != "torque" or self.weightless:
-            return np.zeros((1, x.n))
-        return np.asarray(x.g)[np.newaxis]
-
-    def step(self, loop: Loop, x: Snapshot, direction: Direction, size: float, ticks: int) -> Run:
-        """A step of the reference, from rest at a pose."""
-        loop.ref = as_reference(self._target(x, direction, size))
+    def step(self, loop: Loop, q: Float64Array, x: Snapshot, direction: Direction, size: float, ticks: int) -> Run:
+        """A step of the reference from a pose, of an arm at rest where the weight takes it there."""
+        loop.ref = as_reference(self._target(q, x, direction, size))
         loop.duration = ticks / self.ctrl.rate
         return simulate(loop, q0=x.q, progress=False)
 
@@ -369,7 +385,7 @@ class Bench:
     def _moved(self, x: Snapshot, d: Direction) -> Float64Array:
         """How the reference goes along a direction: joints, or the tool in world axes."""
         if self.law.reference is JointMotion:
-            return d.column
+            return d.column if d.step is None else d.step
         if self.law.reference is TaskForce:
             return self._pressed(x, d)
         return np.asarray(x.J(self.law.controlled_frame) @ d.column)
@@ -380,12 +396,12 @@ class Bench:
         assert self.contact is not None
         return np.asarray(self.contact @ way)
 
-    def _target(self, x: Snapshot, d: Direction, size: float) -> Sample:
+    def _target(self, q: Float64Array, x: Snapshot, d: Direction, size: float) -> Sample:
         moved = size * self._moved(x, d)
         if self.law.reference is TaskForce:
             return TaskForce(F_app=moved)
         if self.law.reference is JointMotion:
-            return JointMotion(q=x.q + moved)
+            return JointMotion(q=q + moved)
         T = x.T(self.law.controlled_frame)
         turn = np.asarray(rotation_exp(moved[3:]), dtype=np.float64)
         return TaskMotion(pose=Pose.of(turn @ np.asarray(T.R), np.asarray(T.p) + moved[:3]))

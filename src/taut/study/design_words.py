@@ -12,6 +12,8 @@ import numpy as np
 
 from taut.study.design_contact import Pressed
 from taut.study.design_directions import designed_part
+from taut.study.design_limits import RESTS
+from taut.study.design_requirements import Requirement
 from taut.study.design_result import Achieved
 from taut.study.design_stiffness import STATIC, Stiff
 from taut.study.design_trial import Numbers
@@ -43,17 +45,17 @@ def gains_of(d: Design) -> dict[str, Any]:
 def report(d: Design) -> str:
     """Gains, the table of numbers, the limits."""
     asked = ", ".join(f"{name} = {_short(value)}" for name, value in d.asked.items())
-    lines = [f"{type(d.law).__name__} on {d.arm.name} at {d.rate:g} Hz, for {asked}", ""]
+    lines = [f"{type(d.law).__name__} on {d.arm.name} at {d.rate:g} Hz, for {asked}", "", *_requirements(d), ""]
     for name, values in d.law.parameters().items():
         *held, last = name.split(".")
         if np.any(values) and last in GAINS and "null" not in held:
             lines += _gain(name, np.asarray(values), d.arm.n)
     where = "worst of the poses" if len(d.poses) > 1 else "pose"
     lines += ["", f"at the {where}, q = {np.round(d.q, 4).tolist()}"]
+    if np.abs(d.tried.lin.moved).max() > RESTS:
+        lines.append(f"its equilibrium under the weight, q = {np.round(d.tried.lin.q, 4).tolist()}")
     if d.alone:
         lines.append(f"tried as {d.alone} alone, which {type(d.law).__name__} holds")
-    if d.weightless:
-        lines.append("tried without gravity, which this law leaves to others")
     if d.achieved:
         lines.append(f"predicted and simulated: {d.motion}")
         lines += ["", *_table(d.achieved, COLUMNS | (BANDWIDTH if "bandwidth" in d.asked else {}))]
@@ -76,6 +78,24 @@ def report(d: Design) -> str:
         head = f"{mark} {each.name:<13} "
         lines += textwrap.wrap(each.sentence, WIDTH, initial_indent=head, subsequent_indent=" " * len(head))
     return "\n".join(lines)
+
+
+def _requirements(d: Design) -> list[str]:
+    """Each number that was asked for in a line: asked, got, and whether it is met in all directions."""
+    grouped: dict[tuple[str, str, float], list[Requirement]] = {}
+    for each in d.requirements:
+        grouped.setdefault((each.name, each.unit, each.asked), []).append(each)
+    lines = [f"   {'':<16}{'asked':>13}   got"] if grouped else []
+    for (name, unit, asked), rows in grouped.items():
+        numbers = [_number(each.got) for each in sorted(rows, key=lambda each: each.got)]
+        got = numbers[0] if numbers[0] == numbers[-1] else f"{numbers[0]} to {numbers[-1]}"
+        missed = [each.direction for each in rows if not each.met]
+        verdict = f"missed along {', '.join(missed)}" if missed else "met"
+        title = f"{name} [{unit}]" if unit else name
+        head = f"{'!!' if missed else '  '} {title:<16}{_number(asked):>13}   "
+        lines += textwrap.wrap(f"{got}   {verdict}", WIDTH, initial_indent=head, subsequent_indent=" " * len(head))
+    elsewhere = [pose for pose in d.poses if not pose.met and not np.array_equal(pose.q, d.q)]
+    return lines + [f"!! missed at q = {np.round(pose.q, 4).tolist()} too" for pose in elsewhere[:MOST]]
 
 
 def _gain(name: str, values: Any, n: int) -> list[str]:
@@ -168,6 +188,8 @@ def as_json(d: Design) -> dict[str, Any]:
         "asked": {name: np.asarray(value).tolist() for name, value in d.asked.items()},
         "gains": {name: np.asarray(value).tolist() for name, value in gains_of(d).items()},
         "q": d.q.tolist(),
+        "met": d.met,
+        "requirements": [{**dataclasses.asdict(each), "got": _finite(each.got)} for each in d.requirements],
         "achieved": [_row(each) for each in d.achieved],
         "stiffness": [
             {name: value if isinstance(value, str) else _finite(value) for name, value in vars(each).items()}
@@ -181,6 +203,7 @@ def as_json(d: Design) -> dict[str, Any]:
                 "zeta": [_finite(z) for z in pose.zeta],
                 "settling": _finite(pose.settling),
                 "stable": pose.stable,
+                "met": pose.met,
             }
             for pose in d.poses
         ],
@@ -188,7 +211,6 @@ def as_json(d: Design) -> dict[str, Any]:
             {**dataclasses.asdict(each), "value": _finite(each.value), "limit": _finite(each.limit)}
             for each in d.limits
         ],
-        "weightless": d.weightless,
         "motion": d.motion,
         "alone": d.alone,
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.optimize import brentq, minimize_scalar
 
 from taut.base.types import Float64Array
 
-__all__ = ["DiskMargin", "JointMargins", "Margins", "frequency_grid", "margins_of", "scaled_norm"]
+__all__ = ["DiskMargin", "JointMargins", "Margins", "common_delay", "frequency_grid", "margins_of", "scaled_norm"]
 
 Complex = NDArray[np.complex128]
 Sensitivity = Callable[[Float64Array], Complex]
@@ -164,6 +165,29 @@ def _crossings(function: Callable[[float], float], omega: Float64Array, values: 
     # A value that is zero but for rounding has one sign here and another there, and crosses nothing.
     ends = [(low, high) for low, high in ends if function(low) * function(high) < 0.0]
     return [float(brentq(function, low, high, xtol=1e-9 * low, rtol=1e-12)) for low, high in ends]
+
+
+def common_delay(sensitivity: Sensitivity, dt: float, poles: Float64Array) -> float:
+    """How many periods more all commands may be late, not whole, of a stable loop: where it first is not.
+
+    Law:          det(I + L z^-d) = 0: an eigenvalue of L has modulus 1 and d omega dt = arg + pi, modulo 2 pi
+    """
+
+    def loci(omega: Float64Array) -> Complex:
+        S = sensitivity(omega)
+        found = np.linalg.eigvals(np.linalg.inv(S) - np.eye(S.shape[1]))
+        return np.asarray(np.take_along_axis(found, np.argsort(np.abs(found), axis=1), axis=1))
+
+    def size(w: float, i: int) -> float:
+        return float(np.log(np.abs(loci(np.array([w]))[0, i])))
+
+    omega = frequency_grid(dt, poles)
+    sizes, least = np.log(np.abs(loci(omega))), math.inf
+    for i in range(sizes.shape[1]):
+        for w in _crossings(partial(size, i=i), omega, sizes[:, i]):
+            late = float(np.angle(loci(np.array([w]))[0, i]) + np.pi) % (2.0 * np.pi)
+            least = min(least, late / (w * dt))
+    return least
 
 
 def _disk(sensitivity: Sensitivity, omega: Float64Array, S: Complex) -> DiskMargin:
