@@ -15,7 +15,7 @@ import numpy as np
 
 from taut.base import math as tm
 from taut.base.checks import entry_names, finite_array, finite_scalar, positive_scalar, vector
-from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.errors import RangeError, ShapeError, UsageError, unknown_name
 from taut.base.pose import ROTATION_TOLERANCE, Pose
 from taut.base.types import Array, ArrayLike, Float64Array
 from taut.control.tables import sample_times
@@ -42,6 +42,11 @@ class Sample(ABC):
     """One sample of a reference, as a law sees it. Final subclasses state their fields."""
 
     __slots__ = ()
+
+    def __getattr__(self, name: str) -> Any:
+        cls = type(self)
+        known = [word for word in dir(cls) if not word.startswith("_") and not callable(getattr(cls, word))]
+        raise AttributeError(str(unknown_name(f"a {cls.described()}", "field", name, known)), name=name, obj=None)
 
     @classmethod
     @abstractmethod

@@ -8,14 +8,13 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from taut.base.checks import positive_scalar
 from taut.base.errors import RangeError, UsageError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike
 from taut.control.phase import Phase
 from taut.control.reference import Hold, Reference, as_reference
 from taut.controller import Controller, compile
-from taut.loop import Loop, ModelPlant, check_fit, require_no_reference, state_at_start
+from taut.loop import Loop, ModelPlant, check_fit, duration_of_ticks, require_no_reference, state_at_start
 from taut.record.arm_numbers import DYNAMICS, arm_numbers
 from taut.record.progress import Progress
 from taut.record.report_page import VERSIONS, stated, versions
@@ -170,4 +169,4 @@ def _what_to_run(
     check_fit(ctrl.side, plant)
     require_no_reference(ctrl.side, ref)
     reference: Reference = Hold() if ref is None else as_reference(ref)
-    return plant, reference, positive_scalar("duration", duration, unit="s")
+    return plant, reference, duration_of_ticks(duration, ctrl.side.dt)

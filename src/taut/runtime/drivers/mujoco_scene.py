@@ -87,6 +87,7 @@ def read_scene(scene: str | os.PathLike[str]) -> Scene:
         with path.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
     root = _document(data, source)
+    _require_elements(root, source)
     reader = _Reader(source, folder)
     reader.check(root)
     if reader.problems:
@@ -105,6 +106,7 @@ def _document(data: bytes, source: str) -> Element:
     else:
         root = parse_xml(b"<mujoco>" + data + b"</mujoco>", source)
         if len(root.children) == 1 and root.children[0].tag == "mujoco":
+            root.children[0].text.extend(root.text)
             root = root.children[0]
     if root.tag != "mujoco":
         root = Element("mujoco", {}, root.line, source, [root])
@@ -112,7 +114,21 @@ def _document(data: bytes, source: str) -> Element:
     children = [child for child in root.children if child.tag not in IN_WORLD]
     if loose:
         children.append(Element("worldbody", {}, loose[0].line, source, loose))
-    return Element("mujoco", {}, root.line, source, children)
+    return Element("mujoco", {}, root.line, source, children, root.text)
+
+
+def _require_elements(root: Element, source: str) -> None:
+    """A text of any other kind has no elements, or words between them, of which a scene has none.
+
+    Raises:
+        ModelError: It is no scene.
+    """
+    texts = [(element.line, " ".join("".join(element.text).split())) for element in root.walk()]
+    line, text = next(((line, text) for line, text in texts if text), (root.line, ""))
+    if text or not root.children:
+        got = f"the text {text[:40]!r} outside of them" if text else "none"
+        message = f"a scene is made of MJCF elements, such as <geom .../>; got {got}"
+        raise ModelError(source, [Problem(object="scene", attribute=None, message=message, line=line)])
 
 
 class _Reader:
