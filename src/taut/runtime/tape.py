@@ -19,7 +19,7 @@ from taut.control.targets import far_away, may_bound
 from taut.loop import AnyPlant
 from taut.maths.snapshot import Snapshot
 from taut.record.outcome import Outcome
-from taut.record.phases import told, windows
+from taut.record.phases import PhaseWindow, told, windows
 from taut.record.run import Run
 
 __all__ = ["RowLog", "Tape"]
@@ -139,7 +139,16 @@ class Tape:
             return outcome
         rows = slice(outcome.tick + 1)
         phase, ended = (self.outputs[name][rows] for name in ("phase", "phase_ended"))
-        return told(windows(self._phases, phase, ended, self.inputs["t"][rows]), outcome)
+        return told(windows(self._phases, phase, ended, self.inputs["t"][rows]), outcome, self._contact_at)
+
+    def _contact_at(self, window: PhaseWindow) -> str:
+        """What a phase that began without contact measured in that tick, in words."""
+        row = {name: column[window.first] for name, column in self.outputs.items()}
+        seen = {name: row.get(f"sensed.{name}", row.get(name)) for name in ("q", "v", "F_ext")}
+        measured = {} if seen["F_ext"] is None else {"F_ext": seen["F_ext"]}
+        x = Snapshot(self._side.model, q=seen["q"], v=seen["v"], t=window.start, measured=measured)
+        assert isinstance(self._side.law, Phases)
+        return self._side.law.phases[window.name].contact_state(x)
 
     def _remarks(self, ticks: int) -> str:
         """Which sensors were at their range in the first ticks of the run, and what the law has to say of them."""
