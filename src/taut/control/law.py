@@ -533,11 +533,11 @@ def as_array(value: Any, name: str) -> Any:
     array = value.as_array() if hasattr(value, "as_array") else np.asanyarray(value)
     if array.dtype == object and has_symbols(array):
         return traced_array(array)
+    if array.dtype.kind == "c":  # of which NumPy would keep the real part
+        raise TraceError(f"{name} must be real numbers; got {value!r}", name=name)
     try:
         if array.dtype == object and any(entry is None for entry in array.flat):  # of which NumPy makes NaN
             raise TypeError
-        if array.dtype.kind == "c":  # of which NumPy keeps the real part
-            raise TypeError
         return np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError) as cause:
-        raise TraceError(f"{name} must be real numbers in a rectangular array; got {value!r}", name=name) from cause
+        raise TraceError(f"{name} must be numbers in a rectangular array; got {value!r}", name=name) from cause
