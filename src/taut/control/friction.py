@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, Final
 
+import numpy as np
+
 from taut.base import math as tm
 from taut.base.checks import one_of
 from taut.base.errors import MatchError
@@ -57,7 +59,7 @@ class FrictionCompensation(Law):
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
         """The model must have friction."""
         friction = x.arm.friction
-        if not friction.dry and not friction.viscous.any():
+        if not friction.dry and not np.any(friction.viscous):
             raise MatchError(
                 f"FrictionCompensation has nothing to compensate: arm '{x.arm.name}' has no friction; state it with "
                 "arm.with_friction(taut.Friction(...)), or leave the law out",

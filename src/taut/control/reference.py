@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol, Self, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
 
@@ -43,10 +43,12 @@ class Sample(ABC):
 
     __slots__ = ()
 
-    def __getattr__(self, name: str) -> Any:
-        cls = type(self)
-        known = [word for word in dir(cls) if not word.startswith("_") and not callable(getattr(cls, word))]
-        raise AttributeError(str(unknown_name(f"a {cls.described()}", "field", name, known)), name=name, obj=None)
+    if not TYPE_CHECKING:  # type checkers know the fields
+
+        def __getattr__(self, name: str) -> Any:
+            cls = type(self)
+            known = [word for word in dir(cls) if not word.startswith("_") and not callable(getattr(cls, word))]
+            raise AttributeError(str(unknown_name(f"a {cls.described()}", "field", name, known)), name=name, obj=None)
 
     @classmethod
     @abstractmethod

@@ -144,9 +144,12 @@ class Tape:
     def _contact_at(self, window: PhaseWindow) -> str:
         """What a phase that began without contact measured in that tick, in words."""
         row = {name: column[window.first] for name, column in self.outputs.items()}
-        seen = {name: row.get(f"sensed.{name}", row.get(name)) for name in ("q", "v", "F_ext")}
-        measured = {} if seen["F_ext"] is None else {"F_ext": seen["F_ext"]}
-        x = Snapshot(self._side.model, q=seen["q"], v=seen["v"], t=window.start, measured=measured)
+        seen: dict[str, Any] = {
+            name: row.get(f"sensed.{name}", row[name]) for name in ("q", "v", "F_ext") if name in row
+        }
+        if "F_ext" in self._side.needs and "F_ext" not in seen:  # a plant of the user's that does not record it
+            return ""
+        x = Snapshot(self._side.model, q=seen["q"], v=seen["v"], t=window.start, measured=seen)
         assert isinstance(self._side.law, Phases)
         return self._side.law.phases[window.name].contact_state(x)
 
