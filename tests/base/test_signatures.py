@@ -101,3 +101,9 @@ def test_copies_and_replacements_work_as_before() -> None:
     assert copy.deepcopy(taut.JointMotion(q=[1.0])).q.tolist() == [1.0]
     with pytest.raises(taut.UsageError):
         dataclasses.replace(friction, viscosity=2.0)  # type: ignore[call-arg]
+
+
+def test_a_warning_is_at_the_line_that_called() -> None:
+    with pytest.warns(RuntimeWarning, match="hard to believe") as caught:
+        ARM.with_gears(100.0, motor_inertia=50.0)
+    assert caught[0].filename == __file__
