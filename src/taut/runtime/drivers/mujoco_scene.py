@@ -118,17 +118,18 @@ def _document(data: bytes, source: str) -> Element:
 
 
 def _require_elements(root: Element, source: str) -> None:
-    """A text of any other kind has no elements, or words between them, of which a scene has none.
+    """A scene has no words between its elements, as a text of any other kind has.
 
     Raises:
         ModelError: It is no scene.
     """
-    texts = [(element.line, " ".join("".join(element.text).split())) for element in root.walk()]
-    line, text = next(((line, text) for line, text in texts if text), (root.line, ""))
-    if text or not root.children:
-        got = f"the text {text[:40]!r} outside of them" if text else "none"
-        message = f"a scene is made of MJCF elements, such as <geom .../>; got {got}"
-        raise ModelError(source, [Problem(object="scene", attribute=None, message=message, line=line)])
+    for element in root.walk():
+        text = " ".join("".join(element.text).split())
+        if text:
+            message = (
+                f"a scene is made of MJCF elements, such as <geom .../>; got the text {text[:40]!r} outside of them"
+            )
+            raise ModelError(source, [Problem(object="scene", attribute=None, message=message, line=element.line)])
 
 
 class _Reader:
