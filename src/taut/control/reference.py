@@ -47,6 +47,8 @@ class Sample(ABC):
 
         def __getattr__(self, name: str) -> Any:
             cls = type(self)
+            if name.startswith("_"):  # of Python's own protocols
+                raise AttributeError(name)
             known = [word for word in dir(cls) if not word.startswith("_") and not callable(getattr(cls, word))]
             raise AttributeError(str(unknown_name(f"a {cls.described()}", "field", name, known)), name=name, obj=None)
 
