@@ -50,7 +50,7 @@ class Sample(ABC):
             if name.startswith("_"):  # of Python's own protocols
                 raise AttributeError(name)
             known = [word for word in dir(cls) if not word.startswith("_") and not callable(getattr(cls, word))]
-            raise AttributeError(str(unknown_name(f"a {cls.described()}", "field", name, known)), name=name, obj=None)
+            raise AttributeError(str(unknown_name(f"a {cls.__name__}", "field", name, known)), name=name, obj=None)
 
     @classmethod
     @abstractmethod
