@@ -22,7 +22,7 @@ from taut.base.checks import (
     finite_array,
     finite_scalar,
     one_of,
-    rate_in_hertz,
+    positive_scalar,
     read_only,
     require_at_least,
     symmetric_psd,
@@ -140,7 +140,7 @@ class SampledLoop:
                 value=smallest,
                 rule="positive definite",
             )
-        object.__setattr__(self, "rate", rate_in_hertz(self.rate))
+        object.__setattr__(self, "rate", positive_scalar("rate", self.rate, unit="Hz"))
         object.__setattr__(self, "delay", finite_scalar("delay", self.delay, unit="s"))
         require_at_least("delay", np.array(self.delay), 0.0, unit="s")
         if self.delay * self.rate > MOST_DELAY:
