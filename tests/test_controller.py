@@ -412,7 +412,8 @@ COMPILES: list[tuple[str, Callable[[], Any], type[TautError], str]] = [
     ("rate NaN", lambda: taut.compile(L.PID(kp=1.0), ARM, rate=math.nan), RangeError, "rate must be finite [Hz]; got nan"),
     ("rate inf", lambda: taut.compile(L.PID(kp=1.0), ARM, rate=math.inf), RangeError, "rate must be finite [Hz]; got inf"),
     ("rate text", lambda: taut.compile(L.PID(kp=1.0), ARM, rate="1"), ShapeError, "rate must be one number [Hz]; got '1'"),  # type: ignore[arg-type]
-    ("rate tiny", lambda: taut.compile(L.PID(kp=1.0), ARM, rate=1e-320), RangeError, "rate must be >= 1e-300 [Hz]; got 1e-320"),
+    ("rate in seconds", lambda: taut.compile(L.PID(kp=1.0), ARM, rate=0.001), RangeError,
+     "rate must be in ticks per second, >= 1 [Hz]; got 0.001; a period of 0.001 s is rate=1/0.001"),
     ("engine", lambda: taut.compile(L.PID(kp=1.0), ARM, engine="c"), UsageError,  # type: ignore[arg-type]
      "engine must be one of 'auto', 'native', 'float'; got 'c'"),
     ("sensing", lambda: taut.compile(L.PID(kp=1.0), ARM, sensing="difference"), UsageError,  # type: ignore[arg-type]

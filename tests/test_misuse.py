@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import taut
+from taut.loop import check_fit
 
 ARM = taut.load_arm("planar2")
 HOME = taut.JointMotion(q=ARM.home)
@@ -32,6 +33,39 @@ def controller() -> taut.Controller:
 
 CTRL = controller()
 CTRL.step(ARM.home, [0.0, 0.0], HOME)
+
+
+class GravityTwice(taut.Law):
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+        return taut.Torque(P=ref.q - x.q, nonlinear=x.h, gravity=x.g)
+
+
+class GravityOnce(taut.Law):
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+        return taut.Torque(P=ref.q - x.q, gravity=x.g)
+
+
+class WithGravity(taut.Law):
+    """By the recursion, which does not tell that it compensates gravity."""
+
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+        return taut.Torque(model=x.inverse_dynamics(ref.a))
+
+
+class Complex(taut.Law):
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+        return taut.Torque(P=(ref.q - x.q) * (1.0 + 1.0j))
+
+
+class Remembering(taut.Law):
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+        self.e_int = ref.q - x.q
+        return taut.Torque(P=self.e_int)
+
+
+COMPENSATION = taut.laws.FrictionCompensation()
+RUBBING = ARM.with_friction(taut.Friction(viscous=0.1))
+LOOP = taut.Loop(CTRL, taut.RigidPlant(ARM), HOME, duration=0.01)
 
 
 def simulate(**options: Any) -> Any:
@@ -313,6 +347,50 @@ MISUSE: list[tuple[str, Callable[[], Any], str]] = [
         ),
         "gravity",
     ),
+    ("gravity twice in a law", lambda: taut.compile(GravityTwice(), ARM), r"x\.h or x\.g"),
+    ("gravity twice in a sum with an own law", lambda: taut.compile(GravityOnce() + WithGravity(), ARM), "gravity"),
+    ("a complex command", lambda: taut.compile(Complex(), ARM), "real numbers"),
+    ("a complex command on floats", lambda: taut.compile(Complex(), ARM, engine="float"), "real numbers"),
+    ("friction of an arm without any", lambda: taut.compile(COMPENSATION, taut.load_arm("so101")), "no friction"),
+    (
+        "friction twice in a sum",
+        lambda: taut.compile(COMPENSATION + COMPENSATION, RUBBING),
+        "leave one of the two out",
+    ),
+    ("a rate in seconds", lambda: taut.compile(CTRL.law, ARM, rate=0.001), r"rate=1/0\.001"),
+    ("a rate in seconds of a bound", lambda: taut.stiffness_limits(mass=1.0, rate=0.002), r"rate=1/0\.002"),
+    (
+        "a rate in seconds of a design",
+        lambda: taut.design(taut.laws.PID, ARM, zeta=1.0, omega_n=3.0, rate=0.01),
+        "rate",
+    ),
+    (
+        "a rate in seconds of error dynamics",
+        lambda: taut.second_order(M=1.0, kp=1.0, kd=1.0).sampled(rate=0.01),
+        r"rate=1/0\.01",
+    ),
+    ("a run of no period", lambda: simulate(duration=1e-4), r"duration must be >= 0\.001"),
+    (
+        "a loop of no period",
+        lambda: taut.Loop(CTRL, taut.RigidPlant(ARM), duration=9e-4),
+        r"duration must be >= 0\.001",
+    ),
+    ("a tolerance in percent", lambda: taut.grade(CTRL.law, CTRL.law, LOOP, tolerance=5), r"5 % is 0\.05"),
+    ("a home in degrees", lambda: taut.load_arm("planar2", home=[90, 45]), r"np\.radians"),
+    ("another home in degrees", lambda: ARM.with_home([0.0, 45.0]), r"np\.radians"),
+    ("a sample by another name", lambda: HOME.theta, "it has 'a', 'motion', 'q', 'v'"),
+    ("a sample, no velocity", lambda: CTRL.step(ARM.home, HOME), "needs v"),
+    ("memory in a field", lambda: taut.compile(Remembering(), ARM, engine="float"), "declared as e_int: taut.Memory"),
+    (
+        "a tool of the controller alone",
+        lambda: taut.run(
+            taut.compile(taut.laws.ForceControl(kfp=0.5, kfi=10.0), taut.load_arm("panda", tool="panda_link5")),
+            taut.MujocoPlant(taut.load_arm("panda")),
+            taut.TaskForce(F_app=[0.0, 0.0, -10.0, 0.0, 0.0, 0.0]),
+            duration=0.1,
+        ),
+        "'panda_link5', and plant .* at 'panda_hand_tcp', 0.228 m",
+    ),
 ]
 
 
@@ -339,6 +417,34 @@ def test_misuse_is_counted(bar: Callable[[str, object], None]) -> None:
 def test_angles_that_could_be_meant_are_taken(q: list[float]) -> None:
     """Up to a turn beyond the limits: simulations start outside of them, and wrapped angles are a turn off."""
     assert run_limited(q0=q, ref=taut.JointMotion(q=q)).outcome.ok
+
+
+@pytest.mark.parametrize(
+    "law",
+    [GravityOnce(), WithGravity(), taut.laws.GravityPID(kp=1.0, kd=1.0) + taut.laws.FrictionCompensation()],
+    ids=["x.g", "inverse dynamics", "built in"],
+)
+@pytest.mark.parametrize("home", [[0.3, -0.2], [0.0, 0.0], [np.pi / 2.0, 0.0], [2.0 * np.pi, -9.0]])
+@pytest.mark.parametrize("gravity", [[0.0, -9.81, 0.0], [0.0, 0.0, -9.81], [0.0, 0.0, 0.0]])
+def test_a_law_that_adds_gravity_once_is_taken_wherever_home_is(
+    law: taut.Law, home: list[float], gravity: list[float]
+) -> None:
+    arm = RUBBING.with_home(home).with_gravity(gravity)
+    assert taut.compile(law, arm, engine="float").arm is arm
+
+
+def test_a_tool_of_the_same_name_that_stands_elsewhere_is_an_error_of_the_model() -> None:
+    arm = taut.load_arm("panda")
+    longer = arm.with_tool("panda_hand", taut.Pose(p=[0.0, 0.0, 0.11]))
+    believed = arm.with_tool("panda_hand", taut.Pose(p=[0.0, 0.0, 0.10]))
+    law = taut.laws.ForceControl(kfp=0.5, kfi=10.0)
+    check_fit(taut.compile(law, believed, engine="float").side, taut.MujocoPlant(longer))
+    with pytest.raises(taut.MatchError):
+        check_fit(taut.compile(law, arm, engine="float").side, taut.MujocoPlant(longer))
+
+
+def test_one_period_is_a_run() -> None:
+    assert simulate(duration=0.001).t.tolist() == [0.0, 0.001]
 
 
 def test_joints_without_limits_and_sliding_joints_may_be_anywhere() -> None:

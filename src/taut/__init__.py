@@ -312,6 +312,7 @@ _MODULES: Final = {
     "math": "base.math",
     "textbook": "apps.textbook",
 }
+_UNCHECKED: Final = dict(_HOME)  # modules whose classes do not refuse their arguments in words yet
 _WHERE: Final = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = sorted([*_WHERE, *_MODULES])
@@ -320,14 +321,27 @@ __all__ = sorted([*_WHERE, *_MODULES])
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
         value: Any = importlib.import_module(f"taut.{_MODULES[name]}")
+        value = value if name == "math" else _checked(name, value)  # whose functions are too quick to wrap
     elif name in _WHERE:
-        value = getattr(importlib.import_module(f"taut.{_WHERE[name]}"), name)
+        value = _checked(name, getattr(importlib.import_module(f"taut.{_WHERE[name]}"), name))
     else:
         from taut.base.errors import unknown_name
 
         raise AttributeError(str(unknown_name("taut", "public name", name, __all__)), name=name, obj=None)
     globals()[name] = value
     return value
+
+
+def _checked(name: str, value: Any) -> Any:
+    """A public name whose arguments are checked, as are those of the classes whose objects it may give."""
+    from taut.base.signatures import checked_arguments
+
+    for module in [module for module in _UNCHECKED if f"taut.{module}" in sys.modules]:
+        for other in _UNCHECKED.pop(module):
+            thing = getattr(sys.modules[f"taut.{module}"], other, None)
+            if isinstance(thing, type):
+                checked_arguments(thing, other)
+    return checked_arguments(value, name)
 
 
 def __dir__() -> list[str]:

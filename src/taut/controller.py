@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping, Sequence
 from typing import Any, Final, Literal, NoReturn
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from taut.arm.angles import require_radians
 from taut.arm.description import Arm, Payload
-from taut.base.checks import finite_array, float_array, one_of, positive_scalar
+from taut.base.checks import finite_array, float_array, one_of, rate_in_hertz
 from taut.base.errors import NumericalError, RangeError, TautError, UsageError, count_of, unknown_name
 from taut.base.named import Named
 from taut.base.paths import subtree
@@ -89,9 +88,7 @@ def compile(
         raise UsageError(f"sensing must be a taut.Sensing; got {type(sensing).__name__}", name="sensing")
     if limits is not None and not isinstance(limits, Limits):
         raise UsageError(f"limits must be a taut.Limits; got {type(limits).__name__}", name="limits")
-    rate = positive_scalar("rate", rate, unit="Hz")
-    if math.isinf(1.0 / rate):
-        raise RangeError(f"rate must be >= 1e-300 [Hz]; got {rate!r}", name="rate", value=rate, rule=">= 1e-300")
+    rate = rate_in_hertz(rate)
     side = LawSide(
         law=law,
         arm=arm,
@@ -299,7 +296,7 @@ class Controller:
     def _arguments(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[dict[str, Any], Any]:
         known = ("q", "v", "ref", "F_app", *MEASUREMENTS)
         positional: tuple[str, ...] = known[:3]
-        if "v" not in self.needs and len(args) == 2 and isinstance(args[1], Sample):
+        if len(args) == 2 and isinstance(args[1], Sample):
             positional = ("q", "ref")
         if len(args) > len(positional):
             raise UsageError(f"step takes {', '.join(positional)}; got {len(args)} positional arguments")

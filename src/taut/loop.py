@@ -14,7 +14,7 @@ import numpy as np
 from taut.arm.angles import require_radians
 from taut.arm.description import Arm, Payload
 from taut.base.checks import finite_array, positive_scalar, read_only
-from taut.base.errors import MatchError, ShapeError, UsageError, count_of, unknown_name
+from taut.base.errors import MatchError, RangeError, ShapeError, UsageError, count_of, unknown_name
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.control.describe import title
@@ -22,6 +22,8 @@ from taut.control.lawside import LawSide
 from taut.control.phases import Phases
 from taut.control.reference import Hold, Reference, as_reference
 from taut.maths.adds import Adds
+from taut.maths.dynamics import pose
+from taut.maths.model import model_of
 from taut.maths.snapshot import MEASUREMENTS
 from taut.plant.disturbance import COMMAND, of_plant
 from taut.plant.sensors import Sensors
@@ -48,6 +50,7 @@ PROVIDED_BY: Final[Mapping[str, str]] = {
     "a_tip": "; give the plant sensors=taut.Sensors(tip=taut.Accelerometer())",
 }
 """What would measure it, for messages."""
+ONE_PLACE: Final = 1e-6  # [m] between the origins of frames that are the same point
 
 
 class AnyPlant(Protocol):
@@ -149,6 +152,7 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
                 f"{', '.join(sorted(plant.measures)) or 'positions only'}" + _provided_by(name, plant),
                 name=name,
             )
+    _check_tool(side, plant)
     check_swing(side, plant)
     _check_weight(side, plant)
     _check_adds(law, side.adds, probe.used, plant)
@@ -191,6 +195,25 @@ def sensed_of(side: LawSide, plant: AnyPlant) -> tuple[str, ...]:
     used = side.probe.used
     altered = side.sensing.alters | plant.distorts | {"q_motor", "v_motor", "a_tip"}
     return tuple(name for name in ("q", "v", *MEASUREMENTS) if name in altered and (name == "q" or name in used))
+
+
+def _check_tool(side: LawSide, plant: AnyPlant) -> None:
+    """The wrench of the tool is measured at the plant's tool; a controller with another one takes it for its own.
+
+    Tools of one name that stand a little apart are an error of the model, which a plant may have.
+    """
+    ours, theirs = side.arm, plant.arm
+    if "F_ext" not in side.needs or ours.tool == theirs.tool:
+        return
+    apart = float(np.linalg.norm(pose(model_of(ours), ours.home).p - pose(model_of(theirs), ours.home).p))
+    if apart > ONE_PLACE:
+        raise MatchError(
+            f"the controller takes F_ext for the wrench at its tool '{ours.tool}', and plant '{plant.name}' measures "
+            f"it at '{theirs.tool}', {apart:.3g} m away at home; load both arms with the same tool=, and name "
+            "another frame to control in the law, by its own tool=",
+            name="tool",
+            value=theirs.tool,
+        )
 
 
 def _check_weight(side: LawSide, plant: AnyPlant) -> None:
@@ -299,7 +322,7 @@ class Loop:
         check_fit(self.side, plant)
         require_no_reference(self.side, ref)
         self.ref: Reference = Hold() if ref is None else as_reference(ref)
-        self.duration = positive_scalar("duration", duration, unit="s")
+        self.duration = duration_of_ticks(duration, self.side.dt)
         self.parameters = LoopParameters(self.side, plant, {**ctrl.parameters, **plant.parameters})
 
     @property
@@ -435,6 +458,23 @@ class LoopParameters(MutableMapping[str, Float64Array]):
 
     def __len__(self) -> int:
         return len(self._values)
+
+
+def duration_of_ticks(duration: object, dt: float) -> float:
+    """The length of a run [s]: one control period dt at least, so that something can happen.
+
+    Raises:
+        RangeError: It is not positive, or shorter than a period.
+    """
+    length = positive_scalar("duration", duration, unit="s")
+    if length < (1.0 - 1e-9) * dt:
+        raise RangeError(
+            f"duration must be >= {dt:g} [s], one control period; got {length:g}",
+            name="duration",
+            value=length,
+            rule=f">= {dt:g}",
+        )
+    return length
 
 
 def state_at_start(arm: Arm, q0: ArrayLike | None, v0: ArrayLike | None) -> tuple[Float64Array, Float64Array]:

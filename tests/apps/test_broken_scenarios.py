@@ -130,7 +130,9 @@ CASES: dict[str, tuple[dict[str, Any], str | None, str]] = {
     "a rate of zero": ({"control.rate": 0}, "control", "rate must be > 0 [Hz]; got 0.0"),
     "an endless rate": ({"control.rate": INF}, "control", "rate must be finite; got inf"),
     "a rate that is text": ({"control.rate": "fast"}, "control", "rate must be a number; got 'fast'"),
-    "a rate that no controller has": ({"control.rate": 1e9}, "control", "rate must be between 0.001 and 1e+06 [Hz]; got 1e+09"),
+    "a rate that no controller has": ({"control.rate": 1e9}, "control", "rate must be <= 1e+06 [Hz]; got 1e+09"),
+    "a rate in seconds": ({"control.rate": 0.001}, "control", "rate must be in ticks per second, >= 1 [Hz]"),
+    "a run of no period": ({"run.duration": 1e-4}, "run", "duration must be >= 0.001 [s], one control period"),
     "another velocity": ({"control.velocity": "diff"}, "control", "velocity must be one of 'measured', 'difference'"),
     "the kinds of velocity": (
         {"control.velocity": 80},

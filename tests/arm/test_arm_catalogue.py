@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import re
 from importlib import metadata
 from xml.etree import ElementTree
 
@@ -12,7 +14,9 @@ from arm_oracles import pinocchio_of
 
 from taut.arm.catalogue import CATALOGUE, Entry, entry_tree
 from taut.arm.description import BASE
+from taut.arm.gears import rotor_doubts
 from taut.arm.load import load_arm
+from taut.arm.report import check_model
 from taut.arm.tree import assemble
 from taut.base.errors import MissingExtraError
 
@@ -159,11 +163,27 @@ def test_what_the_double_pendulums_file_lacks_is_supplied_and_said() -> None:
     )
 
 
+@pytest.mark.parametrize("name", ["ur3", "ur5", "ur10", "xarm7", "kinova"])
+def test_an_arm_without_rotors_says_so_and_which_values_others_take(name: str) -> None:
+    arm, report = load_arm(name), check_model(name)
+    assert not arm.rotor_inertia.any()
+    (note,) = [note for note in arm.notes if "no rotor inertia" in note]
+    assert note in report.notes
+    found = re.search(r"with_joints\(rotor_inertia=(.*)\)", note)
+    assert found
+    values = ast.literal_eval(found.group(1))
+    heavier = arm.with_joints(rotor_inertia=values)
+    np.testing.assert_array_equal(heavier.rotor_inertia, values)
+    assert rotor_doubts(heavier) == ()
+    gears = [note for note in report.notes if "gears and no rotor inertia" in note]
+    assert len(gears) == (name in ("xarm7", "kinova"))
+
+
 def test_kinovas_continuous_joints_have_one_entry_of_q_each() -> None:
     arm = load_arm("kinova")
     assert arm.continuous == (0, 3, 5)
     assert arm.home.shape == (6,)
-    assert "'j2s6s200_joint_1', 'j2s6s200_joint_4', 'j2s6s200_joint_6': continuous" in arm.notes[0]
+    assert any("'j2s6s200_joint_1', 'j2s6s200_joint_4', 'j2s6s200_joint_6': continuous" in note for note in arm.notes)
 
 
 def test_so101s_zero_axis_on_a_fixed_joint_is_no_problem() -> None:

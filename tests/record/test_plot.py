@@ -17,6 +17,7 @@ from matplotlib.text import Text
 import taut
 from taut.record.plot import compare
 from taut.record.style import thinned
+from taut.study.compare_plot import plot_runs
 
 
 def axes_titled(figure: Figure, title: str) -> Any:
@@ -327,8 +328,22 @@ def test_a_title_keeps_the_way_out_of_a_run_that_diverged(many: Any) -> None:
 def test_errors_far_apart_get_a_logarithmic_axis(make_run: Any) -> None:
     t = np.arange(1, 50) * 0.1
     runs = {name: make_run(t, np.outer(t, [size])) for name, size in (("bad", 1.0), ("good", 1e-4))}
-    assert axes_titled(compare(runs), "norm").get_yscale() == "log"
-    assert axes_titled(compare({"bad": runs["bad"]}), "norm").get_yscale() == "linear"
+    both = axes_titled(compare(runs), "size of the tracking error")
+    assert both.get_yscale() == "log"
+    assert min(line.min() for line in curves(both, "-")) > 0.0
+    assert axes_titled(compare({"bad": runs["bad"]}), "tracking error").get_yscale() == "linear"
+
+
+def test_the_error_of_one_joint_keeps_its_sign(make_run: Any) -> None:
+    """An error that goes through zero is not reflected there."""
+    t = np.arange(100) * 0.1
+    runs = {name: make_run(t, np.outer(np.cos(t), [size])) for name, size in (("wide", 1.0), ("narrow", 0.2))}
+    ax = axes_titled(compare(runs), "tracking error")
+    for curve, run in zip(curves(ax, "-")[:2], runs.values(), strict=True):
+        np.testing.assert_array_equal(curve, run.error[:, 0])
+    axes = [ax for ax in plot_runs(runs, "two").axes if ax.get_visible()]
+    assert [ax.get_title(loc="left") for ax in axes[:2]] == ["tracking error", "torque"]
+    assert curves(axes[0], "-")[0].min() < -0.9
 
 
 def test_metrics_without_a_number_are_marked(make_run: Any) -> None:

@@ -152,7 +152,7 @@ class TestTheOrderOfATick:
 
     def test_both_ends_are_included(self) -> None:
         ctrl = taut.compile(taut.laws.PID(kp=1.0), PLANAR, rate=1000.0)
-        for duration, ticks in ((1.0, 1001), (0.0301, 31), (1e-9, 1)):
+        for duration, ticks in ((1.0, 1001), (0.0301, 31), (0.001, 2)):
             assert len(taut.run(ctrl, taut.RigidPlant(PLANAR), duration=duration)) == ticks
 
     def test_the_controller_is_left_alone(self) -> None:

@@ -265,6 +265,42 @@ def test_what_a_later_phase_follows_is_looked_at_before_the_run_or_where_it_begi
     assert run(lambda x: taut.pressing(taut.TaskMotion(pose=x.T()), 5.0)).outcome.ok
 
 
+@pytest.mark.parametrize("kind", ["fused", "hosted"])
+@pytest.mark.parametrize(("off", "tolerance"), [(0.02, 0.01), (-0.003, 0.001)])
+def test_a_phase_that_begins_off_its_surface_states_the_distance_and_the_tolerance(
+    kind: str, off: float, tolerance: float
+) -> None:
+    """It presses on the floor, with several newtons, and states the surface somewhere else."""
+    T = taut.snapshot(PANDA, BOW).T()
+    touching = T.p - np.array([0.0, 0.0, 0.011])
+    stated = taut.Constraint.plane(point=touching - np.array([0.0, 0.0, off]), normal=[0.0, 0.0, 1.0])
+    move = taut.laws.TaskComputedTorque(kp=100.0, kd=20.0)
+    hybrid = taut.laws.HybridMotionForce(constraint=stated, motion=move, kfi=5.0, tolerance=tolerance)
+    task = [
+        taut.Phase(
+            taut.laws.Impedance(K=(800.0, 30.0), B=(60.0, 4.0)),
+            lambda x: taut.Steady(T0=x.T(), velocity=[0.0, 0.0, -0.05]),
+            name="approach",
+            until=lambda x: taut.contact(x, 3.0),
+            timeout=1.0,
+        ),
+        taut.Phase(hybrid, lambda x: taut.pressing(taut.TaskMotion(pose=x.T()), 5.0), name="press"),
+    ]
+    floor = taut.StiffWall(point=touching, normal=[0.0, 0.0, 1.0], stiffness=1e4, damping=50.0)
+    plant = {"fused": taut.RigidPlant, "hosted": taut.MujocoPlant}[kind](PANDA, environment=floor)
+    run = taut.run(task, plant, duration=1.0, q0=BOW)
+    assert [window.ended for window in run.phases[:2]] == ["until", "no contact"]
+    k = run.phases[1].first
+    phi = float(stated.at(taut.snapshot(PANDA, run.q[k])).phi[0])
+    assert abs(phi) > tolerance
+    force = float(np.linalg.norm(run.extra["F_ext"][k, :3]))
+    assert force > 2.0
+    assert (
+        f"{abs(phi):.3g} m off row 0 of its constraint, and the tolerance is {tolerance:g} m" in run.outcome.message
+    )
+    assert f"{force:.3g} N measured" in run.outcome.message
+
+
 class Counts(taut.Law):
     """A law that counts its ticks.
 

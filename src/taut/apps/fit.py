@@ -28,7 +28,7 @@ from taut.control.task_reference import TaskMotion
 from taut.control.task_samples import TaskSamples
 from taut.control.task_trajectory import Circle, Line, Screw
 from taut.controller import compile
-from taut.loop import check_fit, state_at_start
+from taut.loop import check_fit, duration_of_ticks, state_at_start
 from taut.plant.rigid import RigidPlant
 from taut.record.metrics import MEASURES, OF_FORCE, OF_JOINT_MOTION, OF_PRESSING, OF_STEPS, OF_TASK_MOTION
 from taut.runtime.events import Event, sorted_events
@@ -82,6 +82,7 @@ def refuse_misfits(scenario: Scenario, places: Places) -> None:
             f"{scenario.duration:g}"
         )
     with places.run.blamed():
+        duration_of_ticks(scenario.duration, 1.0 / scenario.rate)
         state_at_start(scenario.plant.arm, scenario.q0, scenario.v0)
     for label, law in scenario.laws.items():
         _check_kind(scenario.reference, label, law, places.reference)

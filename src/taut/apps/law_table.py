@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from taut.arm.description import Arm
+from taut.arm.description import Arm, Friction
 from taut.control import laws
 from taut.control.describe import held_laws, statements, summary
 from taut.control.gains import Gain
@@ -115,11 +115,12 @@ def _held(cls: type[Law]) -> Law:
 
 @functools.cache
 def _six_axes() -> Arm:
-    """An arm of six joints that is nowhere near a singularity, to try a law of the task on."""
+    """An arm of six joints, with friction and nowhere near a singularity, to try a law on."""
     axes = np.array([[0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=np.float64)
     places = np.array([[0, 0, 0], [0, 0, 0.4], [0.4, 0, 0.6], [0.5, 0, 0.5], [0.6, 0, 0.4], [0.7, 0.1, 0.4]])
     screws = np.vstack([axes.T, -np.cross(axes, places).T])
     steps = np.diff(np.vstack([np.zeros(3), places, places[-1:]]), axis=0)
     links = [np.vstack([np.column_stack([np.eye(3), step]), [0.0, 0.0, 0.0, 1.0]]) for step in steps]
     inertia = np.diag([0.1, 0.1, 0.1, 1.0, 1.0, 1.0])
-    return Arm.from_screws(links, [inertia] * 6, screws, np.array([0.0, 0.0, -9.81]))
+    arm = Arm.from_screws(links, [inertia] * 6, screws, np.array([0.0, 0.0, -9.81]))
+    return arm.with_friction(Friction(viscous=1.0))

@@ -110,7 +110,19 @@ UR_HOME: Final = (0.0, -math.pi / 2, math.pi / 2, -math.pi / 2, -math.pi / 2, 0.
 SO_JOINTS: Final = "shoulder_pan shoulder_lift elbow_flex wrist_flex wrist_roll"
 
 
-def _ur(name: str) -> Entry:
+# Rotor inertias that other models of these arms have. They were chosen for simulations, not identified.
+NO_ROTORS: Final = "the file has no rotor inertia, which gears multiply by the square of their ratio; approximate: "
+UR_ROTORS: Final = (
+    "0.1 kg m^2 at every joint of MuJoCo Menagerie's ur5e.xml and ur10e.xml, {}with_joints(rotor_inertia=0.1)"
+)
+XARM_ROTORS: Final = "0.1 kg m^2 at every joint of MuJoCo Menagerie's xarm7.xml, with_joints(rotor_inertia=0.1)"
+JACO_ROTORS: Final = (
+    "4 kg m^2 at joints 1 to 3 and 2 at the others of dm_control's jaco_arm.xml, "
+    "with_joints(rotor_inertia=[4, 4, 4, 2, 2, 2])"
+)
+
+
+def _ur(name: str, larger: str = "") -> Entry:
     return Entry(
         name=name,
         package="example-robot-data",
@@ -121,6 +133,7 @@ def _ur(name: str) -> Entry:
         tool="tool0",
         home=_in_order(UR_JOINTS, UR_HOME),
         commands=VELOCITY_POSITION,
+        notes=(NO_ROTORS + UR_ROTORS.format(larger),),
     )
 
 
@@ -154,7 +167,7 @@ ENTRIES: Final = (
             "with_joints(rotor_inertia=[0.606, 0.606, 0.462, 0.462, 0.206, 0.206, 0.206]) would add it",
         ),
     ),
-    _ur("ur3"),
+    _ur("ur3", "which are larger arms, "),
     _ur("ur5"),
     _ur("ur10"),
     Entry(
@@ -168,6 +181,7 @@ ENTRIES: Final = (
         # The SRDF's 'home' is all zeros, which is singular; this is the bent pose of MuJoCo's xarm7.
         home={f"joint{i}": q for i, q in enumerate((0.0, -0.247, 0.0, 0.909, 0.0, 1.15644, 0.0), start=1)},
         commands=VELOCITY_POSITION,
+        notes=(NO_ROTORS + XARM_ROTORS,),
     ),
     Entry(
         name="so100",
@@ -217,6 +231,7 @@ ENTRIES: Final = (
         # The SRDF's 'arm_up' puts joint 3 out of its limits; this is the vendor's own home pose.
         home={f"j2s6s200_joint_{i}": q for i, q in enumerate((4.8, 2.92, 1.0, 4.2, 1.44, 1.31), start=1)},
         commands=EVERY,
+        notes=(NO_ROTORS + JACO_ROTORS,),
     ),
     Entry(
         name="baxter",

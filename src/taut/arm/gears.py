@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from taut.base.checks import finite_array, require_at_least, require_positive
-from taut.base.errors import ShapeError
+from taut.base.errors import ShapeError, warn
 from taut.base.types import ArrayLike, Float64Array
 
 if TYPE_CHECKING:
@@ -109,7 +108,7 @@ def rotor_doubts(arm: Arm) -> tuple[str, ...]:
 def doubt_rotors(arm: Arm) -> Arm:
     """The same arm, after a warning where its rotor inertias are hard to believe."""
     for text in rotor_doubts(arm):
-        warnings.warn(text, RuntimeWarning, stacklevel=4)
+        warn(text)
     return arm
 
 

@@ -15,7 +15,7 @@ from taut.arm.friction import FRICTION_FIELDS
 from taut.arm.load import OpenedModel, arm_of, open_model
 from taut.arm.reach import reach
 from taut.arm.tree import TreeJoint
-from taut.base.errors import ModelError, Problem, TautError, UsageError, count_of
+from taut.base.errors import ModelError, Problem, TautError, UsageError, count_of, quoted_list
 from taut.base.types import Float64Array
 
 __all__ = ["ArmRow", "CheckReport", "arm_rows", "check_model", "joint_table"]
@@ -104,7 +104,20 @@ def check_model(model: str | os.PathLike[str]) -> CheckReport:
         return CheckReport(
             name=tree.name, problems=_problems_of(wrong, tree.name), opened=opened, notes=tuple(tree.notes)
         )
-    return CheckReport(name=arm.name, opened=opened, arm=arm, notes=(*notes, *arm.notes))
+    return CheckReport(name=arm.name, opened=opened, arm=arm, notes=(*notes, *arm.notes, *_without_rotors(arm)))
+
+
+def _without_rotors(arm: Arm) -> tuple[str, ...]:
+    """Joints with a gear whose rotor inertia is zero, which no real rotor's is."""
+    light = [joint for joint in arm.joints if joint.gear != 1.0 and joint.rotor_inertia == 0.0]
+    if not light:
+        return ()
+    gear = max(joint.gear for joint in light)
+    return (
+        f"{quoted_list(joint.name for joint in light)}: gears and no rotor inertia; one of 1e-5 kg m^2 would be "
+        f"{1e-5 * gear**2:.3g} kg m^2 behind a gear of {gear:g}; with_joints(rotor_inertia=...) states it as seen at "
+        "the joint",
+    )
 
 
 def _problems_of(wrong: TautError, name: str) -> tuple[Problem, ...]:

@@ -14,6 +14,7 @@ from typing import Literal
 
 import numpy as np
 
+from taut.arm.angles import TURN
 from taut.arm.description import STANDARD_GRAVITY, Arm, CommandKind, Frame, Joint, Shape
 from taut.arm.gears import rotor_doubts
 from taut.arm.lump import Lumps
@@ -247,6 +248,15 @@ def require_within_limits(at: str, value: float, joint: Joint | TreeJoint) -> No
             joint=joint.name,
             value=value,
             rule=f"within {limits}",
+        )
+    if joint.kind != "prismatic" and abs(value) > 1.5 * TURN and math.isinf(joint.upper - joint.lower):
+        raise RangeError(
+            f"{at} must be an angle in radians; got {value:g}, which is {abs(value) / TURN:.0f} turns; if it is in "
+            "degrees, np.radians(...) converts it",
+            name=at,
+            joint=joint.name,
+            value=value,
+            rule="radians",
         )
 
 

@@ -20,6 +20,7 @@ __all__ = [
     "float_array",
     "one_of",
     "positive_scalar",
+    "rate_in_hertz",
     "read_only",
     "readable_file",
     "require_at_least",
@@ -179,6 +180,19 @@ def positive_scalar(name: str, value: object, *, unit: str = "") -> float:
     if number <= 0.0:
         raise RangeError(f"{name} must be > 0{_unit(unit)}; got {number!r}", name=name, value=number, rule="> 0")
     return number
+
+
+def rate_in_hertz(value: object) -> float:
+    """A rate of ticks [Hz]; a number below 1 is a period in seconds that was taken for one."""
+    rate = positive_scalar("rate", value, unit="Hz")
+    if rate < 1.0:
+        raise RangeError(
+            f"rate must be in ticks per second, >= 1 [Hz]; got {rate!r}; a period of {rate:g} s is rate=1/{rate:g}",
+            name="rate",
+            value=rate,
+            rule=">= 1",
+        )
+    return rate
 
 
 def _require(

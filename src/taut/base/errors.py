@@ -10,6 +10,7 @@ import difflib
 import functools
 import sys
 import sysconfig
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,6 +38,7 @@ __all__ = [
     "raised_location",
     "unknown_name",
     "user_location",
+    "warn",
 ]
 
 
@@ -204,6 +206,14 @@ def raised_location(error: BaseException) -> str:
         frames.insert(0, (trace.tb_frame, trace.tb_lineno))
         trace = trace.tb_next
     return _place([*frames, *_frames_now()])
+
+
+def warn(text: str) -> None:
+    """A RuntimeWarning at the line of the caller's own code, however deep in ours it arises."""
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back is not None and _is_ours_or_generated(Path(frame.f_code.co_filename), frame.f_code.co_name):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(text, RuntimeWarning, stacklevel=level)
 
 
 def _frames_now() -> list[tuple[FrameType, int]]:

@@ -10,7 +10,6 @@ import itertools
 import platform
 import sys
 import threading
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import Any, Final
 
 from taut import __version__
 from taut.base import graph
-from taut.base.errors import TautError
+from taut.base.errors import TautError, warn
 from taut.codegen import cache
 from taut.codegen.llvm import LIBM
 
@@ -42,11 +41,7 @@ def available() -> bool:
 
 def warn_of_plain_python() -> None:
     """The one line about running without native code."""
-    warnings.warn(
-        "llvmlite is not installed, so laws run as plain Python, about 1000 times slower; pip install llvmlite",
-        RuntimeWarning,
-        stacklevel=4,  # the line that calls taut.compile or taut.native
-    )
+    warn("llvmlite is not installed, so laws run as plain Python, about 1000 times slower; pip install llvmlite")
 
 
 @dataclass(frozen=True)

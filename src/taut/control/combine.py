@@ -13,7 +13,12 @@ from taut.maths.snapshot import Snapshot
 
 __all__ = ["Sum", "added"]
 
-ADDED_ONCE = ("gravity", "coriolis", "friction")
+ADDED_ONCE = {
+    "gravity": "use one law that does not (PID instead of GravityPID or ComputedTorque)",
+    "coriolis": "use one law that does not (PID or GravityPID instead of ComputedTorque)",
+    "friction": "leave one of the two out",
+}
+"""What two laws may not both compensate, and how to fix it."""
 
 
 class Sum(Law):
@@ -70,8 +75,7 @@ def _check_added_once(owner: dict[str, str], name: str, used: set[str]) -> None:
             continue
         if what in owner:
             raise MatchError(
-                f"{owner[what]} + {name}: both compensate {what}, so it would be added twice; "
-                "use one law that does not (PID instead of GravityPID or ComputedTorque)",
+                f"{owner[what]} + {name}: both compensate {what}, so it would be added twice; {ADDED_ONCE[what]}",
                 name=name,
                 rule="added once",
             )

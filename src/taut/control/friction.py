@@ -5,8 +5,11 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, Final
 
+import numpy as np
+
 from taut.base import math as tm
 from taut.base.checks import one_of
+from taut.base.errors import MatchError
 from taut.base.types import Vector
 from taut.control.command import Command, Torque
 from taut.control.gains import Gain
@@ -52,6 +55,16 @@ class FrictionCompensation(Law):
     def __post_init__(self) -> None:
         one_of("at", self.at, FRICTION_POINTS)
         object.__setattr__(self, "ignores_reference", self.at == "meas")
+
+    def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
+        """The model must have friction."""
+        friction = x.arm.friction
+        if not friction.dry and not np.any(friction.viscous):
+            raise MatchError(
+                f"FrictionCompensation has nothing to compensate: arm '{x.arm.name}' has no friction; state it with "
+                "arm.with_friction(taut.Friction(...)), or leave the law out",
+                name="friction",
+            )
 
     def command(self, x: Snapshot, ref: JointMotion) -> Command:
         values = FrictionValues.fixed(x.friction)

@@ -305,6 +305,18 @@ class HybridMotionForce(Law):
             near.append(F @ F > TOUCHING * TOUCHING)
         return functools.reduce(lambda a, b: a & b, near)
 
+    def contact_state(self, x: Snapshot) -> str:
+        """How far the arm is from its constraint, of what the tolerance is, and the force where one is measured."""
+        rows = self.natural.at(x)
+        phi = np.asarray(rows.phi, dtype=np.float64)
+        row = int(np.argmax(np.abs(phi)))
+        unit = "" if rows.A is None else " m" if np.any(np.asarray(rows.A)[row, :3]) else " rad"
+        limit = f"the tolerance is {self.tolerance:g}{unit}"
+        said = f"{abs(phi[row]):.3g}{unit} off row {row} of its constraint, and {limit}"
+        if self.measures and self.feedback == "wrench" and any(rows.one_sided):
+            said += f"; {np.linalg.norm(x.F_ext[:3]):.3g} N measured, and contact is more than {TOUCHING:g} N"
+        return said
+
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, object]]:
         rows, estimated = self.natural.at(x), None
         if isinstance(self.estimate, NormalEstimate):

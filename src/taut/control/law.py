@@ -13,7 +13,7 @@ import io
 import re
 import tokenize
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, ClassVar, Final, dataclass_transform
+from typing import Any, ClassVar, Final, NoReturn, dataclass_transform
 
 import numpy as np
 
@@ -130,6 +130,7 @@ class Law:
         cls.uses_memory = _takes_memory(cls)
         dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)(cls)
         _check_arguments(cls)
+        cls.__setattr__ = _refuse_change  # type: ignore[assignment, method-assign]
 
     # ---------------------------------------------------------------- its parts
 
@@ -392,6 +393,14 @@ def _check_arguments(cls: type[Law]) -> None:
     cls.__init__ = checked  # type: ignore[assignment, method-assign]
 
 
+def _refuse_change(law: Law, name: str, value: object) -> NoReturn:  # noqa: ARG001
+    raise dataclasses.FrozenInstanceError(
+        f"cannot assign to field '{name}' of {type(law).__name__}: a law does not change; what it remembers is "
+        f"declared as {name}: taut.Memory = taut.Memory(0.0), read as memory.{name}, and returned with the command: "
+        f"return taut.Torque(...), {{'{name}': ...}}"
+    )
+
+
 _UNITS: Final[dict[type, dict[str, str]]] = {}
 
 
@@ -524,6 +533,8 @@ def as_array(value: Any, name: str) -> Any:
     array = value.as_array() if hasattr(value, "as_array") else np.asanyarray(value)
     if array.dtype == object and has_symbols(array):
         return traced_array(array)
+    if array.dtype.kind == "c":  # of which NumPy would keep the real part
+        raise TraceError(f"{name} must be real numbers; got {value!r}", name=name)
     try:
         if array.dtype == object and any(entry is None for entry in array.flat):  # of which NumPy makes NaN
             raise TypeError

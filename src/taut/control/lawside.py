@@ -35,6 +35,7 @@ __all__ = ["HELD", "TOLD", "LawSide", "Probe", "Tick"]
 
 TOLD: Final = "held.told"  # inputs of the first tick: whether the torque that the plant holds was told, and it
 HELD: Final = "held.tau_applied"
+ROUNDING: Final = 1e-9  # of torques, and relative to them
 Memory = Mapping[str, Any]
 """Memory of the law side by path: law.e_int, sensing.velocity.q, limits.tau_applied."""
 
@@ -157,6 +158,9 @@ class LawSide:
             self.check_start(elsewhere, self._own_parameters)  # a law that knows why says it better
             x, command, after = self._first_run(elsewhere)
         self.check_start(x.q, self._own_parameters)
+        total = as_array(command.total, f"the command of {type(self.law).__name__}")
+        if isinstance(command, Torque) and "gravity" in x.used:
+            self._check_gravity_once(np.asarray(total), np.asarray(x.g))
         added = self._limit_terms(command)
         shapes = {f"law.{path}": np.shape(as_array(v, path)) for path, v in flatten(after).items()}
         n = (self.arm.n,)
@@ -171,6 +175,21 @@ class LawSide:
             shapes |= {f"limits.{name}": np.shape(value) for name, value in fresh_blend(self.arm.n).items()}
         used = x.used | ({"v"} if "speed_limit" in added and isinstance(command, Torque) else set())
         return Probe(kind=command.kind, used=frozenset(used), shapes=shapes, terms=(*command.terms.parts, *added))
+
+    def _check_gravity_once(self, tau: Float64Array, g: Float64Array) -> None:
+        """A law of the user's may not add gravity by x.h and by x.g: at rest, twice what carries the arm.
+
+        Raises:
+            MatchError: It does.
+        """
+        if np.abs(g).max() > ROUNDING and np.abs(tau - 2.0 * g).max() <= ROUNDING * np.abs(g).max():
+            who = type(self.law).__name__
+            raise MatchError(
+                f"{who} adds gravity twice: at rest it gives 2 g, {np.round(tau, 4).tolist()}; x.h is "
+                "C v + g, so add x.h or x.g, not both",
+                name=who,
+                rule="added once",
+            )
 
     def _limit_terms(self, command: Command) -> tuple[str, ...]:
         """The terms that limits add to a command of this kind.

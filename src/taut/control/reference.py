@@ -9,13 +9,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol, Self, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
 
 from taut.base import math as tm
 from taut.base.checks import entry_names, finite_array, finite_scalar, positive_scalar, vector
-from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.errors import RangeError, ShapeError, UsageError, unknown_name
 from taut.base.pose import ROTATION_TOLERANCE, Pose
 from taut.base.types import Array, ArrayLike, Float64Array
 from taut.control.tables import sample_times
@@ -42,6 +42,15 @@ class Sample(ABC):
     """One sample of a reference, as a law sees it. Final subclasses state their fields."""
 
     __slots__ = ()
+
+    if not TYPE_CHECKING:  # type checkers know the fields
+
+        def __getattr__(self, name: str) -> Any:
+            cls = type(self)
+            if name.startswith("_"):  # of Python's own protocols
+                raise AttributeError(name)
+            known = [word for word in dir(cls) if not word.startswith("_") and not callable(getattr(cls, word))]
+            raise AttributeError(str(unknown_name(f"a {cls.__name__}", "field", name, known)), name=name, obj=None)
 
     @classmethod
     @abstractmethod

@@ -81,7 +81,7 @@ def compare(
     for ax, (words, unit) in zip(norms, heads, strict=True) if joint is None else ():
         shown = "norm of the tracking error" if len(heads) == 1 and words.endswith(f"joints in {unit}") else words
         shown_errors = [parts.get((words, unit)) for parts in errors.values()]
-        draw_norms(runs, shown_errors, prepared(ax, shown, f"[{unit}]"))
+        draw_norms(runs, shown_errors, ax, (shown, unit))
     promised = joint is None and _promised(runs, norms[0])
     norms[-1].set_xlabel("t [s]", fontsize=SMALL, color=INK)
     names = [
@@ -141,8 +141,8 @@ def _check(runs: Mapping[str, Run], measures: Sequence[str] | None, joint: str |
 Head = tuple[str, str]  # title and unit of an error
 
 
-def error_norms(run: Run) -> dict[Head, Float64Array]:
-    """(k,) norms of a run's errors."""
+def error_norms(run: Run, *, signed: bool = True) -> dict[Head, Float64Array]:
+    """(k,) norms of a run's errors; of an arm of one joint the error with its sign, if `signed`."""
     wrench = force_error(run)
     if wrench is not None:
         parts = {("norm of the force's error", "N"): np.linalg.norm(wrench[:, :3], axis=1)}
@@ -157,6 +157,8 @@ def error_norms(run: Run) -> dict[Head, Float64Array]:
             ("norm of the tool's position error", "m"): np.linalg.norm(position, axis=1),
             ("angle of the tool's rotation error", "rad"): np.linalg.norm(rotation, axis=1),
         }
+    if signed and run.n == 1:
+        return {("tracking error", run.units[0]): run.error[:, 0]}
     out = {}
     for unit in dict.fromkeys(run.units):
         joints = [joint for joint in range(run.n) if run.units[joint] == unit]
@@ -194,17 +196,22 @@ def _one_joint(runs: Mapping[str, Run], joint: str, above: Axes, below: Axes) ->
         ax.margins(x=0.01)
 
 
-def draw_norms(runs: Mapping[str, Run], norms: Sequence[Float64Array | None], ax: Axes) -> None:
-    """Norms of an error over time, one line for each run that has it."""
-    sizes = []
-    for i, (run, norm) in enumerate(zip(runs.values(), norms, strict=True)):
-        if norm is not None:
-            sizes.append(float(np.sqrt(np.mean(norm**2))))
-            line(ax, run.t, norm, colour(i))
-    if min(sizes) > ROUNDING and max(sizes) / min(sizes) > FAR_APART:
+def draw_norms(runs: Mapping[str, Run], norms: Sequence[Float64Array | None], ax: Axes, head: Head) -> None:
+    """Norms over time, or what has a sign, one line for each run that has it; sizes where they are far apart."""
+    shown = {i: norm for i, norm in enumerate(norms) if norm is not None}
+    rms = [float(np.sqrt(np.mean(norm**2))) for norm in shown.values()]
+    far = min(rms) > ROUNDING and max(rms) / min(rms) > FAR_APART
+    signed = any(norm.min() < 0.0 for norm in shown.values())
+    prepared(ax, f"size of the {head[0]}" if far and signed else head[0], f"[{head[1]}]")
+    for i, run in enumerate(runs.values()):
+        if i in shown:
+            line(ax, run.t, np.abs(shown[i]) if far else shown[i], colour(i))
+    if far:
         ax.set_yscale("log")
-        ax.set_ylim(bottom=1e-2 * min(sizes))
+        ax.set_ylim(bottom=1e-2 * min(rms))
         ax.yaxis.set_tick_params(which="minor", length=1.5, width=0.4)
+    elif signed:
+        ax.axhline(0.0, color=INK, linewidth=0.6)
     else:
         ax.set_ylim(bottom=0.0)
     ax.margins(x=0.01)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,7 +13,7 @@ from taut.base.errors import RangeError, UsageError, unknown_name
 from taut.base.types import Float64Array
 from taut.control.phase import STOP
 from taut.control.phase_sample import PhaseSample
-from taut.control.phases import ENDED
+from taut.control.phases import ENDED, NO_CONTACT
 from taut.record.felt import FELT
 from taut.record.outcome import Outcome
 
@@ -24,6 +24,7 @@ __all__ = ["PHASES", "PhaseWindow", "phase_of", "phases_of", "told", "windows"]
 
 PHASES: Final = "phases"  # in run.info: by name, what each phase follows, and its tool
 WELL: Final = "until"
+NONE: Final = ENDED[NO_CONTACT]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +43,7 @@ class PhaseWindow:
             return f"stopped at {self.start:.6g} s"
         if self.ended is None:
             return f"{self.name} still going on"
-        how = {WELL: "", "no contact": ": it needs contact and began without"}.get(self.ended, f" ({self.ended})")
+        how = {WELL: "", NONE: ": it needs contact and began without"}.get(self.ended, f" ({self.ended})")
         return f"{self.name} to {self.end:.6g} s{how}"
 
 
@@ -79,15 +80,20 @@ def windows(
     return tuple(out)
 
 
-def told(found: Sequence[PhaseWindow], outcome: Outcome) -> Outcome:
+def told(found: Sequence[PhaseWindow], outcome: Outcome, contact: Callable[[PhaseWindow], str]) -> Outcome:
     """The outcome of a run with how each phase of its task ended.
 
     A task that stopped for another reason than its last `until` did not go to its end.
+
+    Args:
+        found: The stretches of the run.
+        outcome: That of the run.
+        contact: What was measured where a phase began without contact, in words.
     """
     last = found[-1]
     before = found[-2] if last.name == STOP and len(found) > 1 else last
     wrong = outcome.kind == "completed" and before.ended not in (None, WELL)
-    said = [*map(str, found)]
+    said = [f"{one} ({why})" if one.ended == NONE and (why := contact(one)) else str(one) for one in found]
     if not outcome.ok and last.ended is None and last.name != STOP:
         said[-1] = f"{last.name} until then"
     message = f"{outcome.message}; phases: {', '.join(said)}"

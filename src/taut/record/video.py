@@ -9,7 +9,6 @@ import os
 import shutil
 import subprocess
 import tempfile
-import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -19,7 +18,7 @@ import numpy as np
 
 from taut.arm.description import Arm
 from taut.base.checks import positive_scalar
-from taut.base.errors import FileError, MatchError, RangeError, UsageError
+from taut.base.errors import FileError, MatchError, RangeError, UsageError, warn
 from taut.base.pose import Pose
 from taut.base.types import Float64Array
 from taut.control.task_reference import TaskMotion
@@ -69,7 +68,7 @@ def film(
     with ExitStack() as stack, written_aside("video", target) as aside:
         pictures, remark = _pictures(stack, run.q[ticks], skeleton, wanted, size, around, moving)
         if remark:
-            warnings.warn(f"video '{target}' {remark}", RuntimeWarning, stacklevel=3)
+            warn(f"video '{target}' {remark}")
         bar = stack.enter_context(Progress(len(ticks), progress, "drawing"))
         images = bar.over(_captioned(pictures, run.t[ticks]))
         try:

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Iterable, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from taut.base.checks import positive_scalar
-from taut.base.errors import RangeError, StabilityWarning, UsageError
+from taut.base.errors import RangeError, StabilityWarning, UsageError, warn
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike
 from taut.control.phase import Phase
 from taut.control.reference import Hold, Reference, as_reference
 from taut.controller import Controller, compile
-from taut.loop import Loop, ModelPlant, check_fit, require_no_reference, state_at_start
+from taut.loop import Loop, ModelPlant, check_fit, duration_of_ticks, require_no_reference, state_at_start
 from taut.record.arm_numbers import DYNAMICS, arm_numbers
 from taut.record.progress import Progress
 from taut.record.report_page import VERSIONS, stated, versions
@@ -131,7 +129,7 @@ def run(
     if unstable is not None:
         if isinstance(target, RealArm) and target.real:
             raise RangeError(f"{unstable} (plant '{target.name}' is a real arm: nothing was sent)", name="law")
-        warnings.warn(unstable, StabilityWarning, stacklevel=2)
+        warn(unstable, StabilityWarning)
         going.tape.unstable = unstable
     return _recorded(going, log, progress)
 
@@ -185,4 +183,4 @@ def _what_to_run(
     check_fit(ctrl.side, plant)
     require_no_reference(ctrl.side, ref)
     reference: Reference = Hold() if ref is None else as_reference(ref)
-    return plant, reference, positive_scalar("duration", duration, unit="s")
+    return plant, reference, duration_of_ticks(duration, ctrl.side.dt)

@@ -20,7 +20,7 @@ from taut.control.targets import far_away, may_bound
 from taut.loop import AnyPlant
 from taut.maths.snapshot import Snapshot
 from taut.record.outcome import Outcome
-from taut.record.phases import told, windows
+from taut.record.phases import PhaseWindow, told, windows
 from taut.record.run import Run
 
 __all__ = ["RowLog", "Tape"]
@@ -143,7 +143,19 @@ class Tape:
             return outcome
         rows = slice(outcome.tick + 1)
         phase, ended = (self.outputs[name][rows] for name in ("phase", "phase_ended"))
-        return told(windows(self._phases, phase, ended, self.inputs["t"][rows]), outcome)
+        return told(windows(self._phases, phase, ended, self.inputs["t"][rows]), outcome, self._contact_at)
+
+    def _contact_at(self, window: PhaseWindow) -> str:
+        """What a phase that began without contact measured in that tick, in words."""
+        row = {name: column[window.first] for name, column in self.outputs.items()}
+        seen: dict[str, Any] = {
+            name: row.get(f"sensed.{name}", row[name]) for name in ("q", "v", "F_ext") if name in row
+        }
+        if "F_ext" in self._side.needs and "F_ext" not in seen:  # a plant of the user's that does not record it
+            return ""
+        x = Snapshot(self._side.model, q=seen["q"], v=seen["v"], t=window.start, measured=seen)
+        assert isinstance(self._side.law, Phases)
+        return self._side.law.phases[window.name].contact_state(x)
 
     def _remarks(self, ticks: int) -> str:
         """Which sensors were at their range in the first ticks of the run, and what the law has to say of them."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from taut.base.checks import positive_scalar
-from taut.base.errors import UsageError
+from taut.base.errors import RangeError, UsageError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.control.law import Law
@@ -244,9 +244,16 @@ def grade_law(
 
     Raises:
         UsageError: A law that cannot be compiled or does not fit; a reference law whose run fails.
-        RangeError: A tolerance that is not positive.
+        RangeError: A tolerance that is not positive, or above 1.
     """
     tolerance = positive_scalar("tolerance", tolerance)
+    if tolerance > 1.0:
+        raise RangeError(
+            f"tolerance must be a fraction, <= 1 (100 %); got {tolerance:g}; {tolerance:g} % is {0.01 * tolerance:g}",
+            name="tolerance",
+            value=tolerance,
+            rule="<= 1",
+        )
     controllers = {name: setting.controller(name, one) for name, one in (law, reference)}
     runs = {}
     for name, ctrl in controllers.items():

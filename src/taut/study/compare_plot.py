@@ -72,7 +72,7 @@ def _figure(runs: Mapping[str, Run], entries: Mapping[str, Entry], title: str) -
                 if len(heads) == 1 and words.endswith(f"joints in {unit}"):
                     words = "norm of the tracking error"
                 shown = [part.get(heads[row]) for part in parts]
-                draw_norms(runs, shown, prepared(ax, words, f"[{unit}]"))
+                draw_norms(runs, shown, ax, (words, unit))
                 if row == len(heads) - 1:
                     ax.set_xlabel("t [s]", fontsize=SMALL, color=INK)
                     ax.tick_params(labelbottom=True)
@@ -87,9 +87,10 @@ def _figure(runs: Mapping[str, Run], entries: Mapping[str, Entry], title: str) -
 def _error_norms(run: Run) -> dict[Head, Float64Array]:
     """(k,) norms of the errors that a run has; of laws side by side those of all of them together."""
     out: dict[Head, Float64Array] = {}
-    for one in [run.part(part) for part in run.info.get(PARTS, ())] or [run]:
+    parts = [run.part(part) for part in run.info.get(PARTS, ())]
+    for one in parts or [run]:
         if one.error is not None or is_task_run(one) or force_error(one) is not None:
-            for head, norm in error_norms(one).items():
+            for head, norm in error_norms(one, signed=not parts).items():
                 out[head] = np.hypot(out[head], norm) if head in out else norm
     return out
 
@@ -99,14 +100,14 @@ def _heads(parts: Sequence[Mapping[Head, Float64Array]]) -> list[Head]:
 
 
 def _torque_norms(run: Run) -> dict[Head, Float64Array]:
-    """(k,) norms of the torques of the joints of each unit."""
+    """(k,) norms of the torques of the joints of each unit; of one joint its torque."""
+    if run.n == 1:
+        return {("torque" if run.effort_units[0] == "N m" else "force", run.effort_units[0]): run.tau[:, 0]}
     out = {}
     for unit in dict.fromkeys(run.effort_units):
         joints = [joint for joint in range(run.n) if run.effort_units[joint] == unit]
-        words = "size of the torque" if run.n == 1 else "norm of the torques"
-        out[(words if unit == "N m" else "norm of the forces of joints", unit)] = np.linalg.norm(
-            run.tau[:, joints], axis=1
-        )
+        words = "norm of the torques" if unit == "N m" else "norm of the forces of joints"
+        out[words, unit] = np.linalg.norm(run.tau[:, joints], axis=1)
     return out
 
 

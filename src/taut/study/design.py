@@ -8,7 +8,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.checks import finite_array, finite_scalar, one_of, positive_scalar, require_at_least, require_positive
+from taut.base.checks import finite_array, finite_scalar, one_of, rate_in_hertz, require_at_least, require_positive
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
 from taut.control import laws
@@ -110,7 +110,7 @@ def design(
         zeta=zeta, omega_n=omega_n, settling=settling, overshoot=overshoot, bandwidth=bandwidth, K=K, D=D,
         contact=contact, force=force, integral=integral,
     )  # fmt: skip
-    rate = positive_scalar("rate", rate, unit="Hz")
+    rate = rate_in_hertz(rate)
     if friction is not None:
         one_of("friction", friction, ("arm",))
     b = np.array(arm.viscous) if friction == "arm" else np.zeros(arm.n)

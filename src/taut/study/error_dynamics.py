@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from taut.base.checks import finite_array, finite_scalar, one_of
+from taut.base.checks import finite_array, finite_scalar, one_of, rate_in_hertz
 from taut.base.errors import ShapeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
 from taut.study import characteristic
@@ -427,7 +427,12 @@ class ErrorDynamics(ErrorNumbers, ErrorLeft):
         from taut.study.sampled_errors import SampledErrorDynamics
 
         return SampledErrorDynamics(
-            continuous=self, rate=rate, delay=delay, velocity=velocity, integrator=integrator, substeps=substeps
+            continuous=self,
+            rate=rate_in_hertz(rate),
+            delay=delay,
+            velocity=velocity,
+            integrator=integrator,
+            substeps=substeps,
         )
 
     def to_control(self, of: Literal["setpoint", "reference", "disturbance"] = "setpoint") -> Any:

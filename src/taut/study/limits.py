@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from taut.base.checks import finite_scalar, positive_scalar
+from taut.base.checks import finite_scalar, positive_scalar, rate_in_hertz
 from taut.base.errors import RangeError
 from taut.base.types import ArrayLike
 from taut.study.passivity import largest_passive, spare_damping, spare_damping_in_band
@@ -298,7 +298,8 @@ def check_stiffness(
 
 
 def checked_band(band: float | None, rate: float) -> float:
-    """A band in Hz, at most half the rate, which it is if left out."""
+    """A band in Hz, at most half the rate, which it is if left out; the rate is a user's."""
+    rate_in_hertz(rate)
     if band is None:
         return 0.5 * rate
     value = positive_scalar("band", band, unit="Hz")

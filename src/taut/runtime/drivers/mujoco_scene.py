@@ -87,6 +87,7 @@ def read_scene(scene: str | os.PathLike[str]) -> Scene:
         with path.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
     root = _document(data, source)
+    _require_elements(root, source)
     reader = _Reader(source, folder)
     reader.check(root)
     if reader.problems:
@@ -105,6 +106,7 @@ def _document(data: bytes, source: str) -> Element:
     else:
         root = parse_xml(b"<mujoco>" + data + b"</mujoco>", source)
         if len(root.children) == 1 and root.children[0].tag == "mujoco":
+            root.children[0].text.extend(root.text)
             root = root.children[0]
     if root.tag != "mujoco":
         root = Element("mujoco", {}, root.line, source, [root])
@@ -112,7 +114,22 @@ def _document(data: bytes, source: str) -> Element:
     children = [child for child in root.children if child.tag not in IN_WORLD]
     if loose:
         children.append(Element("worldbody", {}, loose[0].line, source, loose))
-    return Element("mujoco", {}, root.line, source, children)
+    return Element("mujoco", {}, root.line, source, children, root.text)
+
+
+def _require_elements(root: Element, source: str) -> None:
+    """A scene has no words between its elements, as a text of any other kind has.
+
+    Raises:
+        ModelError: It is no scene.
+    """
+    for element in root.walk():
+        text = " ".join("".join(element.text).split())
+        if text:
+            message = (
+                f"a scene is made of MJCF elements, such as <geom .../>; got the text {text[:40]!r} outside of them"
+            )
+            raise ModelError(source, [Problem(object="scene", attribute=None, message=message, line=element.line)])
 
 
 class _Reader:

@@ -1,0 +1,109 @@
+"""Arguments that do not exist, are missing or come twice: one sentence, at every public name."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import enum
+import inspect
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+import taut
+from taut.base.signatures import checked_arguments
+
+ARM = taut.load_arm("planar2")
+
+
+def takes_named_arguments(name: str) -> bool:
+    thing = getattr(taut, name)
+    if inspect.isclass(thing):
+        if issubclass(thing, (Exception, enum.Enum)) or getattr(thing, "_is_protocol", False) or thing is taut.Law:
+            return False
+    elif not inspect.isfunction(thing):
+        return False
+    return all(p.kind is not p.VAR_KEYWORD for p in inspect.signature(thing).parameters.values())
+
+
+PUBLIC = [name for name in taut.__all__ if takes_named_arguments(name)]
+
+
+def test_nearly_every_public_name_is_tried() -> None:
+    assert len(PUBLIC) > 130
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_an_argument_that_does_not_exist_is_refused(name: str) -> None:
+    with pytest.raises(taut.UsageError) as caught:
+        getattr(taut, name)(no_such_argument=1.0)
+    assert caught.value.name == "no_such_argument"
+
+
+@pytest.mark.parametrize("name", [name for name in PUBLIC if name[0].islower()])
+def test_a_public_function_is_pickled_by_its_name_and_shows_its_signature(name: str) -> None:
+    function = getattr(taut, name)
+    assert pickle.loads(pickle.dumps(function)) is function
+    assert "args" not in inspect.signature(function).parameters
+    assert function.__doc__
+
+
+WRONG: list[tuple[str, Callable[[], Any], str]] = [
+    ("misspelt", lambda: taut.compile(taut.laws.PID(kp=1.0, kd=1.0), ARM, rat=100.0), "'rate'"),  # type: ignore[call-arg]
+    ("misspelt in a class method", lambda: taut.Constraint.plane(points=[0, 0, 0], normal=[0, 0, 1]), "'point'"),  # type: ignore[call-arg]
+    ("misspelt in a method", lambda: ARM.with_payload(masss=1.0), "'mass'"),  # type: ignore[call-arg]
+    ("unlike any", lambda: taut.JointMotion(theta=[0.0]), "'q'"),  # type: ignore[call-arg]
+    ("missing", lambda: taut.Cubic(q0=0.0, duration=1.0), "q1"),  # type: ignore[call-arg]
+    ("twice", lambda: ARM.with_payload(1.0, mass=2.0), "mass"),  # type: ignore[misc]
+    ("too many by position", lambda: taut.Pose([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]), "xyzw="),  # type: ignore[misc]
+    ("by position", lambda: taut.stream(0.1, print), "period="),  # type: ignore[misc]
+    ("of a function of a module", lambda: taut.textbook.SimulateControl(thetalst=1), "'thetalist'"),  # type: ignore[call-arg]
+]
+
+
+@pytest.mark.parametrize(("call", "named"), [row[1:] for row in WRONG], ids=[row[0] for row in WRONG])
+def test_what_is_wrong_with_a_call_is_named(call: Callable[[], Any], named: str) -> None:
+    with pytest.raises(taut.UsageError) as caught:
+        call()
+    assert isinstance(caught.value, TypeError)
+    assert named in str(caught.value)
+
+
+def test_a_type_error_inside_of_a_call_stays_what_it_is() -> None:
+    def inner(a: float) -> float:
+        return a + "text"  # type: ignore[operator, no-any-return]
+
+    def outer(a: float) -> float:
+        return inner(a, b=1.0)  # type: ignore[call-arg]
+
+    for function in (inner, outer):
+        with pytest.raises(TypeError) as caught:
+            checked_arguments(function, function.__name__)(1.0)
+        assert not isinstance(caught.value, taut.TautError)
+
+
+def test_a_subclass_of_the_user_keeps_its_own_constructor() -> None:
+    class Tilted(taut.Pose):
+        def __init__(self, angle: float) -> None:
+            super().__init__(rpy=[angle, 0.0, 0.0])
+
+    assert isinstance(Tilted(0.1), taut.Pose)
+    with pytest.raises(TypeError) as caught:
+        Tilted(tilt=0.1)  # type: ignore[call-arg]
+    assert not isinstance(caught.value, taut.TautError)
+
+
+def test_copies_and_replacements_work_as_before() -> None:
+    friction = taut.Friction(viscous=1.0)
+    assert dataclasses.replace(friction, viscous=2.0).viscous == 2.0
+    assert copy.deepcopy(taut.JointMotion(q=[1.0])).q.tolist() == [1.0]
+    with pytest.raises(taut.UsageError):
+        dataclasses.replace(friction, viscosity=2.0)  # type: ignore[call-arg]
+
+
+def test_a_warning_is_at_the_line_that_called() -> None:
+    with pytest.warns(RuntimeWarning, match="hard to believe") as caught:
+        ARM.with_gears(100.0, motor_inertia=50.0)
+    assert caught[0].filename == __file__
