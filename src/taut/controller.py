@@ -22,7 +22,7 @@ from taut.codegen.layout import Block
 from taut.codegen.program import Program, Values, failure, trace
 from taut.control.describe import PARAMETER_UNITS, all_laws, gain_units, section, short, summary, title
 from taut.control.law import Law
-from taut.control.lawside import HELD, TOLD, LawSide, Probe
+from taut.control.lawside import HELD, TOLD, LawSide, Probe, WildTerm, wild_term
 from taut.control.limiting import take_up
 from taut.control.limits import Limits
 from taut.control.phase import Phase
@@ -669,14 +669,29 @@ def _not_finite(side: LawSide, kernel: Kernel) -> TautError:
         return error
     law = title(side.law)
     bad = np.flatnonzero(~np.isfinite(blocks.views("outputs")["command"]))
-    joint = joints[int(bad[0])] if bad.size else None
+    term = _wild_term(side, kernel) if bad.size else None
+    joint = joints[term.joint if term is not None else int(bad[0])] if bad.size else None
     who = f"the {side.probe.kind} of joint '{joint}'" if joint is not None else "its new memory"
+    who += "" if term is None else f", of which the term '{term.name}' is {term.value}"
     return NumericalError(
         f"{law} gives numbers that are not finite in tick {kernel.count}: {who}; its memory stays as it was "
         "before that tick",
-        name=law,
+        name=law if term is None else f"terms.{term.name}",
         joint=joint,
+        value=None if term is None else term.value,
     )
+
+
+def _wild_term(side: LawSide, kernel: Kernel) -> WildTerm | None:
+    """The term of the tick that failed which is not finite, seen in the tick once more on floats."""
+    views = (kernel.blocks.views(name) for name in ("inputs", "parameters", "memory"))
+    copies = ({path: value.copy()[()] for path, value in view.items()} for view in views)
+    try:
+        with np.errstate(all="ignore"):
+            outputs, _ = _Functions(side, record=True).tick(*copies)
+    except Exception:  # plain Python raises where compiled code gives infinity: then the joint has to do
+        return None
+    return wild_term(subtree(outputs, "terms"))
 
 
 # -------------------------------------------------------------------- parameters and bound arrays

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -31,10 +31,11 @@ from taut.maths.adds import Adds
 from taut.maths.model import Model, PayloadValues, model_of
 from taut.maths.snapshot import AT_TOOL, MEASUREMENTS, Snapshot, measurement_shapes
 
-__all__ = ["HELD", "TOLD", "LawSide", "Probe", "Tick"]
+__all__ = ["HELD", "TOLD", "LawSide", "Probe", "Tick", "WildTerm", "wild_term"]
 
 TOLD: Final = "held.told"  # inputs of the first tick: whether the torque that the plant holds was told, and it
 HELD: Final = "held.tau_applied"
+LARGEST: Final = float(np.finfo(np.float64).max)
 Memory = Mapping[str, Any]
 """Memory of the law side by path: law.e_int, sensing.velocity.q, limits.tau_applied."""
 
@@ -389,7 +390,8 @@ class LawSide:
             given, moving = subtree(parameters, "limits"), x if command.kind == Torque.kind else None
             kept = before if begins is None or "blend" not in given else anew(before, total, begins)
             made = limited(total, kept, given, dt, moving)
-            applied, terms, held = made.command, made.terms, {**made.memory, "tau_cut": made.cut}
+            applied = tm.where(tm.abs(total) <= LARGEST, made.command, total)  # infinity is refused, never cut
+            terms, held = made.terms, {**made.memory, "tau_cut": made.cut}
         held["tau_applied"] = applied
         new = flatten({"law": after, "sensing": sensing, "limits": held})
         shapes = self.probe.shapes
@@ -423,6 +425,23 @@ class LawSide:
                 "tau_cut": held.get("tau_cut", zero),
             },
         )
+
+
+class WildTerm(NamedTuple):
+    """A term of a command that is not finite."""
+
+    name: str
+    joint: int
+    value: float
+
+
+def wild_term(terms: Mapping[str, Float64Array]) -> WildTerm | None:
+    """The first of some terms, each (n,), that is not finite; those of the law stand before those of the limits."""
+    for name, values in terms.items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            return WildTerm(name, int(bad[0]), float(values[bad[0]]))
+    return None
 
 
 def _payload_of(parameters: Mapping[str, Any]) -> PayloadValues:

@@ -13,7 +13,7 @@ from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
 from taut.codegen.program import failure
-from taut.control.lawside import LawSide
+from taut.control.lawside import LawSide, wild_term
 from taut.control.phases import NO_CONTACT, Phases
 from taut.control.targets import far_away, may_bound
 from taut.loop import AnyPlant
@@ -200,10 +200,12 @@ class Tape:
         t = self.inputs["t"][tick]
         wild = ~np.isfinite(self.outputs["command"][tick])
         if wild.any() and self.is_sane(tick):
-            joint = int(np.argmax(wild))
+            term = wild_term(subtree({path: rows[tick] for path, rows in self.outputs.items()}, "terms"))
+            joint = int(np.argmax(wild)) if term is None else term.joint
             message = (
                 f"the law gives {self.outputs['command'][tick, joint]} for joint '{names[joint]}' at t = {t:.6g} s "
-                f"(tick {tick}), where the arm moves as an arm can; ctrl.step at that state shows where it comes from"
+                f"(tick {tick}){'' if term is None else f', of which the term {term.name!r} is {term.value}'}, where "
+                "the arm moves as an arm can"
             )
             return kept, Outcome(kind="diverged", message=message, tick=kept - 1, joint=names[joint])
         speeds = np.abs(self.outputs["v"][tick])
