@@ -78,7 +78,9 @@ class TestTheControllerRefusesIt:
 
     @pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
     def test_in_a_run(self, plant: Any, limits: taut.Limits, engine: Any) -> None:
-        out = taut.run(taut.compile(Divides(kp=1.0), PLANAR, limits=limits, engine=engine), plant(PLANAR), duration=0.1)
+        out = taut.run(
+            taut.compile(Divides(kp=1.0), PLANAR, limits=limits, engine=engine), plant(PLANAR), duration=0.1
+        )
         outcome = out.outcome
         assert (outcome.kind, outcome.tick, outcome.joint, len(out)) == ("diverged", BREAKS - 1, "joint2", BREAKS)
         assert "'P'" in outcome.message

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final
@@ -30,7 +31,8 @@ __all__ = ["FusedRun"]
 BLOCK: Final = 4096  # ticks between two visits of Python
 TASK_BLOCK: Final = 256  # the same for a task, in which a block may have to be taken back
 
-# A loop keeps its code, so that it is traced once however often it runs.
+# A loop keeps its code, so that it is traced once however often it runs. The code is that of a twin of the loop: code
+# that held the loop itself would never be released.
 _COMPILED: Final[WeakKeyDictionary[Loop, NativeLoop | FloatLoop]] = WeakKeyDictionary()
 
 
@@ -75,10 +77,11 @@ class FusedRun:
         check_swing(side, loop.plant, q, self._parameters.views(self._values))
         at_rest = side.at_rest(q)
         task = side.law if isinstance(side.law, Phases) else None
+        block, packed = self._parameters, self._values  # the feed holds these, and not the run, which holds the feed
         self._feed: ReferenceFeed | PhaseFeed = (
             ReferenceFeed(loop.ref, side.law.reference, side.arm, loop.dt, at_rest)
             if task is None
-            else PhaseFeed(task, side, lambda: self._parameters.views(self._values))
+            else PhaseFeed(task, side, lambda: block.views(packed))
         )
         self._of_task, self._drawn = task is not None, 1  # the noise of row 0 is drawn at the start
         first = np.zeros((1, self._inputs.size))
@@ -106,7 +109,8 @@ class FusedRun:
                 made.expect(loop.ticks)
             return made
         sound = self._sound(memory, row)
-        functions = loop.step, loop.substep, loop.plant.substeps - 1
+        twin = copy.copy(loop)
+        functions = twin.step, twin.substep, loop.plant.substeps - 1
         blocks, example = (self._inputs, self._parameters, self._memory), (row, self._values, self._state)
         if loop.engine == "native" and sound:
             made = NativeLoop(*functions, *blocks, example, loop.ticks)
