@@ -131,7 +131,7 @@ def test_code_outlives_the_linker_that_made_it() -> None:
     for _ in range(130):
         taut.native(lambda x: 0.5 * x, x=2)
     gc.collect()
-    assert native._jit.cache_info().misses - linkers == 2
+    assert native._jit.cache_info().misses - linkers >= 2
     for k, function in enumerate(functions, start=1):
         np.testing.assert_array_equal(function(np.array([1.0, -2.0])), [k, -2.0 * k])
     del functions, function

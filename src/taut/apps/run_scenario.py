@@ -230,7 +230,8 @@ def run_scenario(
                 say(f"law '{trial.law}': {remark}")
         if scenario.spread is not None:
             made[trial.law] = ctrl
-        runs[trial] = _one_run(one, ctrl, trial, say)
+        log = files.get("log") if trial == scenario.outputs.shown else None
+        runs[trial] = _one_run(one, ctrl, trial, say, log)
     outputs, skipped = _written(scenario, runs, files, say)
     missed = tuple(text for figure in scenario.figures for text in _missed(figure, runs))
     return ScenarioResult(scenario=scenario, runs=runs, outputs=outputs, skipped=skipped, missed=missed)
@@ -249,8 +250,16 @@ def _compiled(scenario: Scenario, trial: Trial, engine: str) -> Controller:
         )
 
 
-def _one_run(scenario: Scenario, ctrl: Controller, trial: Trial, say: Callable[[str], None]) -> Run:
+def _one_run(
+    scenario: Scenario, ctrl: Controller, trial: Trial, say: Callable[[str], None], log: Path | None
+) -> Run:
+    """A run; its log is there if it is broken off, and is replaced in the end by one that names the scenario too."""
     say(f"running {trial.label} ...")
+    if log is not None:
+        try:
+            _make_folder(log.parent)
+        except FileError:  # which is reported with the other files
+            log = None
     with _blamed(scenario, trial):
         done = run(
             ctrl,
@@ -261,6 +270,7 @@ def _one_run(scenario: Scenario, ctrl: Controller, trial: Trial, say: Callable[[
             v0=scenario.v0,
             seed=scenario.seed,
             events=scenario.events,
+            log=log,
         )
     built_in = scenario.source.partition(":")[0] == f"scenario '{scenario.name}'"
     made_by = {"name": scenario.name, **trial._asdict(), "text": scenario.text, "built_in": built_in}

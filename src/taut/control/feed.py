@@ -77,16 +77,13 @@ class ReferenceFeed:
         """Whether the samples of many ticks cost little more than that of one."""
         return isinstance(self._ref, (Sample, Stream)) or getattr(self._ref, "rows", None) is not None
 
-    def fill(
-        self, views: Mapping[str, Float64Array], first: int, state: Callable[[], Any], *, whole: bool = True
-    ) -> int:
+    def fill(self, views: Mapping[str, Float64Array], first: int, state: Callable[[], Any]) -> int:
         """Write the reference of the ticks from `first` on into views (k, ...) by field.
 
         Args:
             views: Where to write: one array per field of the sample.
             first: Number of the first tick.
             state: Gives the snapshot at the first tick, for the source of a stream.
-            whole: Whether all ticks must have a sample; else those before the reference fails are enough.
 
         Returns:
             Number of ticks that were filled: if that is less than k, the reference fails in a later tick.
@@ -101,7 +98,7 @@ class ReferenceFeed:
             try:
                 table = self._checked_rows((first + np.arange(count, dtype=np.float64)) * self._dt)
             except Exception:
-                if whole or count == 1:
+                if count == 1:
                     raise
                 count //= 2  # what comes later may never be asked for
                 continue

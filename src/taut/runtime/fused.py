@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping
+from time import monotonic
 from typing import Any, Final
 from weakref import WeakKeyDictionary
 
@@ -24,12 +25,13 @@ from taut.maths.snapshot import Snapshot
 from taut.plant.swing import check_swing
 from taut.record.outcome import Outcome
 from taut.runtime.events import Event
-from taut.runtime.tape import RowLog, Tape
+from taut.runtime.tape import LOG_PERIOD, RowLog, Tape
 
 __all__ = ["FusedRun"]
 
 BLOCK: Final = 4096  # ticks between two visits of Python
 TASK_BLOCK: Final = 256  # the same for a task, in which a block may have to be taken back
+FIRST_BLOCK: Final = 16  # of a run with a log, which is written by time: how long a tick takes is not known yet
 
 # A loop keeps its code, so that it is traced once however often it runs. The code is that of a twin of the loop: code
 # that held the loop itself would never be released.
@@ -84,6 +86,7 @@ class FusedRun:
             else PhaseFeed(task, side, lambda: block.views(packed))
         )
         self._of_task, self._drawn = task is not None, 1  # the noise of row 0 is drawn at the start
+        self._size = BLOCK  # of the next block
         first = np.zeros((1, self._inputs.size))
         memory = self._started(q, v, first)
         self._memory = Block.of({path: np.shape(value) for path, value in memory.items()})
@@ -154,14 +157,16 @@ class FusedRun:
         """Run to the end: (number of rows recorded, outcome)."""
         tape, ticks, k = self.tape, self._loop.ticks, 0
         running = Outcome(kind="stopped", message="the run is still going on", tick=0)
+        self._size = BLOCK if log is None else FIRST_BLOCK
         while k < ticks:
+            began = monotonic()
             refused = self._refused(k)
             if refused is not None:
                 return k, refused
             try:
                 end = self._prepare(k, ticks)
             except Exception as error:
-                if k == 0 or not self._of_task:
+                if k == 0:
                     raise
                 return k, tape.failed(k, error)
             end, done = self._block(k, end)
@@ -172,6 +177,8 @@ class FusedRun:
                 return kept, outcome
             if log is not None:
                 log.write(tape.piece(k, end, running))
+                growth = min(16.0, LOG_PERIOD / max(monotonic() - began, 1e-9))
+                self._size = max(1, int((end - k) * growth))
             advance(end - k)
             k = end
         return ticks, self.tape.completed()
@@ -215,7 +222,7 @@ class FusedRun:
         if isinstance(error, NumericalError):
             message = f"{error} (t = {self.tape.inputs['t'][k]:.6g} s, tick {k})"
             return k, Outcome(kind="diverged", message=message, tick=k - 1, joint=error.joint)
-        if k == 0 or not self._of_task:
+        if k == 0:
             raise error
         return k, self.tape.failed(k, error)
 
@@ -233,7 +240,7 @@ class FusedRun:
 
     def _end_of_block(self, k: int, ticks: int) -> int:
         later = bisect_right(self._stops, k)
-        stops = [k + (TASK_BLOCK if self._of_task else BLOCK), ticks, *self._stops[later : later + 1]]
+        stops = [k + min(self._size, TASK_BLOCK if self._of_task else BLOCK), ticks, *self._stops[later : later + 1]]
         question = self._feed.next_question(k)
         return min(stops if question is None else [*stops, question])
 

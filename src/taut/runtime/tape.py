@@ -29,6 +29,7 @@ COLUMNS = ("q", "v", "tau", "command")
 
 SANE: Final = 1e6  # [rad/s | m/s]
 SEEN: Final = 1e-3  # [m] out of reach: less than that is nobody's concern
+LOG_PERIOD: Final = 0.1  # [s] of computing after which a log is written: with the block after it, at most 0.2 s behind
 BEYOND: Final = 0.01  # [rad | m] beyond a limit: more than an engine's soft stop gives way
 
 
@@ -37,10 +38,6 @@ class RowLog(Protocol):
 
     def write(self, rows: Run) -> None:
         """Append the ticks of a piece of the run."""
-        ...
-
-    def finish(self, outcome: Outcome) -> None:
-        """Write how the run ended, and what readers need."""
         ...
 
 
@@ -183,7 +180,7 @@ class Tape:
         return Outcome(kind="stopped", message=message, tick=tick - 1)
 
     def failed(self, tick: int, error: Exception) -> Outcome:
-        """The outcome of a run that ends before a tick in which a function of the caller's failed."""
+        """The outcome of a run that ends before a tick in which a function of the caller's, or the plant, failed."""
         how = str(error) if isinstance(error, TautError) else failure(error)
         message = f"stopped at t = {self.inputs['t'][tick]:.6g} s (tick {tick}): {how}"
         return Outcome(kind="stopped", message=message, tick=tick - 1)
