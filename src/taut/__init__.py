@@ -11,11 +11,13 @@ import importlib.machinery
 import os
 import sys
 import warnings
-from typing import TYPE_CHECKING, Any, Final
 
 __version__ = "0.1.0"
 
+TYPE_CHECKING = False  # which type checkers know by its name; typing itself takes as long to load as all of this
 if TYPE_CHECKING:
+    from typing import Any, Final
+
     from taut.apps import textbook as textbook
     from taut.apps.compare import compare as compare
     from taut.apps.compare import grade as grade

@@ -211,7 +211,9 @@ out = taut.run(taut.compile(taut.laws.PID(kp=20.0), arm), taut.RigidPlant(arm), 
 print(out.outcome.kind)
 """
     with Path("/dev/full").open("w") as full:
-        done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=full, check=False, timeout=60)
+        done = subprocess.run(
+            [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=full, check=False, timeout=60
+        )
     assert done.stdout == b"completed\n"
 
 

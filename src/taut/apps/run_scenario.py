@@ -250,9 +250,7 @@ def _compiled(scenario: Scenario, trial: Trial, engine: str) -> Controller:
         )
 
 
-def _one_run(
-    scenario: Scenario, ctrl: Controller, trial: Trial, say: Callable[[str], None], log: Path | None
-) -> Run:
+def _one_run(scenario: Scenario, ctrl: Controller, trial: Trial, say: Callable[[str], None], log: Path | None) -> Run:
     """A run; its log is there if it is broken off, and is replaced in the end by one that names the scenario too."""
     say(f"running {trial.label} ...")
     if log is not None:

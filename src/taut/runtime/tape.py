@@ -29,7 +29,7 @@ COLUMNS = ("q", "v", "tau", "command")
 
 SANE: Final = 1e6  # [rad/s | m/s]
 SEEN: Final = 1e-3  # [m] out of reach: less than that is nobody's concern
-LOG_PERIOD: Final = 0.1  # [s] of computing after which a log is written: with the block after it, at most 0.2 s behind
+LOG_PERIOD: Final = 0.1  # [s] of computing between two writes of a log, which is so at most twice that behind
 BEYOND: Final = 0.01  # [rad | m] beyond a limit: more than an engine's soft stop gives way
 
 
