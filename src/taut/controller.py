@@ -119,7 +119,11 @@ def _engine(engine: Engine) -> Literal["native", "float"]:
 
 
 class Controller:
-    """A law with its sensing and limits, compiled for one arm. Made by `taut.compile`."""
+    """A law with its sensing and limits, compiled for one arm. Made by `taut.compile`.
+
+    One thread at a time steps a controller and writes into its bound arrays; each thread needs one of its own. A tick
+    that begins while another thread is in the middle of one is refused.
+    """
 
     def __init__(self, side: LawSide, engine: Literal["native", "float"]) -> None:
         self.side = side
@@ -284,12 +288,13 @@ class Controller:
         given, ref = self._arguments(args, kwargs)
         self._check_given(given)
         kernel = self._kernel
-        if self._task is not None:
-            going = self._going
-            self._task.place(kernel.count if going else 0, going, given, ref, self.parameters.views)
-        self._take(given, ref)
-        kernel.tick()
-        return self._command.copy()
+        with kernel.alone:
+            if self._task is not None:
+                going = self._going
+                self._task.place(kernel.count if going else 0, going, given, ref, self.parameters.views)
+            self._take(given, ref)
+            kernel.tick()
+            return self._command.copy()
 
     @property
     def _going(self) -> bool:
@@ -352,10 +357,11 @@ class Controller:
 
     def _first(self) -> None:
         """The first tick of all, or the first one after a change of parameters that a blend takes up."""
-        if self.parameters.changed:
-            self._carry_on()
-        else:
-            self._start()
+        with self._kernel.alone:
+            if self.parameters.changed:
+                self._carry_on()
+            else:
+                self._start()
 
     def _carry_on(self) -> None:
         """A tick that takes up the jump which the new parameters would make."""
@@ -761,6 +767,12 @@ class Parameters(MutableMapping[str, Float64Array]):
     def __repr__(self) -> str:
         return "{" + ", ".join(f"'{path}': {short(value)}" for path, value in self.items()) + "}"
 
+    def __reduce__(self) -> NoReturn:
+        raise UsageError(
+            "the parameters of a controller are what its machine code reads, so they cannot be copied or pickled; "
+            "take dict(ctrl.parameters), and parameters.update(...) of another controller"
+        )
+
 
 def take_up_change(kernel: Kernel, before: Float64Array) -> None:
     """Change memory so that the next tick commands what it would have with the parameters of before.
@@ -798,3 +810,9 @@ class BoundKernel:
                 name=name,
             )
         super().__setattr__(name, value)
+
+    def __reduce__(self) -> NoReturn:
+        raise UsageError(
+            "bound arrays are those of one controller, so they cannot be copied or pickled; compile its law again "
+            "and bind that: taut.compile(ctrl.law, ctrl.arm, rate=ctrl.rate).bind()"
+        )

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
 
 from taut.base.checks import float_array
-from taut.base.errors import UsageError
+from taut.base.errors import UsageError, one_thread_at_a_time
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.control.feed import plain_snapshot
@@ -63,16 +64,22 @@ class TaskSteps:
 
         What is no plain call, and a tick before memory has started, `step` itself hands to `slow`.
         """
-        ticks, wanted = self._memory[TICKS].item, self._wanted
+        ticks, wanted, alone = self._memory[TICKS].item, self._wanted, threading.Lock()
+        begin, end = alone.acquire, alone.release
 
         def with_sample(*args: Any, **kwargs: Any) -> Any:
-            tick = int(ticks())
-            row = self._ahead.get(tick)
-            if row is None:
-                known = tick > 0 and bool(self._taken) and self._take(args)
-                return self._with_given(step, args, kwargs) if known else slow(*args, **kwargs)
-            wanted[:] = row
-            return step(*args, **kwargs)
+            if not begin(False):
+                raise one_thread_at_a_time()
+            try:
+                tick = int(ticks())
+                row = self._ahead.get(tick)
+                if row is None:
+                    known = tick > 0 and bool(self._taken) and self._take(args)
+                    return self._with_given(step, args, kwargs) if known else slow(*args, **kwargs)
+                wanted[:] = row
+                return step(*args, **kwargs)
+            finally:
+                end()
 
         return with_sample
 
