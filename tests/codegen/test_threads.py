@@ -101,18 +101,18 @@ def test_a_step_of_a_task_is_refused_too() -> None:
     np.testing.assert_allclose(got, -10.0 * seven, rtol=1e-12)
 
 
-def test_a_tick_that_fails_lets_the_next_thread_in() -> None:
-    for engine in ("native", "float"):
-        ctrl = taut.compile(LAW, ARM, engine=engine)  # type: ignore[arg-type]
-        ctrl.step(Q, V, REF)
-        for wrong in ([np.nan, 0.0], [0.0]):
-            with pytest.raises(taut.TautError):
-                ctrl.step(wrong, V, REF)
-        found: list[Any] = []
-        thread = threading.Thread(target=lambda c=ctrl: found.append(c.step(Q, V, REF)))  # type: ignore[misc]
-        thread.start()
-        thread.join()
-        np.testing.assert_allclose(found[0], -10.0 * Q, rtol=1e-12)
+@pytest.mark.parametrize("engine", ["native", "float"])
+def test_a_tick_that_fails_lets_the_next_thread_in(engine: Any) -> None:
+    ctrl = taut.compile(LAW, ARM, engine=engine)
+    ctrl.step(Q, V, REF)
+    for wrong in ([np.nan, 0.0], [0.0]):
+        with pytest.raises(taut.TautError):
+            ctrl.step(wrong, V, REF)
+    found: list[Any] = []
+    thread = threading.Thread(target=lambda: found.append(ctrl.step(Q, V, REF)))
+    thread.start()
+    thread.join()
+    np.testing.assert_allclose(found[0], -10.0 * Q, rtol=1e-12)
 
 
 @pytest.fixture
