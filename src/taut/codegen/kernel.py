@@ -320,7 +320,8 @@ class NativeKernel:
     def _take(self, taken: bool) -> None:
         """Send what other threads call to Python meanwhile, where they are refused: at no cost to any plain call."""
         self._ready_word = TAKEN if taken else READY
-        self._set(count=self.count, ready=self.ready)
+        if self._context is not None and self._context["ready"]:
+            self._context["ready"] = self._ready_word
 
     @property
     def ready(self) -> bool:
