@@ -14,10 +14,8 @@ import warnings
 
 __version__ = "0.1.0"
 
-TYPE_CHECKING = False  # which type checkers know by its name; typing itself takes as long to load as all of this
+TYPE_CHECKING = False  # type checkers know it by its name; to load typing would take as long as all of this
 if TYPE_CHECKING:
-    from typing import Any, Final
-
     from taut.apps import textbook as textbook
     from taut.apps.compare import compare as compare
     from taut.apps.compare import grade as grade
@@ -195,6 +193,9 @@ if TYPE_CHECKING:
     from taut.study.wrist import WristCalibration as WristCalibration
     from taut.study.wrist import calibrate_wrist as calibrate_wrist
     from taut.study.wrist_poses import calibration_poses as calibration_poses
+
+if TYPE_CHECKING:
+    from typing import Any, Final
 
 _HOME: Final = {
     "apps.compare": ("compare", "grade"),

@@ -32,12 +32,17 @@ COPIES: dict[str, Callable[[Any], Any]] = {
 
 def classes(kind: type[TautError] = TautError) -> list[type[TautError]]:
     """All that there are in taut, whatever of it is loaded."""
-    return [kind, *(each for child in kind.__subclasses__() if child.__module__.startswith("taut.") for each in classes(child))]
+    return [
+        kind,
+        *(each for child in kind.__subclasses__() if child.__module__.startswith("taut.") for each in classes(child)),
+    ]
 
 
 def one_of(kind: type[TautError]) -> TautError:
     if kind is ModelError:
-        return ModelError("arm.urdf", [Problem(object="link", attribute="mass", message="is negative", line=n) for n in (3, 4)])
+        return ModelError(
+            "arm.urdf", [Problem(object="link", attribute="mass", message="is negative", line=n) for n in (3, 4)]
+        )
     return kind("it must be so", name="kp", joint="elbow", value=np.array([1.0, np.inf]), rule="so")
 
 
@@ -48,7 +53,13 @@ def test_a_copy_of_an_error_is_the_same_error(kind: type[TautError], copied: Cal
     error.add_note("a note")
     twin = copied(error)
     assert type(twin) is kind
-    assert (str(twin), twin.args, twin.name, twin.joint, twin.rule) == (str(error), error.args, error.name, error.joint, error.rule)
+    assert (str(twin), twin.args, twin.name, twin.joint, twin.rule) == (
+        str(error),
+        error.args,
+        error.name,
+        error.joint,
+        error.rule,
+    )
     np.testing.assert_array_equal(twin.value, error.value)
     assert twin.__notes__ == ["a note"]
     if kind is ModelError:
@@ -110,7 +121,9 @@ def test_what_holds_machine_code_refuses_to_be_copied(copied: Callable[[Any], An
 def test_a_copy_of_a_mujoco_plant_runs_as_it_does_and_is_another_one(copied: Callable[[Any], Any]) -> None:
     box = '<body name="box" pos="0.5 0 2"><freejoint/><geom type="box" size="0.1 0.1 0.1" mass="1"/></body>'
     sensors = taut.Sensors(torque=taut.TorqueSensor(noise=0.05))
-    plant = taut.MujocoPlant(ARM, scene=box, adds=("gravity",), sensors=sensors, environment=taut.Spring(stiffness=30.0))
+    plant = taut.MujocoPlant(
+        ARM, scene=box, adds=("gravity",), sensors=sensors, environment=taut.Spring(stiffness=30.0)
+    )
     plant.set_parameters({"plant.payload.mass": 0.5})
     twin = copied(plant)
     assert twin.model is not plant.model

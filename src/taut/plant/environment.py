@@ -255,7 +255,7 @@ def _sound(environment: Environment, given: Any, before: Values) -> tuple[Any, d
     who = type(environment).__name__
     if not isinstance(given, (tuple, list)) or len(given) != 2 or not isinstance(given[1], Mapping):
         raise UsageError(
-            f"{who}.wrench must give the wrench and the new memory, a dict: return F, {{}}; got {type(given).__name__}",
+            f"{who}.wrench must give the wrench and the new memory: return F, {{}}; got {type(given).__name__}",
             name=who,
         )
     wrench, after = given
