@@ -16,6 +16,7 @@ from taut.arm.description import Arm, Payload
 from taut.base import math as tm
 from taut.base.checks import finite_array, finite_scalar, require_at_least, vector
 from taut.base.errors import MatchError, NumericalError, RangeError, ShapeError, UsageError, unknown_name
+from taut.base.graph import LARGEST
 from taut.base.paths import flatten, subtree, unflatten
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
 from taut.control.command import Command, Terms, Torque, Velocity
@@ -35,7 +36,6 @@ __all__ = ["HELD", "TOLD", "LawSide", "Probe", "Tick", "WildTerm", "wild_term"]
 
 TOLD: Final = "held.told"  # inputs of the first tick: whether the torque that the plant holds was told, and it
 HELD: Final = "held.tau_applied"
-LARGEST: Final = float(np.finfo(np.float64).max)
 Memory = Mapping[str, Any]
 """Memory of the law side by path: law.e_int, sensing.velocity.q, limits.tau_applied."""
 
