@@ -11,7 +11,7 @@ import pytest
 from runtime_laws import TINY, Array, AtOnly, HandPlant, Seen, Spring, TorqueOf, seen
 
 import taut
-from taut.control.reference import Sample
+from taut.control.reference import Sample, Stream
 from taut.runtime import fused, hosted
 
 ARM = taut.load_arm("planar2")
@@ -258,10 +258,10 @@ class Gives:
     """A trajectory that gives one and the same thing from some time on."""
 
     def __init__(self, late: object, since: float = 0.0) -> None:
-        self._late, self.since = late, since
+        self._late, self._since = late, since
 
     def at(self, t: float) -> Any:
-        return self._late if t >= self.since else taut.JointMotion(q=[0.0, 0.0])
+        return self._late if t >= self._since else taut.JointMotion(q=[0.0, 0.0])
 
 
 def broken(q: list[float]) -> taut.JointMotion:
@@ -304,7 +304,7 @@ CASES += [
 def test_a_reference_that_does_not_fit_is_refused_in_words(
     plant: Callable[[], Any], ref: object, kind: type[taut.TautError], message: str
 ) -> None:
-    if "t = 0.01 s" in message or (isinstance(ref, Gives) and ref.since):  # later: the run ends there, and is kept
+    if isinstance(ref, Stream) and "t = 0.01 s" in message:  # later: what came before is kept
         out = run(plant(), ref)
         assert (len(out), out.outcome.kind) == (10, "stopped")
         assert out.outcome.message == f"stopped at t = 0.01 s (tick 10): {message}"
@@ -317,7 +317,7 @@ def test_a_reference_that_does_not_fit_is_refused_in_words(
 def test_rows_that_are_not_as_many_as_the_times_are_refused_in_words() -> None:
     with pytest.raises(taut.ShapeError) as caught:
         run(HandPlant(), Rows(None))
-    assert str(caught.value) == "rows(times) must give one row per time; it gives 3 of ref.q for 1 times"
+    assert str(caught.value) == "rows(times) must give one row per time; it gives 3 of ref.q for 21 times"
 
 
 def test_a_chunk_of_samples_of_different_sizes_is_refused_when_it_is_made() -> None:
@@ -356,3 +356,15 @@ def test_a_source_sees_the_velocity_that_the_law_sees(plant: Callable[[], Any]) 
     out = taut.run(ctrl, made, taut.stream(period=0.001, source=source), duration=0.01, v0=[0.3, -0.2])
     # What was asked for at a tick is in the snapshot of the law in that tick.
     np.testing.assert_allclose(np.array(asked), seen(out, "v")[: len(asked)], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("logged", [False, True])
+@pytest.mark.parametrize("plant", PLANTS.values(), ids=PLANTS)
+def test_what_does_not_fit_later_on_is_refused_before_the_first_tick(
+    plant: Callable[[], Any], logged: bool, tmp_path: Path
+) -> None:
+    """A trajectory in degrees, such as of one that leaves the radians after half a second: with a log and without."""
+    log = tmp_path / "run.mcap" if logged else None
+    with pytest.raises(taut.RangeError):
+        run(plant(), Gives(broken([0.0, np.nan]), since=0.5), duration=1.0, log=log)
+    assert not (tmp_path / "run.mcap").exists()

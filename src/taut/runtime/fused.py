@@ -86,7 +86,7 @@ class FusedRun:
             else PhaseFeed(task, side, lambda: block.views(packed))
         )
         self._of_task, self._drawn = task is not None, 1  # the noise of row 0 is drawn at the start
-        self._size = BLOCK  # of the next block
+        self._size, self._filled = BLOCK, 0  # of the next block; ticks with a reference
         first = np.zeros((1, self._inputs.size))
         memory = self._started(q, v, first)
         self._memory = Block.of({path: np.shape(value) for path, value in memory.items()})
@@ -238,9 +238,9 @@ class FusedRun:
             return self.tape.refused(k, new, error)
         return None
 
-    def _end_of_block(self, k: int, ticks: int) -> int:
+    def _end_of_block(self, k: int, ticks: int, size: int) -> int:
         later = bisect_right(self._stops, k)
-        stops = [k + min(self._size, TASK_BLOCK if self._of_task else BLOCK), ticks, *self._stops[later : later + 1]]
+        stops = [k + min(size, TASK_BLOCK if self._of_task else BLOCK), ticks, *self._stops[later : later + 1]]
         question = self._feed.next_question(k)
         return min(stops if question is None else [*stops, question])
 
@@ -258,9 +258,11 @@ class FusedRun:
         if isinstance(self._feed, PhaseFeed) and k > 0 and Phases.begins(subtree(memory, "law")):
             self._feed.begin(int(memory["law.next"]), k)
             self._feed.prepare(state)
-        end = self._end_of_block(k, ticks)
+        if self._of_task or k >= self._filled:
+            far = self._end_of_block(k, ticks, self._size if self._of_task else BLOCK)
+            self._filled = k + self._feed.fill(self.tape.reference(k, far), k, state)
+        end = min(self._end_of_block(k, ticks, self._size), self._filled)
         self._draw_up_to(end)
-        end = k + self._feed.fill(self.tape.reference(k, end), k, state)
         if before is not None and k > 0:  # in the first tick there is nothing yet to go on from
             self._take_up(k, before)
         return end
