@@ -446,6 +446,6 @@ def test_a_run_that_is_broken_off_leaves_its_log(name: str, status: int, tmp_pat
     done = taut_to(subprocess.DEVNULL, words, tmp_path)
     assert done.returncode == status
     assert "Traceback" not in done.stderr
-    log = taut.load_run(tmp_path / "out/mine.mcap")
+    log = taut.load_run(tmp_path / "out/mine.partial.mcap")
     assert 0 < len(log) <= 301
     assert log.outcome.kind == "stopped"
