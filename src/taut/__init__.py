@@ -11,10 +11,10 @@ import importlib.machinery
 import os
 import sys
 import warnings
-from typing import TYPE_CHECKING, Any, Final
 
 __version__ = "0.1.0"
 
+TYPE_CHECKING = False  # type checkers know it by its name; to load typing would take as long as all of this
 if TYPE_CHECKING:
     from taut.apps import textbook as textbook
     from taut.apps.compare import compare as compare
@@ -194,6 +194,9 @@ if TYPE_CHECKING:
     from taut.study.wrist import WristCalibration as WristCalibration
     from taut.study.wrist import calibrate_wrist as calibrate_wrist
     from taut.study.wrist_poses import calibration_poses as calibration_poses
+
+if TYPE_CHECKING:
+    from typing import Any, Final
 
 _HOME: Final = {
     "apps.compare": ("compare", "grade"),

@@ -21,7 +21,7 @@ from taut.codegen.layout import Block
 from taut.codegen.program import Program, Values, failure, trace
 from taut.control.describe import PARAMETER_UNITS, all_laws, gain_units, section, short, summary, title
 from taut.control.law import Law
-from taut.control.lawside import HELD, TOLD, LawSide, Probe
+from taut.control.lawside import HELD, TOLD, LawSide, Probe, WildTerm, wild_term
 from taut.control.limiting import take_up
 from taut.control.limits import Limits
 from taut.control.phase import Phase
@@ -116,7 +116,11 @@ def _engine(engine: Engine) -> Literal["native", "float"]:
 
 
 class Controller:
-    """A law with its sensing and limits, compiled for one arm. Made by `taut.compile`."""
+    """A law with its sensing and limits, compiled for one arm. Made by `taut.compile`.
+
+    One thread at a time steps a controller and writes into its bound arrays; each thread needs one of its own. A tick
+    that begins while another thread is in the middle of one is refused.
+    """
 
     def __init__(self, side: LawSide, engine: Literal["native", "float"]) -> None:
         self.side = side
@@ -281,12 +285,13 @@ class Controller:
         given, ref = self._arguments(args, kwargs)
         self._check_given(given)
         kernel = self._kernel
-        if self._task is not None:
-            going = self._going
-            self._task.place(kernel.count if going else 0, going, given, ref, self.parameters.views)
-        self._take(given, ref)
-        kernel.tick()
-        return self._command.copy()
+        with kernel.alone:
+            if self._task is not None:
+                going = self._going
+                self._task.place(kernel.count if going else 0, going, given, ref, self.parameters.views)
+            self._take(given, ref)
+            kernel.tick()
+            return self._command.copy()
 
     @property
     def _going(self) -> bool:
@@ -349,10 +354,11 @@ class Controller:
 
     def _first(self) -> None:
         """The first tick of all, or the first one after a change of parameters that a blend takes up."""
-        if self.parameters.changed:
-            self._carry_on()
-        else:
-            self._start()
+        with self._kernel.alone:
+            if self.parameters.changed:
+                self._carry_on()
+            else:
+                self._start()
 
     def _carry_on(self) -> None:
         """A tick that takes up the jump which the new parameters would make."""
@@ -666,14 +672,29 @@ def _not_finite(side: LawSide, kernel: Kernel) -> TautError:
         return error
     law = title(side.law)
     bad = np.flatnonzero(~np.isfinite(blocks.views("outputs")["command"]))
-    joint = joints[int(bad[0])] if bad.size else None
+    term = _wild_term(side, kernel) if bad.size else None
+    joint = joints[term.joint if term is not None else int(bad[0])] if bad.size else None
     who = f"the {side.probe.kind} of joint '{joint}'" if joint is not None else "its new memory"
+    who += "" if term is None else f", of which the term '{term.name}' is {term.value}"
     return NumericalError(
         f"{law} gives numbers that are not finite in tick {kernel.count}: {who}; its memory stays as it was "
         "before that tick",
-        name=law,
+        name=law if term is None else f"terms.{term.name}",
         joint=joint,
+        value=None if term is None else term.value,
     )
+
+
+def _wild_term(side: LawSide, kernel: Kernel) -> WildTerm | None:
+    """The term of the tick that failed which is not finite, seen in the tick once more on floats."""
+    views = (kernel.blocks.views(name) for name in ("inputs", "parameters", "memory"))
+    copies = ({path: value.copy()[()] for path, value in view.items()} for view in views)
+    try:
+        with np.errstate(all="ignore"):
+            outputs, _ = _Functions(side, record=True).tick(*copies)
+    except Exception:  # plain Python raises where compiled code gives infinity: then the joint has to do
+        return None
+    return wild_term(subtree(outputs, "terms"))
 
 
 # -------------------------------------------------------------------- parameters and bound arrays
@@ -743,6 +764,12 @@ class Parameters(MutableMapping[str, Float64Array]):
     def __repr__(self) -> str:
         return "{" + ", ".join(f"'{path}': {short(value)}" for path, value in self.items()) + "}"
 
+    def __reduce__(self) -> NoReturn:
+        raise UsageError(
+            "the parameters of a controller are what its machine code reads, so they cannot be copied or pickled; "
+            "take dict(ctrl.parameters), and parameters.update(...) of another controller"
+        )
+
 
 def take_up_change(kernel: Kernel, before: Float64Array) -> None:
     """Change memory so that the next tick commands what it would have with the parameters of before.
@@ -780,3 +807,9 @@ class BoundKernel:
                 name=name,
             )
         super().__setattr__(name, value)
+
+    def __reduce__(self) -> NoReturn:
+        raise UsageError(
+            "bound arrays are those of one controller, so they cannot be copied or pickled; compile its law again "
+            "and bind that: taut.compile(ctrl.law, ctrl.arm, rate=ctrl.rate).bind()"
+        )

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
 import warnings
@@ -10,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+import taut
 from taut.apps.cli import _parser, main
 from taut.apps.scenario import built_in_scenarios
 
@@ -350,3 +353,99 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
     code = f"{sys.executable} -m taut laws --json | head -1"
     done = subprocess.run(["sh", "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr == ""
+
+
+COMMANDS = {
+    "laws": ["laws"],
+    "json": ["arms", "--json"],
+    "help": ["run", "--help"],
+    "run": ["run", "one_joint_pid", "--json"],
+}
+
+
+def taut_to(out: int, words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    """The command with a standard output."""
+    command = [sys.executable, "-W", "ignore", "-m", "taut", *words]
+    return subprocess.run(
+        command, stdout=out, stderr=subprocess.PIPE, text=True, cwd=folder, check=False, timeout=120
+    )
+
+
+@pytest.mark.parametrize("words", COMMANDS.values(), ids=COMMANDS)
+def test_an_output_that_cannot_be_written_is_one_sentence(words: list[str], tmp_path: Path) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("this system has no /dev/full")
+    with Path("/dev/full").open("w") as full:
+        done = taut_to(full.fileno(), words, tmp_path)
+    assert done.returncode == 1
+    assert done.stderr == "taut: standard output cannot be written: No space left on device\n"
+    assert words[0] != "run" or "--help" in words or (tmp_path / "out/one_joint_pid/one_joint_pid.json").exists()
+
+
+def test_a_reader_that_goes_away_changes_no_exit_status(tmp_path: Path) -> None:
+    """The scenario runs to its end, and reaches its figures, or does not."""
+    text = built_in_scenarios()["one_joint_pid"].read_text(encoding="utf-8").replace('plot = "one_joint_pid.png"', "")
+    (tmp_path / "reached.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "missed.toml").write_text(text.replace("max = 0.002", "max = 1e-9"), encoding="utf-8")
+    for scenario, status in (("reached.toml", 0), ("missed.toml", 1)):
+        reader, writer = os.pipe()
+        os.close(reader)
+        done = taut_to(writer, ["run", scenario], tmp_path)
+        os.close(writer)
+        assert (done.returncode, done.stderr) == (status, "")
+
+
+@pytest.mark.parametrize("module", ["rich.console", "taut.apps.compare_command", "taut.arm.load", "numpy"])
+def test_ctrl_c_while_modules_load_gives_no_traceback(module: str) -> None:
+    code = f"""
+import os, signal, sys
+class Interrupts:
+    def find_spec(self, name, *_):
+        if name == {module!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupts())
+from taut.apps.cli import main
+sys.exit(main(["check", "planar2"]))
+"""
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode in (1, -signal.SIGINT)
+    assert done.stderr in ("", "taut: interrupted\n")
+    assert done.stdout == ""
+
+
+def test_the_command_line_leaves_ctrl_c_to_python() -> None:
+    """Who imports it has the handler of signals that was there before."""
+    code = "import signal; import taut.apps.cli; print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)"
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "True\n"
+
+
+BROKEN_OFF = """
+import os, signal, taut
+
+class BrokenOff(taut.Law):
+    k: taut.Gain
+
+    def command(self, x, ref):
+        if float(x.t) > 0.3:
+            os.kill(os.getpid(), signal.{signal})
+        return taut.Torque(spring=self.k @ (ref.q - x.q))
+"""
+
+
+@pytest.mark.parametrize(("name", "status"), [("SIGINT", 1), ("SIGKILL", -9)])
+def test_a_run_that_is_broken_off_leaves_its_log(name: str, status: int, tmp_path: Path) -> None:
+    law = tmp_path / "law.py"
+    law.write_text(BROKEN_OFF.replace("{signal}", name), encoding="utf-8")
+    scenario = tmp_path / "mine.toml"
+    built_in = built_in_scenarios()["one_joint_pid"].read_text(encoding="utf-8")
+    scenario.write_text(built_in.replace('plot = "one_joint_pid.png"', 'log = "mine.mcap"'), encoding="utf-8")
+    words = ["run", str(scenario), "--law", f"{law}:BrokenOff", "--gain", "k=2", "--engine", "float", "--out", "out"]
+    done = taut_to(subprocess.DEVNULL, words, tmp_path)
+    assert done.returncode == status
+    assert "Traceback" not in done.stderr
+    log = taut.load_run(tmp_path / "out/mine.partial.mcap")
+    assert 0 < len(log) <= 301
+    assert log.outcome.kind == "stopped"

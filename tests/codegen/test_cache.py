@@ -92,6 +92,32 @@ def test_an_entry_with_a_flipped_bit_is_made_anew(folder: Path) -> None:
     assert entry.read_bytes() == whole
 
 
+def test_an_entry_under_the_name_of_another_one_is_made_anew(folder: Path) -> None:
+    """As a restore or a deduplication that mixes two names leaves it: whole, well sealed, and of other code."""
+    compile_one()
+    [first] = entries(folder)
+    compile_one(3.0)
+    [second] = set(entries(folder)) - {first}
+    right = second.read_bytes()
+    second.write_bytes(first.read_bytes())
+    assert cache.load(bytes.fromhex(second.name)) is None
+    assert not compile_one(3.0).cached
+    assert second.read_bytes() == right
+
+
+def test_a_controller_does_not_run_the_code_of_another_arm(folder: Path) -> None:
+    def torque(law: taut.Law) -> np.ndarray[Any, Any]:
+        ctrl = taut.compile(law, taut.load_arm("planar2"))
+        return ctrl.step([0.3, 0.4], [0.1, 0.2], taut.JointMotion(q=[0.0, 0.1]))
+
+    right = torque(taut.laws.ComputedTorque(kp=100.0, kd=20.0))
+    [entry] = entries(folder)
+    torque(taut.laws.PID(kp=100.0, kd=20.0))
+    [other] = set(entries(folder)) - {entry}
+    entry.write_bytes(other.read_bytes())
+    np.testing.assert_array_equal(torque(taut.laws.ComputedTorque(kp=100.0, kd=20.0)), right)
+
+
 def test_an_entry_that_llvm_does_not_take_is_made_anew(folder: Path) -> None:
     compile_one()
     [entry] = entries(folder)

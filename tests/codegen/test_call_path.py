@@ -427,7 +427,7 @@ def test_a_law_that_gives_infinity_is_refused_and_its_memory_stays(engine: Any) 
     ctrl.step([1.0, 1.0], V, REF)
     terms = ctrl.terms
     message = (
-        r"^Explodes gives numbers that are not finite in tick 1: the torque of joint 'joint2'; its memory stays as it was "
+        r"^Explodes gives numbers that are not finite in tick 1: the torque of joint 'joint2', of which the term 'P' is inf; its memory stays as it was "
         r"before that tick$"
     )
     for _ in range(2):

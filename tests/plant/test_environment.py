@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -217,3 +217,77 @@ def test_an_environment_with_a_fault_is_told(fault: str, words: str) -> None:
     ctrl = taut.compile(taut.laws.PID(kp=1.0), GANTRY)
     with pytest.raises(taut.TautError, match=words):
         taut.run(ctrl, plant, HOLD, duration=0.01)
+
+
+class Bare(taut.Environment):
+    """Nothing but the names that the base class has."""
+
+
+class Half(taut.Environment):
+    def wrench(self, *_: Any) -> Any:
+        return np.zeros(6), {}
+
+
+@dataclass
+class Gives:
+    """An environment whose methods give what they should not."""
+
+    numbers: Any = field(default_factory=dict)
+    memory: Any = field(default_factory=dict)
+    acted: Any = None
+
+    def parameters(self) -> Any:
+        return self.numbers
+
+    def start(self, T_WE: taut.Pose) -> Any:
+        return self.memory
+
+    def wrench(self, *_: Any) -> Any:
+        return self.acted
+
+
+class Own(taut.Environment):
+    """A spring of the user's, which inherits, and has no constructor and no fields."""
+
+    def parameters(self) -> dict[str, Any]:
+        return {"stiffness": 30.0}
+
+    def start(self, T_WE: taut.Pose) -> dict[str, Any]:
+        return {"p": T_WE.p}
+
+    def wrench(self, T_WE: taut.Pose, twist: Any, t: Any, memory: Any, parameters: Any, dt: Any) -> Any:
+        force = parameters["stiffness"] * (memory["p"] - T_WE.p)
+        return taut.math.array([*force, 0.0, 0.0, 0.0]), memory
+
+
+ENVIRONMENTS = {
+    "bare": Bare(),
+    "half": Half(),
+    "no numbers": Gives(numbers={"k": "stiff"}),
+    "no dict of parameters": Gives(numbers=[1.0]),
+    "no memory": Gives(memory=None, acted=(np.zeros(6), {})),
+    "no memory after": Gives(acted=np.zeros(6)),
+    "nothing": Gives(),
+}
+
+
+@pytest.mark.parametrize("together", [False, True])
+@pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
+class TestEnvironmentsOfTheUser:
+    @pytest.mark.parametrize("environment", ENVIRONMENTS.values(), ids=ENVIRONMENTS)
+    def test_that_lack_something_are_refused(self, environment: Any, plant: Any, together: bool) -> None:
+        def go() -> None:
+            given = taut.Environments(mine=environment) if together else environment
+            made = plant(GANTRY, environment=given)
+            taut.run(taut.compile(taut.laws.PID(kp=1.0), GANTRY), made, HOLD, duration=0.01)
+
+        with pytest.raises((taut.UsageError, taut.ShapeError)) as refused:
+            go()
+        assert type(environment).__name__ in str(refused.value)
+
+    def test_may_inherit_from_the_base_class(self, plant: Any, together: bool) -> None:
+        own: Any = taut.Environments(mine=Own()) if together else Own()
+        ctrl = taut.compile(taut.laws.PID(kp=1.0, kd=1.0), GANTRY)
+        mine = taut.run(ctrl, plant(GANTRY, environment=own), HOLD, duration=0.05)
+        ready = taut.run(ctrl, plant(GANTRY, environment=taut.Spring(stiffness=30.0)), HOLD, duration=0.05)
+        np.testing.assert_allclose(mine.q, ready.q, rtol=0.0, atol=1e-12)

@@ -11,7 +11,7 @@ import pytest
 from runtime_laws import TINY, Array, AtOnly, HandPlant, Seen, Spring, TorqueOf, seen
 
 import taut
-from taut.control.reference import Sample
+from taut.control.reference import Sample, Stream
 from taut.runtime import fused, hosted
 
 ARM = taut.load_arm("planar2")
@@ -80,11 +80,10 @@ class TestTrajectories:
                 return taut.JointMotion(q=[0.0, 0.0])
 
         log = tmp_path / "run.mcap"
-        with pytest.raises(ZeroDivisionError, match="mine"):
-            run(plant(), Breaks(), log=log)
-        kept = taut.load_run(log)
-        assert (len(kept), kept.outcome.kind) == (8, "stopped")
-        assert kept.outcome.message == "the run broke off: ZeroDivisionError: mine"
+        out, kept = run(plant(), Breaks(), log=log), taut.load_run(log)
+        assert (len(out), out.outcome.kind, out.outcome.tick) == (11, "stopped", 10)
+        assert kept.outcome == out.outcome
+        np.testing.assert_array_equal(kept.q, out.q)
 
     def test_that_run_out_rest_at_their_ends(self, plant: Callable[[], Any]) -> None:
         out = run(plant(), taut.Quintic(q0=[0.0, 0.0], q1=[1.0, -1.0], duration=0.01))
@@ -305,6 +304,11 @@ CASES += [
 def test_a_reference_that_does_not_fit_is_refused_in_words(
     plant: Callable[[], Any], ref: object, kind: type[taut.TautError], message: str
 ) -> None:
+    if isinstance(ref, Stream) and "t = 0.01 s" in message:  # later: what came before is kept
+        out = run(plant(), ref)
+        assert (len(out), out.outcome.kind) == (10, "stopped")
+        assert out.outcome.message == f"stopped at t = 0.01 s (tick 10): {message}"
+        return
     with pytest.raises(kind) as caught:
         run(plant(), ref)
     assert str(caught.value) == message
@@ -352,3 +356,15 @@ def test_a_source_sees_the_velocity_that_the_law_sees(plant: Callable[[], Any]) 
     out = taut.run(ctrl, made, taut.stream(period=0.001, source=source), duration=0.01, v0=[0.3, -0.2])
     # What was asked for at a tick is in the snapshot of the law in that tick.
     np.testing.assert_allclose(np.array(asked), seen(out, "v")[: len(asked)], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("logged", [False, True])
+@pytest.mark.parametrize("plant", PLANTS.values(), ids=PLANTS)
+def test_what_does_not_fit_later_on_is_refused_before_the_first_tick(
+    plant: Callable[[], Any], logged: bool, tmp_path: Path
+) -> None:
+    """A trajectory in degrees, such as of one that leaves the radians after half a second: with a log and without."""
+    log = tmp_path / "run.mcap" if logged else None
+    with pytest.raises(taut.RangeError):
+        run(plant(), Gives(broken([0.0, np.nan]), since=0.5), duration=1.0, log=log)
+    assert not (tmp_path / "run.mcap").exists()

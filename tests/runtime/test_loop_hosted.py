@@ -108,7 +108,7 @@ class TestTrouble:
         assert np.isnan(out.metrics.overall["rms_error"])
 
     def test_of_other_kinds_is_no_divergence(self) -> None:
-        """What the law's own code raises is a mistake in it, and no outcome of a simulation."""
+        """What the law's own code raises is a mistake in it; the run stops there, and what came before is kept."""
 
         class Wrong(taut.Law):
             count: taut.Memory = taut.Memory(0.0)
@@ -120,8 +120,9 @@ class TestTrouble:
 
         plant = HandPlant()
         ctrl = taut.compile(Wrong(), ARM, adds=plant.adds, engine="float")
-        with pytest.raises(KeyError, match="a table of mine"):
-            taut.run(ctrl, plant, duration=0.1)
+        out = taut.run(ctrl, plant, duration=0.1)
+        assert (len(out), out.outcome.kind, out.outcome.tick) == (3, "stopped", 2)
+        assert "a table of mine" in out.outcome.message
 
 
 @pytest.mark.parametrize("ticks", [2, hosted.LOG_EVERY - 1, hosted.LOG_EVERY, hosted.LOG_EVERY + 1, 1500])

@@ -2,6 +2,13 @@
 
 from __future__ import annotations
 
+import signal
+
+try:  # while modules are loaded, Ctrl-C ends the process as the system does it, without a traceback of imports
+    _HANDLER = signal.signal(signal.SIGINT, signal.SIG_DFL)
+except ValueError:  # in another thread than the main one, which gets no signals
+    _HANDLER = None
+
 import argparse
 import dataclasses
 import json
@@ -9,9 +16,9 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import redirect_stdout, suppress
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Any, Final, NoReturn, TextIO, cast
 
 from rich.console import Console
 from rich.table import Table
@@ -85,8 +92,56 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit status.
     """
+    out = _Output(sys.stdout)
+    status: int | SystemExit
+    with redirect_stdout(cast("TextIO", out)):
+        try:
+            status = _status(list(sys.argv[1:] if argv is None else argv))
+        except SystemExit as done:  # of --help and --version
+            status = done
+        out.flush()
+    if out.refusal is not None and not isinstance(out.refusal, BrokenPipeError):
+        _tell(f"standard output cannot be written: {out.refusal.strerror or out.refusal}")
+        return FAILED
+    if isinstance(status, SystemExit):
+        raise status
+    return status
+
+
+class _Output:
+    """Standard output. Where it cannot be written the command goes on to its end: its files and its status count.
+
+    A reader of a pipe that went away has seen what it wanted; anything else is in `refusal` to be reported.
+    """
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+        self.refusal: OSError | None = None
+
+    def write(self, text: str) -> int:
+        self._try(lambda: self._file.write(text))
+        return len(text)
+
+    def flush(self) -> None:
+        self._try(self._file.flush)
+
+    def _try(self, action: Callable[[], object]) -> None:
+        if self.refusal is not None:
+            return
+        try:
+            action()
+        except OSError as refusal:
+            self.refusal = refusal
+            with suppress(OSError):  # what is still in its buffer goes nowhere, also where Python closes it
+                os.dup2(os.open(os.devnull, os.O_WRONLY), self._file.fileno())
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
+
+
+def _status(words: list[str]) -> int:
+    """Run the command line: the exit status."""
     try:
-        words = list(sys.argv[1:] if argv is None else argv)
         arguments = _parser().parse_args(with_negative_values(words))
         arguments.words = words
         command: Callable[[argparse.Namespace], int] = arguments.command
@@ -96,9 +151,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except TautError as wrong:
         _tell(str(wrong))
         return WRONG
-    except BrokenPipeError:  # the reader of a pipe went away
-        sys.stderr.close()
-        return DONE
+    except OSError as refusal:  # such as no file descriptors
+        place = "" if refusal.filename is None else f" '{refusal.filename}'"
+        _tell(f"the system refuses{place}: {refusal.strerror or refusal}")
+        return FAILED
     except KeyboardInterrupt:
         _tell("interrupted")
         return FAILED
@@ -110,8 +166,9 @@ def _one_line(text: str) -> str:
 
 
 def _tell(text: str) -> None:
-    """A sentence on standard error."""
-    print(f"taut: {_one_line(text)}", file=sys.stderr)
+    """A sentence on standard error, if anybody reads it."""
+    with suppress(OSError):
+        print(f"taut: {_one_line(text)}", file=sys.stderr)
 
 
 def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
@@ -413,3 +470,7 @@ def _book(arguments: argparse.Namespace) -> int:
             print(f"missed: {text}")
         print(f"{len(rows) - len(missed)} of {len(rows)} numbers are what they should be")
     return FAILED if missed else DONE
+
+
+if _HANDLER is not None:
+    signal.signal(signal.SIGINT, _HANDLER)

@@ -8,7 +8,7 @@ import math
 import os
 import statistics
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -230,7 +230,8 @@ def run_scenario(
                 say(f"law '{trial.law}': {remark}")
         if scenario.spread is not None:
             made[trial.law] = ctrl
-        runs[trial] = _one_run(one, ctrl, trial, say)
+        log = files.get("log") if trial == scenario.outputs.shown else None
+        runs[trial] = _one_run(one, ctrl, trial, say, log)
     outputs, skipped = _written(scenario, runs, files, say)
     missed = tuple(text for figure in scenario.figures for text in _missed(figure, runs))
     return ScenarioResult(scenario=scenario, runs=runs, outputs=outputs, skipped=skipped, missed=missed)
@@ -249,8 +250,14 @@ def _compiled(scenario: Scenario, trial: Trial, engine: str) -> Controller:
         )
 
 
-def _one_run(scenario: Scenario, ctrl: Controller, trial: Trial, say: Callable[[str], None]) -> Run:
+def _one_run(scenario: Scenario, ctrl: Controller, trial: Trial, say: Callable[[str], None], log: Path | None) -> Run:
+    """A run, with a log beside the one that is wanted, which is there if the run is broken off."""
     say(f"running {trial.label} ...")
+    if log is not None:
+        try:
+            _make_folder(log.parent)
+        except FileError:  # which is reported with the other files
+            log = None
     with _blamed(scenario, trial):
         done = run(
             ctrl,
@@ -261,6 +268,7 @@ def _one_run(scenario: Scenario, ctrl: Controller, trial: Trial, say: Callable[[
             v0=scenario.v0,
             seed=scenario.seed,
             events=scenario.events,
+            log=None if log is None else _partial(log),
         )
     built_in = scenario.source.partition(":")[0] == f"scenario '{scenario.name}'"
     made_by = {"name": scenario.name, **trial._asdict(), "text": scenario.text, "built_in": built_in}
@@ -346,7 +354,7 @@ def _written(
     writers: dict[str, Callable[[Path], object]] = {
         "plot": lambda path: _save_plot(scenario, runs, path),
         "video": lambda path: _film(shown, path),
-        "log": shown.save,
+        "log": lambda path: _save_log(shown, path),
         "csv": shown.to_csv,
         "metrics": lambda path: _save_metrics(runs, path),
     }
@@ -362,6 +370,19 @@ def _written(
         else:
             made[kind] = path
     return made, skipped
+
+
+def _partial(log: Path) -> Path:
+    """The log of a run that is going on, until there is a whole one."""
+    return log.with_name(f"{log.stem}.partial{log.suffix}")
+
+
+def _save_log(shown: Run, path: Path) -> None:
+    try:
+        shown.save(path)
+    finally:
+        with suppress(OSError):
+            _partial(path).unlink(missing_ok=True)
 
 
 def _make_folder(folder: Path) -> None:

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import difflib
 import functools
+import pickle
 import sys
 import sysconfig
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 __all__ = [
     "FileError",
@@ -34,6 +35,7 @@ __all__ = [
     "UsageError",
     "count_of",
     "missing_extra",
+    "one_thread_at_a_time",
     "quoted_list",
     "raised_location",
     "unknown_name",
@@ -43,7 +45,7 @@ __all__ = [
 
 
 class TautError(Exception):
-    """Base of every error that taut raises.
+    """Base of every error that taut raises. Its class has a `code`, which stays the same in every version.
 
     Args:
         message: One sentence: what, rule, what was got, way out.
@@ -52,6 +54,8 @@ class TautError(Exception):
         value: What was got.
         rule: The rule that was broken, in words.
     """
+
+    code: ClassVar[str] = "TAUT"
 
     def __init__(
         self,
@@ -68,45 +72,83 @@ class TautError(Exception):
         self.value = value
         self.rule = rule
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copies and pickles go without the constructor; a value that cannot be pickled is told as text."""
+        state = {**vars(self), **{key: getattr(self, key) for key in ("name", "joint", "value", "rule")}}
+        try:
+            pickle.dumps(self.value)
+        except Exception:  # whatever the class of a foreign value says of itself
+            state["value"] = repr(self.value)
+        return _revived, (type(self), self.args, state)
+
+
+def _revived(kind: type[TautError], args: tuple[Any, ...], state: Mapping[str, Any]) -> TautError:
+    """An error with these arguments and attributes."""
+    error = kind.__new__(kind, *args)
+    super(TautError, error).__init__(*args)  # that of the built-in class beside it
+    for key, value in state.items():
+        setattr(error, key, value)
+    return error
+
 
 class ShapeError(TautError, ValueError):
     """An array has the wrong number of entries or dimensions, or is no array of numbers."""
+
+    code = "TAUT-SHAPE"
 
 
 class RangeError(TautError, ValueError):
     """A number is not finite, has the wrong sign, or breaks another rule about its value."""
 
+    code = "TAUT-RANGE"
+
 
 class UsageError(TautError, TypeError):
     """Arguments that do not go together, or one that is missing."""
+
+    code = "TAUT-USAGE"
 
 
 class UnknownNameError(TautError, LookupError):
     """A name of a frame, joint, law, parameter or arm that does not exist."""
 
+    code = "TAUT-UNKNOWN-NAME"
+
 
 class MatchError(TautError, ValueError):
     """Two things that do not fit: a law and a plant, a controller and a reference."""
+
+    code = "TAUT-MATCH"
 
 
 class TraceError(TautError, TypeError):
     """Law code does something that cannot be traced; the message names file and line."""
 
+    code = "TAUT-TRACE"
+
 
 class MissingExtraError(TautError, ImportError):
     """A feature needs a package that is not installed."""
+
+    code = "TAUT-MISSING-EXTRA"
 
 
 class FileError(TautError, OSError):
     """A file cannot be read or written, or is not what its name says."""
 
+    code = "TAUT-FILE"
+
 
 class ScenarioError(TautError, ValueError):
     """A scenario file breaks its schema; the message names file and key."""
 
+    code = "TAUT-SCENARIO"
+
 
 class NumericalError(TautError, ArithmeticError):
     """A tick did not give finite numbers."""
+
+    code = "TAUT-NUMERICAL"
 
 
 class StabilityWarning(RuntimeWarning):
@@ -132,6 +174,8 @@ MODEL_FILES: Final = (".urdf", ".xml", ".mjcf")
 
 class ModelError(TautError, ValueError):
     """A robot model breaks a rule; `problems` lists every one of them."""
+
+    code = "TAUT-MODEL"
 
     def __init__(self, source: str, problems: Sequence[Problem]) -> None:
         first = problems[0]
@@ -189,6 +233,15 @@ def missing_extra(what: str, package: str, extra: str) -> MissingExtraError:
     )
 
 
+def one_thread_at_a_time() -> UsageError:
+    """The error for a tick that begins while another thread is in the middle of one."""
+    return UsageError(
+        "a controller is stepped by one thread at a time, and another thread is in the middle of a tick; compile one "
+        "for each thread: taut.compile(ctrl.law, ctrl.arm, rate=ctrl.rate)",
+        name="step",
+    )
+
+
 _PACKAGE_ROOT = Path(__file__).parents[1]  # as the loader spells it, like the file names in frames
 _CONTROL = _PACKAGE_ROOT / "control"
 
@@ -208,12 +261,12 @@ def raised_location(error: BaseException) -> str:
     return _place([*frames, *_frames_now()])
 
 
-def warn(text: str) -> None:
-    """A RuntimeWarning at the line of the caller's own code, however deep in ours it arises."""
+def warn(text: str, kind: type[RuntimeWarning] = RuntimeWarning) -> None:
+    """A warning at the line of the caller's own code, however deep in ours it arises."""
     level, frame = 2, sys._getframe(1)
     while frame.f_back is not None and _is_ours_or_generated(Path(frame.f_code.co_filename), frame.f_code.co_name):
         level, frame = level + 1, frame.f_back
-    warnings.warn(text, RuntimeWarning, stacklevel=level)
+    warnings.warn(text, kind, stacklevel=level)
 
 
 def _frames_now() -> list[tuple[FrameType, int]]:

@@ -9,6 +9,7 @@ Zero has no sign. Nodes that nothing needs are dropped when a target reads the g
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Iterable, Sequence
 from enum import IntEnum
 from typing import Final
@@ -18,9 +19,10 @@ import numpy as np
 from taut.base.errors import TraceError, user_location
 from taut.base.types import Float64Array
 
-__all__ = ["BOOLEAN_OPS", "NONE", "Graph", "Op"]
+__all__ = ["BOOLEAN_OPS", "LARGEST", "NONE", "Graph", "Op"]
 
 NONE: Final = -1  # the operand of a node that has fewer than three
+LARGEST: Final = sys.float_info.max  # |x| <= LARGEST: x is neither infinite nor NaN
 
 
 class Op(IntEnum):

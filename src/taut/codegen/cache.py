@@ -14,7 +14,7 @@ from typing import Final
 
 __all__ = ["cache_folder", "load", "store"]
 
-MAGIC: Final = b"taut1\n"
+MAGIC: Final = b"taut2\n"  # then a digest of the rest: the key, and the content
 DIGEST: Final = 32  # bytes of SHA-256
 ENVIRONMENT: Final = "TAUT_CACHE_DIR"
 
@@ -80,7 +80,7 @@ def _warn_once(text: str) -> None:
 
 
 def load(key: bytes) -> bytes | None:
-    """The entry of this key, or None where there is none that is whole and ours."""
+    """The entry of this key, or None where there is none that is whole, ours, and stored under this key."""
     folder = _usable_folder(make=False)
     if folder is None:
         return None
@@ -94,7 +94,9 @@ def load(key: bytes) -> bytes | None:
     head = len(MAGIC) + DIGEST
     if not data.startswith(MAGIC) or hashlib.sha256(data[head:]).digest() != data[len(MAGIC) : head]:
         return None  # cut off or damaged: it is compiled again and replaced
-    return data[head:]
+    if not data.startswith(key, head):
+        return None  # the entry of another key, copied to this name
+    return data[head + len(key) :]
 
 
 def store(key: bytes, content: bytes) -> None:
@@ -102,7 +104,8 @@ def store(key: bytes, content: bytes) -> None:
     folder = _usable_folder(make=True)
     if folder is None:
         return
-    data = MAGIC + hashlib.sha256(content).digest() + content
+    body = key + content
+    data = MAGIC + hashlib.sha256(body).digest() + body
     name: str | None = None
     try:
         handle, name = tempfile.mkstemp(dir=folder, prefix="writing-")

@@ -27,6 +27,8 @@ from taut.codegen.text import Writer
 __all__ = [
     "METH_FASTCALL_KEYWORDS",
     "METH_NOARGS",
+    "READY",
+    "TAKEN",
     "Argument",
     "CallPath",
     "Context",
@@ -155,11 +157,13 @@ WORDS: Final = (
     "outputs",
     "shape",
     "keywords",  # addresses of the interned names of keyword arguments
-    "ready",  # 0 until memory has started
+    "ready",  # 0 until memory has started, then READY, or TAKEN while a thread is in the middle of a slow tick
     "count",  # ticks so far
     "dt",
 )
 WORD: Final = {name: i for i, name in enumerate(WORDS)}
+READY: Final = 1
+TAKEN: Final = 2
 BUILTINS: Final = 2  # step and tick
 
 
@@ -346,7 +350,7 @@ class CallPath:
         _context(w)
         w.unless(w.put(f"icmp ne i64 %nargs, {len(arguments)}"), "slow")
         self._check_names(w)
-        w.unless(w.put(f"icmp eq i64 {_word(w, 'ready', 'i64')}, 0"), "slow")
+        w.unless(w.put(f"icmp ne i64 {_word(w, 'ready', 'i64')}, {READY}"), "slow")
         inputs, ndarray, float64 = _word(w, "inputs"), _word(w, "ndarray"), _word(w, "float64")
         for i, argument in enumerate(arguments):
             value = w.load_at("%args", 8 * i)

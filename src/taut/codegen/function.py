@@ -92,6 +92,10 @@ class NativeFunction:
             verify=verified(name, of_blocks, program, lambda: samples),
         )
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy is compiled anew; it can be pickled where the function can."""
+        return NativeFunction, (self._function, self._shapes)
+
     def __call__(self, *args: Any) -> Float64Array:
         result: Float64Array = self.call(*args)
         return result

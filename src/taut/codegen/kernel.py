@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import ctypes
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, NoReturn, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from taut.base.errors import TraceError
+from taut.base.errors import TraceError, one_thread_at_a_time
 from taut.base.types import Float64Array
 from taut.codegen.call import (
     METH_FASTCALL_KEYWORDS,
     METH_NOARGS,
+    READY,
+    TAKEN,
     Argument,
     CallPath,
     Context,
@@ -26,7 +29,7 @@ from taut.codegen.llvm import declarations, kernel
 from taut.codegen.native import NativeModule, compiled
 from taut.codegen.program import Function, Program, trace
 
-__all__ = ["Blocks", "FloatKernel", "Kernel", "NativeKernel", "verified"]
+__all__ = ["Alone", "Blocks", "FloatKernel", "Kernel", "NativeKernel", "verified"]
 
 VERIFY_TOLERANCE = 1e-9  # relative to the largest number of the result; far above rounding, far below a fault
 ULPS = 4.0  # by which inputs are moved to see how large rounding becomes where a state makes it large
@@ -57,6 +60,33 @@ class Blocks:
         return self.layout[name].views(getattr(self, name))
 
 
+class Alone:
+    """A tick that takes several steps in Python, which one thread at a time may be in. A context manager.
+
+    Args:
+        taken: Is told when a thread begins such a tick, and when it ends.
+
+    Raises:
+        UsageError: Another thread is in it.
+    """
+
+    def __init__(self, taken: Callable[[bool], None] | None = None) -> None:
+        self._lock, self._taken, self._depth = threading.RLock(), taken, 0
+
+    def __enter__(self) -> None:
+        if not self._lock.acquire(blocking=False):
+            raise one_thread_at_a_time()
+        self._depth += 1  # a tick that is the first one takes another one
+        if self._taken is not None and self._depth == 1:
+            self._taken(True)
+
+    def __exit__(self, *_: object) -> None:
+        self._depth -= 1
+        if self._taken is not None and self._depth == 0:
+            self._taken(False)
+        self._lock.release()
+
+
 class Kernel(Protocol):
     """What a controller needs of an engine."""
 
@@ -64,6 +94,8 @@ class Kernel(Protocol):
     operations: int
     program: Program | None
     """The trace; None in the float engine."""
+    alone: Alone
+    """What a tick in Python is in."""
     engine: Literal["native", "float"]
     step: Callable[..., Any]
     """Arrays in, a new array out; everything that is not plain goes to the function `slow`."""
@@ -112,6 +144,7 @@ class FloatKernel:
     ) -> None:
         self.blocks = blocks
         self.program: Program | None = None
+        self.alone = Alone()
         self._function, self._starter = function, starter
         self._time, self._dt = time, dt
         self._first, self._failed = first, failed
@@ -154,9 +187,13 @@ class FloatKernel:
             self.blocks.views("inputs")[self._time][...] = self._count * self._dt
 
     def _tick(self) -> None:
-        if not self._started:
-            self._first()
-            return
+        with self.alone:
+            if self._started:
+                self._advance()
+            else:
+                self._first()
+
+    def _advance(self) -> None:
         blocks = self.blocks
         self._set_time()
         if not np.isfinite(blocks.inputs).all():
@@ -210,6 +247,7 @@ class NativeKernel:
         self.blocks = blocks
         self.program: Program | None = program
         self.operations = program.operations
+        self.alone = Alone(self._take)
         objects = [argument for argument in arguments or () if argument.is_object]
         names = tuple(path.rpartition(".")[2] for argument in objects for path in argument.fields)
         slots = slot_offsets(reference, names) if reference is not None else ()
@@ -240,7 +278,7 @@ class NativeKernel:
         self._time, self._dt = path.time, dt
         self._new = blocks.memory.copy()
         self._context: Context | None = None
-        self._plain_count, self._plain_ready = 0, False
+        self._plain_count, self._plain_ready, self._ready_word = 0, False, READY
         self.step, self.tick = slow or _no_step, self._plain_tick
         if fast:
             self._context = context = Context(
@@ -275,9 +313,15 @@ class NativeKernel:
 
     def _set(self, *, count: int, ready: bool) -> None:
         if self._context is not None:
-            self._context["count"], self._context["ready"] = count, int(ready)
+            self._context["count"], self._context["ready"] = count, self._ready_word if ready else 0
         else:
             self._plain_count, self._plain_ready = count, ready
+
+    def _take(self, taken: bool) -> None:
+        """Send what other threads call to Python meanwhile, where they are refused: at no cost to any plain call."""
+        self._ready_word = TAKEN if taken else READY
+        if self._context is not None and self._context["ready"]:
+            self._context["ready"] = self._ready_word
 
     @property
     def ready(self) -> bool:
@@ -308,9 +352,13 @@ class NativeKernel:
 
     def _plain_tick(self) -> None:
         """The tick through ctypes, where Python's objects lie in memory in an unknown way."""
-        if not self.ready:
-            self._first()
-            return
+        with self.alone:
+            if self.ready:
+                self._advance()
+            else:
+                self._first()
+
+    def _advance(self) -> None:
         blocks = self.blocks
         if self._guarded and not np.isfinite(blocks.inputs).all():
             self._failed()

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence, Set
 from typing import Final
 
-from taut.base.graph import BOOLEAN_OPS, NONE, Op
+from taut.base.graph import BOOLEAN_OPS, LARGEST, NONE, Op
 from taut.codegen.program import Program
 
 __all__ = ["LIBM", "declarations", "kernel"]
@@ -249,7 +249,11 @@ class _Body:
         self._out: list[str] = []
         self._paired: set[int] = set()  # arguments whose sine and cosine stand already
         positive = _never_negative(program)
-        deciding = (i for i in program.live if self._graph.ops[i] in _DECIDING and not self._is_length(i, positive))
+        deciding = (
+            i
+            for i in program.live
+            if self._graph.ops[i] in _DECIDING and not (self._is_length(i, positive) or self._is_finiteness(i))
+        )
         self._exact = frozenset(self._graph.live(x for i in deciding for x in self._graph.operands(i)))
         self._within = self._fused()
 
@@ -270,6 +274,10 @@ class _Body:
 
     def _is_length(self, i: int, positive: Set[int]) -> bool:
         return self._graph.ops[i] == Op.SQRT and self._graph.a[i] in positive
+
+    def _is_finiteness(self, i: int) -> bool:
+        """Whether a comparison asks for infinity alone, which no rounding makes of a number that is in use."""
+        return self._graph.ops[i] == Op.LE and self._graph.value[self._graph.b[i]] == LARGEST
 
     def lines(self) -> list[str]:
         graph = self._graph

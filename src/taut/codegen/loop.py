@@ -9,13 +9,15 @@ import numpy as np
 
 from taut.base.types import Float64Array
 from taut.codegen.kernel import verified
-from taut.codegen.layout import Block
+from taut.codegen.layout import Block, Field
 from taut.codegen.native import NativeModule, compiled, level_for
 from taut.codegen.period import Period, write_period
 from taut.codegen.program import Function
 from taut.codegen.text import Writer
 
 __all__ = ["FloatLoop", "NativeLoop"]
+
+COMMAND = "command"  # the output that must be finite as memory must be
 
 
 class FloatLoop:
@@ -64,7 +66,7 @@ class FloatLoop:
                 return k
             self.outputs.pack(record, outputs[k])
             new = self._memory.pack(after)
-            if not np.isfinite(new).all():
+            if not (np.isfinite(new).all() and np.isfinite(record.get(COMMAND, 0.0)).all()):
                 return k
             memory[:] = new
         return len(inputs)
@@ -108,11 +110,12 @@ class NativeLoop:
                 check(module)
 
         names = ("loop", "kernel", *(("substep",) if repeats else ()))
+        command = next((field for field in self.outputs.fields if field.path == COMMAND), None)
 
         def text() -> str:
-            return "\n".join([period.text(), loop_text(memory.size, repeats)])
+            return "\n".join([period.text(), loop_text(memory.size, repeats, command)])
 
-        self._at = functools.partial(compiled, b"loop" + period.content, text, names, verify)
+        self._at = functools.partial(compiled, repr(command).encode() + period.content, text, names, verify)
         self._level, self._ticks = -1, 0
         self.expect(ticks)
 
@@ -160,10 +163,11 @@ def _samples(
     return [(inputs, parameters, m) for m in (memory, *near)]
 
 
-def loop_text(memory_size: int, repeats: int) -> str:
+def loop_text(memory_size: int, repeats: int, command: Field | None = None) -> str:
     """LLVM text of `loop`: `kernel`, then `substep` `repeats` times, for each row of inputs and outputs.
 
-    It returns the number of steps done: fewer than asked where the new memory was not finite, which is then not kept.
+    It returns the number of steps done: fewer than asked where the new memory, or the command among the outputs, was
+    not finite; new memory is then not kept. A drive that saturates would make a finite torque of an infinite command.
     """
     w = Writer()
     w.line(
@@ -179,12 +183,14 @@ def loop_text(memory_size: int, repeats: int) -> str:
         " %out = getelementptr double, ptr %outputs, i64 %out_at",
     )
     write_period(w, "%parameters", "%memory", repeats, "check")
-    wrong = w.not_finite("%new", memory_size)
-    if wrong is None:
-        w.line(" br label %kept")
-    else:
-        w.line(f" br i1 {wrong}, label %bad, label %kept", "bad:", " ret i64 %k")
-    w.line("kept:")
+    guarded = [("%new", memory_size)]
+    if command is not None:
+        guarded.append((w.put(f"getelementptr double, ptr %out, i64 {command.offset}"), command.size))
+    for pointer, size in guarded:
+        wrong = w.not_finite(pointer, size)
+        if wrong is not None:
+            w.unless(wrong, "bad")
+    w.line(" br label %kept", "bad:", " ret i64 %k", "kept:")
     w.copy("%new", "%memory", memory_size)
     w.line(
         " %next = add i64 %k, 1",

@@ -26,6 +26,7 @@ __all__ = ["LEVEL", "QUICK", "NativeModule", "available", "compiled", "level_for
 LEVEL: Final = 2  # of LLVM's code generator; 3 gives nothing, 1 is no faster to compile
 QUICK: Final = 0  # a fifth of the time to compile, three times that to run
 PATIENCE: Final = 50_000  # calls of code until it was worth compiling well
+LIBRARIES: Final = 64  # of one linker, which takes a millisecond to make
 _LOCK: Final = threading.Lock()
 
 
@@ -81,9 +82,13 @@ def _machine(level: int) -> Any:
     return _new_machine(level)
 
 
-@functools.cache
-def _jit() -> Any:
-    """The linker that puts object code into this process; it takes over its machine, so it has its own."""
+@functools.lru_cache(maxsize=1)
+def _jit(number: int) -> Any:  # noqa: ARG001
+    """A linker that puts object code into this process; it takes over its machine, so it has its own.
+
+    A linker keeps 9 kB of each library, also of one that was released, and all that is released with the last of its
+    libraries: therefore a new one is taken after `LIBRARIES`.
+    """
     import llvmlite.binding as llvm
 
     return llvm.create_lljit_compiler(_new_machine(LEVEL), use_jit_link=_together())
@@ -179,5 +184,6 @@ def _linked(code: bytes, names: Sequence[str], *, cached: bool) -> NativeModule:
         builder.import_symbol(name, address)
     for name in names:
         builder.export_symbol(name)
-    library = builder.link(_jit(), f"taut{next(_LIBRARY_NUMBERS)}")
+    number = next(_LIBRARY_NUMBERS)
+    library = builder.link(_jit(number // LIBRARIES), f"taut{number}")
     return NativeModule({name: int(library[name]) for name in names}, cached, len(code), library)

@@ -57,22 +57,25 @@ class Writer:
 
         x - x is zero for every other number.
         """
-        sums = []
+        differences: dict[int, list[str]] = {4: [], 1: []}
         for start, width in _pieces(size):
             kind = "double" if width == 1 else f"<{width} x double>"
             place = self.put(f"getelementptr double, ptr {block}, i64 {start}")
             value = self.put(f"load {kind}, ptr {place}, align 8")
-            difference = self.put(f"fsub {kind} {value}, {value}")
-            if width == 1:
-                sums.append(difference)
-            else:
-                sums += [self.put(f"extractelement {kind} {difference}, i64 {i}") for i in range(width)]
-        if not sums:
+            differences[width].append(self.put(f"fsub {kind} {value}, {value}"))
+        if differences[4]:
+            total = self._sum("<4 x double>", differences[4])
+            differences[1] += [self.put(f"extractelement <4 x double> {total}, i64 {i}") for i in range(4)]
+        if not differences[1]:
             return None
-        total = sums[0]
-        for other in sums[1:]:
-            total = self.put(f"fadd double {total}, {other}")
-        return self.put(f"fcmp une double {total}, 0.0")
+        return self.put(f"fcmp une double {self._sum('double', differences[1])}, 0.0")
+
+    def _sum(self, kind: str, values: list[str]) -> str:
+        """The sum of some values, by halves, so that no addition waits for all before it."""
+        if len(values) == 1:
+            return values[0]
+        half = len(values) // 2
+        return self.put(f"fadd {kind} {self._sum(kind, values[:half])}, {self._sum(kind, values[half:])}")
 
 
 def _pieces(size: int) -> list[tuple[int, int]]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from taut.arm.angles import require_radians
 from taut.arm.description import Arm
-from taut.base.errors import UsageError
+from taut.base.errors import TautError, UsageError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.control.fade import Fade, can_fade
@@ -78,7 +78,7 @@ class ReferenceFeed:
         return isinstance(self._ref, (Sample, Stream)) or getattr(self._ref, "rows", None) is not None
 
     def fill(
-        self, views: Mapping[str, Float64Array], first: int, state: Callable[[], Any], *, whole: bool = True
+        self, views: Mapping[str, Float64Array], first: int, state: Callable[[], Any], *, ahead: bool = True
     ) -> int:
         """Write the reference of the ticks from `first` on into views (k, ...) by field.
 
@@ -86,7 +86,7 @@ class ReferenceFeed:
             views: Where to write: one array per field of the sample.
             first: Number of the first tick.
             state: Gives the snapshot at the first tick, for the source of a stream.
-            whole: Whether all ticks must have a sample; else those before the reference fails are enough.
+            ahead: Whether a later sample that does not fit is refused before tick 0, when nothing can be lost.
 
         Returns:
             Number of ticks that were filled: if that is less than k, the reference fails in a later tick.
@@ -100,8 +100,8 @@ class ReferenceFeed:
         while True:
             try:
                 table = self._checked_rows((first + np.arange(count, dtype=np.float64)) * self._dt)
-            except Exception:
-                if whole or count == 1:
+            except Exception as error:
+                if count == 1 or (ahead and first == 0 and isinstance(error, TautError)):
                     raise
                 count //= 2  # what comes later may never be asked for
                 continue

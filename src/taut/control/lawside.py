@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from taut.arm.description import Arm, Payload
 from taut.base import math as tm
 from taut.base.checks import finite_array, finite_scalar, require_at_least, vector
 from taut.base.errors import MatchError, NumericalError, RangeError, ShapeError, UsageError, unknown_name
+from taut.base.graph import LARGEST
 from taut.base.paths import flatten, subtree, unflatten
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
 from taut.control.command import Command, Terms, Torque, Velocity
@@ -31,7 +32,7 @@ from taut.maths.adds import Adds
 from taut.maths.model import Model, PayloadValues, model_of
 from taut.maths.snapshot import AT_TOOL, MEASUREMENTS, Snapshot, measurement_shapes
 
-__all__ = ["HELD", "TOLD", "LawSide", "Probe", "Tick"]
+__all__ = ["HELD", "TOLD", "LawSide", "Probe", "Tick", "WildTerm", "wild_term"]
 
 TOLD: Final = "held.told"  # inputs of the first tick: whether the torque that the plant holds was told, and it
 HELD: Final = "held.tau_applied"
@@ -408,7 +409,8 @@ class LawSide:
             given, moving = subtree(parameters, "limits"), x if command.kind == Torque.kind else None
             kept = before if begins is None or "blend" not in given else anew(before, total, begins)
             made = limited(total, kept, given, dt, moving)
-            applied, terms, held = made.command, made.terms, {**made.memory, "tau_cut": made.cut}
+            applied = tm.where(tm.abs(total) <= LARGEST, made.command, total)  # infinity is refused, never cut
+            terms, held = made.terms, {**made.memory, "tau_cut": made.cut}
         held["tau_applied"] = applied
         new = flatten({"law": after, "sensing": sensing, "limits": held})
         shapes = self.probe.shapes
@@ -442,6 +444,23 @@ class LawSide:
                 "tau_cut": held.get("tau_cut", zero),
             },
         )
+
+
+class WildTerm(NamedTuple):
+    """A term of a command that is not finite."""
+
+    name: str
+    joint: int
+    value: float
+
+
+def wild_term(terms: Mapping[str, Float64Array]) -> WildTerm | None:
+    """The first of some terms, each (n,), that is not finite; those of the law stand before those of the limits."""
+    for name, values in terms.items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            return WildTerm(name, int(bad[0]), float(values[bad[0]]))
+    return None
 
 
 def _payload_of(parameters: Mapping[str, Any]) -> PayloadValues:

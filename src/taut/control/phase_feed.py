@@ -130,7 +130,7 @@ class PhaseFeed:
             return len(next(iter(views.values())))
         assert self._inner is not None
         with self._task.blamed(self._name):
-            return self._inner.fill(own, first - self._since, state, whole=False)
+            return self._inner.fill(own, first - self._since, state, ahead=False)
 
     @property
     def _law(self) -> Any:

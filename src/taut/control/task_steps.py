@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from taut.base.checks import float_array
-from taut.base.errors import UsageError
+from taut.base.errors import UsageError, one_thread_at_a_time
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.control.feed import plain_snapshot
@@ -64,15 +64,24 @@ class TaskSteps:
         What is no plain call, and a tick before memory has started, `step` itself hands to `slow`.
         """
         ticks, wanted = self._memory[TICKS].item, self._wanted
+        alone = [None]  # what the thread takes that is in a tick: half of the time of a lock
+        begin, end = alone.pop, alone.append
 
         def with_sample(*args: Any, **kwargs: Any) -> Any:
-            tick = int(ticks())
-            row = self._ahead.get(tick)
-            if row is None:
-                known = tick > 0 and bool(self._taken) and self._take(args)
-                return self._with_given(step, args, kwargs) if known else slow(*args, **kwargs)
-            wanted[:] = row
-            return step(*args, **kwargs)
+            try:
+                begin()
+            except IndexError:
+                raise one_thread_at_a_time() from None
+            try:
+                tick = int(ticks())
+                row = self._ahead.get(tick)
+                if row is None:
+                    known = tick > 0 and bool(self._taken) and self._take(args)
+                    return self._with_given(step, args, kwargs) if known else slow(*args, **kwargs)
+                wanted[:] = row
+                return step(*args, **kwargs)
+            finally:
+                end(None)
 
         return with_sample
 

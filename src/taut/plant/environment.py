@@ -8,7 +8,7 @@ from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 
-from taut.base.checks import finite_array
+from taut.base.checks import finite_array, float_array
 from taut.base.errors import ShapeError, UsageError, quoted_list
 from taut.base.paths import subtree
 from taut.base.pose import Pose
@@ -23,11 +23,13 @@ __all__ = [
     "added",
     "checked_change",
     "require_environment",
+    "started",
     "touch",
 ]
 
 Values = Mapping[str, Any]
 NO_RATES: Final = (0.0, 0.0)
+METHODS: Final = ("parameters", "start", "wrench")
 
 
 @runtime_checkable
@@ -107,7 +109,7 @@ class Environments:
 
     def start(self, T_WE: Pose) -> dict[str, Any]:
         """Memory at the start, from the tool's pose."""
-        return {f"{name}.{key}": x for name, part in self.parts.items() for key, x in part.start(T_WE).items()}
+        return {f"{name}.{key}": x for name, part in self.parts.items() for key, x in started(part, T_WE).items()}
 
     def wrench(
         self, T_WE: Pose, twist: Twist, t: Any, memory: Values, parameters: Values, dt: Any
@@ -117,8 +119,7 @@ class Environments:
         after: dict[str, Any] = {}
         for name, part in self.parts.items():
             before = subtree(memory, name)
-            wrench, new = part.wrench(T_WE, twist, t, before, subtree(parameters, name), dt)
-            _require_sound(part, wrench, before, new)
+            wrench, new = _sound(part, part.wrench(T_WE, twist, t, before, subtree(parameters, name), dt), before)
             total = total + wrench
             after |= {f"{name}.{key}": x for key, x in new.items()}
         return total, after
@@ -171,6 +172,29 @@ def require_environment(name: str, what: object) -> None:
             f"{name} must have parameters(), start(T_WE) and wrench(...), see taut.Environment; got {got}",
             name=name,
         )
+    who = type(what).__name__
+    missing = [method for method in METHODS if getattr(type(what), method, None) is getattr(Environment, method)]
+    if missing:
+        raise UsageError(
+            f"{who} takes {quoted_list(missing)} from taut.Environment, which has no more than their names; write "
+            "them in the class",
+            name=name,
+        )
+    for key, value in _by_name(f"{who}.parameters()", what.parameters()).items():
+        float_array(f"{who}.parameters()['{key}']", value)
+
+
+def started(environment: Environment, T_WE: Pose) -> dict[str, Any]:
+    """The memory of an environment at the start, by name."""
+    return dict(_by_name(f"{type(environment).__name__}.start(T_WE)", environment.start(T_WE)))
+
+
+def _by_name(what: str, values: object) -> Mapping[str, Any]:
+    """What a method of the user's gave, if it is a dict by name."""
+    if not isinstance(values, Mapping) or not all(isinstance(key, str) for key in values):
+        got = "a dict with other keys" if isinstance(values, Mapping) else type(values).__name__
+        raise UsageError(f"{what} must give a dict by name, {{}} for nothing; got {got}", name=what)
+    return values
 
 
 def checked_change(environment: Environment, path: str, value: ArrayLike) -> Float64Array:
@@ -222,13 +246,19 @@ def touch(
         ShapeError: A wrench of another shape.
         UsageError: Memory under other names than before.
     """
-    wrench, after = environment.wrench(dyn.pose(model, q), dyn.twist(model, q, v), t, memory, parameters, dt)
-    _require_sound(environment, wrench, memory, after)
-    return wrench, after
+    given = environment.wrench(dyn.pose(model, q), dyn.twist(model, q, v), t, memory, parameters, dt)
+    return _sound(environment, given, memory)
 
 
-def _require_sound(environment: Environment, wrench: Any, before: Values, after: Values) -> None:
+def _sound(environment: Environment, given: Any, before: Values) -> tuple[Any, dict[str, Any]]:
+    """The wrench and the memory that an environment gave, if it gave these."""
     who = type(environment).__name__
+    if not isinstance(given, (tuple, list)) or len(given) != 2 or not isinstance(given[1], Mapping):
+        raise UsageError(
+            f"{who}.wrench must give the wrench and the new memory: return F, {{}}; got {type(given).__name__}",
+            name=who,
+        )
+    wrench, after = given
     if np.shape(wrench) != (6,):
         raise ShapeError(f"{who}.wrench must give shape (6,), force first; got shape {np.shape(wrench)}", name=who)
     if set(after) != set(before):
@@ -237,3 +267,4 @@ def _require_sound(environment: Environment, wrench: Any, before: Values, after:
             f"{quoted_list(sorted(after)) or 'none'}",
             name=who,
         )
+    return wrench, dict(after)

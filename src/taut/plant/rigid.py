@@ -30,7 +30,7 @@ from taut.plant.actuation import Actuation, delayed
 from taut.plant.contact import Contacts, RigidContact, each_contact
 from taut.plant.contact_step import TOLD, contact_start
 from taut.plant.drivetrain import Drivetrain
-from taut.plant.environment import Environment, require_environment
+from taut.plant.environment import Environment, require_environment, started
 from taut.plant.motion import WORK_OF_IT, Motion, payload_of
 from taut.plant.numbers import PlantNumbers, require_torque_sensor
 from taut.plant.sensors import Sensors
@@ -307,7 +307,7 @@ class RigidPlant:
         if taps:
             memory["delay"] = tm.stack([{"torque": weight, "velocity": rest, "position": q}[self.takes]] * taps)
         if self.environment is not None:
-            touched = self.environment.start(dyn.pose(self.model, q))
+            touched = started(self.environment, dyn.pose(self.model, q))
             memory |= {f"environment.{name}": value for name, value in touched.items()}
             memory |= {"t": 0.0, WORK_OF_IT: 0.0}
             require_short_contact(

@@ -136,7 +136,13 @@ def outcome_from(values: Any) -> tuple[Outcome, int]:
         ValueError: It is not what was written.
     """
     try:
-        outcome = Outcome(kind=values["kind"], message=values["message"], tick=values["tick"], joint=values["joint"])
+        outcome = Outcome(
+            kind=values["kind"],
+            message=values["message"],
+            tick=values["tick"],
+            joint=values["joint"],
+            dropped=values.get("dropped", 0),
+        )
         return outcome, int(values["ticks"])
     except (KeyError, TypeError) as cause:
         raise ValueError(f"its outcome lacks {cause}") from cause

@@ -9,13 +9,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import IO, TYPE_CHECKING, Final, Self
 
 import numpy as np
 
-from taut.base.errors import FileError
+from taut.base.errors import FileError, count_of
 from taut.base.types import Float64Array
 from taut.record.description import described, sealed
 from taut.record.files import cannot_write, checked_target, written_aside
@@ -27,7 +28,7 @@ from taut.record.topics import Description, TickLayout, columns_of
 if TYPE_CHECKING:
     from taut.record.mcap_writer import McapWriter
 
-__all__ = ["Log", "open_log", "save"]
+__all__ = ["Log", "RunLog", "open_log", "save"]
 
 SUFFIXES: Final = (".mcap",)
 USUAL_RATE: Final = 1000.0  # [Hz] of a run that does not say
@@ -49,7 +50,8 @@ class Log:
         self._path, self._to = path, path if to is None else to
         self._file: IO[bytes] | None = None
         self._writer: McapWriter | None = None
-        self._ticks = 0
+        self.ticks = 0
+        """Ticks that have been written."""
 
     def write(self, rows: Run, advance: Callable[[int], None] | None = None) -> None:
         """Append the ticks of a piece of the run.
@@ -91,9 +93,9 @@ class Log:
     def _append(self, writer: McapWriter, columns: dict[str, Float64Array]) -> None:
         times = np.round(columns["t"] * 1e9).astype(np.uint64)
         rows = self._rows[: len(times)]
-        self._layout.fill(rows, columns, self._ticks, times)
+        self._layout.fill(rows, columns, self.ticks, times)
         writer.write(rows, times)
-        self._ticks += len(times)
+        self.ticks += len(times)
 
     def finish(self, outcome: Outcome) -> None:
         """Write how the run ended, and what readers need.
@@ -106,7 +108,7 @@ class Log:
         writer, self._writer = self._writer, None
         try:
             writer.metadata("taut.run", self._sealed)
-            writer.metadata("taut.outcome", sealed({**outcome.json(), "ticks": self._ticks}))
+            writer.metadata("taut.outcome", sealed({**outcome.json(), "ticks": self.ticks}))
             writer.finish()
         except OSError as cause:
             raise cannot_write("log", self._path, cause) from cause
@@ -118,11 +120,54 @@ class Log:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         words = "" if error is None else f": {type(error).__name__}: {error}".rstrip(": ")
-        outcome = Outcome(kind="stopped", message=f"the run broke off{words}", tick=max(0, self._ticks - 1))
+        outcome = Outcome(kind="stopped", message=f"the run broke off{words}", tick=max(0, self.ticks - 1))
         with suppress(FileError):  # the first error is the one to hear about
             self.finish(outcome)
         if self._file is not None:
             self._file.close()
+
+
+class RunLog:
+    """The log of a run that is going on. Where it cannot be written any more it ends, and the run does not.
+
+    A context manager around the log's own.
+    """
+
+    def __init__(self, log: Log) -> None:
+        self._log = log
+        self._refusal: FileError | None = None
+
+    def write(self, rows: Run) -> None:
+        """Append the ticks of a piece of the run, as long as that works."""
+        if self._refusal is None:
+            try:
+                self._log.write(rows)
+            except FileError as refusal:
+                self._refusal = refusal
+
+    def finish(self, outcome: Outcome) -> Outcome:
+        """Write how the run ended; the same outcome, with how many ticks the log lacks."""
+        if self._refusal is None:
+            try:
+                self._log.finish(outcome)
+            except FileError as refusal:
+                self._refusal = refusal
+        if self._refusal is None:
+            return outcome
+        ticks = outcome.tick + 1
+        dropped = ticks - self._log.ticks
+        message = f"{outcome.message}; {self._refusal} ({dropped} of {count_of(ticks, 'tick')} are not in it)"
+        return replace(outcome, message=message, dropped=dropped)
+
+    def __enter__(self) -> Self:
+        self._log.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with suppress(OSError):  # of a file that is closed: what it lacks has been counted
+            self._log.__exit__(kind, error, trace)
 
 
 def open_log(path: str | os.PathLike[str]) -> Log:

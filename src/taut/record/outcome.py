@@ -18,6 +18,7 @@ class Outcome:
     message: str
     tick: int  # the last tick that was recorded
     joint: str | None = None
+    dropped: int = 0  # ticks that are in the record and not in the log, which could not be written
 
     @property
     def ok(self) -> bool:
@@ -29,4 +30,5 @@ class Outcome:
 
     def json(self) -> dict[str, Any]:
         """As plain values."""
-        return {"kind": self.kind, "message": self.message, "tick": self.tick, "joint": self.joint}
+        plain = {"kind": self.kind, "message": self.message, "tick": self.tick, "joint": self.joint}
+        return plain if not self.dropped else {**plain, "dropped": self.dropped}

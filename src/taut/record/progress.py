@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from types import TracebackType
 from typing import Any, Final, Self, TypeVar
 
@@ -41,6 +42,12 @@ class Progress:
         self._done += steps
         if not self._show or (self._bar is None and time.monotonic() - self._since < PATIENCE):
             return
+        try:
+            self._draw()
+        except (OSError, ValueError):  # standard error is closed, or a pipe that nobody reads: the work goes on
+            self._show = False
+
+    def _draw(self) -> None:
         if self._bar is None:
             from rich.console import Console
             from rich.progress import Progress as Bar
@@ -60,4 +67,5 @@ class Progress:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._bar is not None:
-            self._bar.stop()
+            with suppress(OSError, ValueError):
+                self._bar.stop()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -195,7 +196,7 @@ def _outcome(found: Contents, number: Array, t: Float64Array, size: int) -> Outc
         words = f"; the file is damaged at byte {found.damage[0][0]}, but no tick is missing"
     else:
         return outcome
-    return Outcome(kind=outcome.kind, message=outcome.message + words, tick=outcome.tick, joint=outcome.joint)
+    return replace(outcome, message=outcome.message + words)
 
 
 def _gaps(number: Array, ticks: int) -> list[tuple[int, int]]:

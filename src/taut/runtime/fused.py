@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping
+from time import monotonic
 from typing import Any, Final
 from weakref import WeakKeyDictionary
 
@@ -26,14 +28,16 @@ from taut.maths.snapshot import Snapshot
 from taut.plant.swing import check_swing
 from taut.record.outcome import Outcome
 from taut.runtime.events import Event
-from taut.runtime.tape import RowLog, Tape
+from taut.runtime.tape import LOG_PERIOD, RowLog, Tape
 
 __all__ = ["FusedRun", "Period"]
 
 BLOCK: Final = 4096  # ticks between two visits of Python
 TASK_BLOCK: Final = 256  # the same for a task, in which a block may have to be taken back
+FIRST_BLOCK: Final = 16  # of a run with a log, which is written by time: how long a tick takes is not known yet
 
-# A loop keeps its code, so that it is traced once however often it runs.
+# A loop keeps its code, so that it is traced once however often it runs. The code is that of a twin of the loop: code
+# that held the loop itself would never be released.
 _COMPILED: Final[WeakKeyDictionary[Loop, NativeLoop | FloatLoop]] = WeakKeyDictionary()
 
 
@@ -135,12 +139,14 @@ class FusedRun:
         check_swing(side, loop.plant, q, self._parameters.views(self._values))
         at_rest = side.at_rest(q)
         task = side.law if isinstance(side.law, Phases) else None
+        block, packed = self._parameters, self._values  # the feed holds these, and not the run, which holds the feed
         self._feed: ReferenceFeed | PhaseFeed = (
             ReferenceFeed(loop.ref, side.law.reference, side.arm, loop.dt, at_rest)
             if task is None
-            else PhaseFeed(task, side, lambda: self._parameters.views(self._values))
+            else PhaseFeed(task, side, lambda: block.views(packed))
         )
         self._of_task, self._drawn = task is not None, 1  # the noise of row 0 is drawn at the start
+        self._size, self._filled = BLOCK, 0  # of the next block; ticks with a reference
         first = np.zeros((1, self._inputs.size))
         memory = self._started(q, v, first)
         self._memory = Block.of({path: np.shape(value) for path, value in memory.items()})
@@ -182,7 +188,8 @@ class FusedRun:
                 made.expect(loop.ticks)
             return made
         sound = self._sound(memory, row)
-        functions = loop.step, loop.substep, loop.plant.substeps - 1
+        twin = copy.copy(loop)
+        functions = twin.step, twin.substep, loop.plant.substeps - 1
         blocks, example = (self._inputs, self._parameters, self._memory), (row, self._values, self._state)
         if loop.engine == "native" and sound:
             made = NativeLoop(*functions, *blocks, example, loop.ticks)
@@ -226,14 +233,16 @@ class FusedRun:
         """Run to the end: (number of rows recorded, outcome)."""
         tape, ticks, k = self.tape, self._loop.ticks, 0
         running = Outcome(kind="stopped", message="the run is still going on", tick=0)
+        self._size = BLOCK if log is None else FIRST_BLOCK
         while k < ticks:
+            began = monotonic()
             refused = self._refused(k)
             if refused is not None:
                 return k, refused
             try:
                 end = self._prepare(k, ticks)
             except Exception as error:
-                if k == 0 or not self._of_task:
+                if k == 0:
                     raise
                 return k, tape.failed(k, error)
             end, done = self._block(k, end)
@@ -244,6 +253,8 @@ class FusedRun:
                 return kept, outcome
             if log is not None:
                 log.write(tape.piece(k, end, running))
+                growth = min(16.0, LOG_PERIOD / max(monotonic() - began, 1e-9))
+                self._size = max(1, int((end - k) * growth))
             advance(end - k)
             k = end
         return ticks, self.tape.completed()
@@ -287,7 +298,7 @@ class FusedRun:
         if isinstance(error, NumericalError):
             message = f"{error} (t = {self.tape.inputs['t'][k]:.6g} s, tick {k})"
             return k, Outcome(kind="diverged", message=message, tick=k - 1, joint=error.joint)
-        if k == 0 or not self._of_task:
+        if k == 0:
             raise error
         return k, self.tape.failed(k, error)
 
@@ -303,9 +314,9 @@ class FusedRun:
             return self.tape.refused(k, new, error)
         return None
 
-    def _end_of_block(self, k: int, ticks: int) -> int:
+    def _end_of_block(self, k: int, ticks: int, size: int) -> int:
         later = bisect_right(self._stops, k)
-        stops = [k + (TASK_BLOCK if self._of_task else BLOCK), ticks, *self._stops[later : later + 1]]
+        stops = [k + min(size, TASK_BLOCK if self._of_task else BLOCK), ticks, *self._stops[later : later + 1]]
         question = self._feed.next_question(k)
         return min(stops if question is None else [*stops, question])
 
@@ -323,9 +334,11 @@ class FusedRun:
         if isinstance(self._feed, PhaseFeed) and k > 0 and Phases.begins(subtree(memory, "law")):
             self._feed.begin(int(memory["law.next"]), k)
             self._feed.prepare(state)
-        end = self._end_of_block(k, ticks)
+        if self._of_task or k >= self._filled:
+            far = self._end_of_block(k, ticks, self._size if self._of_task else BLOCK)
+            self._filled = k + self._feed.fill(self.tape.reference(k, far), k, state)
+        end = min(self._end_of_block(k, ticks, self._size), self._filled)
         self._draw_up_to(end)
-        end = k + self._feed.fill(self.tape.reference(k, end), k, state)
         if before is not None and k > 0:  # in the first tick there is nothing yet to go on from
             self._take_up(k, before)
         return end

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -21,11 +22,11 @@ from taut.maths.snapshot import Snapshot
 from taut.record.outcome import Outcome
 from taut.runtime.events import Event
 from taut.runtime.host import HostPlant
-from taut.runtime.tape import RowLog, Tape
+from taut.runtime.tape import LOG_PERIOD, RowLog, Tape
 
 __all__ = ["HostedRun"]
 
-LOG_EVERY = 512  # ticks between two writes of a log
+LOG_EVERY = 512  # ticks between two writes of a log, at most
 BLOCK = 4096  # ticks whose reference is asked for at once
 
 
@@ -85,8 +86,9 @@ class HostedRun:
         at_once = {path: value for path, value in self._events.get(0, {}).items() if path in side.parameters}
         first = {**ctrl.parameters, **{p: side.checked_parameter(p, v) for p, v in at_once.items()}}
         side.check_start(q, first, ref)
+        blocks = self._kernel.blocks  # the feed holds these, and not the run, which holds the feed
         self._feed: ReferenceFeed | PhaseFeed = (
-            PhaseFeed(side.law, side, lambda: self._kernel.blocks.views("parameters"))
+            PhaseFeed(side.law, side, lambda: blocks.views("parameters"))
             if isinstance(side.law, Phases)
             else ReferenceFeed(ref, side.law.reference, side.arm, side.dt, side.at_rest(q))
         )
@@ -110,13 +112,23 @@ class HostedRun:
 
     def _go(self, advance: Callable[[int], None], log: RowLog | None) -> tuple[int, Outcome]:
         running = Outcome(kind="stopped", message="the run is still going on", tick=0)
-        written = 0
+        written, since = 0, monotonic()
         for k in range(self._ticks):
-            outcome = self._tick(k)
+            try:
+                outcome = self._tick(k)
+            except Exception as error:
+                if k == 0:
+                    raise
+                outcome = self.tape.failed(k, error)
             kept = k + 1 if outcome is None else outcome.tick + 1
-            if log is not None and (kept - written >= LOG_EVERY or outcome is not None or kept == self._ticks):
+            if log is not None and (
+                kept - written >= LOG_EVERY
+                or monotonic() - since >= LOG_PERIOD
+                or outcome is not None
+                or kept == self._ticks
+            ):
                 log.write(self.tape.piece(written, kept, running))
-                written = kept
+                written, since = kept, monotonic()
             if outcome is not None:
                 return kept, outcome
             if k % LOG_EVERY == LOG_EVERY - 1:
@@ -132,12 +144,7 @@ class HostedRun:
         out = tape.outputs
         out["q"][k], out["v"][k] = plant.state()
         measured = plant.measure()
-        try:
-            self._reference(k, measured)
-        except Exception as error:
-            if k == 0 or not isinstance(self._feed, PhaseFeed):
-                raise
-            return tape.failed(k, error)
+        self._reference(k, measured)
         for path, view in self._measured:
             view[...] = measured[path]
         for rows, view in self._wanted:
@@ -155,10 +162,6 @@ class HostedRun:
                 return Outcome(kind="diverged", message=message, tick=k - 1, joint=error.joint)
             _, outcome = tape.diverged(k)
             return Outcome(kind="diverged", message=f"{outcome.message}; {error}", tick=k - 1, joint=outcome.joint)
-        except Exception as error:
-            if k == 0 or not isinstance(self._feed, PhaseFeed):
-                raise
-            return tape.failed(k, error)
         for view, rows in self._given:
             rows[k] = view
         out["tau"][k] = plant.advance(self._command)

@@ -48,8 +48,8 @@ def run(
     """Run a controller against a plant and record every tick.
 
     Model plants are fused with the controller into one native loop; engines are stepped tick by tick. A run that
-    diverges ends with that outcome, and keeps what came before. So does one of a task in which what a phase is to
-    follow fails, or a guard, after the first tick.
+    diverges ends with that outcome, and keeps what came before. So does one in which a function of yours (a source, a
+    trajectory, a guard, a law in plain Python) or the plant raises after the first tick.
 
     Args:
         ctrl: A controller from `taut.compile`, or a whole `taut.Loop` (then leave plant, ref and duration out); or a
@@ -62,7 +62,8 @@ def run(
         v0: (n,) true velocities at the start; zero by default.
         seed: Seed of every random number in the run.
         events: Parameters that change at stated times: taut.Event(t=, set=).
-        log: File (.mcap) that is written while the run goes on.
+        log: File (.mcap) that is written while the run goes on, at most 0.2 s behind. Where it cannot be written any
+            more, such as on a full disk, the run goes on without it, and the outcome counts the ticks it lacks.
         progress: Show progress; by default on a terminal when the run takes a while.
 
     Returns:
@@ -152,7 +153,7 @@ def _of_task(task: Sequence[Phase], plant: Plant | None) -> Controller:
 
 def _recorded(going: FusedRun | HostedRun, log: str | os.PathLike[str] | None, progress: bool | None) -> Run:
     """Run to the end, with a log file and a bar where they are asked for."""
-    from taut.record.log import open_log
+    from taut.record.log import RunLog, open_log
 
     tape = going.tape
     with Progress(len(tape.inputs["t"]), progress) as bar:
@@ -160,10 +161,9 @@ def _recorded(going: FusedRun | HostedRun, log: str | os.PathLike[str] | None, p
             kept, outcome = going.go(bar.advance, None)
             outcome = tape.explained(outcome)
         else:
-            with open_log(log) as file:
+            with RunLog(open_log(log)) as file:
                 kept, outcome = going.go(bar.advance, file)
-                outcome = tape.explained(outcome)
-                file.finish(outcome)
+                outcome = file.finish(tape.explained(outcome))
     return tape.piece(0, kept, outcome)
 
 

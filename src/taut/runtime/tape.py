@@ -14,7 +14,7 @@ from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
 from taut.codegen.program import failure
-from taut.control.lawside import LawSide
+from taut.control.lawside import LawSide, wild_term
 from taut.control.phases import NO_CONTACT, Phases
 from taut.control.targets import far_away, may_bound
 from taut.loop import AnyPlant
@@ -30,6 +30,7 @@ COLUMNS = ("q", "v", "tau", "command")
 
 SANE: Final = 1e6  # [rad/s | m/s]
 SEEN: Final = 1e-3  # [m] out of reach: less than that is nobody's concern
+LOG_PERIOD: Final = 0.1  # [s] of computing between two writes of a log, which is so at most twice that behind
 BEYOND: Final = 0.01  # [rad | m] beyond a limit: more than an engine's soft stop gives way
 
 
@@ -38,10 +39,6 @@ class RowLog(Protocol):
 
     def write(self, rows: Run) -> None:
         """Append the ticks of a piece of the run."""
-        ...
-
-    def finish(self, outcome: Outcome) -> None:
-        """Write how the run ended, and what readers need."""
         ...
 
 
@@ -199,7 +196,7 @@ class Tape:
         return Outcome(kind="stopped", message=message, tick=tick - 1)
 
     def failed(self, tick: int, error: Exception) -> Outcome:
-        """The outcome of a run that ends before a tick in which a function of the caller's failed."""
+        """The outcome of a run that ends before a tick in which a function of the caller's, or the plant, failed."""
         how = str(error) if isinstance(error, TautError) else failure(error)
         message = f"stopped at t = {self.inputs['t'][tick]:.6g} s (tick {tick}): {how}"
         return Outcome(kind="stopped", message=message, tick=tick - 1)
@@ -216,10 +213,12 @@ class Tape:
         t = self.inputs["t"][tick]
         wild = ~np.isfinite(self.outputs["command"][tick])
         if wild.any() and self.is_sane(tick):
-            joint = int(np.argmax(wild))
+            term = wild_term(subtree({path: rows[tick] for path, rows in self.outputs.items()}, "terms"))
+            joint = int(np.argmax(wild)) if term is None else term.joint
             message = (
                 f"the law gives {self.outputs['command'][tick, joint]} for joint '{names[joint]}' at t = {t:.6g} s "
-                f"(tick {tick}), where the arm moves as an arm can; ctrl.step at that state shows where it comes from"
+                f"(tick {tick}){'' if term is None else f', of which the term {term.name!r} is {term.value}'}, where "
+                "the arm moves as an arm can"
             )
             return kept, Outcome(kind="diverged", message=message, tick=kept - 1, joint=names[joint])
         speeds = np.abs(self.outputs["v"][tick])

@@ -152,12 +152,14 @@ class MujocoPlant:
         sensors: Sensors | None = None,
         environment: Environment | None = None,
     ) -> None:
+        adds = Adds.of(adds)
+        self._made_of = {name: value for name, value in locals().items() if name != "self"}
         if not isinstance(arm, Arm):  # callers without a type checker
             raise UsageError(f"a plant takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
         for name, value in (("friction", friction), ("limits", limits)):
             if value not in ("arm", None):
                 raise UsageError(f"{name} must be 'arm' or None; got {value!r}", name=name)
-        what = Adds.of(adds)
+        what = adds
         self._takes = one_of("takes", takes, COMMANDS)
         drives, seen = actuation or Actuation(), sensors or Sensors()
         for name, given, part in (("actuation", drives, Actuation), ("sensors", seen, Sensors)):
@@ -267,6 +269,15 @@ class MujocoPlant:
         plant._take(rig, drives)
         plant._view = SceneView(rig, tool=False)
         return plant
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy is built anew, of the same arguments and with the same parameters, and has a scene of its own."""
+        if self._settings is None:
+            raise UsageError(
+                "an attached plant drives a simulation of yours, so it cannot be copied or pickled; attach another "
+                "one to the copy: taut.MujocoPlant.attach(model, data, arm)"
+            )
+        return _rebuilt, (self._made_of, dict(self.parameters))
 
     def _take(self, rig: Rig, drives: Drives) -> None:
         """Keep what the loop needs; MuJoCo's arrays are looked up here, once."""
@@ -625,3 +636,10 @@ def _place(at: Pose | None, there: bool) -> Pose:
     if not there:
         raise UsageError("scene_at says where the scene stands, and there is none; give scene= too", name="scene_at")
     return at
+
+
+def _rebuilt(made_of: Mapping[str, Any], values: Mapping[str, ArrayLike]) -> MujocoPlant:
+    """A plant of these arguments, with these parameters."""
+    plant = MujocoPlant(**made_of)
+    plant.set_parameters(values)
+    return plant

@@ -16,7 +16,7 @@ from taut.codegen.loop import FloatLoop, NativeLoop
 from taut.maths import dynamics as dyn
 from taut.maths.model import model_of
 from taut.plant.drivetrain import Drivetrain
-from taut.plant.environment import Environment, touch
+from taut.plant.environment import Environment, started, touch
 from taut.plant.step_length import require_short_contact
 from taut.runtime.drivers.mujoco_rig import Rig
 
@@ -63,7 +63,7 @@ class EnvironmentStage:
             lambda more: f"timestep={dt / math.ceil(more * steps * (1.0 - 1e-9)):.9g}",
         )
         values = self._values(parameters, h)
-        memory = self._environment.start(dyn.pose(self._model, q))
+        memory = started(self._environment, dyn.pose(self._model, q))
         if self._loop is None:
             self._inputs = Block.of({"q": (n,), "v": (n,), "t": ()})
             self._parameters = Block.of({path: np.shape(value) for path, value in values.items()})
