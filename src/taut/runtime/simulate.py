@@ -119,20 +119,30 @@ def run(
         )
         info["parameters"] = {path: value.tolist() for path, value in loop.parameters.items()}
         going = FusedRun(loop, q, v, int(seed), due, info)
+        unstable = _judged(judged(ctrl, target, q, going), target, info)
     else:
         assert isinstance(ctrl, Controller)
         both = {**ctrl.parameters, **target.parameters}
         info["parameters"] = {path: value.tolist() for path, value in both.items()}
+        unstable = _judged(judged(ctrl, target, q, None), target, info)
         going = HostedRun(ctrl, target, reference, ticks, q, v, due, info)
-    verdict = judged(ctrl, target, q, going if isinstance(going, FusedRun) else None)
-    info["stability"] = {"stable": None, "message": verdict} if isinstance(verdict, str) else verdict.json()
-    unstable = verdict.message if isinstance(verdict, Judgement) and verdict.unstable else None
-    if unstable is not None:
-        if isinstance(target, RealArm) and target.real:
-            raise RangeError(f"{unstable} (plant '{target.name}' is a real arm: nothing was sent)", name="law")
-        warn(unstable, StabilityWarning)
-        going.tape.unstable = unstable
+    going.tape.unstable = unstable
     return _recorded(going, log, progress)
+
+
+def _judged(verdict: Judgement | str, plant: Plant, info: dict[str, Any]) -> str:
+    """Record the judgement of the start; why the loop is unstable, or nothing, after a warning.
+
+    Raises:
+        RangeError: It is, and the plant is a real arm.
+    """
+    info["stability"] = {"stable": None, "message": verdict} if isinstance(verdict, str) else verdict.json()
+    if isinstance(verdict, str) or not verdict.unstable:
+        return ""
+    if isinstance(plant, RealArm) and plant.real:
+        raise RangeError(f"{verdict.message} (plant '{plant.name}' is a real arm: nothing was sent)", name="law")
+    warn(verdict.message, StabilityWarning)
+    return verdict.message
 
 
 def _of_task(task: Sequence[Phase], plant: Plant | None) -> Controller:
