@@ -27,6 +27,7 @@ FEWEST: Final = 16  # ticks of a part of a run
 SURE: Final = 3.0  # standard errors of what a payload has beyond the declared one
 TINY: Final = 1e-12  # [kg] a mass that is none
 WEAK: Final = 0.01  # of what is known of a centre before the run: it only holds what nothing else does
+ROUNDING: Final = 1e-9  # of the residual: a solver stops this near to a bound without reaching it
 FRICTION: Final = ("viscous", "coulomb")
 
 
@@ -58,8 +59,9 @@ def fit_of(model: ArmModel, size: Float64Array) -> Fit:
     to the joints that move; where next to nothing does, or too little to tell a payload's mass to a third, to all. A
     payload is a mass m >= 0 where the declared one is, or one with a centre c of its own: a point mass, of inertia
     -m S(c)^2 about the tool frame. The hypothesis with the least Bayesian information criterion is kept, in which
-    what lies under 1 % of the largest gravity torque counts as noise. A payload whose centre is further from the
-    tool than a quarter of the arm is none: that is a wrong arm.
+    what lies under 1 % of the largest gravity torque counts as noise; where friction alone leaves no more than that
+    of joints in motion, no load is looked for, since one joint that moves one way cannot distinguish them. A payload
+    whose centre is further from the tool than a quarter of the arm is none: that is a wrong arm.
 
     Where no load explains the whole run, one of a part of it is looked for, from the tick on, or up to it, that parts
     the run best into two with a mass each; in the other one the torques are those of the model.
@@ -92,7 +94,8 @@ def _of_stretch(model: ArmModel, size: Float64Array, stretch: slice) -> Fit:
     """What explains the residual of some of the ticks."""
     there = np.zeros((len(model.ticks), 1), dtype=bool)
     there[stretch] = True
-    moving = (np.abs(model.run.v[model.ticks]) > MOVING) & there
+    v, after = model.run.v[model.ticks], model.run.v[model.ticks + 1]
+    moving = (np.minimum(np.abs(v), np.abs(after)) > MOVING) & (v * after > 0.0) & there  # throughout the period
     if moving[stretch].any(axis=1).mean() >= ENOUGH:
         found = _fitted(model, size, moving, moving)  # what dry friction holds says nothing of a load
         if found.kind != "payload" or abs(found.mass - found.told) > SURE * found.mass_error:
@@ -119,7 +122,7 @@ def _change(model: ArmModel, size: Float64Array) -> tuple[int | None, float]:
 
 def _fitted(model: ArmModel, size: Float64Array, moving: Any, used: Any) -> Fit:
     """The best hypothesis for the ticks and joints that are used; dry friction is one where they move."""
-    v = model.run.v[model.ticks]
+    v = 0.5 * (model.run.v[model.ticks] + model.run.v[model.ticks + 1])
     problem = _Problem(model=model, size=size, used=used)
     friction = FRICTION if used is moving else FRICTION[:1]
     columns = {
@@ -128,11 +131,12 @@ def _fitted(model: ArmModel, size: Float64Array, moving: Any, used: Any) -> Fit:
         "viscous": np.einsum("ki,ij->kij", v, np.eye(model.run.n)),
         "coulomb": np.einsum("ki,ij->kij", np.sign(v) * moving, np.eye(model.run.n)),
     }
-    sets: list[tuple[str, ...]] = [(), friction]
-    if np.any(model.arm.gravity):  # without it inertia alone tells of a load, which friction hides
+    without: list[tuple[str, ...]] = [(), friction]
+    tried = [problem.solved(names, columns) for names in without]
+    by_friction = used is moving and min(each.left for each in tried if each is not None) <= problem.floor**2
+    if np.any(model.arm.gravity) and not by_friction:  # without it inertia alone tells of a load
         for load in ("gravity", "mass", "centre"):
-            sets += [(load,), (load, *friction)]
-    tried = [problem.solved(names, columns) for names in sets]
+            tried += [problem.solved(names, columns) for names in ((load,), (load, *friction))]
     return problem.told(min((each for each in tried if each is not None), key=lambda each: each.cost), columns)
 
 
@@ -143,6 +147,7 @@ class _Solved:
     names: tuple[str, ...]
     load: Float64Array  # (0,), (1,) or (4,): part of gravity, mass, or mass and centre
     friction: Float64Array
+    left: float  # mean square of what it leaves, of torques over their sizes
     cost: float
 
 
@@ -200,10 +205,10 @@ class _Problem:
             load, friction = values[: len(loads)], values[len(loads) :]
             tau = loads[0] @ load if loads else np.zeros_like(d)
         left = d - tau - (np.concatenate(rubbing, axis=1) @ friction if rubbing else 0.0)
-        variance = float(np.mean(left**2)) + self.floor**2
+        square = float(np.mean(left**2))
         used_up = len(load) + np.count_nonzero(friction > 0.0)
-        cost = INDEPENDENT * math.log(variance) + used_up * math.log(INDEPENDENT)
-        return _Solved(names=names, load=load, friction=friction, cost=cost)
+        cost = INDEPENDENT * math.log(square + self.floor**2) + used_up * math.log(INDEPENDENT)
+        return _Solved(names=names, load=load, friction=friction, left=square, cost=cost)
 
     # ---------------------------------------------------------------- a payload with a centre
 
@@ -343,5 +348,6 @@ def _bounded(d: Float64Array, columns: list[Float64Array], low: list[float]) -> 
     if told.any():
         Q, R = np.linalg.qr(X[:, told] / scale[told])  # the same problem in as many rows as numbers
         bounds = (least[told] * scale[told], np.inf)
-        out[told] = lsq_linear(R, Q.T @ d, bounds=bounds).x / scale[told]
+        x = lsq_linear(R, Q.T @ d, bounds=bounds).x
+        out[told] = np.where(np.abs(x) > ROUNDING * np.linalg.norm(d), x, 0.0) / scale[told]
     return out

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,7 +21,7 @@ from taut.codegen.function import native
 from taut.maths import dynamics as dyn
 from taut.maths.chain import Chain
 from taut.maths.model import PayloadValues, model_of
-from taut.record.arm_numbers import DYNAMICS, with_numbers
+from taut.record.arm_numbers import DYNAMICS, arm_from_json, arm_json, differences
 from taut.record.run import Run
 from taut.record.sticking import MOVING
 from taut.record.task import TOOL
@@ -56,19 +55,30 @@ def model_of_run(run: Run, arm: Arm | None) -> tuple[ArmModel | None, str]:
                 f"{', '.join(arm.joint_names)}; give the arm that the controller was compiled for",
                 name="arm",
             )
-        return ArmModel(run=run, arm=arm), "the arm that was given"
+        words = "the arm that was given"
+        of_log = _of_log(run)
+        apart = () if of_log is None else differences(arm_json(of_log), arm_json(arm))
+        if apart:
+            words += f", which differs from the controller's arm in the log in {', '.join(apart)}; without it that one is used"
+        return ArmModel(run=run, arm=arm), words
     name = run.info.get("arm")
-    for known, words in ((_by_name(run, name), f"arm '{name}' of the catalogue"), (run.arm, "the arm of the plant")):
-        if known is None or not _same_kinematics(run, known):
-            continue
-        found = _with_numbers(known, json.dumps(run.info[DYNAMICS])) if DYNAMICS in run.info else known
-        if found is not None:
-            changed = "" if found is known else ", with the masses, gravity and gears that the log has"
-            return ArmModel(run=run, arm=found), words + changed
+    for known, words in (
+        (_of_log(run), f"arm '{name}' of the controller, with the masses, gravity and gears that the log has"),
+        (_by_name(run, name), f"arm '{name}' of the catalogue"),
+        (run.arm, "the arm of the plant"),
+    ):
+        if known is not None and _same_kinematics(run, known):
+            return ArmModel(run=run, arm=known), words
     return (
         None,
-        "none, so that gravity and payload were not looked at; give arm= that the controller was compiled for",
+        "none, so that gravity and payload were not looked at; give arm= (--arm) that the controller was compiled for",
     )
+
+
+def _of_log(run: Run) -> Arm | None:
+    """The controller's arm, as the run keeps it: the same for a run in memory and for its log."""
+    known = run.info.get(DYNAMICS, {})
+    return arm_from_json(known["controller"]) if isinstance(known, Mapping) and "controller" in known else None
 
 
 def _by_name(run: Run, name: Any) -> Arm | None:
@@ -86,12 +96,6 @@ def _by_name(run: Run, name: Any) -> Arm | None:
 def _mounted(name: str, p: tuple[float, ...], R: tuple[tuple[float, ...], ...]) -> Arm:
     """An arm that taut knows, at a place: the same object each time, so that its torques are compiled once."""
     return load_arm(name, T_WB=Pose(p=p, R=R))
-
-
-@functools.lru_cache(maxsize=16)
-def _with_numbers(arm: Arm, numbers: str) -> Arm | None:
-    """An arm with the numbers of a log, the same object each time."""
-    return with_numbers(arm, json.loads(numbers))
 
 
 def _same_kinematics(run: Run, arm: Arm) -> bool:

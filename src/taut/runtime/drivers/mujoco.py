@@ -152,6 +152,7 @@ class MujocoPlant:
         sensors: Sensors | None = None,
         environment: Environment | None = None,
     ) -> None:
+        self.given = {name: value for name, value in locals().items() if name not in ("self", "arm")}
         if not isinstance(arm, Arm):  # callers without a type checker
             raise UsageError(f"a plant takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
         for name, value in (("friction", friction), ("limits", limits)):
