@@ -175,9 +175,11 @@ def _repeat(run: Run, scenario: Mapping[str, Any], log: str) -> str:
         words = "" if scenario.get("built_in") else "   # a file with the text above"
         return f"taut run {file}{own if '.py:' in str(scenario['law']) else words}"
     info = run.info
-    missing = list(_missing(run))
+    missing = [f"# - {what}" for what in _missing(run)]
     if missing:
-        return "\n".join(["# The log alone does not repeat this run. It does not hold:", *(f"# - {x}" for x in missing)])
+        return "\n".join(
+            ["# The log alone does not repeat this run. It does not hold:", *(f"# - {x}" for x in missing)]
+        )
     parameters, options = info["parameters"], info[OPTIONS]["options"]
     kind = str(info["plant"]).partition("(")[0]
     limits = [path for path in parameters if path.startswith("limits.")]
@@ -248,7 +250,7 @@ def law_of_text(text: str) -> Law | None:
     """The law that prints as this text, of those of taut.laws; None where it is more than its text says."""
     try:
         law = _built(ast.parse(text, mode="eval").body)
-    except (TautError, SyntaxError, ValueError, TypeError, RecursionError, MemoryError):
+    except (TautError, SyntaxError, ValueError, TypeError, AttributeError, RecursionError, MemoryError):
         return None
     return law if isinstance(law, Law) and repr(law) == text else None
 

@@ -143,8 +143,8 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
 
     Args:
         run: From `taut.run` or `taut.load_run`.
-        arm: The arm that the controller was compiled for; by default the one of that name that taut knows, else the
-            plant's, if the tool is where the run says. Without one, gravity and payload are not looked at.
+        arm: The arm that the controller was compiled for; by default the one that the run holds, in memory and in its
+            log. Without one, gravity and payload are not looked at.
 
     Returns:
         The diagnosis; `str()` of it is a report.

@@ -24,6 +24,7 @@ KNOWN: Final = 0.02  # [m] standard error of a payload's centre, beyond which a 
 INDEPENDENT: Final = 100.0  # ticks of a run, neighbours of which are much alike, count as so many
 HALF: Final = 0.5  # of what one mass leaves, that a second one has to explain
 FEWEST: Final = 16  # ticks of a part of a run
+FEWEST_MOVING: Final = 8  # ticks of a joint in motion: fewer cannot distinguish viscous from dry friction
 SURE: Final = 3.0  # standard errors of what a payload has beyond the declared one
 TINY: Final = 1e-12  # [kg] a mass that is none
 WEAK: Final = 0.01  # of what is known of a centre before the run: it only holds what nothing else does
@@ -96,6 +97,7 @@ def _of_stretch(model: ArmModel, size: Float64Array, stretch: slice) -> Fit:
     there[stretch] = True
     v, after = model.run.v[model.ticks], model.run.v[model.ticks + 1]
     moving = (np.minimum(np.abs(v), np.abs(after)) > MOVING) & (v * after > 0.0) & there  # throughout the period
+    moving &= np.sum(moving, axis=0) >= FEWEST_MOVING
     if moving[stretch].any(axis=1).mean() >= ENOUGH:
         found = _fitted(model, size, moving, moving)  # what dry friction holds says nothing of a load
         if found.kind != "payload" or abs(found.mass - found.told) > SURE * found.mass_error:
@@ -122,7 +124,7 @@ def _change(model: ArmModel, size: Float64Array) -> tuple[int | None, float]:
 
 def _fitted(model: ArmModel, size: Float64Array, moving: Any, used: Any) -> Fit:
     """The best hypothesis for the ticks and joints that are used; dry friction is one where they move."""
-    v = 0.5 * (model.run.v[model.ticks] + model.run.v[model.ticks + 1])
+    v = model.run.v[model.ticks + 1]  # friction acts against the speed that a period ends with, in both plants
     problem = _Problem(model=model, size=size, used=used)
     friction = FRICTION if used is moving else FRICTION[:1]
     columns = {

@@ -174,8 +174,8 @@ def bounce_findings(case: Case) -> Iterator[Finding]:
         },
         text=f"the contact opens {often:.0f} times a second, with forces up to {force.max():.3g} N for {mean:.3g} N "
         "in the mean",
-        remedy=f"give the geom of the surface {soft}, so that the force grows with the depth (MuJoCo's default pushes "
-        "with nearly all of it from the first micrometre), or lower kfp and kfi"
+        remedy=f"give the geom of the surface {soft}, so that the force grows with the depth (by default MuJoCo "
+        "pushes with nearly all of it from the first micrometre), or lower kfp and kfi"
         if in_mujoco
         else "lower kfp and kfi, raise kdamp, or press with a tool that gives way",
         picture=Picture(title="measured contact force", ylabel="[N]", t=t, curves={"force": force}, marked=open_),

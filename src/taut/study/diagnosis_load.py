@@ -232,7 +232,7 @@ def _beyond(case: Case, fit: Fit | None, of_load: Finding | None) -> Float64Arra
     """
     if case.model is None or fit is None:
         return case.feedback
-    known = fit.viscous * case.run.v[case.model.ticks] if fit.left <= UNSURE else np.zeros_like(fit.load)
+    known = fit.viscous * case.run.v[case.model.ticks + 1] if fit.left <= UNSURE else np.zeros_like(fit.load)
     if of_load is not None and of_load.name in ("wrong payload", "gravity twice"):
         known = known + fit.load
     return _at_ticks(case, case.model.residual - known)
@@ -325,7 +325,7 @@ def _held_at_the_end(case: Case, fit: Fit | None, beyond: Float64Array, i: int, 
     first = len(run) - int(np.cumprod(resting[::-1]).sum())
     change = float(np.ptp(case.feedback[first:, i]))
     crept = _stiffness(case, i) * np.ptp(run.q[first:, i])  # what a spring says of a joint that still moves
-    return change > TORQUE_CHANGE * case.size[i] and crept < 0.5 * change
+    return bool(change > TORQUE_CHANGE * case.size[i] and crept < 0.5 * change)
 
 
 def _balanced(case: Case, held: Float64Array, pushed: Float64Array) -> bool:

@@ -10,12 +10,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from taut.arm.builtin import BUILT_IN
-from taut.arm.catalogue import CATALOGUE
 from taut.arm.description import Arm
-from taut.arm.load import load_arm
-from taut.base.errors import MatchError, TautError, UsageError
-from taut.base.pose import Pose
+from taut.base.errors import MatchError, UsageError
 from taut.base.types import Float64Array
 from taut.codegen.function import native
 from taut.maths import dynamics as dyn
@@ -55,47 +51,24 @@ def model_of_run(run: Run, arm: Arm | None) -> tuple[ArmModel | None, str]:
                 f"{', '.join(arm.joint_names)}; give the arm that the controller was compiled for",
                 name="arm",
             )
-        words = "the arm that was given"
         of_log = _of_log(run)
         apart = () if of_log is None else differences(arm_json(of_log), arm_json(arm))
-        if apart:
-            words += f", which differs from the controller's arm in the log in {', '.join(apart)}; without it that one is used"
-        return ArmModel(run=run, arm=arm), words
+        other = (
+            f"; the controller's in the log has another {', '.join(apart)}, and is used without it" if apart else ""
+        )
+        return ArmModel(run=run, arm=arm), f"the arm that was given{other}"
     name = run.info.get("arm")
-    for known, words in (
-        (_of_log(run), f"arm '{name}' of the controller, with the masses, gravity and gears that the log has"),
-        (_by_name(run, name), f"arm '{name}' of the catalogue"),
-        (run.arm, "the arm of the plant"),
-    ):
+    of_controller = f"arm '{name}' of the controller, with the masses, gravity and gears that the log has"
+    for known, words in ((_of_log(run), of_controller), (run.arm, "the arm of the plant")):
         if known is not None and _same_kinematics(run, known):
             return ArmModel(run=run, arm=known), words
-    return (
-        None,
-        "none, so that gravity and payload were not looked at; give arm= (--arm) that the controller was compiled for",
-    )
+    return None, "none, so that gravity and payload were not looked at; give the controller's arm, arm= or --arm"
 
 
 def _of_log(run: Run) -> Arm | None:
     """The controller's arm, as the run keeps it: the same for a run in memory and for its log."""
     known = run.info.get(DYNAMICS, {})
     return arm_from_json(known["controller"]) if isinstance(known, Mapping) and "controller" in known else None
-
-
-def _by_name(run: Run, name: Any) -> Arm | None:
-    """The arm of that name that taut knows, standing where the run's stood."""
-    if (name not in BUILT_IN and name not in CATALOGUE) or TOOL not in run.info:
-        return None
-    chain = run.info[TOOL]
-    try:
-        return _mounted(name, tuple(chain["p_WB"]), tuple(map(tuple, chain["R_WB"])))
-    except TautError:  # its package is not installed
-        return None
-
-
-@functools.lru_cache(maxsize=16)
-def _mounted(name: str, p: tuple[float, ...], R: tuple[tuple[float, ...], ...]) -> Arm:
-    """An arm that taut knows, at a place: the same object each time, so that its torques are compiled once."""
-    return load_arm(name, T_WB=Pose(p=p, R=R))
 
 
 def _same_kinematics(run: Run, arm: Arm) -> bool:
