@@ -177,9 +177,7 @@ def _repeat(run: Run, scenario: Mapping[str, Any], log: str) -> str:
     info = run.info
     missing = [f"# - {what}" for what in _missing(run)]
     if missing:
-        return "\n".join(
-            ["# The log alone does not repeat this run. It does not hold:", *(f"# - {x}" for x in missing)]
-        )
+        return "\n".join(["# The log alone does not repeat this run. It does not hold:", *missing])
     parameters, options = info["parameters"], info[OPTIONS]["options"]
     kind = str(info["plant"]).partition("(")[0]
     limits = [path for path in parameters if path.startswith("limits.")]
