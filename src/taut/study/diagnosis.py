@@ -19,7 +19,7 @@ from taut.study.diagnosis_case import MODEL_TERMS, Case
 from taut.study.diagnosis_chatter import chatter_findings
 from taut.study.diagnosis_finding import FAULTS, Finding, Number
 from taut.study.diagnosis_hybrid import bounce_findings, surface_findings
-from taut.study.diagnosis_limits import limit_findings, period_findings
+from taut.study.diagnosis_limits import beyond_limits_findings, limit_findings, period_findings
 from taut.study.diagnosis_lines import TURNS
 from taut.study.diagnosis_load import load_findings
 from taut.study.diagnosis_model import model_of_run
@@ -50,6 +50,7 @@ CAUSES: Final[Mapping[str, frozenset[str]]] = {
     "wrong surface": frozenset({"sags", "sticks", "winds up"}),
     "stick-slip": frozenset({"sticks", "sags", "winds up"}),
     "backlash": frozenset({"saturates", "sticks", "sags"}),
+    "jumps at start": frozenset({"beyond limits"}),
     "chatters": frozenset({"saturates"}),
     "winds up": frozenset({"saturates"}),
     "gravity twice": frozenset({"sags", "sticks"}),
@@ -130,7 +131,7 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
     * sags: a steady error at rest that feedback holds against a constant load
     * winds up: the integral gains a tenth of the feedback while cut, and carries the joint beyond its target
     * saturates: a limit cuts in a twentieth of the run while the error counts
-    * beyond limits: torque above the arm's effort limit in three ticks or more
+    * beyond limits: torque above the arm's effort limit in three ticks or more, and nothing else is wrong later
     * bounces: a pressed contact opens ten times and more, and its force varies by a quarter of its mean
     * loses rank: the smallest singular value is under the border of `sizes_of`, and the law gives something up
     * jumps at start: feedback begins with a quarter of the effort
@@ -229,6 +230,8 @@ def _judged(run: Run, arm: Arm | None) -> Judged:
     found += [*surface_findings(case), *bounce_findings(case)]
     if not any(finding.term == "transmission" for finding in swings):  # else the torque is not that of the link
         found += load_findings(case)
+    if all(finding.name == START for finding in found):  # what else is wrong asks for any torque
+        found += beyond_limits_findings(case)
     return Judged(found=tuple(found), notes=tuple(_not_looked_for(case)), looked_at=_looked_at(case), model=words)
 
 
@@ -351,8 +354,6 @@ def _ordered(found: list[Finding]) -> tuple[Finding, ...]:
 def _causes(one: Finding, other: Finding) -> bool:
     """Whether a finding brings about another; what a limit feeds comes of the limit, and of I of winding up."""
     limited = (one.name, other.name)
-    if other.name == "beyond limits":
-        return one.name != other.name  # whatever else is wrong with a run asks for the torque
     if limited == ("winds up", "oscillates"):
         return other.term == "I"
     if limited == ("oscillates", "winds up"):

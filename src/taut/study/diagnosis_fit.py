@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear
 
-from taut.base.types import Float64Array
+from taut.base.types import Array, Float64Array
 from taut.record.sticking import MOVING
 from taut.study.diagnosis_model import ENOUGH, ArmModel
 
@@ -28,7 +28,6 @@ FEWEST_MOVING: Final = 8  # ticks of a joint in motion: fewer cannot distinguish
 SURE: Final = 3.0  # standard errors of what a payload has beyond the declared one
 TINY: Final = 1e-12  # [kg] a mass that is none
 WEAK: Final = 0.01  # of what is known of a centre before the run: it only holds what nothing else does
-ROUNDING: Final = 1e-9  # of the residual: a solver stops this near to a bound without reaching it
 FRICTION: Final = ("viscous", "coulomb")
 
 
@@ -48,6 +47,7 @@ class Fit:
     centre_error: Float64Array  # (3, 3) [m^2] its covariance
     viscous: Float64Array  # (n,)
     coulomb: Float64Array  # (n,)
+    seen: Array  # (n,) of which joints there was motion enough to show their friction
     told: float  # [kg] of the payload that the law was told
     taken: float | None = None  # [s] from when on a payload is there, where it was not before
     dropped: float | None = None  # [s] until when it is there, where it is not later
@@ -318,6 +318,7 @@ class _Problem:
             centre_error=blur,
             viscous=found["viscous"],
             coulomb=found["coulomb"],
+            seen=np.any(columns["coulomb"] != 0.0, axis=(0, 2)),
             told=self.told_mass,
         )
 
@@ -350,6 +351,5 @@ def _bounded(d: Float64Array, columns: list[Float64Array], low: list[float]) -> 
     if told.any():
         Q, R = np.linalg.qr(X[:, told] / scale[told])  # the same problem in as many rows as numbers
         bounds = (least[told] * scale[told], np.inf)
-        x = lsq_linear(R, Q.T @ d, bounds=bounds).x
-        out[told] = np.where(np.abs(x) > ROUNDING * np.linalg.norm(d), x, 0.0) / scale[told]
+        out[told] = lsq_linear(R, Q.T @ d, bounds=bounds, method="bvls").x / scale[told]  # which reaches the bounds
     return out

@@ -13,7 +13,7 @@ from taut.maths.singularity import BORDER, sizes_of
 from taut.study.diagnosis_case import Case
 from taut.study.diagnosis_finding import Finding, Number, Picture
 
-__all__ = ["limit_findings", "period_findings"]
+__all__ = ["beyond_limits_findings", "limit_findings", "period_findings"]
 
 OFTEN: Final = 0.05  # of the run in which a limit cuts while the error is there
 GAINED: Final = 0.1  # of the largest feedback that the integral gained while the command was cut
@@ -34,8 +34,9 @@ REMEDIES: Final = {
 
 
 def limit_findings(case: Case) -> Iterator[Finding]:
-    """Saturation, torques beyond the arm's limits, wind-up, jumps at the start and singularities."""
-    for finding in (_winds_up(case), _saturates(case), _beyond_limits(case), _jumps(case), _loses_rank(case)):
+    """Saturation, wind-up, jumps at the start and singularities."""
+    winding = _winds_up(case)
+    for finding in (winding, _saturates(case), _jumps(case), _loses_rank(case)):
         if finding is not None:
             yield finding
 
@@ -105,16 +106,16 @@ def _saturates(case: Case) -> Finding | None:
     )
 
 
-def _beyond_limits(case: Case) -> Finding | None:
+def beyond_limits_findings(case: Case) -> Iterator[Finding]:
     """Joint torques above the effort limit of the arm, in three ticks or more: a plant without limits gave them."""
     run, effort = case.run, case.arm_effort
     over = np.abs(run.tau) > (1.0 + NONE) * effort
     if not case.of_torque or (over.sum(axis=0) < TICKS_BEYOND).all():
-        return None
+        return
     i = int(np.argmax(np.max(np.abs(run.tau), axis=0) / effort))
     joint, unit, largest = run.joint_names[i], run.effort_units[i], float(np.abs(run.tau[:, i]).max())
     part = (np.abs(run.tau) - effort)[over] / np.broadcast_to(effort, run.tau.shape)[over]
-    return Finding(
+    yield Finding(
         name="beyond limits",
         term="command",
         joint=joint,

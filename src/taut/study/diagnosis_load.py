@@ -320,8 +320,8 @@ def _held_at_the_end(case: Case, fit: Fit | None, beyond: Float64Array, i: int, 
     by_friction = abs(load) < abs(carried) <= SLACK * _dry(fit, i)
     if not resting[end].all():
         return by_friction and bool(case.settled[i])  # it creeps to where friction holds it
-    if by_friction or np.ptp(run.q[:, i]) <= case.tolerance[i]:  # it never moved by what counts as an error
-        return True
+    if by_friction or np.ptp(run.q[:, i]) <= case.tolerance[i] or not (fit is None or fit.seen[i]):
+        return True  # it never moved by what counts as an error, or stopped at once, as under no constant load
     first = len(run) - int(np.cumprod(resting[::-1]).sum())
     change = float(np.ptp(case.feedback[first:, i]))
     crept = _stiffness(case, i) * np.ptp(run.q[first:, i])  # what a spring says of a joint that still moves
