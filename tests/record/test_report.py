@@ -433,6 +433,24 @@ def test_a_design_has_a_report_whose_lines_design_it_again(
     assert capsys.readouterr().out.strip() == d.report().strip()
 
 
+def test_the_lines_of_a_design_load_no_other_arm() -> None:
+    arm = taut.load_arm("planar2")
+    for changed, lost in (
+        (arm.with_gears(50.0, 1e-3), "gear"),
+        (arm, ""),
+        (taut.load_arm("planar3", tool="link2"), ""),
+    ):
+        d = taut.design(taut.laws.GravityPID, changed, zeta=1.0, omega_n=10.0, rate=500.0)
+        (line,) = (line for line in page_of(d).repeat.splitlines() if line.startswith("arm = "))
+        known: dict[str, Any] = {"taut": taut}
+        exec(line, known)
+        if lost:
+            assert known["arm"] is ...
+            assert lost in line
+        else:
+            assert (known["arm"].name, known["arm"].tool) == (changed.name, changed.tool)
+
+
 def test_a_design_of_an_impedance_has_its_stiffness_in_a_table(tmp_path: Path) -> None:
     d = taut.design(taut.laws.Impedance, taut.load_arm("planar2"), at=[0.3, 0.8], K=[400.0, 20.0], zeta=0.7)
     text = taut.report(d, tmp_path / "d.html").read_text(encoding="utf-8")

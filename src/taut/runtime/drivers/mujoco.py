@@ -82,7 +82,9 @@ class MujocoPlant:
     Args:
         arm: The true arm; make it differ from the controller's and there is a modelling error.
         scene: An MJCF fragment, as text or a path: bodies, geoms, assets, what ties them together. Files come from
-            its own folder only. Options and key frames are refused.
+            its own folder only. Options and key frames are refused. A surface that a tool presses on needs a contact
+            whose force grows with the depth, priority="1" solimp="0 0.9 0.002 0.5 1"; by default it opens and closes
+            every few ticks, since MuJoCo pushes with nearly its whole force from the first micrometre.
         scene_at: Where the scene's origin stands in the world; the world's own origin if left out.
         friction: "arm" for the arm's own viscous and dry friction, None for none.
         limits: "arm" for the arm's own position limits, None for none.
