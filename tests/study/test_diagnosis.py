@@ -105,6 +105,7 @@ SCENARIOS = {  # of all others nothing is said
     ("backlash_cycle", "backlash", "high gain"): ("backlash", "transmission"),
     ("backlash_cycle", "no backlash", "low gain"): ("sags", "P"),  # its friction is behind a spring
     ("cabinet_door", "", "hybrid"): ("wrong surface", "constraint"),
+    ("feedforward_error", "", "feedback"): ("gravity not compensated", "P"),  # PID alone lags under the weight
     ("friction_overcompensated", "30 % too much", "at meas"): ("stick-slip", "friction"),
     ("gain_bounds", "resolution", "modest gains"): ("chatters", "D"),  # 980 N m/s of 10 N m
     ("gain_bounds", "resolution", "large gains"): ("chatters", "D"),
