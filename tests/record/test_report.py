@@ -8,7 +8,9 @@ import io
 import json
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import html5lib
 import matplotlib.figure
@@ -23,7 +25,7 @@ from taut.record.metrics import MEASURES
 from taut.record.report import page_of
 from taut.record.report_html import html_of
 from taut.record.report_page import Page, Picture, Table, without_folders
-from taut.record.report_run import meaning
+from taut.record.report_run import law_in_python, law_of_text, meaning
 
 HTML = "{http://www.w3.org/1999/xhtml}"
 MOST_BYTES = 3_000_000
@@ -152,27 +154,167 @@ def test_the_lines_of_a_report_make_a_task_law_of_six_joints(tmp_path: Path, mon
     require_the_same_again(made)
 
 
-def test_the_lines_of_a_report_say_what_they_leave_to_the_reader() -> None:
-    class Mine(taut.Law):
-        """P control."""
+ROBOT = """<robot name="servo_arm"><link name="base"/>
+<joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" effort="10" velocity="5"/></joint>
+<link name="upper"><inertial><origin xyz="0.1 0 0"/><mass value="0.8"/>
+<inertia ixx="0.001" iyy="0.002" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>"""
+FORCE = taut.laws.Impedance(K=(300.0, 20.0), zeta=0.7)
 
-        kp: taut.Gain  # [N m/rad]
 
-        def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
-            return taut.Torque(P=self.kp @ x.difference(ref.q))
+def moved(arm: taut.Arm, plant: Any, law: taut.Law | None = None, *, events: Any = None, **more: Any) -> taut.Run:
+    """A short run, which begins off what it is to hold."""
+    ctrl = taut.compile(law or taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm, **more)
+    start = plant.arm.home + 0.05
+    ref = None if isinstance(law, taut.laws.Impedance) else taut.JointMotion(q=arm.home)
+    return taut.run(ctrl, plant, ref, duration=0.1, q0=start, events=events)
 
+
+def of_file() -> taut.Run:
+    Path("arm.urdf").write_text(ROBOT)
+    arm = taut.load_arm("arm.urdf")
+    return moved(arm, taut.RigidPlant(arm))
+
+
+def with_tool(name: str, tool: str) -> taut.Run:
+    arm = taut.load_arm(name, tool=tool)
+    return moved(arm, taut.RigidPlant(arm), FORCE)
+
+
+def on_planar(change: Callable[[taut.Arm], taut.Arm] = lambda arm: arm, **options: Any) -> taut.Run:
     arm = taut.load_arm("planar2")
-    plant = taut.RigidPlant(arm, environment=taut.Push(peak=[1.0, 0.0, 0.0], t=0.01, duration=0.01))
-    lines = page_of(taut.run(taut.compile(Mine(kp=1.0), arm), plant, duration=0.02)).repeat
-    assert "# not of taut.laws, to be given by you: Mine" in lines
-    assert (
-        "# The plant had more, without which the numbers are others: environment= of environment.peak, "
-        "environment.t, environment.duration."
-    ) in lines
+    plant = taut.RigidPlant(change(arm), **options)
+    return (
+        moved(arm, plant, adds=plant.adds)
+        if "adds" not in options
+        else moved(arm, plant, taut.laws.PID(kp=30.0, kd=5.0), adds=plant.adds)
+    )
+
+
+def with_gears() -> taut.Run:
+    arm = taut.load_arm("planar2").with_gears(100.0, 1e-4)
+    return moved(arm, taut.RigidPlant(arm))
+
+
+def in_mujoco(**options: Any) -> taut.Run:
+    arm = taut.load_arm("planar2").with_friction(taut.Friction(viscous=0.5, coulomb=0.3))
+    plant = taut.MujocoPlant(arm, **options)
+    return moved(arm, plant, events=[taut.Event(t=0.05, set={"model.payload.mass": 0.5})])
+
+
+REPEATED: dict[str, Callable[[], taut.Run]] = {
+    "a tool frame": lambda: with_tool("panda", "panda_link7"),
+    "another tool frame": lambda: with_tool("xarm7", "link5"),
+    "a file of the user": of_file,
+    "gears": with_gears,
+    "a perturbed plant": lambda: on_planar(lambda arm: arm.perturbed(seed=1, mass=0.2)),
+    "a mounted plant": lambda: on_planar(lambda arm: dataclasses.replace(arm, T_WB=taut.Pose(rpy=[0.2, 0.0, 0.0]))),
+    "substeps": lambda: on_planar(substeps=4),
+    "what the plant adds": lambda: on_planar(adds={"gravity"}),
+    "MuJoCo, an event": in_mujoco,
+    "MuJoCo without friction": lambda: in_mujoco(friction=None),
+}
+
+
+@pytest.mark.parametrize("what", REPEATED)
+def test_the_lines_of_a_report_have_all_that_a_run_was_made_with(
+    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    require_the_same_again(REPEATED[what]())
+
+
+class Mine(taut.Law):
+    """P control.
+
+    Law:          tau = kp e
+    Closed loop:  M e_ddot + kp e = 0
+    """
+
+    kp: taut.Gain  # [N m/rad]
+
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+        return taut.Torque(P=self.kp @ x.difference(ref.q))
+
+
+def of_phases() -> taut.Run:
     arm = taut.load_arm("planar2")
-    alone = page_of(taut.run(taut.compile(taut.laws.PID(kp=1.0), arm), taut.RigidPlant(arm), duration=0.02)).repeat
-    assert "given by you" not in alone
-    assert "The plant had more" not in alone
+    task = [
+        taut.Phase(taut.laws.PID(kp=1.0), taut.JointMotion(q=arm.home), until=lambda x: x.elapsed > 0.02, name="a"),
+        taut.Phase(taut.laws.PID(kp=2.0), taut.JointMotion(q=arm.home), name="b"),
+    ]
+    return taut.run(taut.compile(task, arm), taut.RigidPlant(arm), duration=0.05)
+
+
+def in_a_scene() -> taut.Run:
+    Path("table.xml").write_text(
+        '<mujoco><worldbody><geom type="box" size="1 1 1" pos="0 0 -9"/></worldbody></mujoco>'
+    )
+    return in_mujoco(scene="table.xml")
+
+
+LACKING: dict[str, tuple[Callable[[], taut.Run], list[str]]] = {
+    "a scene": (in_a_scene, ["scene="]),
+    "an own law": (
+        lambda: moved((arm := taut.load_arm("planar2")), taut.RigidPlant(arm), Mine(kp=1.0)),
+        ["Mine(kp=1.0)"],
+    ),
+    "phases": (of_phases, ["a: PID("]),
+    "what touches the arm": (lambda: on_planar(environment=taut.Spring(stiffness=10.0)), ["environment="]),
+    "drives and sensors": (
+        lambda: on_planar(
+            actuation=taut.Actuation(delay=0.002), sensors=taut.Sensors(position=taut.Encoder(noise=1e-5))
+        ),
+        ["actuation=", "sensors="],
+    ),
+    "a filter": (
+        lambda: moved(
+            (arm := taut.load_arm("planar2")), taut.RigidPlant(arm), sensing=taut.Sensing(velocity="difference")
+        ),
+        ["sensing=", "velocity = difference"],
+    ),
+    "what came before": (lambda: on_planar().between(0.02, 0.1), ["t = 0.02 s"]),
+}
+
+
+@pytest.mark.parametrize("what", LACKING)
+def test_where_the_log_does_not_repeat_a_run_no_lines_are_printed_and_what_is_missing_is(
+    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    make, lacking = LACKING[what]
+    lines = page_of(make()).repeat
+    known: dict[str, object] = {}
+    exec(lines, known)  # it is Python, of comments alone
+    assert set(known) <= {"__builtins__"}
+    assert all(word in lines for word in lacking)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "__import__('os').system('true')",
+        "PID(kp=__import__('os').getpid())",
+        "PID(kp=1.0).__class__",
+        "PID(**{'kp': 1.0})",
+        "Mine(kp=1.0)",
+        "[PID(kp=1.0)]",
+        "HybridMotionForce(constraint=Constraint(1 row))",
+        "(" * 10_000,
+        "",
+    ],
+)
+def test_the_text_of_a_law_is_read_and_not_run(text: str) -> None:
+    assert law_of_text(text) is None
+    assert eval(law_in_python(text)) is ...  # dots, and a comment
+
+
+def test_the_text_of_a_law_gives_the_law() -> None:
+    for law in (
+        taut.laws.FeedForward() + taut.laws.PID(kp=[80.0, 60.0], kd=8.0),
+        taut.laws.Admittance(inner=taut.laws.TaskComputedTorque(kp=900.0, kd=60.0), D=(8.0, 1.0), B=(30.0, 3.0)),
+    ):
+        assert repr(law_of_text(repr(law))) == repr(law)
 
 
 def test_a_title_ends_with_a_clause_and_not_within_a_word() -> None:
@@ -289,6 +431,24 @@ def test_a_design_has_a_report_whose_lines_design_it_again(
     lines = page_of(d).repeat
     exec(lines, {})
     assert capsys.readouterr().out.strip() == d.report().strip()
+
+
+def test_the_lines_of_a_design_load_no_other_arm() -> None:
+    arm = taut.load_arm("planar2")
+    for changed, lost in (
+        (arm.with_gears(50.0, 1e-3), "gear"),
+        (arm, ""),
+        (taut.load_arm("planar3", tool="link2"), ""),
+    ):
+        d = taut.design(taut.laws.GravityPID, changed, zeta=1.0, omega_n=10.0, rate=500.0)
+        (line,) = (line for line in page_of(d).repeat.splitlines() if line.startswith("arm = "))
+        known: dict[str, Any] = {"taut": taut}
+        exec(line, known)
+        if lost:
+            assert known["arm"] is ...
+            assert lost in line
+        else:
+            assert (known["arm"].name, known["arm"].tool) == (changed.name, changed.tool)
 
 
 def test_a_design_of_an_impedance_has_its_stiffness_in_a_table(tmp_path: Path) -> None:

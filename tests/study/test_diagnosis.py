@@ -105,6 +105,7 @@ SCENARIOS = {  # of all others nothing is said
     ("backlash_cycle", "backlash", "high gain"): ("backlash", "transmission"),
     ("backlash_cycle", "no backlash", "low gain"): ("sags", "P"),  # its friction is behind a spring
     ("cabinet_door", "", "hybrid"): ("wrong surface", "constraint"),
+    ("feedforward_error", "", "feedback"): ("gravity not compensated", "P"),  # PID alone lags under the weight
     ("friction_overcompensated", "30 % too much", "at meas"): ("stick-slip", "friction"),
     ("gain_bounds", "resolution", "modest gains"): ("chatters", "D"),  # 980 N m/s of 10 N m
     ("gain_bounds", "resolution", "large gains"): ("chatters", "D"),
@@ -233,7 +234,7 @@ def test_an_arm_with_other_links_is_known_from_its_log(tmp_path: Path) -> None:
     assert "with the masses, gravity and gears that the log has" in told.model
     assert told.looked_at["torque beyond the model"].value < 0.1
     old = dataclasses.replace(read, info={key: v for key, v in read.info.items() if key != "dynamics"})
-    assert taut.doctor(old).looked_at["torque beyond the model"].value > 1.0
+    assert "torque beyond the model" not in taut.doctor(old).looked_at  # which arm it was is not guessed by its name
 
 
 def test_laws_side_by_side_are_judged_by_the_error_of_each(tmp_path: Path) -> None:
@@ -497,10 +498,16 @@ def test_a_fault_gaps_and_too_few_ticks_are_told_and_what_can_be_said_is() -> No
 def test_what_is_no_run_is_refused() -> None:
     with pytest.raises(taut.UsageError, match=r"doctor takes a Run from taut\.run or taut\.load_run; got str"):
         taut.doctor("run.mcap")  # type: ignore[arg-type]
-    with pytest.raises(taut.RangeError, match="a run of 16 ticks at least is needed"):
-        taut.doctor(heavy().between(0.0, 0.01))
     with pytest.raises(taut.MatchError, match="the run is of joints panda_joint1"):
         taut.doctor(heavy(), arm=taut.load_arm("ur10"))
+
+
+def test_a_run_of_a_few_ticks_is_answered() -> None:
+    for few in (1, 2, 6, 15):
+        told = taut.doctor(heavy().between(-1.0, (few - 1) * 1e-3))
+        assert (told.findings, told.healthy) == ((), False)
+        assert f"{few} ticks are too few" in told.problems[0]
+        assert json.dumps(told.json(), allow_nan=False)
 
 
 def test_a_task_is_looked_at_phase_by_phase(tmp_path: Path) -> None:

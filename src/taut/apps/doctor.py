@@ -48,7 +48,6 @@ def examine(log: Path, arm: str | None, folder: Path | None) -> Report:
     Raises:
         FileError: No log, or a folder that cannot be made or written to.
         MatchError: An arm with other joints.
-        RangeError: Too few ticks to say anything.
     """
     run = load_run(log)
     diagnosis = doctor(run, arm=None if arm is None else load_arm(arm))

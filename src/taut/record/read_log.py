@@ -35,8 +35,9 @@ Block = tuple[Array, dict[str, Float64Array]]  # numbers of the ticks (k,), and 
 def load_run(path: str | os.PathLike[str]) -> Run:
     """Read a log that `run.save` or `taut.run(..., log=)` wrote.
 
-    Every array, the outcome and the info are exactly what was recorded; only the arm is not in the file. Of a file
-    that was cut off or damaged, all ticks that are whole are returned, and the outcome says what is missing.
+    Every array, the outcome and the info are exactly what was recorded, the arms (`run.arms`) among it; only what is
+    drawn of an arm is not in the file. Of a file that was cut off or damaged, all ticks that are whole are returned,
+    and the outcome says what is missing.
 
     Args:
         path: A .mcap file.

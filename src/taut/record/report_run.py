@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import math
 import re
@@ -11,20 +12,23 @@ from typing import Any, Final
 
 import numpy as np
 
-from taut.arm.builtin import BUILT_IN
-from taut.arm.catalogue import CATALOGUE
-from taut.base.errors import UsageError, count_of
+from taut.base.errors import TautError, UsageError, count_of
+from taut.control import laws
+from taut.control.law import Law
+from taut.control.sensing import Sensing
 from taut.record.metrics import LIMITS, MEASURES, Metrics
 from taut.record.phases import PHASES
-from taut.record.report_page import VERSIONS, Page, Picture, Table
+from taut.record.plant_options import OPTIONS
+from taut.record.report_page import VERSIONS, Page, Picture, Table, stated
 from taut.record.run import Run
 from taut.record.style import short
 from taut.record.table import number_text
 
-__all__ = ["SCENARIO", "faults_of", "law_in_python", "meaning", "page_of_run"]
+__all__ = ["SCENARIO", "faults_of", "law_in_python", "law_of_text", "meaning", "page_of_run"]
 
 SCENARIO: Final = "scenario"  # in run.info: name, law, case and text of the scenario that it is a run of
 FEWEST_TICKS: Final = 2
+PLANTS: Final = ("RigidPlant", "MujocoPlant")
 LATE: Final = 1.5  # periods between two ticks that follow each other
 LONGEST: Final = 400  # letters of a value
 
@@ -170,23 +174,29 @@ def _repeat(run: Run, scenario: Mapping[str, Any], log: str) -> str:
         file = scenario["name"] if scenario.get("built_in") else f"{scenario['name']}.toml"
         words = "" if scenario.get("built_in") else "   # a file with the text above"
         return f"taut run {file}{own if '.py:' in str(scenario['law']) else words}"
-    from taut.control import laws
-
     info = run.info
-    parameters = info.get("parameters", {})
-    arm, law, plant = str(info.get("arm")), str(info.get("law")), str(info.get("plant"))
-    known = arm in BUILT_IN or arm in CATALOGUE
-    in_mujoco = plant.startswith("MujocoPlant")
+    missing = [f"# - {what}" for what in _missing(run)]
+    if missing:
+        return "\n".join(["# The log alone does not repeat this run. It does not hold:", *missing])
+    parameters, options = info["parameters"], info[OPTIONS]["options"]
+    kind = str(info["plant"]).partition("(")[0]
     limits = [path for path in parameters if path.startswith("limits.")]
     words = ", ".join(f'{path.partition(".")[2]}=known["{path}"]' for path in limits)
+    given = f", limits=taut.Limits({words})" if limits else ""
+    given += ", adds=plant.adds" if "adds" in options else ""
+    start = f"q0=old.q[0], v0=old.v[0], seed={info.get('seed', 0)}"
+    if info.get("events"):
+        start += ', events=[taut.Event(**event) for event in old.info["events"]]'
+    loop = "taut.Loop(ctrl, plant, Recorded(), duration=old.t[-1])"
     lines = [
         "import taut",
         "",
         f'old = taut.load_run("{log}")   # the log of this run, of run.save("{log}")',
         'known = old.info["parameters"]',
-        f'arm = taut.load_arm("{arm}")' + ("" if known else "   # your model of that name"),
-        f"law = {law_in_python(law)}",
-        f"ctrl = taut.compile(law, arm, rate={run.rate!r}{f', limits=taut.Limits({words})' if limits else ''})",
+        "arm, true_arm = old.arms   # of the controller and of the plant",
+        f"plant = taut.{kind}({', '.join(['true_arm', *(f'{name}={value!r}' for name, value in options.items())])})",
+        f"law = {law_in_python(str(info['law']))}",
+        f"ctrl = taut.compile(law, arm, rate={run.rate!r}{given})",
         "",
         "",
         "class Recorded:   # what the run followed, tick by tick",
@@ -195,51 +205,67 @@ def _repeat(run: Run, scenario: Mapping[str, Any], log: str) -> str:
         "        return kind.of({name: getattr(old.reference, name)[k] for name in kind.fields(old.n)})",
         "",
         "",
-        f"plant = taut.{'MujocoPlant' if in_mujoco else 'RigidPlant'}({_truth(info, in_mujoco=in_mujoco)})",
+        *(
+            [
+                "plant.set_parameters({path: value for path, value in known.items() if path in plant.parameters})",
+                "for path in set(known) & set(ctrl.parameters):",
+                "    ctrl.parameters[path] = known[path]",
+                f"run = taut.run(ctrl, plant, Recorded(), duration=old.t[-1], {start})",
+            ]
+            if kind == "MujocoPlant"
+            else [
+                f"loop = {loop}",
+                "for path in set(known) & set(loop.parameters):",
+                "    loop.parameters[path] = known[path]",
+                f"run = taut.run(loop, {start})",
+            ]
+        ),
     ]
-    start = f"q0=old.q[0], v0=old.v[0], seed={info.get('seed', 0)}"
-    if in_mujoco:
-        lines += [
-            "plant.set_parameters({path: value for path, value in known.items() if path in plant.parameters})",
-            f"run = taut.run(ctrl, plant, Recorded(), duration=old.t[-1], {start})",
-        ]
-    else:
-        lines += [
-            "loop = taut.Loop(ctrl, plant, Recorded(), duration=old.t[-1])",
-            "for path in set(known) & set(loop.parameters):",
-            "    loop.parameters[path] = known[path]",
-            f"run = taut.run(loop, {start})",
-        ]
-    unknown = [name for name in re.findall(r"\b([A-Z]\w*)(?=\()", law) if name not in laws.__all__]
-    if unknown:
-        lines.insert(1, f"# not of taut.laws, to be given by you: {', '.join(dict.fromkeys(unknown))}")
-    around = {"environment": "environment=", "contact": "contact="}
-    given = [
-        f"{word} of {', '.join(path for path in parameters if path.startswith(f'{head}.'))}"
-        for head, word in around.items()
-        if any(path.startswith(f"{head}.") for path in parameters)
-    ]
-    missing = [f"# The plant had more, without which the numbers are others: {'; '.join(given)}."] if given else []
-    note = "# Kinds of sensors, drives and filters, and the integrator's steps, are the usual ones here; give yours."
-    return "\n".join([*lines, *missing, note])
+    return "\n".join(lines)
 
 
-FRICTION: Final = "plant.friction."
+def _missing(run: Run) -> Iterator[str]:
+    """What a run does not hold of itself, without which lines that read its log would make another one."""
+    info = run.info
+    try:
+        _ = run.arms
+    except UsageError:
+        yield "the arms of controller and plant"
+    text, made = str(info.get("law")), info.get(OPTIONS, {})
+    if law_of_text(text) is None:
+        yield f"the law beyond its text, {short(text, LONGEST)}"
+    if str(info.get("sensing")) != stated(Sensing()):
+        yield f"sensing= of taut.compile beyond its text, {info.get('sensing')}"
+    if str(info.get("plant")).partition("(")[0] not in PLANTS or made.get("options") is None:
+        yield f"the plant, {info.get('plant')}"
+    elif made["others"]:
+        yield f"what the plant was given as {', '.join(f'{name}=' for name in made['others'])}"
+    if run.t[0] > 0.5 / run.rate:
+        yield f"what came before t = {run.t[0]:g} s"
 
 
-def _truth(info: Mapping[str, Any], *, in_mujoco: bool) -> str:
-    """The arm of a plant in Python, with the friction that it had; in MuJoCo parameters set it."""
-    if in_mujoco:
-        return "arm"
-    parts = [path for path in info.get("parameters", {}) if path.startswith(FRICTION)]
-    if not parts:
-        return "arm, friction=None"
-    words = ", ".join(f'{path.removeprefix(FRICTION)}=known["{path}"]' for path in parts)
-    return f"arm.with_friction(taut.Friction({words}))"
+def law_of_text(text: str) -> Law | None:
+    """The law that prints as this text, of those of taut.laws; None where it is more than its text says."""
+    try:
+        law = _built(ast.parse(text, mode="eval").body)
+    except (TautError, SyntaxError, ValueError, TypeError, AttributeError, RecursionError, MemoryError):
+        return None
+    return law if isinstance(law, Law) and repr(law) == text else None
+
+
+def _built(node: ast.expr) -> Any:
+    """A law, a sum of laws, or plain values, and nothing else: the text of a log is not run."""
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
+        return _built(node.left) + _built(node.right)
+    if not isinstance(node, ast.Call):
+        return ast.literal_eval(node)
+    if not isinstance(node.func, ast.Name) or node.func.id not in laws.__all__ or node.args:
+        raise ValueError(ast.unparse(node))
+    return getattr(laws, node.func.id)(**{str(word.arg): _built(word.value) for word in node.keywords})
 
 
 def law_in_python(law: str) -> str:
-    """The law's text with the package before the names that are ours."""
-    from taut.control import laws
-
+    """The law's text with the package before the names that are ours; dots where the text does not make the law."""
+    if law_of_text(law) is None:
+        return f"...   # {short(' '.join(law.split()), LONGEST)}"
     return re.sub(r"\b([A-Z]\w*)(?=\()", lambda m: f"taut.laws.{m[1]}" if m[1] in laws.__all__ else m[1], law)

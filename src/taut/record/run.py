@@ -15,7 +15,7 @@ import numpy as np
 from taut.arm.angles import short_way
 from taut.arm.description import Arm
 from taut.base.checks import finite_scalar
-from taut.base.errors import RangeError, count_of
+from taut.base.errors import RangeError, UsageError, count_of
 from taut.base.named import Named
 from taut.base.types import Float64Array
 from taut.control.reference import Sample
@@ -120,6 +120,21 @@ class Run:
         from taut.record.metrics import metrics_of
 
         return metrics_of(self)
+
+    @property
+    def arms(self) -> tuple[Arm, Arm]:
+        """The arms that the controller and the plant had, without what is only drawn; a log holds them too.
+
+        Raises:
+            UsageError: The run was not made by `taut.run`, or its log holds none.
+        """
+        from taut.record.arm_numbers import DYNAMICS, arm_from_json
+
+        known = self.info.get(DYNAMICS, {})
+        both = [arm_from_json(known[name]) for name in ("controller", "plant") if name in known]
+        if len(both) != 2 or both[0] is None or both[1] is None:
+            raise UsageError("the run does not hold the arms that it was made with; it is no run of taut.run")
+        return both[0], both[1]
 
     def part(self, name: str) -> Run:
         """The run of one of the laws side by side: its joints, its terms, what it followed, its metrics.

@@ -15,7 +15,8 @@ from taut.control.phase import Phase
 from taut.control.reference import Hold, Reference, as_reference
 from taut.controller import Controller, compile
 from taut.loop import Loop, ModelPlant, check_fit, duration_of_ticks, require_no_reference, state_at_start
-from taut.record.arm_numbers import DYNAMICS, arm_numbers
+from taut.record.arm_numbers import DYNAMICS, arm_json
+from taut.record.plant_options import OPTIONS, plant_options
 from taut.record.progress import Progress
 from taut.record.report_page import VERSIONS, stated, versions
 from taut.record.run import Run
@@ -101,8 +102,9 @@ def run(
         "seed": int(seed),
         "law": repr(law),
         "arm": ctrl.side.arm.name,
-        DYNAMICS: arm_numbers(ctrl.side.arm),
+        DYNAMICS: {"controller": arm_json(ctrl.side.arm), "plant": arm_json(target.arm)},
         "plant": target.name,
+        OPTIONS: plant_options(target),
         "events": [event.json() for _, event in due],
         "sensing": stated(ctrl.side.sensing),
         "command_limits": "none" if ctrl.side.limits is None else stated(ctrl.side.limits),

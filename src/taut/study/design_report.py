@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from taut.arm.builtin import BUILT_IN
-from taut.arm.catalogue import CATALOGUE
+from taut.arm.description import Arm
+from taut.arm.load import load_arm
+from taut.base.errors import TautError
+from taut.record.arm_numbers import arm_json, differences
 from taut.record.report_page import Page, Picture, Table
 from taut.record.report_run import law_in_python
 from taut.record.table import number_text
@@ -148,17 +150,25 @@ def _python(value: object) -> str:
     return f"{float(array):.9g}" if array.ndim == 0 else str(np.round(array, 9).tolist())
 
 
+def _arm_in_python(arm: Arm) -> str:
+    """The call that loads an arm by its name and tool; dots where that gives another one."""
+    call = f'taut.load_arm("{arm.name}", tool="{arm.tool}")'
+    try:
+        apart = differences(arm_json(load_arm(arm.name, tool=arm.tool)), arm_json(arm))
+    except TautError:
+        return f"...   # your arm '{arm.name}', which taut does not load by its name"
+    return f"...   # your arm: {call} has another {', '.join(apart)}" if apart else call
+
+
 def _again(d: Design) -> str:
     """Lines of Python; what a design does not keep stands as a comment."""
-    name = d.arm.name
-    known = "" if name in BUILT_IN or name in CATALOGUE else "   # your model of that name"
     asked = "".join(f", {what}={_python(value)}" for what, value in d.asked.items())
     at = np.array([pose.q for pose in d.poses])
     return "\n".join(
         [
             "import taut",
             "",
-            f'arm = taut.load_arm("{name}"){known}',
+            f"arm = {_arm_in_python(d.arm)}",
             f"law = {law_in_python(repr(d.law))}   # whose gains are replaced",
             f"at = {_python(at if len(at) > 1 else at[0])}",
             f"print(taut.design(law, arm, at=at, rate={d.rate!r}{asked}))",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.errors import RangeError, UsageError
+from taut.base.errors import UsageError
 from taut.base.types import Array, Float64Array
 from taut.control.limiting import LIMIT_TERMS
 from taut.record.phases import PHASES
@@ -18,8 +18,9 @@ from taut.record.run import Run
 from taut.study.diagnosis_case import MODEL_TERMS, Case
 from taut.study.diagnosis_chatter import chatter_findings
 from taut.study.diagnosis_finding import FAULTS, Finding, Number
-from taut.study.diagnosis_hybrid import surface_findings
-from taut.study.diagnosis_limits import limit_findings, period_findings
+from taut.study.diagnosis_hybrid import bounce_findings, surface_findings
+from taut.study.diagnosis_limits import beyond_limits_findings, limit_findings, period_findings
+from taut.study.diagnosis_lines import TURNS
 from taut.study.diagnosis_load import load_findings
 from taut.study.diagnosis_model import model_of_run
 from taut.study.diagnosis_phases import SHORT, SHORT_TIME, Judged, of_phases
@@ -44,10 +45,12 @@ CAUSES: Final[Mapping[str, frozenset[str]]] = {
     "runs late": frozenset({"oscillates", "saturates"}),
     "loses rank": frozenset({"oscillates", "saturates", "jumps at start", "chatters"}),
     "oscillates": frozenset({"saturates", "chatters", "winds up", "sticks", "sags"}),
+    "bounces": frozenset({"saturates", "chatters", "oscillates", "sags", "sticks", "winds up", "jumps at start"}),
     "sticks": frozenset({"sags"}),
     "wrong surface": frozenset({"sags", "sticks", "winds up"}),
     "stick-slip": frozenset({"sticks", "sags", "winds up"}),
     "backlash": frozenset({"saturates", "sticks", "sags"}),
+    "jumps at start": frozenset({"beyond limits"}),
     "chatters": frozenset({"saturates"}),
     "winds up": frozenset({"saturates"}),
     "gravity twice": frozenset({"sags", "sticks"}),
@@ -128,6 +131,8 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
     * sags: a steady error at rest that feedback holds against a constant load
     * winds up: the integral gains a tenth of the feedback while cut, and carries the joint beyond its target
     * saturates: a limit cuts in a twentieth of the run while the error counts
+    * beyond limits: torque above the arm's effort limit in three ticks or more, and nothing else is wrong later
+    * bounces: a pressed contact opens ten times and more, and its force varies by a quarter of its mean
     * loses rank: the smallest singular value is under the border of `sizes_of`, and the law gives something up
     * jumps at start: feedback begins with a quarter of the effort
     * wrong surface: in contact, phi of a hybrid law's constraint is 2 mm or 2 mrad RMS
@@ -139,8 +144,8 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
 
     Args:
         run: From `taut.run` or `taut.load_run`.
-        arm: The arm that the controller was compiled for; by default the one of that name that taut knows, else the
-            plant's, if the tool is where the run says. Without one, gravity and payload are not looked at.
+        arm: The arm that the controller was compiled for; by default the one that the run holds, in memory and in its
+            log. Without one, gravity and payload are not looked at.
 
     Returns:
         The diagnosis; `str()` of it is a report.
@@ -148,7 +153,6 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
     Raises:
         UsageError: No run, or an arm that is none.
         MatchError: An arm with other joints.
-        RangeError: A run of fewer than 16 ticks, of which nothing can be said.
 
     Example:
         >>> import taut
@@ -166,24 +170,15 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
     """
     if not isinstance(run, Run):
         raise UsageError(f"doctor takes a Run from taut.run or taut.load_run; got {type(run).__name__}", name="run")
-    if len(run) < FEWEST and not run.outcome.ok:
-        raise RangeError(
-            f"a run of {FEWEST} ticks at least is needed to say why it ended in a fault; got {len(run)}: "
-            f"{run.outcome.message}",
-            name="run",
-            value=len(run),
-        )
-    if len(run) < FEWEST:
-        raise RangeError(
-            f"a run of {FEWEST} ticks at least is needed to say anything; got {len(run)}; record it for longer",
-            name="run",
-            value=len(run),
-        )
     problems = [] if run.outcome.ok else [f"it ended in a fault: {run.outcome}"]
+    if len(run) < FEWEST:
+        return _of_a_few_ticks(run, arm, problems)
     whole, gaps = _without_gaps(run)
     problems += gaps
-    whole, unknown = _with_numbers(whole)
+    whole, unknown = (None, []) if whole is None else _with_numbers(whole)
     problems += unknown
+    if whole is None:
+        return Diagnosis(findings=(), problems=tuple(problems), notes=(), looked_at={}, model="none was needed")
     sane, finite = _sane(whole)
     if len(sane) < len(whole):
         problems.append(f"it ran away: what came after {sane.t[-1]:.4g} s says nothing of the arm and was left out")
@@ -209,15 +204,34 @@ def doctor(run: Run, *, arm: Arm | None = None) -> Diagnosis:
     )
 
 
+def _of_a_few_ticks(run: Run, arm: Arm | None, problems: list[str]) -> Diagnosis:
+    """The diagnosis of a run that is over before most tests have anything to go by: an oscillation that grows."""
+    model, words = model_of_run(run, arm)
+    found: list[Finding] = []
+    if len(run) > TURNS and PHASES not in run.info:
+        with np.errstate(over="ignore"):
+            found = list(runaway_findings(Case(run=_sane(run)[1], model=model)))
+    few = f"{len(run)} ticks are too few for anything but an oscillation that grows; {FEWEST} at least are needed"
+    return Diagnosis(
+        findings=tuple(found),
+        problems=(*problems, few),
+        notes=(),
+        looked_at={"ticks": Number(float(len(run)))},
+        model=words,
+    )
+
+
 def _judged(run: Run, arm: Arm | None) -> Judged:
     """What all tests but that of the clock say of a run of one law."""
     model, words = model_of_run(run, arm)
     case = Case(run=run, model=model)
     swings = list(swing_findings(case))
     found = [*sign_findings(case), *swings, *chatter_findings(case, bool(swings)), *limit_findings(case)]
-    found += surface_findings(case)
+    found += [*surface_findings(case), *bounce_findings(case)]
     if not any(finding.term == "transmission" for finding in swings):  # else the torque is not that of the link
         found += load_findings(case)
+    if all(finding.name == START for finding in found):  # what else is wrong asks for any torque
+        found += beyond_limits_findings(case)
     return Judged(found=tuple(found), notes=tuple(_not_looked_for(case)), looked_at=_looked_at(case), model=words)
 
 
@@ -248,7 +262,7 @@ def _not_looked_for(case: Case) -> Iterator[str]:
         yield "gravity and payload, for the arm touched something, and no column tells with which wrench"
 
 
-def _without_gaps(run: Run) -> tuple[Run, list[str]]:
+def _without_gaps(run: Run) -> tuple[Run | None, list[str]]:
     """The longest stretch of a run without missing ticks, and what is missing.
 
     A tick is missing where the time jumps by whole periods and the number of the last tick says that there were more.
@@ -262,17 +276,20 @@ def _without_gaps(run: Run) -> tuple[Run, list[str]]:
     return _longest(run, np.column_stack([edges[:-1], edges[1:]]), f"gaps: {missing} ticks are missing")
 
 
-def _longest(run: Run, stretches: Array, what: str) -> tuple[Run, list[str]]:
-    """The longest of the stretches of a run, (k, 2) first tick and the one after the last, and what is wrong else."""
+def _longest(run: Run, stretches: Array, what: str) -> tuple[Run | None, list[str]]:
+    """The longest of the stretches of a run, (k, 2) first tick and the one after the last, and what is wrong else.
+
+    None where it is too short to be judged.
+    """
     lengths = stretches[:, 1] - stretches[:, 0]
     start, end = map(int, stretches[int(np.argmax(lengths))]) if len(lengths) else (0, 0)
     if end - start < FEWEST:
-        raise RangeError(f"the run has {what}, and no stretch of {FEWEST} without; record it anew", name="run")
+        return None, [f"it has {what}, and no stretch of {FEWEST} ticks without; record it anew"]
     words = f"it has {what}; judged from {run.t[start]:.4g} to {run.t[end - 1]:.4g} s"
     return run.between(float(run.t[start]), float(run.t[end - 1])), [words]
 
 
-def _with_numbers(run: Run) -> tuple[Run, list[str]]:
+def _with_numbers(run: Run) -> tuple[Run | None, list[str]]:
     """The longest stretch of a run in which all is a number, and what is none: a sensor that was unplugged.
 
     A run that diverged ends without numbers, which is another matter.

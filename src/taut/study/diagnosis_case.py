@@ -225,10 +225,15 @@ class Case:
         return np.where(at & (at.sum(axis=0) >= STAYS), tau - command, 0.0)
 
     @cached_property
+    def arm_effort(self) -> Float64Array:
+        """(n,) the arm's own effort limits, inf where none is known."""
+        known = self.run.info.get("limits", {}).get("effort", {})
+        return np.array([known.get(joint, np.inf) for joint in self.run.joint_names], dtype=np.float64)
+
+    @cached_property
     def limits_of_effort(self) -> Float64Array | None:
         """(n,) the effort limit of each joint, the arm's, else the controller's; None where not all are known."""
-        known = self.run.info.get("limits", {}).get("effort", {})
-        given = np.array([known.get(joint, np.nan) for joint in self.run.joint_names])
+        given = np.where(np.isfinite(self.arm_effort), self.arm_effort, np.nan)
         stated = np.asarray(self.run.info.get("parameters", {}).get("limits.tau", np.nan), dtype=np.float64)
         if stated.shape in ((), (self.n,)):
             given = np.where(np.isnan(given), stated, given)

@@ -32,8 +32,10 @@ FAULTS: Final = {
     "sags": "a steady error that feedback holds against a constant load",
     "winds up": "the integral grows while the command is cut, and the joint overshoots",
     "saturates": "the command is cut at a limit while the error is there",
+    "beyond limits": "joint torques above the arm's effort limit, which a simulation without limits gives",
     "loses rank": "the task asks for a direction that the Jacobian has lost",
     "wrong surface": "the surface is not where a hybrid law states its constraint",
+    "bounces": "a pressed contact opens and closes all the time",
     "jumps at start": "the first torque is far from the one that held the arm",
     "runs late": "periods are longer than the controller was made for",
 }

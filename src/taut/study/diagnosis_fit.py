@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear
 
-from taut.base.types import Float64Array
+from taut.base.types import Array, Float64Array
 from taut.record.sticking import MOVING
 from taut.study.diagnosis_model import ENOUGH, ArmModel
 
@@ -24,6 +24,7 @@ KNOWN: Final = 0.02  # [m] standard error of a payload's centre, beyond which a 
 INDEPENDENT: Final = 100.0  # ticks of a run, neighbours of which are much alike, count as so many
 HALF: Final = 0.5  # of what one mass leaves, that a second one has to explain
 FEWEST: Final = 16  # ticks of a part of a run
+FEWEST_MOVING: Final = 8  # ticks of a joint in motion: fewer cannot distinguish viscous from dry friction
 SURE: Final = 3.0  # standard errors of what a payload has beyond the declared one
 TINY: Final = 1e-12  # [kg] a mass that is none
 WEAK: Final = 0.01  # of what is known of a centre before the run: it only holds what nothing else does
@@ -46,6 +47,7 @@ class Fit:
     centre_error: Float64Array  # (3, 3) [m^2] its covariance
     viscous: Float64Array  # (n,)
     coulomb: Float64Array  # (n,)
+    seen: Array  # (n,) of which joints there was motion enough to show their friction
     told: float  # [kg] of the payload that the law was told
     taken: float | None = None  # [s] from when on a payload is there, where it was not before
     dropped: float | None = None  # [s] until when it is there, where it is not later
@@ -58,8 +60,9 @@ def fit_of(model: ArmModel, size: Float64Array) -> Fit:
     to the joints that move; where next to nothing does, or too little to tell a payload's mass to a third, to all. A
     payload is a mass m >= 0 where the declared one is, or one with a centre c of its own: a point mass, of inertia
     -m S(c)^2 about the tool frame. The hypothesis with the least Bayesian information criterion is kept, in which
-    what lies under 1 % of the largest gravity torque counts as noise. A payload whose centre is further from the
-    tool than a quarter of the arm is none: that is a wrong arm.
+    what lies under 1 % of the largest gravity torque counts as noise; where friction alone leaves no more than that
+    of joints in motion, no load is looked for, since one joint that moves one way cannot distinguish them. A payload
+    whose centre is further from the tool than a quarter of the arm is none: that is a wrong arm.
 
     Where no load explains the whole run, one of a part of it is looked for, from the tick on, or up to it, that parts
     the run best into two with a mass each; in the other one the torques are those of the model.
@@ -92,7 +95,9 @@ def _of_stretch(model: ArmModel, size: Float64Array, stretch: slice) -> Fit:
     """What explains the residual of some of the ticks."""
     there = np.zeros((len(model.ticks), 1), dtype=bool)
     there[stretch] = True
-    moving = (np.abs(model.run.v[model.ticks]) > MOVING) & there
+    v, after = model.run.v[model.ticks], model.run.v[model.ticks + 1]
+    moving = (np.minimum(np.abs(v), np.abs(after)) > MOVING) & (v * after > 0.0) & there  # throughout the period
+    moving &= np.sum(moving, axis=0) >= FEWEST_MOVING
     if moving[stretch].any(axis=1).mean() >= ENOUGH:
         found = _fitted(model, size, moving, moving)  # what dry friction holds says nothing of a load
         if found.kind != "payload" or abs(found.mass - found.told) > SURE * found.mass_error:
@@ -119,7 +124,7 @@ def _change(model: ArmModel, size: Float64Array) -> tuple[int | None, float]:
 
 def _fitted(model: ArmModel, size: Float64Array, moving: Any, used: Any) -> Fit:
     """The best hypothesis for the ticks and joints that are used; dry friction is one where they move."""
-    v = model.run.v[model.ticks]
+    v = model.run.v[model.ticks + 1]  # friction acts against the speed that a period ends with, in both plants
     problem = _Problem(model=model, size=size, used=used)
     friction = FRICTION if used is moving else FRICTION[:1]
     columns = {
@@ -128,11 +133,12 @@ def _fitted(model: ArmModel, size: Float64Array, moving: Any, used: Any) -> Fit:
         "viscous": np.einsum("ki,ij->kij", v, np.eye(model.run.n)),
         "coulomb": np.einsum("ki,ij->kij", np.sign(v) * moving, np.eye(model.run.n)),
     }
-    sets: list[tuple[str, ...]] = [(), friction]
-    if np.any(model.arm.gravity):  # without it inertia alone tells of a load, which friction hides
+    without: list[tuple[str, ...]] = [(), friction]
+    tried = [problem.solved(names, columns) for names in without]
+    by_friction = used is moving and min(each.left for each in tried if each is not None) <= problem.floor**2
+    if np.any(model.arm.gravity) and not by_friction:  # without it inertia alone tells of a load
         for load in ("gravity", "mass", "centre"):
-            sets += [(load,), (load, *friction)]
-    tried = [problem.solved(names, columns) for names in sets]
+            tried += [problem.solved(names, columns) for names in ((load,), (load, *friction))]
     return problem.told(min((each for each in tried if each is not None), key=lambda each: each.cost), columns)
 
 
@@ -143,6 +149,7 @@ class _Solved:
     names: tuple[str, ...]
     load: Float64Array  # (0,), (1,) or (4,): part of gravity, mass, or mass and centre
     friction: Float64Array
+    left: float  # mean square of what it leaves, of torques over their sizes
     cost: float
 
 
@@ -200,10 +207,10 @@ class _Problem:
             load, friction = values[: len(loads)], values[len(loads) :]
             tau = loads[0] @ load if loads else np.zeros_like(d)
         left = d - tau - (np.concatenate(rubbing, axis=1) @ friction if rubbing else 0.0)
-        variance = float(np.mean(left**2)) + self.floor**2
+        square = float(np.mean(left**2))
         used_up = len(load) + np.count_nonzero(friction > 0.0)
-        cost = INDEPENDENT * math.log(variance) + used_up * math.log(INDEPENDENT)
-        return _Solved(names=names, load=load, friction=friction, cost=cost)
+        cost = INDEPENDENT * math.log(square + self.floor**2) + used_up * math.log(INDEPENDENT)
+        return _Solved(names=names, load=load, friction=friction, left=square, cost=cost)
 
     # ---------------------------------------------------------------- a payload with a centre
 
@@ -311,6 +318,7 @@ class _Problem:
             centre_error=blur,
             viscous=found["viscous"],
             coulomb=found["coulomb"],
+            seen=np.any(columns["coulomb"] != 0.0, axis=(0, 2)),
             told=self.told_mass,
         )
 
@@ -343,5 +351,5 @@ def _bounded(d: Float64Array, columns: list[Float64Array], low: list[float]) -> 
     if told.any():
         Q, R = np.linalg.qr(X[:, told] / scale[told])  # the same problem in as many rows as numbers
         bounds = (least[told] * scale[told], np.inf)
-        out[told] = lsq_linear(R, Q.T @ d, bounds=bounds).x / scale[told]
+        out[told] = lsq_linear(R, Q.T @ d, bounds=bounds, method="bvls").x / scale[told]  # which reaches the bounds
     return out

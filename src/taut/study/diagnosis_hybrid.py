@@ -1,4 +1,4 @@
-"""What a hybrid law does along its constraint and against it: its error there, and whether the surface is there."""
+"""Contact of laws that press: the error along the constraint, a surface elsewhere, a contact that bounces."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from taut.study.diagnosis_finding import Finding, Number, Picture
 if TYPE_CHECKING:
     from taut.study.diagnosis_case import Case
 
-__all__ = ["along_error", "surface_findings"]
+__all__ = ["along_error", "bounce_findings", "surface_findings"]
 
 BY_ACCELERATION: Final = ("TaskComputedTorque", "ComputedTorque")  # laws of motion whose kp is one of accelerations
 TOUCHING: Final = 1.0  # [N] that counts as contact
@@ -28,6 +28,8 @@ LONG: Final = 0.02  # [m] a stroke that shows a tilt
 MAIN: Final = 0.2  # of its main direction: where a stroke goes less, it shows no tilt
 STEEPEST: Final = 0.8  # sine of a tilt: more is no surface that was meant
 LEAST_SHARE: Final = 0.01  # of the feedback's effort: less is not why a run is as it is
+OPENINGS: Final = 10  # of a contact: a landing has fewer
+UNEVEN: Final = 0.25  # standard deviation of the force over its mean
 STRAIGHT: Final = 0.5  # of the variance of phi along the stroke, that a tilt explains
 
 
@@ -132,6 +134,51 @@ def surface_findings(case: Case) -> Iterator[Finding]:
             curves={"phi" if phi.shape[1] == 1 else f"phi of row {row}": phi[:, row]},
             marked=held.astype(np.float64),
         ),
+    )
+
+
+def bounce_findings(case: Case) -> Iterator[Finding]:
+    """A contact that opens and closes all the time while a law presses.
+
+    Between the first tick and the last one in which 1 N and more is measured, the force falls below a tenth of its
+    mean ten times and more, and its standard deviation is a quarter of its mean.
+    """
+    run = case.run
+    column = next((name for name in ("contact.normal_force", "F_ext") if name in run.extra), None)
+    if column is None or not (case.of_hybrid or case.of_force):
+        return
+    force = np.linalg.norm(run.extra[column][:, :3], axis=1)
+    ticks = np.flatnonzero(force > TOUCHING)
+    if len(ticks) < FEWEST:
+        return
+    force, t = force[ticks[0] : ticks[-1] + 1], run.t[ticks[0] : ticks[-1] + 1]
+    mean, varies = float(force.mean()), float(force.std())
+    open_ = (force < 0.1 * mean).astype(np.float64)
+    openings = int(np.sum(np.diff(open_) > 0.0))
+    if openings < OPENINGS or varies < UNEVEN * mean:
+        return
+    often = openings / max(float(t[-1] - t[0]), case.dt)
+    in_mujoco = str(run.info.get("plant", "")).startswith("MujocoPlant")
+    soft = 'priority="1" solimp="0 0.9 0.002 0.5 1"'
+    yield Finding(
+        name="bounces",
+        term="contact",
+        joint=None,
+        share=float(open_.mean()),
+        of="the time in contact",
+        evidence={
+            "openings": Number(often, "1/s"),
+            "mean force": Number(mean, "N"),
+            "standard deviation": Number(varies, "N"),
+            "largest force": Number(float(force.max()), "N"),
+        },
+        text=f"the contact opens {often:.0f} times a second, with forces up to {force.max():.3g} N for {mean:.3g} N "
+        "in the mean",
+        remedy=f"give the geom of the surface {soft}, so that the force grows with the depth (by default MuJoCo "
+        "pushes with nearly all of it from the first micrometre), or lower kfp and kfi"
+        if in_mujoco
+        else "lower kfp and kfi, raise kdamp, or press with a tool that gives way",
+        picture=Picture(title="measured contact force", ylabel="[N]", t=t, curves={"force": force}, marked=open_),
     )
 
 

@@ -1,4 +1,4 @@
-"""What is at its end: limits of torque, rate and speed, integrals that wind up, starts, singularities, the clock."""
+"""Limits that cut or are exceeded, integrals that wind up, jumps at the start, singularities, late periods."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from taut.maths.singularity import BORDER, sizes_of
 from taut.study.diagnosis_case import Case
 from taut.study.diagnosis_finding import Finding, Number, Picture
 
-__all__ = ["limit_findings", "period_findings"]
+__all__ = ["beyond_limits_findings", "limit_findings", "period_findings"]
 
 OFTEN: Final = 0.05  # of the run in which a limit cuts while the error is there
 GAINED: Final = 0.1  # of the largest feedback that the integral gained while the command was cut
@@ -21,6 +21,8 @@ JUMP: Final = 0.25  # of the effort: 25 ms of the rate that Limits.of(arm, rate=
 OF_PEAK: Final = 0.5  # of the run's largest feedback that is there in the first tick
 AMPLIFIED: Final = 3.0  # times the feedback, near a singularity, of that elsewhere
 GIVES_UP: Final = ("singularity", "reach")  # terms of what a law does not ask for there
+NONE: Final = 1e-9  # of a limit: rounding
+TICKS_BEYOND: Final = 3  # above a limit: fewer may be a peak that a drive gives
 LATE: Final = 1.5  # periods
 LATE_SHARE: Final = 0.01  # of the periods
 REMEDIES: Final = {
@@ -100,6 +102,40 @@ def _saturates(case: Case) -> Finding | None:
                 "given": run.tau[:, i] if name == "torque" else run.command[:, i],
             },
             marked=acting[:, i].astype(np.float64),
+        ),
+    )
+
+
+def beyond_limits_findings(case: Case) -> Iterator[Finding]:
+    """Joint torques above the effort limit of the arm, in three ticks or more: a plant without limits gave them."""
+    run, effort = case.run, case.arm_effort
+    over = np.abs(run.tau) > (1.0 + NONE) * effort
+    if not case.of_torque or (over.sum(axis=0) < TICKS_BEYOND).all():
+        return
+    i = int(np.argmax(np.max(np.abs(run.tau), axis=0) / effort))
+    joint, unit, largest = run.joint_names[i], run.effort_units[i], float(np.abs(run.tau[:, i]).max())
+    part = (np.abs(run.tau) - effort)[over] / np.broadcast_to(effort, run.tau.shape)[over]
+    yield Finding(
+        name="beyond limits",
+        term="command",
+        joint=joint,
+        share=min(1.0, float(np.sum(part**2)) / case.effort),
+        evidence={
+            "largest torque": Number(largest, unit),
+            "effort limit of the arm": Number(float(effort[i]), unit),
+            "beyond it in": Number(100.0 * float(over[:, i].mean()), "% of the run"),
+        },
+        text=f"'{joint}' receives up to {Number(largest, unit)}, and the arm's effort limit is "
+        f"{Number(float(effort[i]), unit)}: the real arm cannot repeat this run",
+        remedy="compile with limits=taut.Limits.of(arm), and lower the gains or the demanded motion until that does "
+        "not cut",
+        picture=Picture(
+            title=f"{joint}: torque (shaded: beyond the limit)",
+            ylabel=f"[{unit}]",
+            t=run.t,
+            curves={"torque": run.tau[:, i]},
+            levels={"limit": float(effort[i])},
+            marked=over[:, i].astype(np.float64),
         ),
     )
 
@@ -207,7 +243,12 @@ def _jumps(case: Case) -> Finding | None:
         away = f"for the reference starts {case.error[0, i]:.3g} {run.units[i]} away"
     elif term == "D":
         away = "for the reference starts with another velocity than the arm"
-    slow = abs(float(given[0, i])) / (10.0 * case.size[i])
+    k = float(first[i])
+    instead = (
+        f", or limits=taut.Limits(blend={max(0.1, 0.2 * k):.2g})"
+        if k <= 1.0
+        else f"; or lower the gains: {term} asks for {Number(k)} times the effort limit in the first tick"
+    )
     return Finding(
         name="jumps at start",
         term=term,
@@ -219,8 +260,7 @@ def _jumps(case: Case) -> Finding | None:
             **known,
         },
         text=f"'{joint}' gets {given[0, i]:.3g} {unit} at once, {away}",
-        remedy="start the reference where the arm is (a trajectory from the measured position), or "
-        f"limits=taut.Limits(blend={max(0.1, 2.0 * slow):.2g})",
+        remedy=f"start the reference where the arm is (a trajectory from the measured position){instead}",
         picture=Picture(
             title=f"{joint}: feedback from the first tick on",
             ylabel=f"[{unit}]",

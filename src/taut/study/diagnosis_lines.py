@@ -13,7 +13,7 @@ from taut.base.types import Float64Array
 from taut.study.diagnosis_case import Case
 from taut.study.diagnosis_line import Line, line_of
 
-__all__ = ["RINGING", "Swing", "alternating_swing", "bolting_swing", "strongest_swing", "without_trend"]
+__all__ = ["RINGING", "TURNS", "Swing", "alternating_swing", "bolting_swing", "strongest_swing", "without_trend"]
 
 LINE: Final = 0.5  # of the variance of a joint's feedback that is one line
 RINGING: Final = 0.1  # damping ratio under which it takes more than six periods to the chapter's 2 %

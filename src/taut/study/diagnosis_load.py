@@ -37,12 +37,13 @@ def load_findings(case: Case) -> Iterator[Finding]:
     of_load = None if fit is None else _load(case, fit)
     if of_load is not None:
         yield of_load
-    sticks = _sticks(case, fit)
+    beyond = _beyond(case, fit, of_load)
+    sticks = _sticks(case, fit, beyond)
     if sticks is not None:
         if of_load is not None and not _carries(case, of_load.name)[case.run.joint_names.index(str(sticks.joint))]:
             sticks = dataclasses.replace(sticks, apart=frozenset({of_load.name}))
         yield sticks
-    sags = None if of_load is not None else _sags(case, fit)
+    sags = None if of_load is not None else _sags(case, fit, beyond)
     if sags is not None:
         yield sags
 
@@ -224,7 +225,25 @@ def _stiffness(case: Case, i: int) -> float:
     return abs(float(case.feedback[at, i].mean())) / max(abs(float(case.error[at, i].mean())), 1e-300)
 
 
-def _sticks(case: Case, fit: Fit | None) -> Finding | None:
+def _beyond(case: Case, fit: Fit | None, of_load: Finding | None) -> Float64Array:
+    """(k, n) torque that neither the model nor a load that was found explains: what friction takes up at rest.
+
+    Without a model the feedback, which then holds what the motion of other joints asks for as well.
+    """
+    if case.model is None or fit is None:
+        return case.feedback
+    known = fit.viscous * case.run.v[case.model.ticks + 1] if fit.left <= UNSURE else np.zeros_like(fit.load)
+    if of_load is not None and of_load.name in ("wrong payload", "gravity twice"):
+        known = known + fit.load
+    return _at_ticks(case, case.model.residual - known)
+
+
+def _dry(fit: Fit | None, i: int) -> float:
+    """Dry friction that the motion of a joint showed [N m | N]; zero where it showed none."""
+    return float(fit.coulomb[i]) if fit is not None and fit.left <= UNSURE else 0.0
+
+
+def _sticks(case: Case, fit: Fit | None, beyond: Float64Array) -> Finding | None:
     """A joint that rests (|v| < 1e-4) off its target for want of torque against dry friction.
 
     At a set-point it rests in the last tenth of the run with an error that counts, and one of these holds: it never
@@ -233,18 +252,18 @@ def _sticks(case: Case, fit: Fit | None) -> Finding | None:
     reference moves, off it.
     """
     run = case.run
-    at_rest = _sticking(case, fit)
+    at_rest = _sticking(case, fit, beyond)
     if case.error is None or not at_rest.any():
         return None
-    part = _carried(case, fit) * at_rest
+    part = beyond * at_rest
     i = int(np.argmax(np.sum((part / case.size) ** 2, axis=0)))
     share, rest = case.share_of(part), at_rest[:, i]
     held = rest > 0.0
     joint, unit = run.joint_names[i], run.effort_units[i]
     most = float(np.abs(part[held, i]).max())
     error = float(np.abs(case.error[held, i]).max())
-    known = fit is not None and fit.coulomb[i] > 0.0
-    dry = float(fit.coulomb[i]) if fit is not None and known else most
+    known = _dry(fit, i) > 0.0
+    dry = _dry(fit, i) or most
     integral = "" if np.any(run.terms.get("I", np.zeros_like(run.q))[:, i]) else "an integral, "
     moves = bool(np.any(case.moving_reference))  # where a reference never does, its sign is nothing to go by
     by_reference = f"FrictionCompensation(at='ref') with {dry:.3g} {unit} of Coulomb friction, " if moves else ""
@@ -272,53 +291,41 @@ def _sticks(case: Case, fit: Fit | None) -> Finding | None:
     )
 
 
-def _carried(case: Case, fit: Fit | None) -> Float64Array:
-    """(k, n) feedback without the loads that are known: gravity that the law does not give, and what was fitted."""
-    out = case.feedback
-    if case.model is not None and fit is not None:
-        names = [name for name in ("gravity", "nonlinear", "force_nonlinear") if name in case.run.terms]
-        given = sum((case.run.terms[name] for name in names), np.zeros_like(out))
-        by_plant = fit.load if fit.holds else np.zeros_like(fit.load)
-        at_rest = case.model.gravity - given[case.model.ticks]
-        out = out - _at_ticks(case, at_rest + by_plant)
-    return out
-
-
-def _sticking(case: Case, fit: Fit | None) -> Float64Array:
+def _sticking(case: Case, fit: Fit | None, beyond: Float64Array) -> Float64Array:
     """(k, n) 1.0 where a joint sticks."""
     run = case.run
     resting = np.abs(run.v) < RESTING
     on_the_way = stuck(run)
-    out = np.zeros_like(run.q)
+    out, creeping = np.zeros_like(run.q), np.zeros_like(run.q)
     for i in range(case.n):
         if on_the_way is not None and not np.isnan(on_the_way[0, i]):
             moving = np.abs(case.moving_reference[:, i]) > 0.0
             held = (on_the_way[:, i] > 0.0) & (case.off[:, i] > 0.0)
             if held.sum() >= STUCK * moving.sum():
                 out[:, i] = held
-        if _held_at_the_end(case, fit, i, resting[:, i]):
+        if _held_at_the_end(case, fit, beyond, i, resting[:, i]):
             out[:, i] = np.maximum(out[:, i], np.cumprod(resting[::-1, i])[::-1])
-    return out
+            creeping[tail(run), i] = 1.0
+    return out if out.any() else creeping
 
 
-def _held_at_the_end(case: Case, fit: Fit | None, i: int, resting: Array) -> bool:
+def _held_at_the_end(case: Case, fit: Fit | None, beyond: Float64Array, i: int, resting: Array) -> bool:
     run, end = case.run, tail(case.run)
-    if case.error is None or np.any(np.abs(case.moving_reference[end]) > 0.0) or not resting[end].all():
+    if case.error is None or np.any(np.abs(case.moving_reference[end]) > 0.0):
         return False
     if abs(float(case.error[end, i].mean())) <= case.tolerance[i]:
         return False
-    if resting.all():
-        return True
+    carried = float(beyond[end, i].mean())
+    load = float(case.feedback[end, i].mean()) - carried
+    by_friction = abs(load) < abs(carried) <= SLACK * _dry(fit, i)
+    if not resting[end].all():
+        return by_friction and bool(case.settled[i])  # it creeps to where friction holds it
+    if by_friction or np.ptp(run.q[:, i]) <= case.tolerance[i] or not (fit is None or fit.seen[i]):
+        return True  # it never moved by what counts as an error, or stopped at once, as under no constant load
     first = len(run) - int(np.cumprod(resting[::-1]).sum())
     change = float(np.ptp(case.feedback[first:, i]))
     crept = _stiffness(case, i) * np.ptp(run.q[first:, i])  # what a spring says of a joint that still moves
-    if change > TORQUE_CHANGE * case.size[i] and crept < 0.5 * change:
-        return True
-    if fit is None or fit.coulomb[i] <= 0.0 or fit.left > UNSURE:
-        return False
-    carried = float(_carried(case, fit)[end, i].mean())
-    load = float(case.feedback[end, i].mean()) - carried
-    return abs(load) < abs(carried) <= SLACK * float(fit.coulomb[i])
+    return bool(change > TORQUE_CHANGE * case.size[i] and crept < 0.5 * change)
 
 
 def _balanced(case: Case, held: Float64Array, pushed: Float64Array) -> bool:
@@ -332,7 +339,7 @@ def _balanced(case: Case, held: Float64Array, pushed: Float64Array) -> bool:
     return size > 0.0 and bool(np.any(pushed)) and abs(1.0 + float(held @ inverse @ pushed) / size) < 0.2
 
 
-def _sags(case: Case, fit: Fit | None) -> Finding | None:
+def _sags(case: Case, fit: Fit | None, beyond: Float64Array) -> Finding | None:
     """A steady error of joints at rest that the feedback holds, whatever the load is.
 
     What the environment gives (F_ext) is no load: an impedance gives way to it by design, so that a joint whose
@@ -351,7 +358,7 @@ def _sags(case: Case, fit: Fit | None) -> Finding | None:
     if _balanced(case, held, pushed):
         return None
     resting = np.abs(run.v) < RESTING
-    bad &= np.array([not _held_at_the_end(case, fit, i, resting[:, i]) for i in range(case.n)])
+    bad &= np.array([not _held_at_the_end(case, fit, beyond, i, resting[:, i]) for i in range(case.n)])
     bad &= np.abs(held) > LEAST_GRAVITY * case.size
     bad &= ((case.cut[end] != 0.0) | (case.pinned[end] != 0.0)).mean(axis=0) < OFTEN  # else a limit balances the load
     if case.model is not None:  # what the motion of other joints asks for is no load

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,18 +10,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from taut.arm.builtin import BUILT_IN
-from taut.arm.catalogue import CATALOGUE
 from taut.arm.description import Arm
-from taut.arm.load import load_arm
-from taut.base.errors import MatchError, TautError, UsageError
-from taut.base.pose import Pose
+from taut.base.errors import MatchError, UsageError
 from taut.base.types import Float64Array
 from taut.codegen.function import native
 from taut.maths import dynamics as dyn
 from taut.maths.chain import Chain
 from taut.maths.model import PayloadValues, model_of
-from taut.record.arm_numbers import DYNAMICS, with_numbers
+from taut.record.arm_numbers import DYNAMICS, arm_from_json, arm_json, differences
 from taut.record.run import Run
 from taut.record.sticking import MOVING
 from taut.record.task import TOOL
@@ -56,42 +51,24 @@ def model_of_run(run: Run, arm: Arm | None) -> tuple[ArmModel | None, str]:
                 f"{', '.join(arm.joint_names)}; give the arm that the controller was compiled for",
                 name="arm",
             )
-        return ArmModel(run=run, arm=arm), "the arm that was given"
+        of_log = _of_log(run)
+        apart = () if of_log is None else differences(arm_json(of_log), arm_json(arm))
+        other = (
+            f"; the controller's in the log has another {', '.join(apart)}, and is used without it" if apart else ""
+        )
+        return ArmModel(run=run, arm=arm), f"the arm that was given{other}"
     name = run.info.get("arm")
-    for known, words in ((_by_name(run, name), f"arm '{name}' of the catalogue"), (run.arm, "the arm of the plant")):
-        if known is None or not _same_kinematics(run, known):
-            continue
-        found = _with_numbers(known, json.dumps(run.info[DYNAMICS])) if DYNAMICS in run.info else known
-        if found is not None:
-            changed = "" if found is known else ", with the masses, gravity and gears that the log has"
-            return ArmModel(run=run, arm=found), words + changed
-    return (
-        None,
-        "none, so that gravity and payload were not looked at; give arm= that the controller was compiled for",
-    )
+    of_controller = f"arm '{name}' of the controller, with the masses, gravity and gears that the log has"
+    for known, words in ((_of_log(run), of_controller), (run.arm, "the arm of the plant")):
+        if known is not None and _same_kinematics(run, known):
+            return ArmModel(run=run, arm=known), words
+    return None, "none, so that gravity and payload were not looked at; give the controller's arm, arm= or --arm"
 
 
-def _by_name(run: Run, name: Any) -> Arm | None:
-    """The arm of that name that taut knows, standing where the run's stood."""
-    if (name not in BUILT_IN and name not in CATALOGUE) or TOOL not in run.info:
-        return None
-    chain = run.info[TOOL]
-    try:
-        return _mounted(name, tuple(chain["p_WB"]), tuple(map(tuple, chain["R_WB"])))
-    except TautError:  # its package is not installed
-        return None
-
-
-@functools.lru_cache(maxsize=16)
-def _mounted(name: str, p: tuple[float, ...], R: tuple[tuple[float, ...], ...]) -> Arm:
-    """An arm that taut knows, at a place: the same object each time, so that its torques are compiled once."""
-    return load_arm(name, T_WB=Pose(p=p, R=R))
-
-
-@functools.lru_cache(maxsize=16)
-def _with_numbers(arm: Arm, numbers: str) -> Arm | None:
-    """An arm with the numbers of a log, the same object each time."""
-    return with_numbers(arm, json.loads(numbers))
+def _of_log(run: Run) -> Arm | None:
+    """The controller's arm, as the run keeps it: the same for a run in memory and for its log."""
+    known = run.info.get(DYNAMICS, {})
+    return arm_from_json(known["controller"]) if isinstance(known, Mapping) and "controller" in known else None
 
 
 def _same_kinematics(run: Run, arm: Arm) -> bool:

@@ -142,14 +142,18 @@ def lower_gain(case: Case, found: Swing, term: str) -> str:
     most, now = 2.0 / case.dt, mode.damping_in_all
     if now < 0.0 and d < 0.0:
         return _turned_round(case, found, d)
-    lower = f"lower kd to {min(0.5, 0.5 * most / now):.2g} of what it is" if now > 0.0 else "lower kd to a half"
+    beyond = now / most
+    own = _of_own_speed(case, found) and d > 2.0 * m / case.dt
+    if own:
+        beyond = max(beyond, d / (2.0 * m / case.dt))
+    lower = f"lower kd to {min(0.5, 0.5 / beyond):.2g} of what it is" if beyond > 0.0 else "lower kd to a half"
     less = "less with a filter or differenced velocities"
-    if _of_own_speed(case, found):
+    if own:
         return (
             f"{lower}, or raise the rate: the damping of '{run.joint_names[i]}' is {d:.3g}, and a sampled loop "
             f"bears 2 M / T = {2.0 * m / case.dt:.3g} {_units(case, found)} at most, {less}"
         )
-    if not now > 0.0:
+    if not now > most:
         return f"{lower}, or raise the rate from {run.rate:g} Hz: it feeds this oscillation"
     return (
         f"{lower}, or raise the rate: it is {Number(now)} 1/s of the inertia that it moves, and a sampled loop bears "

@@ -82,7 +82,9 @@ class MujocoPlant:
     Args:
         arm: The true arm; make it differ from the controller's and there is a modelling error.
         scene: An MJCF fragment, as text or a path: bodies, geoms, assets, what ties them together. Files come from
-            its own folder only. Options and key frames are refused.
+            its own folder only. Options and key frames are refused. A surface that a tool presses on needs a contact
+            whose force grows with the depth, priority="1" solimp="0 0.9 0.002 0.5 1"; by default it opens and closes
+            every few ticks, since MuJoCo pushes with nearly its whole force from the first micrometre.
         scene_at: Where the scene's origin stands in the world; the world's own origin if left out.
         friction: "arm" for the arm's own viscous and dry friction, None for none.
         limits: "arm" for the arm's own position limits, None for none.
@@ -153,7 +155,7 @@ class MujocoPlant:
         environment: Environment | None = None,
     ) -> None:
         adds = Adds.of(adds)
-        self._made_of = {name: value for name, value in locals().items() if name != "self"}
+        self.given = {name: value for name, value in locals().items() if name not in ("self", "arm")}
         if not isinstance(arm, Arm):  # callers without a type checker
             raise UsageError(f"a plant takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
         for name, value in (("friction", friction), ("limits", limits)):
@@ -277,7 +279,7 @@ class MujocoPlant:
                 "an attached plant drives a simulation of yours, so it cannot be copied or pickled; attach another "
                 "one to the copy: taut.MujocoPlant.attach(model, data, arm)"
             )
-        return _rebuilt, (self._made_of, dict(self.parameters))
+        return _rebuilt, ({"arm": self.arm, **self.given}, dict(self.parameters))
 
     def _take(self, rig: Rig, drives: Drives) -> None:
         """Keep what the loop needs; MuJoCo's arrays are looked up here, once."""
