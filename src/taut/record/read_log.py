@@ -14,10 +14,12 @@ from taut.base.checks import readable_file
 from taut.base.errors import FileError, UsageError
 from taut.base.paths import subtree
 from taut.base.types import Array, Float64Array
+from taut.base.words import printable
 from taut.control.phase_sample import PhaseSample, phase_sample
 from taut.control.reference import Sample
 from taut.control.side_by_side import TOGETHER, together_kind
 from taut.record.description import description_from, outcome_from, unsealed
+from taut.record.info import wrong_entry
 from taut.record.mcap_reader import Contents, contents_of, messages, read_chunk
 from taut.record.mcap_writer import MAGIC
 from taut.record.outcome import Outcome
@@ -27,6 +29,14 @@ from taut.record.topics import Description, TickLayout
 __all__ = ["load_run"]
 
 BLOCK_BYTES: Final = 4 * 1024 * 1024  # of ticks that are taken apart at a time
+MAX_KINDS: Final = 64  # of a reference of several
+MAX_CANDIDATES: Final = 64  # classes of the same name in other modules
+MAX_NUMBERS: Final = 1_000_000  # in a tick
+MAX_UNPACKED: Final = 128  # bytes that a byte of the file may unpack to; our own logs have 6
+PACKED_MESSAGE: Final = 4  # bytes of the file that a message takes at least
+FEW_MESSAGES: Final = 1_000_000  # that any file may have
+FEW_BYTES: Final = 64 * 1024 * 1024  # that any file may unpack to
+LONGEST: Final = 300  # letters of what a message quotes
 
 Block = tuple[Array, dict[str, Float64Array]]  # numbers of the ticks (k,), and each column (k, ...)
 
@@ -83,26 +93,43 @@ def _read(file: IO[bytes], path: Path) -> Run:
     found = contents_of(file, size)
     if first != MAGIC:
         found.damage.insert(0, (0, len(MAGIC)))
+    unpacked = sum(chunk.size for chunk in found.chunks)
+    if unpacked > FEW_BYTES + MAX_UNPACKED * size:
+        raise FileError(
+            f"log '{path}' has {size} bytes and would unpack to {unpacked}, more than a log does", name=str(path)
+        )
     description, info = _description(found, size, path)
     kind = _sample_class(description, path)
     number, columns = _columns(file, found, TickLayout(description))
     outcome = _outcome(found, number, columns["t"], size)
-    return Run(
+    run = Run(
         t=columns["t"],
         q=columns["q"],
         v=columns["v"],
         tau=columns["tau"],
         command=columns["command"],
-        terms=subtree(columns, "terms"),
+        terms=_named(subtree(columns, "terms")),
         reference=kind.of(subtree(columns, "reference")),
         outcome=outcome,
-        joint_names=description.joint_names,
+        joint_names=tuple(map(printable, description.joint_names)),
         units=description.units,
         continuous=description.continuous,
         kind=description.kind,
-        extra=subtree(columns, "extra"),
+        extra=_named(subtree(columns, "extra")),
         info=info,
     )
+    wrong = wrong_entry(run)
+    if wrong is not None:
+        raise FileError(
+            f"log '{path}' cannot be read: its entry '{wrong}' is not what this version of taut records",
+            name=str(path),
+        )
+    return run
+
+
+def _named(columns: Mapping[str, Float64Array]) -> dict[str, Float64Array]:
+    """Columns under names that may be shown on a terminal."""
+    return {printable(name): column for name, column in columns.items()}
 
 
 # -------------------------------------------------------------------- what it is
@@ -113,7 +140,7 @@ def _description(found: Contents, size: int, path: Path) -> tuple[Description, d
     for name, record in found.metadata:
         if name == "taut.run":
             try:
-                return description_from(unsealed(record), most=max(size, 4096))
+                return description_from(unsealed(record), most=min(max(size, 4096), MAX_NUMBERS))
             except (ValueError, RecursionError) as cause:
                 reason = str(cause)
     if reason:
@@ -136,12 +163,15 @@ def _sample_class(description: Description, path: Path) -> type[Sample]:
     from taut.control import laws  # noqa: F401  # so that all of ours are known
 
     n = len(description.joint_names)
-    for kind in _candidates(description.reference):
-        if kind.fields(n) == description.fields:
-            return kind
+    kinds = description.reference.count(",") + 1
+    if kinds <= min(len(description.fields), MAX_KINDS):  # each has a field at least
+        for kind in itertools.islice(_candidates(description.reference), MAX_CANDIDATES):
+            if kind.fields(n) == description.fields:
+                return kind
     raise FileError(
-        f"log '{path}' has a reference of type '{description.reference}' with fields "
-        f"{', '.join(description.fields)}, which is not known here; import the module that defines it first",
+        f"log '{path}' has a reference of type '{description.reference[:LONGEST]}' with fields "
+        f"{', '.join(description.fields)[:LONGEST]}, which is not known here; import the module that defines "
+        "it first",
         name=str(path),
     )
 
@@ -150,19 +180,24 @@ def _candidates(name: str) -> Iterator[type[Sample]]:
     """The classes of that name; those of tasks and of laws side by side are made by the kinds in it."""
     if name.startswith(f"{PhaseSample.__name__}["):
         words = name.partition("[")[2].removesuffix("]").split(",")
-        for kinds in itertools.product(*(list(_candidates(word)) for word in words)):
+        for kinds in itertools.product(*(_newest(word) for word in words)):
             yield phase_sample(kinds)
         return
     if name.startswith(TOGETHER):
         parts = [word.rsplit(":", 2) for word in name.removeprefix(TOGETHER).removesuffix("]").split(",")]
-        if all(len(part) == 3 and part[2].isdecimal() for part in parts):
-            for kinds in itertools.product(*(list(_candidates(kind)) for _, kind, _ in parts)):
+        if all(len(part) == 3 and part[0].isidentifier() and part[2].isdecimal() for part in parts):
+            for kinds in itertools.product(*(_newest(kind) for _, kind, _ in parts)):
                 yield together_kind(
                     tuple((part, kind, int(n)) for (part, _, n), kind in zip(parts, kinds, strict=True))
                 )
         return
-    named = [kind for kind in _subclasses(Sample) if kind.__name__ == name]
-    yield from reversed(named)  # a dataclass with slots leaves its first draft behind, which came before it
+    yield from _newest(name)
+
+
+def _newest(name: str) -> list[type[Sample]]:
+    """The classes of that name, one of each module: a dataclass with slots leaves its first draft behind."""
+    named = {(kind.__module__, kind.__qualname__): kind for kind in _subclasses(Sample) if kind.__name__ == name}
+    return list(reversed(named.values()))
 
 
 def _subclasses(kind: type[Any]) -> Iterator[type[Sample]]:
@@ -228,7 +263,7 @@ def _blocks(file: IO[bytes], found: Contents, layout: TickLayout) -> Iterator[Bl
     # A channel may stand under another name because its record is damaged, but not under one of ours.
     others = set(found.channels.values()) - set(ours.values())
     as_written = all(found.channels.get(i, name) in {name, *others} for i, name in ours.items())
-    loose = _Loose(layout, found.channels or ours)
+    loose = _Loose(layout, found.channels or ours, sum(chunk.length for chunk in found.chunks))
     for chunks in _gathered(file, found):
         rows = _rows(chunks, layout) if as_written else None
         if rows is not None:
@@ -277,7 +312,8 @@ def _parts(rows: Array, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Floa
 class _Loose:
     """Messages of a file whose chunks are not ours, topic by topic."""
 
-    def __init__(self, layout: TickLayout, channels: Mapping[int, str]) -> None:
+    def __init__(self, layout: TickLayout, channels: Mapping[int, str], size: int) -> None:
+        self._most = FEW_MESSAGES + size // PACKED_MESSAGE
         self._layout = layout
         self._topics = {topic.name: topic for topic in layout.topics}
         self._channels = dict(channels)
@@ -286,6 +322,9 @@ class _Loose:
     def take(self, data: bytes) -> None:
         """The messages of a chunk, by topic and number."""
         for opcode, _, body in messages(data):
+            self._most -= 1
+            if self._most < 0:
+                raise ValueError("it has more messages than its size explains")
             if opcode == 4 and len(body) >= 8:  # a channel that is declared inside the chunk
                 length = int.from_bytes(body[4:8], "little")
                 self._channels[int.from_bytes(body[:2], "little")] = body[8 : 8 + length].decode(errors="replace")

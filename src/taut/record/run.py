@@ -15,7 +15,7 @@ import numpy as np
 from taut.arm.angles import short_way
 from taut.arm.description import Arm
 from taut.base.checks import finite_scalar
-from taut.base.errors import RangeError, count_of
+from taut.base.errors import RangeError, UsageError, count_of
 from taut.base.named import Named
 from taut.base.types import Float64Array
 from taut.control.reference import Sample
@@ -79,7 +79,13 @@ class Run:
 
     @property
     def rate(self) -> float:
-        """Ticks per second [Hz]."""
+        """Ticks per second [Hz].
+
+        Raises:
+            UsageError: The run does not say.
+        """
+        if "rate" not in self.info:
+            raise UsageError("the run has no rate; give its info the entry 'rate' [Hz]", name="rate")
         return float(self.info["rate"])
 
     @property
