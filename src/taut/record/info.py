@@ -29,6 +29,7 @@ Check: TypeAlias = Callable[[Any], bool]
 
 COLUMNS: Final[Mapping[str, tuple[int, ...]]] = {"F_ext": (6,), "phase": (), "phase_ended": ()}
 PAYLOAD: Final[Mapping[str, tuple[int, ...]]] = {"mass": (), "com": (3,), "inertia": (6,)}
+LARGEST: Final = 1e12  # of a length, mass or gain, in SI units
 ROTATION: Final = 1e-6  # how far R R^T may be from 1
 
 
@@ -81,7 +82,7 @@ def _array(value: Any, shape: tuple[int, ...] | None = None, *, finite: bool = F
     """Numbers in a rectangular array, of a shape where one is given."""
     array = np.asarray(value)
     fits = array.dtype.kind in "iuf" and (shape is None or array.shape == shape)
-    return fits and (not finite or bool(np.isfinite(array).all()))
+    return fits and (not finite or bool((np.abs(array) < LARGEST).all()))
 
 
 def _rotation(value: Any) -> bool:
