@@ -159,18 +159,18 @@ def runs() -> tuple[taut.Run, ...]:
     law = taut.laws.GravityPID(kp=100.0, kd=20.0)
     changed = [taut.Event(t=0.02, set={"model.payload.mass": 0.5})]
     plain = taut.run(
-        taut.compile(law, arm, limits=taut.Limits(tau=80.0)), taut.RigidPlant(arm), duration=0.1, events=changed
+        taut.compile(law, arm, limits=taut.Limits(tau=80.0)), taut.RigidPlant(arm), duration=0.3, events=changed
     )
     task = [
-        taut.Phase(law, taut.JointMotion(q=[0.5, 0.5]), name="go", timeout=0.04, otherwise="stay"),
+        taut.Phase(law, taut.JointMotion(q=[0.5, 0.5]), name="go", timeout=0.1, otherwise="stay"),
         taut.Phase(taut.laws.ComputedTorque(kp=100.0, kd=20.0), name="stay"),
     ]
     panda = taut.load_arm("panda")
     led = taut.compile(taut.laws.Impedance(K=(800.0, 30.0), B=(60.0, 4.0)), panda)
     return (
         plain,
-        taut.run(task, taut.RigidPlant(arm), duration=0.1),
-        taut.run(led, taut.RigidPlant(panda), duration=0.05),
+        taut.run(task, taut.RigidPlant(arm), duration=0.3),
+        taut.run(led, taut.RigidPlant(panda), duration=0.3),
     )
 
 

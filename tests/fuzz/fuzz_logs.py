@@ -49,7 +49,7 @@ def chunk(data: bytes, size: int | None = None, compression: bytes = b"lz4") -> 
     """A chunk of records, compressed."""
     import lz4.frame
 
-    packed = lz4.frame.compress(data, compression_level=9) if compression == b"lz4" else data
+    packed = lz4.frame.compress(data) if compression == b"lz4" else data
     head = struct.pack("<QQQI", 0, 0, len(data) if size is None else size, zlib.crc32(data))
     name = struct.pack("<I", len(compression)) + compression
     return record(6, head + name + struct.pack("<Q", len(packed)) + packed)

@@ -13,9 +13,11 @@ from taut.base.checks import finite_array, readable_file
 from taut.base.errors import FileError, RangeError, ShapeError
 from taut.base.types import ArrayLike, Float64Array
 
-__all__ = ["read_rows", "sample_times"]
+__all__ = ["read_rows", "require_moderate", "sample_times"]
 
 
+LEAST_GAP: Final = 1e-12  # [s] between two samples
+LARGEST: Final = 1e30  # of a number in a table, whose rates and their squares are taken
 MAX_BYTES: Final = 32 * 2**20  # half a million samples of an arm
 LONGEST: Final = 300  # letters of what a message quotes
 
@@ -30,13 +32,27 @@ def sample_times(times: ArrayLike) -> Float64Array:
     t = finite_array("times", times, unit="s")
     if t.ndim != 1 or not t.size:
         raise ShapeError(f"times must be a vector (k,); got shape {t.shape}", name="times")
-    wrong = np.diff(t) <= 0.0
+    require_moderate("times", t)
+    wrong = np.diff(t) < LEAST_GAP
     if wrong.any():
         k = int(np.argmax(wrong))
+        slowly = f", by less than {LEAST_GAP:g} s" if t[k + 1] > t[k] else ""
         raise RangeError(
-            f"times must increase; times[{k + 1}] = {t[k + 1]:g} follows {t[k]:g}", name="times", rule="increasing"
+            f"times must increase; times[{k + 1}] = {t[k + 1]:g} follows {t[k]:g}{slowly}",
+            name="times",
+            rule="increasing",
         )
     return t
+
+
+def require_moderate(name: str, values: Float64Array) -> None:
+    """Numbers of a table whose rates are finite.
+
+    Raises:
+        RangeError: One that is beyond any time or place.
+    """
+    if values.size and np.abs(values).max() > LARGEST:
+        raise RangeError(f"{name} must be within +-{LARGEST:g}; got {np.abs(values).max():g}", name=name)
 
 
 def read_rows(

@@ -17,7 +17,7 @@ from taut.base.errors import NumericalError, ShapeError, missing_extra
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.reference import JointMotion
 from taut.control.scaling import CUBIC, QUINTIC, Scaling, polynomial, require_finite, trapezoid, trapezoid_duration
-from taut.control.tables import read_rows, sample_times
+from taut.control.tables import read_rows, require_moderate, sample_times
 
 __all__ = [
     "Cubic",
@@ -424,6 +424,7 @@ def _table(name: str, times: ArrayLike, values: ArrayLike) -> tuple[Float64Array
     table = finite_array(name, values, unit="rad | m")
     if t.ndim != 1 or table.ndim != 2 or len(t) != len(table) or not len(t):
         raise ShapeError(f"times must have shape (k,) and {name} (k, n); got {t.shape} and {table.shape}", name=name)
+    require_moderate(name, table)
     return sample_times(t), table
 
 

@@ -57,7 +57,9 @@ def _entries(run: Run) -> dict[str, Check]:
         "arm": _text,
         "plant": _text,
         "parameters": lambda value: values(value) and _payload(value),
-        "events": lambda value: all(_array(e["t"], ()) and values(e["set"]) and _payload(e["set"]) for e in value),
+        "events": lambda value: (
+            type(value) is list and all(_array(e["t"], ()) and values(e["set"]) and _payload(e["set"]) for e in value)
+        ),
         LIMITS: _each_value(_each_value(lambda value: _array(value, ()))),
         VERSIONS: _each_value(_text),
         "scenario": lambda value: not value or all(_text(value[key]) for key in ("name", "law", "case", "text")),
