@@ -121,12 +121,13 @@ def description_from(values: Any, most: int) -> tuple[Description, dict[str, Any
         letters = sum(map(len, description.joint_names)) * (3 + len(description.terms))
     except (LookupError, TypeError, ValueError, AttributeError) as cause:
         raise ValueError(f"its description lacks {cause}") from cause
+    if columns > MAX_COLUMNS or letters > MAX_LETTERS:
+        raise ValueError(f"it has {columns} columns of numbers, or names of {letters} letters in a tick")
     n = len(description.joint_names)
     numbers = sum(int(np.prod(shape, dtype=object)) for shape in description.shapes().values())
     fitting = len(description.units) == n and all(i < n for i in description.continuous)
     different = all(len(set(names)) == len(names) for names in (description.joint_names, description.terms))
-    small = numbers <= most and columns <= MAX_COLUMNS and letters <= MAX_LETTERS
-    if not n or not fitting or not different or not small or description.kind not in PLACE:
+    if not n or not fitting or not different or numbers > most or description.kind not in PLACE:
         raise ValueError("its description does not fit its joints")
     if any(unit not in UNITS for unit in description.units):
         raise ValueError(f"its units are {', '.join(description.units)}, not rad or m")
