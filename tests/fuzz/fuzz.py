@@ -45,20 +45,21 @@ class Tally:
     refused: int = 0
     faults: list[str] = field(default_factory=list)  # kind of fault, number of the input, what happened
     slowest: float = 0.0  # [s]
+    largest: int = 0  # [kB] memory that one took beyond what the process had
 
     def add(self, other: Tally) -> None:
         self.accepted += other.accepted
         self.refused += other.refused
         self.faults += other.faults
         self.slowest = max(self.slowest, other.slowest)
+        self.largest = max(self.largest, other.largest)
 
 
 def tried(kind: str, numbers: range, *, timed: bool = True) -> Tally:
     """Make and read the mutants of these numbers; each is the same whenever it is made."""
     name, make, read = KINDS[kind]
     tally = Tally()
-    if kind == "MCAP":
-        warm()  # what is compiled, once
+    warm(kind)
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for number in numbers:
@@ -69,11 +70,14 @@ def tried(kind: str, numbers: range, *, timed: bool = True) -> Tally:
             if timed and took > MAX_TIME:
                 tally.faults.append(f"slow: {kind} {number}: {took:.1f} s")
             tally.slowest = max(tally.slowest, took)
+            if tally.largest > MAX_MEMORY // 1024 and not any("memory" in fault for fault in tally.faults):
+                tally.faults.append(f"memory: {kind} {number}: {tally.largest // 1024} MB")
     return tally
 
 
 def _judged(read: object, tally: Tally, name: str) -> float:
-    began = time.process_time()
+    began, before = time.process_time(), _memory("VmRSS")
+    Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
     signal.alarm(HANG)
     try:
         read()  # type: ignore[operator]
@@ -96,7 +100,13 @@ def _judged(read: object, tally: Tally, name: str) -> float:
         tally.faults.append(f"foreign: {name}: {type(foreign).__name__}: {str(foreign)[:100]} ({place})")
     finally:
         signal.alarm(0)
+    tally.largest = max(tally.largest, _memory("VmHWM") - before)
     return time.process_time() - began
+
+
+def _memory(what: str) -> int:
+    """[kB] of this process, as Linux counts it."""
+    return int(Path("/proc/self/status").read_text().partition(f"{what}:")[2].split()[0])
 
 
 def _hang(*_: object) -> None:
@@ -111,25 +121,20 @@ def _bounded() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (size + margin, resource.RLIM_INFINITY))
 
 
-def _chunk(work: tuple[str, range]) -> tuple[str, Tally, int]:
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    tally = tried(*work)
-    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
-    return work[0], tally, grown // 1024
+def _chunk(work: tuple[str, range]) -> tuple[str, Tally]:
+    return work[0], tried(*work)
 
 
 def main(count: int, kinds: list[str]) -> int:
     """All mutants of the kinds, on two processes; 1 where there is a fault."""
     os.nice(10)
     tallies = {kind: Tally() for kind in kinds}
-    memory = dict.fromkeys(kinds, 0)
     chunks = [(kind, range(first, min(first + CHUNK, count))) for first in range(0, count, CHUNK) for kind in kinds]
     out = Path("out")
     out.mkdir(exist_ok=True)
     with multiprocessing.get_context("spawn").Pool(2, _bounded) as pool:
-        for done, (kind, tally, grown) in enumerate(pool.imap_unordered(_chunk, chunks), start=1):
+        for done, (kind, tally) in enumerate(pool.imap_unordered(_chunk, chunks), start=1):
             tallies[kind].add(tally)
-            memory[kind] = max(memory[kind], grown)
             for fault in tally.faults:
                 print(fault, flush=True)
             report = {
@@ -139,7 +144,7 @@ def main(count: int, kinds: list[str]) -> int:
                     "refused": tally.refused,
                     **collections.Counter(fault.partition(":")[0] for fault in tally.faults),
                     "slowest_s": round(tally.slowest, 2),
-                    "memory_MB": memory[kind],
+                    "memory_MB": tally.largest // 1024,
                     "faults": tally.faults,
                 }
                 for kind, tally in tallies.items()

@@ -56,7 +56,6 @@ def chunk(data: bytes, size: int | None = None, compression: bytes = b"lz4") -> 
 
 
 def with_chunks(log: Path, chunks: bytes) -> Path:
-    """A log with some chunks more behind its magic."""
-    data = log.read_bytes()
-    log.write_bytes(MAGIC + data[len(MAGIC) :][:0] + data[len(MAGIC) : -len(MAGIC)] + chunks + MAGIC)
+    """A log with some chunks more before its own."""
+    log.write_bytes(MAGIC + chunks + log.read_bytes()[len(MAGIC) :])
     return log

@@ -125,8 +125,9 @@ def test_a_scenario_downloads_nothing(tmp_path: Path, monkeypatch: pytest.Monkey
         (tmp_path / "case.toml").write_text(
             text.replace('model = "planar2"\n', "", key == "arm") + 'model = "x_description"\n'
         )
-        with pytest.raises(taut.TautError, match="x_description"):
+        with pytest.raises(taut.ScenarioError, match="x_description") as refused:
             load_scenario(str(tmp_path / "case.toml"))
+        assert "imported" not in str(refused.value)
 
 
 # -------------------------------------------------------------------- logs
