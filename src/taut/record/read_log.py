@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import os
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any, Final
@@ -30,7 +30,6 @@ __all__ = ["load_run"]
 
 BLOCK_BYTES: Final = 4 * 1024 * 1024  # of ticks that are taken apart at a time
 MAX_KINDS: Final = 64  # of a reference of several
-MAX_CANDIDATES: Final = 64  # classes of the same name in other modules
 MAX_NUMBERS: Final = 1_000_000  # in a tick
 MAX_UNPACKED: Final = 128  # bytes that a byte of the file may unpack to; our own logs have 6
 PACKED_MESSAGE: Final = 4  # bytes of the file that a message takes at least
@@ -162,12 +161,9 @@ def _sample_class(description: Description, path: Path) -> type[Sample]:
     """The class of the reference, among those that are known here; a file never makes us import anything."""
     from taut.control import laws  # noqa: F401  # so that all of ours are known
 
-    n = len(description.joint_names)
-    kinds = description.reference.count(",") + 1
-    if kinds <= min(len(description.fields), MAX_KINDS):  # each has a field at least
-        for kind in itertools.islice(_candidates(description.reference), MAX_CANDIDATES):
-            if kind.fields(n) == description.fields:
-                return kind
+    kind = _fitting(description.reference, description.fields, len(description.joint_names))
+    if kind is not None:
+        return kind
     raise FileError(
         f"log '{path}' has a reference of type '{description.reference[:LONGEST]}' with fields "
         f"{', '.join(description.fields)[:LONGEST]}, which is not known here; import the module that defines "
@@ -176,28 +172,41 @@ def _sample_class(description: Description, path: Path) -> type[Sample]:
     )
 
 
-def _candidates(name: str) -> Iterator[type[Sample]]:
-    """The classes of that name; those of tasks and of laws side by side are made by the kinds in it."""
+def _fitting(name: str, fields: Mapping[str, tuple[int, ...]], n: int) -> type[Sample] | None:
+    """The class of that name with those fields; those of tasks and of laws side by side are made of others."""
+    words = name.partition("[")[2].removesuffix("]").split(",")
+    if len(words) > min(len(fields), MAX_KINDS):  # each has a field at least
+        return None
+    made: type[Sample] | None = None
     if name.startswith(f"{PhaseSample.__name__}["):
-        words = name.partition("[")[2].removesuffix("]").split(",")
-        for kinds in itertools.product(*(_newest(word) for word in words)):
-            yield phase_sample(kinds)
-        return
-    if name.startswith(TOGETHER):
-        parts = [word.rsplit(":", 2) for word in name.removeprefix(TOGETHER).removesuffix("]").split(",")]
-        if all(len(part) == 3 and part[0].isidentifier() and part[2].isdecimal() for part in parts):
-            for kinds in itertools.product(*(_newest(kind) for _, kind, _ in parts)):
-                yield together_kind(
-                    tuple((part, kind, int(n)) for (part, _, n), kind in zip(parts, kinds, strict=True))
-                )
-        return
-    yield from _newest(name)
+        seen: Counter[str] = Counter()
+        kinds = []
+        for word in words:
+            seen[word] += 1
+            kinds.append(_named_kind(word, fields, n, f"{word}{seen[word] if seen[word] > 1 else ''}_"))
+        made = phase_sample(tuple(kind for kind in kinds if kind is not None)) if None not in kinds else None
+    elif name.startswith(TOGETHER):
+        parts = []
+        for word in words:
+            part, kind, size = [*word.rsplit(":", 2), "", ""][:3]
+            if part.isidentifier() and size.isdecimal():
+                parts.append((part, _named_kind(kind, fields, int(size), f"{part}_"), int(size)))
+        found = tuple((part, kind, size) for part, kind, size in parts if kind is not None)
+        made = together_kind(found) if len(found) == len(words) else None
+    else:
+        made = _named_kind(name, fields, n)
+    return made if made is not None and made.fields(n) == fields else None
 
 
-def _newest(name: str) -> list[type[Sample]]:
-    """The classes of that name, one of each module: a dataclass with slots leaves its first draft behind."""
-    named = {(kind.__module__, kind.__qualname__): kind for kind in _subclasses(Sample) if kind.__name__ == name}
-    return list(reversed(named.values()))
+def _named_kind(name: str, fields: Mapping[str, tuple[int, ...]], n: int, prefix: str = "") -> type[Sample] | None:
+    """The class of that name with most of those fields, as a part has them under its prefix, and no others."""
+    named = [kind for kind in _subclasses(Sample) if kind.__name__ == name]
+    fitting = [
+        kind
+        for kind in reversed(named)  # a dataclass with slots leaves its first draft behind, which came before it
+        if all(fields.get(prefix + field) == shape for field, shape in kind.fields(n).items())
+    ]
+    return max(fitting, key=lambda kind: len(kind.fields(n)), default=None)
 
 
 def _subclasses(kind: type[Any]) -> Iterator[type[Sample]]:
