@@ -306,6 +306,19 @@ def test_the_cases_of_a_scenario_are_counted(tmp_path: Path) -> None:
         load_scenario(str(tmp_path / "case.toml"))
 
 
+@pytest.mark.parametrize("name", ["../x", "a b", "1", "parts", "fields", "self", "__init__", "motion"])
+def test_a_part_is_named_by_a_word_of_its_own(name: str) -> None:
+    law = taut.laws.GravityPID(kp=1.0, kd=1.0)
+    parts: Any = {name: (law, ["joint1"])}
+    if name != "self":
+        with pytest.raises(taut.UsageError):
+            taut.together(**{name: taut.JointMotion(q=[0.0])})
+        with pytest.raises(taut.UsageError):
+            taut.SideBySide(**parts)
+    else:
+        assert taut.SideBySide(**parts).parts == {"self": law}
+
+
 # -------------------------------------------------------------------- models and servos
 
 

@@ -189,7 +189,7 @@ def _fitting(name: str, fields: Mapping[str, tuple[int, ...]], n: int) -> type[S
         parts = []
         for word in words:
             part, kind, size = [*word.rsplit(":", 2), "", ""][:3]
-            if part.isidentifier() and size.isdecimal():
+            if size.isdecimal():
                 parts.append((part, _named_kind(kind, fields, int(size), f"{part}_"), int(size)))
         found = tuple((part, kind, size) for part, kind, size in parts if kind is not None)
         made = together_kind(found) if len(found) == len(words) else None
