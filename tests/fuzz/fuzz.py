@@ -84,7 +84,7 @@ def _judged(read: object, tally: Tally, name: str) -> float:
         tally.accepted += 1
     except taut.TautError as refused:
         tally.refused += 1
-        if not str(refused).replace("\n", "").isprintable():
+        if not str(refused).replace("\n", "").replace("\t", "").isprintable():
             tally.faults.append(f"escape: {name}")
     except NotDefiniteError as wrong:
         tally.faults.append(f"indefinite: {name}: {str(wrong)[:200]}")
