@@ -322,11 +322,15 @@ __all__ = sorted([*_WHERE, *_MODULES])
 
 
 def __getattr__(name: str) -> Any:
-    if name in _MODULES:
-        value: Any = importlib.import_module(f"taut.{_MODULES[name]}")
+    if name in _MODULES or name in _WHERE:
+        try:
+            module = importlib.import_module(f"taut.{_MODULES.get(name) or _WHERE[name]}")
+        except OSError as cause:  # no file descriptor left
+            from taut.base.errors import FileError
+
+            raise FileError(f"taut.{name} cannot be loaded: {cause.strerror}", name=name) from cause
+        value: Any = module if name in _MODULES else getattr(module, name)
         value = value if name == "math" else _checked(name, value)  # whose functions are too quick to wrap
-    elif name in _WHERE:
-        value = _checked(name, getattr(importlib.import_module(f"taut.{_WHERE[name]}"), name))
     else:
         from taut.base.errors import unknown_name
 

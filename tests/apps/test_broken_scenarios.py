@@ -529,7 +529,7 @@ CASES: dict[str, tuple[dict[str, Any], str | None, str]] = {
     "a start for other joints": ({"reference": {**CUBIC, "q0": [1, 2, 3]}}, "reference", "q0 must have one entry for each of the 2"),
     "scalars for all joints": ({"reference": {**CUBIC, "q0": 0, "q1": 1}}, "reference", "q0 must have one entry for each of the 2"),
     "a motion that takes no time": ({"reference": {**CUBIC, "duration": 0}}, "reference", "duration must be > 0 [s]; got 0.0"),
-    "a motion that is faster than numbers": ({"reference": {**CUBIC, "duration": 1e-300}}, "reference", "ref.a[0] must be finite"),
+    "a motion that is faster than numbers": ({"reference": {**CUBIC, "duration": 1e-300}}, "reference", "duration must be long enough"),
     "a missing limit": ({"reference": JERK}, "reference", "needs the key 'jerk'"),
     "a misspelt limit": (
         {"reference": {**JERK, "jrk": 1}},
@@ -612,7 +612,7 @@ CASES: dict[str, tuple[dict[str, Any], str | None, str]] = {
     "a file of another kind": ({"outputs": {"video": "x.avi"}}, "outputs", "video must be a file name ending in .gif or .mp4"),
     "a file without a name": ({"outputs": {"log": ".mcap"}}, "outputs", "log must be a file name ending in .mcap; got '.mcap'"),
     "a file with a name of 5000 letters": ({"outputs": {"csv": "a" * 5000 + ".csv"}}, "outputs", "csv must be a file name of at most 200 bytes; got 5004"),
-    "a file with a zero in its name": ({"outputs": {"csv": "a\0.csv"}}, "outputs", "csv must be a file name ending in .csv"),
+    "a file with a zero in its name": ({"outputs": {"csv": "a\0.csv"}}, "", " has at 'outputs.csv' a text with an invisible character"),
     "a plot of nine laws": (
         {"laws": {f"law {i}": {"law": "PID", "kp": 1} for i in range(9)}, "outputs": {"plot": "x.png"}},
         "outputs",
@@ -705,7 +705,7 @@ NO_SCENARIO: dict[str, tuple[bytes, str]] = {
         b"[run]\nduration = 0x" + b"f" * 5000,
         "taut: scenario 'case.toml' has at 'run.duration' a whole number beyond the 64 bits of TOML; write it as 1e20",
     ),
-    "more than a page": (b"#" * 1_000_001, "taut: scenario 'case.toml' is larger than 1000000 bytes"),
+    "more than a page": (b"#" * 500_001, "taut: scenario 'case.toml' is larger than 500000 bytes"),
 }  # fmt: skip
 
 

@@ -384,7 +384,7 @@ def test_every_wrong_file_to_read_gets_one_sentence(tmp_path: Path, noisy_run: t
         "folder.mcap": "log 'folder.mcap' is a folder; name a file in it",
         "foreign.mcap": "log 'foreign.mcap' is an MCAP file by 'somebody 1.0', but no run of taut: it has no record "
         "'taut.run'",
-        "nul\0.mcap": "log 'nul\0.mcap' does not exist; 'HERE' has 'empty.mcap', 'folder.mcap', 'foreign.mcap', "
+        "nul\0.mcap": "log 'nul\\x00.mcap' does not exist; 'HERE' has 'empty.mcap', 'folder.mcap', 'foreign.mcap', "
         "'text.mcap'",
     }
     with pytest.raises(taut.UsageError, match=r"load_run takes the path of a \.mcap file; got int"):

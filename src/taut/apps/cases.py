@@ -11,6 +11,7 @@ __all__ = ["OF_A_CASE", "Trial", "cases_of"]
 
 OF_A_CASE: Final = ("arm", "laws", "phases", "control", "plant", "reference", "run", "event")
 OF_ALL_CASES: Final = ("title", "outputs", "pass")
+MAX_CASES: Final = 200
 
 
 class Trial(NamedTuple):
@@ -36,6 +37,8 @@ def cases_of(root: Section) -> dict[str, Section]:
     section = root.section("cases")
     if not section.left:
         raise section.error('needs one case at least: [cases."G = 100".plant.gears] with the keys that it replaces')
+    if len(section.left) > MAX_CASES:
+        raise section.error(f"has {len(section.left)} cases; at most {MAX_CASES} are read")
     laws = root.peek("laws")
     cases = {}
     for name in section.left:

@@ -16,7 +16,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from contextlib import redirect_stdout, suppress
+from contextlib import chdir, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any, Final, NoReturn, TextIO, cast
 
@@ -26,6 +26,7 @@ from rich.table import Table
 from taut.apps.compare_command import COMPARE, add_compare, compare_from
 from taut.apps.name_value import with_negative_values
 from taut.base.errors import FileError, ModelError, TautError, UsageError
+from taut.base.words import printable
 
 __all__ = ["main"]
 
@@ -147,7 +148,9 @@ def _status(words: list[str]) -> int:
         command: Callable[[argparse.Namespace], int] = arguments.command
         with warnings.catch_warnings():
             warnings.showwarning = _show_warning
-            return command(arguments)
+            _ignore_matplotlibrc()
+            with redirect_stdout(cast("TextIO", _Plain(sys.stdout)) if sys.stdout else sys.stdout):
+                return command(arguments)
     except TautError as wrong:
         _tell(str(wrong))
         return WRONG
@@ -160,15 +163,30 @@ def _status(words: list[str]) -> int:
         return FAILED
 
 
-def _one_line(text: str) -> str:
-    """A sentence in one line, whatever the names of files, keys and laws in it hold."""
-    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
+class _Plain:
+    """A stream on which nothing that came from a file can command a terminal: everything is written as it reads."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        return self._stream.write(printable(text, lines=True))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
 
 def _tell(text: str) -> None:
-    """A sentence on standard error, if anybody reads it."""
+    """A sentence on standard error, if anybody reads it, in one line whatever names in it hold."""
     with suppress(OSError):
-        print(f"taut: {_one_line(text)}", file=sys.stderr)
+        print(f"taut: {printable(text)}", file=sys.stderr)
+
+
+def _ignore_matplotlibrc() -> None:
+    """matplotlib obeys a matplotlibrc of the current folder, which belongs to whoever made the folder."""
+    if os.path.lexists("matplotlibrc"):
+        with chdir(Path(__file__).parent):
+            import matplotlib  # noqa: F401
 
 
 def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
@@ -254,15 +272,16 @@ def _print_json(value: Any) -> None:
 
 def _console(whole: int = 140) -> Console:
     """A console as wide as the terminal, or as COLUMNS says; in a file or a pipe wide enough to keep tables whole."""
-    console = Console()
-    return console if console.is_terminal or "COLUMNS" in os.environ else Console(width=whole)
+    console = Console(color_system=None)
+    keep = console.is_terminal or "COLUMNS" in os.environ
+    return console if keep else Console(color_system=None, width=whole)
 
 
 def _widened(console: Console, table: Table) -> Console:
     """In a file or a pipe a console that is as wide as a table needs, so that no number is broken."""
     if console.is_terminal or "COLUMNS" in os.environ:
         return console
-    return Console(width=max(console.width, Console(width=UNBROKEN).measure(table).maximum))
+    return Console(color_system=None, width=max(console.width, Console(width=UNBROKEN).measure(table).maximum))
 
 
 def _say(arguments: argparse.Namespace) -> Callable[[str], None]:
@@ -270,7 +289,7 @@ def _say(arguments: argparse.Namespace) -> Callable[[str], None]:
 
     def say(text: str) -> None:
         if not arguments.json and sys.stderr.isatty():
-            print(text, file=sys.stderr)
+            print(printable(text), file=sys.stderr)
 
     return say
 
@@ -300,12 +319,12 @@ def _run(arguments: argparse.Namespace) -> int:
         for kind, path in result.outputs.items():
             print(f"{kind:8} {path}")
         for kind, reason in result.skipped.items():
-            print(_one_line(f"no {kind}: {reason}"))
+            print(printable(f"no {kind}: {reason}"))
         for trial, one in result.runs.items():
             if not one.outcome.ok or PHASES in one.info or "; " in one.outcome.message:
-                print(_one_line(f"{trial.label}: {one.outcome}"))
+                print(printable(f"{trial.label}: {one.outcome}"))
         for text in result.missed:
-            print(_one_line(f"missed: {text}"))
+            print(printable(f"missed: {text}"))
         if result.figures:
             print(f"reached: {result.figures - len(result.missed)} of {result.figures} pass figures")
     return DONE if result.ok else FAILED
@@ -443,7 +462,7 @@ def _book(arguments: argparse.Namespace) -> int:
 
     def say(text: str) -> None:
         if not arguments.json and sys.stderr.isatty():
-            print(text, file=sys.stderr)
+            print(printable(text), file=sys.stderr)
 
     entries = contents.chosen(arguments.ids)
     folder = contents.prepared_folder(arguments.out or Path("out") / "book")

@@ -14,9 +14,10 @@ from taut.arm.builtin import BUILT_IN, COMMANDS, one_joint_tree
 from taut.arm.catalogue import CATALOGUE
 from taut.arm.change import joints_replaced
 from taut.arm.description import Arm
+from taut.arm.descriptions import PATTERN
 from taut.arm.friction import Friction
 from taut.arm.load import OpenedModel, arm_of, load_arm, open_model
-from taut.base.errors import TautError
+from taut.base.errors import TautError, UsageError
 
 __all__ = ["read_arm", "read_true_arm"]
 
@@ -59,6 +60,12 @@ def read_true_arm(section: Section, believed: Arm, folder: Path) -> Arm:
 def _model(name: str, folder: Path) -> str:
     """A name that taut knows, else the path of a file."""
     path = Path(name)
+    if PATTERN.match(name) and not os.path.exists(folder / path):  # noqa: PTH110
+        raise UsageError(
+            f"'{name}' is a model of the package robot_descriptions, which downloads it when asked, and a scenario "
+            "downloads nothing; name the path of its file",
+            name="model",
+        )
     is_file = bool(path.suffix) or len(path.parts) > 1 or os.path.exists(folder / path)  # noqa: PTH110  (long names)
     return (
         str(file_beside("model", name, folder)) if name and is_file and name not in (*BUILT_IN, *CATALOGUE) else name

@@ -110,7 +110,10 @@ class Scenario:
 def built_in_scenarios() -> dict[str, Path]:
     """The scenarios that come with taut, by name."""
     folder = resources.files("taut.apps") / "scenarios"
-    found = [Path(str(item)) for item in folder.iterdir() if item.name.endswith(".toml")]
+    try:
+        found = [Path(str(item)) for item in folder.iterdir() if item.name.endswith(".toml")]
+    except OSError as cause:  # no file descriptor left
+        raise FileError(f"the built-in scenarios cannot be read: {cause.strerror}", name=str(folder)) from cause
     return {path.stem: path for path in sorted(found)}
 
 

@@ -19,9 +19,13 @@ __all__ = ["REQUIRED", "Section", "file_beside", "read_toml", "section_of"]
 
 REQUIRED: Final = object()
 EMPTY: Final[Mapping[str, str]] = {}
-MOST_BYTES: Final = 1_000_000
+MOST_BYTES: Final = 500_000
 DEEPEST: Final = 16  # tables within tables; a scenario has five
 LONGEST: Final = 100  # letters of a value in a message
+TEXT_OR_COMMENT: Final = re.compile(
+    r'"""(?:\\.|[^\\])*?"""|\'\'\'.*?\'\'\'|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*', re.DOTALL
+)
+DOTTED: Final = re.compile(rf"(?<![^\s.,=\[\]{{}}])(?:[^\s.,=\[\]{{}}]+[ \t]*+\.[ \t]*+){{{DEEPEST}}}")
 WORDS: Final = {
     "friction=None": 'friction = "none"',
     "actuation=taut.Actuation(bandwidth=50.0)  # rad/s": "actuation = { bandwidth = 50.0 } [rad/s]",
@@ -90,6 +94,11 @@ def section_of(text: str, label: str, what: str) -> Section:
     Raises:
         ScenarioError: It is no TOML, or none that a scenario could be.
     """
+    dotted = DOTTED.search(TEXT_OR_COMMENT.sub(lambda found: "" if found[0][0] == "#" else "_", text))
+    if dotted is not None:  # the parser's time grows with the third power of such a key's length
+        raise Section(label, "", {}).error(
+            f"has at '{dotted[0].rstrip('. ')[:LONGEST]}' more than {DEEPEST} tables in each other; no key takes that"
+        )
     try:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as cause:  # TOML that is wrong, a number with thousands of digits
@@ -110,6 +119,11 @@ def _refuse_monsters(root: Section, table: Mapping[str, Any]) -> None:
                 raise root.error(f"{place} more than {DEEPEST} tables or arrays in each other; no key takes that")
             inside = value.items() if isinstance(value, dict) else enumerate(value)
             waiting += [((*path, str(key)), each) for key, each in inside]
+            hidden = next((key for key in value if isinstance(key, str) and not key.isprintable()), "")
+            if hidden:
+                raise root.error(f"{place} the key '{hidden[:LONGEST]}' with an invisible character; delete it")
+        elif isinstance(value, str) and not value.replace("\n", "").replace("\t", "").isprintable():
+            raise root.error(f"{place} a text with an invisible character: {_shown(value)}; delete it")
         elif isinstance(value, int) and not -(2**63) <= value < 2**63:
             raise root.error(f"{place} a whole number beyond the 64 bits of TOML; write it as 1e20")
 

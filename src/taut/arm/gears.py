@@ -126,7 +126,7 @@ def _largest_link_inertia(arm: Arm) -> dict[bool, float]:
     most = {True: 0.0, False: 0.0}
     for i, joint in enumerate(arm.joints):
         sliding = joint.kind == "prismatic"
-        parts = [(mass, 0.0 if sliding else mass * far**2 + moment) for mass, far, moment in _carried(arm, i)]
+        parts = [(mass, 0.0 if sliding else mass * far * far + moment) for mass, far, moment in _carried(arm, i)]
         most[sliding] = max(most[sliding], sum(mass if sliding else about for mass, about in parts))
     return most
 

@@ -6,6 +6,7 @@ messages can be traced back to the user's files.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
@@ -76,6 +77,7 @@ COUNTS: Final = {
     "axis": 3,
     "range": 2,
     "armature": 1,
+    "timestep": 1,
     "frictionloss": 1,
     "ref": 1,
     "actuatorfrcrange": 2,
@@ -89,7 +91,12 @@ NUMBERED: Final = frozenset(
     | {"general", "motor", "position", "velocity", "intvelocity", "damper"}
 )
 RANGES: Final = ("range", "actuatorfrcrange", "forcerange", "ctrlrange")
-NOT_NEGATIVE: Final = {"joint": ("armature", "frictionloss", "damping"), "inertial": ("mass",), "geom": ("mass",)}
+NOT_NEGATIVE: Final = {
+    "joint": ("armature", "frictionloss", "damping", "stiffness"),
+    "option": ("timestep", "density", "viscosity"),
+    "inertial": ("mass",),
+    "geom": ("mass", "density"),
+}
 
 
 ESCAPED: Final = str.maketrans(
@@ -176,7 +183,7 @@ class _Includes:
             self._report(include, f"'{name}' is included twice, or includes itself; keep one")
             return []
         self._seen.add(file)
-        self._bytes += file.stat().st_size if file.is_file() else 0
+        self._bytes += file.stat().st_size if os.path.isfile(file) else 0  # noqa: PTH113  (names too long for a file)
         if len(self._seen) > MAX_FILES or self._bytes > MAX_BYTES:
             most = f"{MAX_FILES} files and {MAX_BYTES // 2**20} MB"
             self._report(include, f"'{name}' is one file too many; at most {most} are included")

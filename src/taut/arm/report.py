@@ -11,6 +11,7 @@ from typing import Final, TypeAlias
 from taut.arm.builtin import BUILT_IN, COMMANDS
 from taut.arm.catalogue import CATALOGUE, is_installed
 from taut.arm.description import BASE, Arm, CommandKind, Joint
+from taut.arm.doubts import model_doubts
 from taut.arm.friction import FRICTION_FIELDS
 from taut.arm.load import OpenedModel, arm_of, open_model
 from taut.arm.reach import reach
@@ -104,7 +105,9 @@ def check_model(model: str | os.PathLike[str]) -> CheckReport:
         return CheckReport(
             name=tree.name, problems=_problems_of(wrong, tree.name), opened=opened, notes=tuple(tree.notes)
         )
-    return CheckReport(name=arm.name, opened=opened, arm=arm, notes=(*notes, *arm.notes, *_without_rotors(arm)))
+    doubts = () if name in BUILT_IN else model_doubts(arm)  # the chapter's own links are as light as it draws them
+    said = (*notes, *arm.notes, *_without_rotors(arm), *doubts)
+    return CheckReport(name=arm.name, opened=opened, arm=arm, notes=said)
 
 
 def _without_rotors(arm: Arm) -> tuple[str, ...]:

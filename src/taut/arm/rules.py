@@ -29,6 +29,7 @@ OTHER_KINDS: Final = {
     "planar": "a planar joint is not one of an arm; write it as two prismatic joints and a revolute one",
     "ball": "a ball joint is not one of an arm; write it as three hinges",
 }
+MAX_LENGTH: Final = 1e4  # [m] between two joints, or of a slide; what is farther is a slip, and its square is lost
 MAX_LINKS: Final = 1000  # a humanoid with hands has 100; what is far beyond is no arm
 
 
@@ -138,6 +139,9 @@ def joint_problems(tree: Tree, locked: Collection[str]) -> Iterator[Problem]:
     """Types that an arm cannot have; axes, limits and friction of the joints that move."""
     names = {joint.name for joint in tree.joints}
     for joint in tree.joints:
+        if not np.abs(joint.origin.p).max() <= MAX_LENGTH:
+            far = f"{float(np.abs(joint.origin.p).max()):g}"
+            yield _bad(joint, "origin", f"its place must be within {MAX_LENGTH:g} m of its parent; got {far}")
         if joint.kind == "fixed" or joint.name in locked:
             continue
         hold = tree.words.hold.format(joint=joint.name)
@@ -169,6 +173,8 @@ def value_problems(joint: Joint | TreeJoint) -> Iterator[tuple[str, str]]:
     elif low >= high:
         way_out = "swap them" if low > high else "make a joint that does not move a fixed one"
         yield "limit", f"lower limit {low:g} must be below upper limit {high:g}; {way_out}"
+    if joint.kind == "prismatic" and any(MAX_LENGTH < abs(x) < math.inf for x in (low, high)):
+        yield "limit", f"limits of a slide must be within +-{MAX_LENGTH:g} m; got {low:g} to {high:g}"
     for attribute, word, value in (("velocity", "speed", joint.velocity), ("effort", "effort", joint.effort)):
         if value <= 0.0:
             yield attribute, f"{word} limit must be > 0; got {value:g}"
@@ -207,6 +213,8 @@ def wrong_mass(link: TreeLink) -> str | None:
         return f"mass must be finite and >= 0 [kg]; got {mass:g}"
     if not (np.isfinite(link.inertia.com).all() and np.isfinite(link.inertia.inertia).all()):
         return "centre of mass and inertia must be finite"
+    if np.abs(link.inertia.com).max() > MAX_LENGTH:
+        return f"centre of mass must be within {MAX_LENGTH:g} m of its link; got {link.inertia.com.tolist()}"
     return None
 
 

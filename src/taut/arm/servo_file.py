@@ -10,6 +10,7 @@ import dataclasses
 import json
 import math
 import os
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -74,11 +75,10 @@ def load_servo(path: str | os.PathLike[str], *, voltage: float | None = None) ->
         actuators (2024).
     """
     file = readable_file("servo", path)
-    data = _object(file)
+    data, twice = _object(file)
     model = data.get("model")
     problems = [
-        Problem(object=file.name, attribute=key, message=f"'{key}' is there twice; delete one")
-        for key in data.get("", ())
+        Problem(object=file.name, attribute=key, message=f"'{key}' is there twice; delete one") for key in twice
     ]
     if not isinstance(model, str) or model not in NEEDED:
         rule = f"a servo file names its model of friction, {quoted_list(NEEDED)}"
@@ -87,7 +87,7 @@ def load_servo(path: str | os.PathLike[str], *, voltage: float | None = None) ->
     problems += _problems(file.name, model, data)
     if problems:
         raise ModelError(str(file), problems)
-    values = {key: float(value) for key, value in data.items() if key not in (*WORDS, "")}
+    values = {key: float(value) for key, value in data.items() if key not in WORDS}
     servo = Servo(
         friction=_friction(model, values),
         rotor_inertia=values["armature"],
@@ -101,14 +101,14 @@ def load_servo(path: str | os.PathLike[str], *, voltage: float | None = None) ->
     return _noted(servo, values)
 
 
-def _object(file: Path) -> dict[str, Any]:
-    """The one object of a file; names that stand twice in it are kept under ""."""
+def _object(file: Path) -> tuple[dict[str, Any], list[str]]:
+    """The one object of a file, and the names that stand twice in it."""
+    twice: set[str] = set()
 
     def pairs(found: list[tuple[str, Any]]) -> dict[str, Any]:
-        names = [name for name, _ in found]
-        made = dict(found)
-        twice = sorted({name for name in names if names.count(name) > 1})
-        return made | {"": twice} if twice else made
+        counts = Counter(name for name, _ in found)
+        twice.update(name for name, count in counts.items() if count > 1)
+        return dict(found)
 
     with file.open("rb") as stream:
         text = stream.read(MAX_BYTES + 1)
@@ -128,7 +128,7 @@ def _object(file: Path) -> dict[str, Any]:
     if not isinstance(data, dict):
         kind = "a list" if isinstance(data, list) else "one value"
         raise _refused(file, "JSON", f"the file holds {kind}; a servo file is one object of numbers by name")
-    return data
+    return data, sorted(twice)
 
 
 def _refused(file: Path, attribute: str, message: str, line: int | None = None) -> ModelError:
@@ -144,10 +144,8 @@ def _problems(name: str, model: str, data: Mapping[str, Any]) -> Iterator[Proble
                 object=name, attribute=key, message=f"model {model} needs '{key}' [{units[key]}], which is missing"
             )
     for key, value in data.items():
-        if key == "" and isinstance(value, list):
-            continue
         if key in WORDS:
-            if not isinstance(value, str):
+            if not isinstance(value, str) or not value.isprintable():
                 yield Problem(object=name, attribute=key, message=f"'{key}' must be a text; got {_shown(value)}")
         elif key not in units and key not in LEFT_OUT:
             yield Problem(object=name, attribute=key, message=_unknown(key, model, units))
@@ -222,7 +220,7 @@ def _noted(servo: Servo, values: Mapping[str, float]) -> Servo:
         )
         if None not in (servo.torque_constant, servo.resistance, servo.voltage):
             stall = servo.stall_torque
-            text += f", {quadratic * stall**2:.3g} N m at the stall torque of {stall:.3g} N m"
+            text += f", {quadratic * stall * stall:.3g} N m at the stall torque of {stall:.3g} N m"
         notes.append(text)
     missing = [key for key in MOTOR if key not in values]
     if missing:
@@ -238,4 +236,4 @@ def _doubtful(servo: Servo) -> bool:
         return True
     if servo.torque_constant is None or servo.resistance is None:
         return False
-    return servo.rotor_inertia * servo.resistance / servo.torque_constant**2 > SLOWEST
+    return servo.rotor_inertia * servo.resistance > SLOWEST * servo.torque_constant * servo.torque_constant

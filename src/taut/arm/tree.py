@@ -16,6 +16,7 @@ import numpy as np
 
 from taut.arm.angles import TURN
 from taut.arm.description import STANDARD_GRAVITY, Arm, CommandKind, Frame, Joint, Shape
+from taut.arm.doubts import indefinite
 from taut.arm.gears import rotor_doubts
 from taut.arm.lump import Lumps
 from taut.arm.rules import (
@@ -197,6 +198,13 @@ def assemble(
         source=tree.source,
         notes=(*tree.notes, *_limit_notes(joints)),
     )
+    least = indefinite(arm)
+    if least is not None:
+        text = (
+            f"the mass matrix is not positive definite in floating point (least eigenvalue {least:.1g}, scaled); "
+            "lengths, masses or inertias differ by too much: were all of them given in m, kg and kg m^2?"
+        )
+        raise ModelError(tree.source, [Problem(object=tree.name, attribute="inertial", message=text, line=tree.line)])
     return dataclasses.replace(arm, notes=(*arm.notes, *rotor_doubts(arm)))
 
 

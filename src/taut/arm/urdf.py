@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -24,6 +25,11 @@ __all__ = ["read_urdf", "urdf_tree"]
 
 WORDS: Final = Words(no_mass="give it an <inertial> with mass and inertia", wrong_inertia="fix its <inertial>")
 KINDS: Final[tuple[TreeKind, ...]] = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+SIZES: Final[Mapping[str, Mapping[str, int]]] = {
+    "box": {"size": 3},
+    "cylinder": {"radius": 1, "length": 1},
+    "sphere": {"radius": 1},
+}
 
 
 def read_urdf(path: Path, packages: Mapping[str, Path] | None = None) -> Tree:
@@ -91,6 +97,7 @@ class _Reader:
         link = TreeLink(name=element.get("name") or "", line=element.line)
         owner = f"link '{link.name}'"
         self._check_words(owner, element)
+        self._check_sizes(owner, element)
         inertial = self._only(owner, element, "inertial")
         if inertial is None:
             return link
@@ -196,6 +203,16 @@ class _Reader:
     def _check_words(self, owner: str, element: Element) -> None:
         for word, text, line in slips(element):
             self._problem(owner, word, text, line)
+
+    def _check_sizes(self, owner: str, element: Element) -> None:
+        """Shapes are never needed to control an arm, but one of a negative size is a slip."""
+        for shape in (child for tag in ("visual", "collision") for child in element.all(tag)):
+            for body in (body for geometry in shape.all("geometry") for body in geometry.children):
+                for name, count in SIZES.get(body.tag, {}).items():
+                    with suppress(BadNumberError):  # which is left out of what is drawn
+                        if min(numbers(body.get(name) or "", count)) < 0.0:
+                            text = f"{name} of <{body.tag}> must be >= 0 [m]; got {body.get(name)}"
+                            self._problem(owner, name, text, body.line)
 
     def _only(self, owner: str, element: Element, tag: str) -> Element | None:
         """The one child of that tag; a second one is a problem."""

@@ -16,6 +16,7 @@ from xml.parsers.expat import errors
 
 from taut.base.checks import readable_file
 from taut.base.errors import ModelError, Problem
+from taut.base.words import printable
 
 __all__ = ["BadNumberError", "Element", "is_not_finite", "numbers", "parse_xml", "read_xml"]
 
@@ -213,6 +214,11 @@ class _Reader:
         self._count += 1
         if self._count > MAX_ELEMENTS:
             raise self._refuse("elements", f"it has more than {MAX_ELEMENTS} elements, the most that is read")
+        for name, value in ((tag, tag), *attributes.items()):
+            if not f"{name}{value}".isprintable():
+                hidden = next(letter for letter in f"{name}{value}" if not letter.isprintable())
+                text = f"{printable(name)} of <{printable(tag)}> has the invisible character {hidden!a}; delete it"
+                raise self._refuse(printable(name), text)
         if len(self._open) >= MAX_DEPTH:
             raise self._refuse("depth", f"its elements are more than {MAX_DEPTH} deep, the most that is read")
         element = Element(tag, attributes, self.parser.CurrentLineNumber, self._source)

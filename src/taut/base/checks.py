@@ -298,6 +298,8 @@ def readable_file(kind: str, path: str | os.PathLike[str]) -> Path:
             raise FileError(f"{kind} '{file}' cannot be read; check its permissions", name=str(file))
         if file.stat().st_size == 0:
             raise FileError(f"{kind} '{file}' is empty", name=str(file))
+        with file.open("rb"):  # no file descriptor may be left
+            pass
     except FileError:
         raise
     except OSError as cause:  # a name that is too long, a folder that may not be searched

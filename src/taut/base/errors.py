@@ -18,6 +18,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, ClassVar, Final
 
+from taut.base.words import printable
+
 __all__ = [
     "FileError",
     "MatchError",
@@ -66,7 +68,7 @@ class TautError(Exception):
         value: object = None,
         rule: str | None = None,
     ) -> None:
-        super().__init__(message)
+        super().__init__(printable(message, lines=True))
         self.name = name
         self.joint = joint
         self.value = value

@@ -10,13 +10,24 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
+from taut.base.errors import RangeError
 from taut.base.types import Float64Array
 
-__all__ = ["CUBIC", "QUINTIC", "Scaling", "polynomial", "quintic_between", "trapezoid", "trapezoid_duration"]
+__all__ = [
+    "CUBIC",
+    "QUINTIC",
+    "Scaling",
+    "polynomial",
+    "quintic_between",
+    "require_finite",
+    "trapezoid",
+    "trapezoid_duration",
+]
 
 Scaling: TypeAlias = tuple[Float64Array, Float64Array, Float64Array]
 """s, its rate [1/s] and the rate of that [1/s^2], one number per time."""
 
+LARGEST: Final = 1e30  # of a time, a speed, an acceleration; floats end at 1e308, and these are squared
 CUBIC: Final = (0.0, 0.0, 3.0, -2.0)
 QUINTIC: Final = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)  # minimum jerk
 
@@ -24,18 +35,43 @@ QUINTIC: Final = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)  # minimum jerk
 def polynomial(times: Float64Array, duration: float, coefficients: Sequence[float]) -> Scaling:
     """s = sum c_k (t/T)^k."""
     T = duration
-    x = np.clip(times / T, 0.0, 1.0)
+    x = np.clip(times, 0.0, T) / T
     p = np.polynomial.Polynomial(coefficients)
     inside = (times >= 0.0) & (times <= T)
-    return p(x), p.deriv()(x) / T * inside, p.deriv(2)(x) / T**2 * inside
+    return p(x), p.deriv()(x) / T * inside, p.deriv(2)(x) / T / T * inside
 
 
 def trapezoid_duration(speed: float, acceleration: float) -> float:
     """Time [s] that a trapezoid takes with that rate [1/s] and acceleration [1/s^2] of s; 0 if both are infinite."""
-    v, a = speed, acceleration
+    v, a = np.float64(speed), np.float64(acceleration)
     if np.isinf(v):
         return 0.0
-    return float(1.0 / v + v / a if v * v <= a else 2.0 / np.sqrt(a))
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # of limits that `require_finite` refuses
+        return float(1.0 / v + v / a if v * v <= a else 2.0 / np.sqrt(a))
+
+
+def require_finite(duration: float, distance: float, **limits: Float64Array) -> None:
+    """Numbers of a motion with which its speed and acceleration are finite at any time.
+
+    Args:
+        duration: [s]; 0 for a jump.
+        distance: The farthest that anything goes.
+        limits: Of speed and acceleration.
+
+    Raises:
+        RangeError: One that is beyond what floats can work with.
+    """
+    for name, limit in limits.items():
+        if limit.size and not (limit.max() < LARGEST and limit.min() > 1.0 / LARGEST):
+            raise RangeError(f"{name} must be from {1.0 / LARGEST:g} to {LARGEST:g}; got {limit.tolist()}", name=name)
+    if not duration < LARGEST:
+        raise RangeError(f"duration must be at most {LARGEST:g} s; got {duration:g}", name="duration", value=duration)
+    if duration and max(distance, 1.0) / LARGEST > duration * duration:
+        raise RangeError(
+            f"duration must be long enough for a distance of {distance:g} [rad | m]; got {duration:g} s",
+            name="duration",
+            value=duration,
+        )
 
 
 def trapezoid(times: Float64Array, speed: float, acceleration: float) -> Scaling:

@@ -118,13 +118,14 @@ class SideBySide(Law):
         return f"SideBySide({', '.join(f'{name}={law!r}' for name, law in self.parts.items())})"
 
 
-def _made(self: SideBySide, **laws: Law | tuple[Law, Sequence[str]]) -> None:
+def _made(self: SideBySide, /, **laws: Law | tuple[Law, Sequence[str]]) -> None:
     laws = _by_name(laws)
     if not laws:
         raise UsageError("SideBySide needs laws by name: SideBySide(left=law, right=law)", name="SideBySide")
     parts: dict[str, Law] = {}
     joints: dict[str, tuple[str, ...] | None] = {}
     for name, given in laws.items():
+        _require_name("SideBySide", name)
         law, own = given if isinstance(given, tuple) else (given, None)
         if not isinstance(law, Law):
             raise UsageError(
@@ -141,6 +142,12 @@ def _made(self: SideBySide, **laws: Law | tuple[Law, Sequence[str]]) -> None:
     self.__dict__.update(parts=parts, joints=joints)
     kinds = tuple((name, law.reference, len(joints[name] or ())) for name, law in parts.items())
     object.__setattr__(self, "reference", _kind(_sized(kinds)))
+
+
+def _require_name(who: str, name: str) -> None:
+    """A name that a sample can have as an attribute, beside those that every sample has."""
+    if not name.isidentifier() or hasattr(_AnyTogether, name):
+        raise UsageError(f"{who}: a law is named by a word such as left, and not by one that samples have: {name!r}")
 
 
 def _by_name(given: Mapping[str, Any]) -> dict[str, Any]:
@@ -251,6 +258,8 @@ def _kind(parts: Parts) -> type[_AnyTogether]:
 
 def together_kind(parts: Parts) -> type[Sample]:
     """The kind of sample that laws side by side follow: for each its name, kind and number of joints."""
+    for name, _, _ in parts:
+        _require_name("together", name)
     return _kind(parts)
 
 
@@ -289,6 +298,7 @@ def together(**references: Sample | Hold | Trajectory) -> Sample | Together:
     """
     taken: dict[str, Sample | Trajectory] = {}
     for name, ref in references.items():
+        _require_name("together", name)
         given = ref.sample if isinstance(ref, Hold) else ref
         if not isinstance(given, (Sample, Trajectory)):
             raise UsageError(

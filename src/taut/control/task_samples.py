@@ -13,7 +13,7 @@ from taut.base.checks import finite_scalar, one_of
 from taut.base.errors import FileError, ShapeError, TautError, UsageError
 from taut.base.pose import Pose
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.tables import read_rows, sample_times
+from taut.control.tables import read_rows, require_moderate, sample_times
 from taut.control.task_reference import TaskMotion
 from taut.maths.rotation_rows import exp_rows, log_rows
 
@@ -70,6 +70,7 @@ class TaskSamples:
         object.__setattr__(self, "times", times)
         object.__setattr__(self, "poses", tuple(poses))
         p, R = np.stack([pose.p for pose in poses]), np.stack([pose.R for pose in poses])
+        require_moderate("poses", p)
         made: Any = _Linear(times, p, R)
         if self.interpolation == "spline" and len(times) > 1:
             made = _Spline(times, p, R)

@@ -11,7 +11,7 @@ import numpy as np
 from taut.base.checks import one_of, positive_scalar, require_positive, vector
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.scaling import CUBIC, QUINTIC, Scaling, polynomial, trapezoid, trapezoid_duration
+from taut.control.scaling import CUBIC, QUINTIC, Scaling, polynomial, require_finite, trapezoid, trapezoid_duration
 
 __all__ = ["ScalingKind", "Size", "Timing", "timed"]
 
@@ -75,6 +75,9 @@ def timed(
     """
     one_of("scaling", kind, KINDS)
     asked = None if duration is None else positive_scalar("duration", duration, unit="s")
+    farthest = max(size.length, size.turn, size.bend)
+    if asked is not None:
+        require_finite(asked, farthest)
     if velocity is None and acceleration is None:
         if asked is None:
             raise UsageError(
@@ -86,6 +89,7 @@ def timed(
         raise UsageError(f"{who} needs {missing}= too, as (linear, angular) [{UNITS[missing]}]", name=missing)
     limits = _pair("velocity", velocity), _pair("acceleration", acceleration)
     fastest = _trapezoid(size, *limits) if kind == "trapezoidal" else _shortest(size, kind, *limits)
+    require_finite(fastest.duration, farthest)
     if asked is None:
         return fastest
     if asked < fastest.duration * (1.0 - SLACK):
@@ -99,7 +103,7 @@ def timed(
         return _in_time(kind, asked)
     slower = fastest.duration / asked
     return Timing(
-        kind=kind, duration=asked, rate=slower * fastest.rate, acceleration=slower**2 * fastest.acceleration
+        kind=kind, duration=asked, rate=slower * fastest.rate, acceleration=slower * slower * fastest.acceleration
     )
 
 
@@ -108,13 +112,14 @@ def _pair(name: str, value: ArrayLike) -> Float64Array:
         raise ShapeError(f"{name} must be (linear, angular) [{UNITS[name]}]; got {value!r}", name=name, value=value)
     pair = vector(name, value, 2, unit=UNITS[name])
     require_positive(name, pair, unit=UNITS[name])
+    require_finite(0.0, 0.0, **{name: pair})
     return pair
 
 
 def _in_time(kind: ScalingKind, duration: float) -> Timing:
     if kind != "trapezoidal":
         return Timing(kind=kind, duration=duration)
-    return Timing(kind=kind, duration=duration, rate=1.5 / duration, acceleration=4.5 / duration**2)
+    return Timing(kind=kind, duration=duration, rate=1.5 / duration, acceleration=4.5 / (duration * duration))
 
 
 def _shortest(size: Size, kind: ScalingKind, velocity: Float64Array, acceleration: Float64Array) -> Timing:
@@ -136,7 +141,7 @@ def _trapezoid(size: Size, velocity: Float64Array, acceleration: Float64Array) -
     with np.errstate(divide="ignore"):
         length, bend, turn = np.array([size.length]), np.array([size.bend]), np.array([size.turn])
         rate = float(min(velocity[0] / length, velocity[1] / turn, np.sqrt(CURVED * acceleration[0] / bend))[0])
-        across = rate**2 * size.bend
+        across = rate * rate * size.bend
         along = math.sqrt(acceleration[0] ** 2 - across**2) / length
         a = float(min(along, acceleration[1] / turn)[0])
     rate = min(rate, math.sqrt(a))

@@ -16,8 +16,8 @@ from taut.base.checks import finite_array, finite_scalar, positive_scalar, read_
 from taut.base.errors import NumericalError, ShapeError, missing_extra
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.reference import JointMotion
-from taut.control.scaling import CUBIC, QUINTIC, Scaling, polynomial, trapezoid, trapezoid_duration
-from taut.control.tables import read_rows, sample_times
+from taut.control.scaling import CUBIC, QUINTIC, Scaling, polynomial, require_finite, trapezoid, trapezoid_duration
+from taut.control.tables import read_rows, require_moderate, sample_times
 
 __all__ = [
     "Cubic",
@@ -172,6 +172,7 @@ def _check_line(line: Cubic | Quintic | Trapezoidal | JerkLimited) -> None:
     object.__setattr__(line, "q1", q1)
     if isinstance(line, (Cubic, Quintic)):
         object.__setattr__(line, "duration", positive_scalar("duration", line.duration, unit="s"))
+        require_finite(line.duration, float(np.abs(q1 - q0).max(initial=0.0)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -199,11 +200,14 @@ class Trapezoidal:
         require_positive("acceleration", a)
         object.__setattr__(self, "velocity", v)
         object.__setattr__(self, "acceleration", a)
+        farthest = float(np.abs(np.asarray(self.q1) - np.asarray(self.q0)).max(initial=0.0))
+        require_finite(0.0, 0.0, velocity=v, acceleration=a)
+        require_finite(self.duration, farthest)
 
     def _limits(self) -> tuple[float, float]:
         """Largest rate and acceleration of s from 0 to 1 that no joint's limits forbid."""
         reach = np.abs(np.asarray(self.q1) - np.asarray(self.q0))
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", over="ignore"):
             return float(np.min(self.velocity / reach)), float(np.min(self.acceleration / reach))
 
     @property
@@ -420,6 +424,7 @@ def _table(name: str, times: ArrayLike, values: ArrayLike) -> tuple[Float64Array
     table = finite_array(name, values, unit="rad | m")
     if t.ndim != 1 or table.ndim != 2 or len(t) != len(table) or not len(t):
         raise ShapeError(f"times must have shape (k,) and {name} (k, n); got {t.shape} and {table.shape}", name=name)
+    require_moderate(name, table)
     return sample_times(t), table
 
 

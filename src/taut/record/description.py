@@ -6,12 +6,13 @@ import json
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import numpy as np
 
 from taut.base.errors import UsageError
-from taut.record.outcome import Outcome
+from taut.base.words import printable
+from taut.record.outcome import Kind, Outcome
 from taut.record.run import Run
 from taut.record.topics import PLACE, Description
 
@@ -19,6 +20,11 @@ __all__ = ["described", "description_from", "outcome_from", "sealed", "unsealed"
 
 FORMAT: Final = 1
 UNITS: Final = ("rad", "m")
+MAX_VALUES: Final = 1_000_000  # of a description; the text of a scenario has half as many letters
+MAX_COLUMNS: Final = 2000
+MAX_LETTERS: Final = 10_000_000  # of the names of joints in all messages of a tick
+MAX_AXES: Final = 8
+MAX_SIZE: Final = 2**31  # of an axis
 
 
 def described(run: Run, description: Description) -> dict[str, Any]:
@@ -71,7 +77,18 @@ def unsealed(record: Mapping[str, str]) -> Any:
     text = record.get("json", "")
     if f"{zlib.crc32(text.encode()):08x}" != record.get("crc32"):
         raise ValueError("the checksum is another")
+    if sum(map(text.count, ",[{")) > MAX_VALUES:
+        raise ValueError(f"its description has more than {MAX_VALUES} values")
     return json.loads(text)
+
+
+def _shown(values: Any) -> Any:
+    """Plain values whose texts may be shown on a terminal, tabs and line breaks as they are."""
+    if isinstance(values, dict):
+        return {printable(key): _shown(value) for key, value in values.items()}
+    if isinstance(values, list):
+        return [_shown(value) for value in values]
+    return printable(values, lines=True) if isinstance(values, str) else values
 
 
 def description_from(values: Any, most: int) -> tuple[Description, dict[str, Any]]:
@@ -93,15 +110,19 @@ def description_from(values: Any, most: int) -> tuple[Description, dict[str, Any
             joint_names=_words(values["joint_names"]),
             units=_words(values["units"]),
             continuous=tuple(_indices(values["continuous"])),
-            kind=values["kind"],
+            kind=str(values["kind"]),
             terms=_words(values["terms"]),
             reference=str(reference["class"]),
             fields=_shapes(reference["fields"]),
             extra=_shapes(values["extra"]),
         )
-        info = dict(values["info"])
-    except (KeyError, TypeError, AttributeError) as cause:
+        info = dict(_shown(values["info"]))
+        columns = len(description.terms) + len(description.fields) + len(description.extra)
+        letters = sum(map(len, description.joint_names)) * (3 + len(description.terms))
+    except (LookupError, TypeError, ValueError, AttributeError) as cause:
         raise ValueError(f"its description lacks {cause}") from cause
+    if columns > MAX_COLUMNS or letters > MAX_LETTERS:
+        raise ValueError(f"it has {columns} columns of numbers, or names of {letters} letters in a tick")
     n = len(description.joint_names)
     numbers = sum(int(np.prod(shape, dtype=object)) for shape in description.shapes().values())
     fitting = len(description.units) == n and all(i < n for i in description.continuous)
@@ -126,7 +147,9 @@ def _indices(values: Any) -> list[int]:
 
 
 def _shapes(values: Any) -> dict[str, tuple[int, ...]]:
-    return {str(name): tuple(_indices(shape)) for name, shape in values.items()}
+    if any(len(_indices(shape)) > MAX_AXES or any(size > MAX_SIZE for size in shape) for shape in values.values()):
+        raise TypeError(f"shapes of at most {MAX_AXES} axes")
+    return {name: tuple(shape) for name, shape in values.items()}
 
 
 def outcome_from(values: Any) -> tuple[Outcome, int]:
@@ -136,6 +159,7 @@ def outcome_from(values: Any) -> tuple[Outcome, int]:
         ValueError: It is not what was written.
     """
     try:
+        values = _shown(values)
         outcome = Outcome(
             kind=values["kind"],
             message=values["message"],
@@ -143,6 +167,12 @@ def outcome_from(values: Any) -> tuple[Outcome, int]:
             joint=values["joint"],
             dropped=values.get("dropped", 0),
         )
-        return outcome, int(values["ticks"])
+        texts = all(isinstance(text, str) for text in (outcome.message, outcome.joint or ""))
+        if not texts or outcome.kind not in get_args(Kind):
+            raise TypeError("its words")
+        _indices([outcome.tick, values["ticks"]])
+        if isinstance(outcome.dropped, bool) or not isinstance(outcome.dropped, int) or outcome.dropped < 0:
+            raise TypeError("its count of dropped ticks")
+        return outcome, values["ticks"]
     except (KeyError, TypeError) as cause:
         raise ValueError(f"its outcome lacks {cause}") from cause

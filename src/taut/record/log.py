@@ -16,10 +16,11 @@ from typing import IO, TYPE_CHECKING, Final, Self
 
 import numpy as np
 
-from taut.base.errors import FileError, count_of
+from taut.base.errors import FileError, UsageError, count_of
 from taut.base.types import Float64Array
 from taut.record.description import described, sealed
 from taut.record.files import cannot_write, checked_target, written_aside
+from taut.record.info import wrong_entry
 from taut.record.outcome import Outcome
 from taut.record.progress import Progress
 from taut.record.run import Run
@@ -83,6 +84,11 @@ class Log:
 
         self._layout = TickLayout(Description.of(rows))
         self._sealed = sealed(described(rows, self._layout.description))
+        wrong = wrong_entry(rows)
+        if wrong is not None:  # nobody could read the log
+            raise UsageError(
+                f"run.info['{wrong}'] is not what taut.run records under that name; give it another name", name="info"
+            )
         self._block = max(16, BLOCK_BYTES // self._layout.size)
         self._rows = np.tile(self._layout.template, self._block).view(self._layout.dtype)
         self._file = self._to.open("wb", buffering=0)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
 from typing import IO, Final
@@ -23,8 +23,19 @@ __all__ = ["Chunk", "Contents", "contents_of", "messages", "read_chunk"]
 HEAD: Final = struct.Struct("<BQ")
 CHUNK_HEAD: Final = struct.Struct("<QQQII")  # times, size, checksum, length of the compression's name
 LONGEST_NAME: Final = 4  # of a compression
-LARGEST_CHUNK: Final = 256 * 1024 * 1024
+LARGEST_CHUNK: Final = 32 * 1024 * 1024
+LARGEST_RECORD: Final = 8 * 1024 * 1024  # of those that are read whole
+SHORT_RECORD: Final = 64  # bytes; a file whose records are shorter on the whole is no log
+FEW_RECORDS: Final = 10_000  # that any file may have
+FARTHEST: Final = 64 * 1024 * 1024  # bytes from a damaged place that are searched for the next record
+MAX_LANDMARKS: Final = 100_000  # that may turn out to be none
 WINDOW: Final = 4 * 1024 * 1024  # bytes that are searched at a time
+IN_CHUNKS: Final = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+PARSED: Final[Mapping[int, type[McapRecord]]] = {
+    Opcode.HEADER: Header,
+    Opcode.CHANNEL: Channel,
+    Opcode.METADATA: Metadata,
+}
 _CHUNK = rb"\x06[\x00-\xff]{36}(?:\x00\x00\x00\x00|\x03\x00\x00\x00lz4|\x04\x00\x00\x00zstd)"
 _METADATA = rb"\x0c[\x00-\xff]{8}[\x08-\x0c]\x00\x00\x00taut\."
 _LANDMARK: Final = re.compile(_CHUNK + rb"|" + _METADATA)
@@ -62,13 +73,17 @@ def contents_of(file: IO[bytes], size: int) -> Contents:
         size: Its length.
     """
     found = Contents()
-    at = 8
+    at, records, search = 8, FEW_RECORDS + size // SHORT_RECORD, _Search()
     while at < size:
         if size - at <= 8 and found.complete:
             break  # the last eight bytes are the same as the first
+        records -= 1
         length = _record(file, at, size, found)
+        if records < 0:
+            found.damage.append((at, size))
+            break
         if length is None:
-            again = _next_landmark(file, at + 1, size)
+            again = search.next_landmark(file, at + 1, size)
             found.damage.append((at, again))
             at = again
         else:
@@ -99,25 +114,18 @@ def _record(file: IO[bytes], at: int, size: int, found: Contents) -> int | None:
         found.complete = True
     elif not Opcode.HEADER <= opcode <= Opcode.DATA_END:
         return None
-    else:
+    elif opcode in PARSED:
         file.seek(at + HEAD.size)
-        if not _parsed(opcode, file.read(length), found):
+        if length > LARGEST_RECORD or not _parsed(opcode, file.read(length), found):
             return None
     return int(HEAD.size + length)
 
 
 def _parsed(opcode: int, body: bytes, found: Contents) -> bool:
     """Add a record that is read whole; False if it does not agree with itself."""
-    kinds: dict[int, type[McapRecord]] = {
-        Opcode.HEADER: Header,
-        Opcode.CHANNEL: Channel,
-        Opcode.METADATA: Metadata,
-    }
-    if opcode not in kinds:
-        return True
     stream = ReadDataStream(BytesIO(body))
     try:
-        record = kinds[opcode].read(stream)  # type: ignore[attr-defined]  # each of the three has it
+        record = PARSED[opcode].read(stream)  # type: ignore[attr-defined]  # each of the three has it
     except Exception:  # whatever a parser of foreign bytes may raise
         return False
     if stream.count != len(body):
@@ -145,30 +153,40 @@ def _chunk(head: bytes, at: int, length: int) -> Chunk | None:
     return Chunk(at + start, packed, head[CHUNK_HEAD.size : start - 8], size, crc)
 
 
-def _next_landmark(file: IO[bytes], at: int, size: int) -> int:
-    """Where the next chunk or metadata that agrees with itself starts; the end of the file if there is none."""
-    overlap = HEAD.size + CHUNK_HEAD.size + LONGEST_NAME + 8
-    while at < size:
-        file.seek(at)
-        window = file.read(WINDOW)
-        here = 0
-        while match := _LANDMARK.search(window, here):
-            start = at + match.start()
-            if _record(file, start, size, Contents()) is not None:
-                return start
-            here = match.start() + 1
-        if at + len(window) >= size:
-            break
-        at += max(1, len(window) - overlap)
-    return size
+class _Search:
+    """Looks behind damaged places for what is whole, with an end to its patience."""
+
+    def __init__(self) -> None:
+        self._left = MAX_LANDMARKS
+
+    def next_landmark(self, file: IO[bytes], at: int, size: int) -> int:
+        """Where the next chunk or metadata that agrees with itself starts; the end of the file if there is none."""
+        overlap = HEAD.size + CHUNK_HEAD.size + LONGEST_NAME + 8
+        end = min(size, at + FARTHEST)
+        while at < end:
+            file.seek(at)
+            window = file.read(WINDOW)
+            here = 0
+            while match := _LANDMARK.search(window, here):
+                start = at + match.start()
+                if _record(file, start, size, Contents()) is not None:
+                    return start
+                here = match.start() + 1
+                self._left -= 1 + (file.tell() - start) // 1000  # metadata is read whole
+                if self._left < 0:
+                    return size
+            if at + len(window) >= size:
+                break
+            at += max(1, len(window) - overlap)
+        return size
 
 
 def read_chunk(file: IO[bytes], chunk: Chunk) -> bytes | None:
     """The records of a chunk; None if they are not what was written."""
-    file.seek(chunk.at)
-    packed = file.read(chunk.length)
     if chunk.size > LARGEST_CHUNK:
         return None
+    file.seek(chunk.at)
+    packed = file.read(chunk.length)
     try:
         data = _unpacked(packed, chunk)
     except Exception:  # whatever a decompressor of foreign bytes may raise
@@ -199,6 +217,8 @@ def messages(data: bytes) -> Iterator[tuple[int, int, bytes]]:
     at = 0
     while at + HEAD.size <= len(data):
         opcode, length = HEAD.unpack_from(data, at)
+        if opcode not in IN_CHUNKS:
+            return
         body = data[at + HEAD.size : at + HEAD.size + length]
         if len(body) < length:
             return

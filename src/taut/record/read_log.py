@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import os
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,10 +15,12 @@ from taut.base.checks import readable_file
 from taut.base.errors import FileError, UsageError
 from taut.base.paths import subtree
 from taut.base.types import Array, Float64Array
+from taut.base.words import printable
 from taut.control.phase_sample import PhaseSample, phase_sample
 from taut.control.reference import Sample
 from taut.control.side_by_side import TOGETHER, together_kind
 from taut.record.description import description_from, outcome_from, unsealed
+from taut.record.info import wrong_entry
 from taut.record.mcap_reader import Contents, contents_of, messages, read_chunk
 from taut.record.mcap_writer import MAGIC
 from taut.record.outcome import Outcome
@@ -28,6 +30,13 @@ from taut.record.topics import Description, TickLayout
 __all__ = ["load_run"]
 
 BLOCK_BYTES: Final = 4 * 1024 * 1024  # of ticks that are taken apart at a time
+MAX_KINDS: Final = 64  # of a reference of several
+MAX_NUMBERS: Final = 1_000_000  # in a tick
+MAX_UNPACKED: Final = 128  # bytes that a byte of the file may unpack to; our own logs have 6
+PACKED_MESSAGE: Final = 4  # bytes of the file that a message takes at least
+FEW_MESSAGES: Final = 1_000_000  # that any file may have
+FEW_BYTES: Final = 64 * 1024 * 1024  # that any file may unpack to
+LONGEST: Final = 300  # letters of what a message quotes
 
 Block = tuple[Array, dict[str, Float64Array]]  # numbers of the ticks (k,), and each column (k, ...)
 
@@ -85,26 +94,43 @@ def _read(file: IO[bytes], path: Path) -> Run:
     found = contents_of(file, size)
     if first != MAGIC:
         found.damage.insert(0, (0, len(MAGIC)))
+    unpacked = sum(chunk.size for chunk in found.chunks)
+    if unpacked > FEW_BYTES + MAX_UNPACKED * size:
+        raise FileError(
+            f"log '{path}' has {size} bytes and would unpack to {unpacked}, more than a log does", name=str(path)
+        )
     description, info = _description(found, size, path)
     kind = _sample_class(description, path)
     number, columns = _columns(file, found, TickLayout(description))
     outcome = _outcome(found, number, columns["t"], size)
-    return Run(
+    run = Run(
         t=columns["t"],
         q=columns["q"],
         v=columns["v"],
         tau=columns["tau"],
         command=columns["command"],
-        terms=subtree(columns, "terms"),
+        terms=_named(subtree(columns, "terms")),
         reference=kind.of(subtree(columns, "reference")),
         outcome=outcome,
-        joint_names=description.joint_names,
+        joint_names=tuple(map(printable, description.joint_names)),
         units=description.units,
         continuous=description.continuous,
         kind=description.kind,
-        extra=subtree(columns, "extra"),
+        extra=_named(subtree(columns, "extra")),
         info=info,
     )
+    wrong = wrong_entry(run)
+    if wrong is not None:
+        raise FileError(
+            f"log '{path}' cannot be read: its entry '{wrong}' is not what this version of taut records",
+            name=str(path),
+        )
+    return run
+
+
+def _named(columns: Mapping[str, Float64Array]) -> dict[str, Float64Array]:
+    """Columns under names that may be shown on a terminal."""
+    return {printable(name): column for name, column in columns.items()}
 
 
 # -------------------------------------------------------------------- what it is
@@ -115,7 +141,7 @@ def _description(found: Contents, size: int, path: Path) -> tuple[Description, d
     for name, record in found.metadata:
         if name == "taut.run":
             try:
-                return description_from(unsealed(record), most=max(size, 4096))
+                return description_from(unsealed(record), most=min(max(size, 4096), MAX_NUMBERS))
             except (ValueError, RecursionError) as cause:
                 reason = str(cause)
     if reason:
@@ -137,34 +163,52 @@ def _sample_class(description: Description, path: Path) -> type[Sample]:
     """The class of the reference, among those that are known here; a file never makes us import anything."""
     from taut.control import laws  # noqa: F401  # so that all of ours are known
 
-    n = len(description.joint_names)
-    for kind in _candidates(description.reference):
-        if kind.fields(n) == description.fields:
-            return kind
+    kind = _fitting(description.reference, description.fields, len(description.joint_names))
+    if kind is not None:
+        return kind
     raise FileError(
-        f"log '{path}' has a reference of type '{description.reference}' with fields "
-        f"{', '.join(description.fields)}, which is not known here; import the module that defines it first",
+        f"log '{path}' has a reference of type '{description.reference[:LONGEST]}' with fields "
+        f"{', '.join(description.fields)[:LONGEST]}, which is not known here; import the module that defines "
+        "it first",
         name=str(path),
     )
 
 
-def _candidates(name: str) -> Iterator[type[Sample]]:
-    """The classes of that name; those of tasks and of laws side by side are made by the kinds in it."""
+def _fitting(name: str, fields: Mapping[str, tuple[int, ...]], n: int) -> type[Sample] | None:
+    """The class of that name with those fields; those of tasks and of laws side by side are made of others."""
+    words = name.partition("[")[2].removesuffix("]").split(",")
+    if len(words) > min(len(fields), MAX_KINDS):  # each has a field at least
+        return None
+    made: type[Sample] | None = None
     if name.startswith(f"{PhaseSample.__name__}["):
-        words = name.partition("[")[2].removesuffix("]").split(",")
-        for kinds in itertools.product(*(list(_candidates(word)) for word in words)):
-            yield phase_sample(kinds)
-        return
-    if name.startswith(TOGETHER):
-        parts = [word.rsplit(":", 2) for word in name.removeprefix(TOGETHER).removesuffix("]").split(",")]
-        if all(len(part) == 3 and part[2].isdecimal() for part in parts):
-            for kinds in itertools.product(*(list(_candidates(kind)) for _, kind, _ in parts)):
-                yield together_kind(
-                    tuple((part, kind, int(n)) for (part, _, n), kind in zip(parts, kinds, strict=True))
-                )
-        return
+        seen: Counter[str] = Counter()
+        kinds = []
+        for word in words:
+            seen[word] += 1
+            kinds.append(_named_kind(word, fields, n, f"{word}{seen[word] if seen[word] > 1 else ''}_"))
+        made = phase_sample(tuple(kind for kind in kinds if kind is not None)) if None not in kinds else None
+    elif name.startswith(TOGETHER):
+        parts = []
+        for word in words:
+            part, kind, size = [*word.rsplit(":", 2), "", ""][:3]
+            if size.isdecimal():
+                parts.append((part, _named_kind(kind, fields, int(size), f"{part}_"), int(size)))
+        found = tuple((part, kind, size) for part, kind, size in parts if kind is not None)
+        made = together_kind(found) if len(found) == len(words) else None
+    else:
+        made = _named_kind(name, fields, n)
+    return made if made is not None and made.fields(n) == fields else None
+
+
+def _named_kind(name: str, fields: Mapping[str, tuple[int, ...]], n: int, prefix: str = "") -> type[Sample] | None:
+    """The class of that name with most of those fields, as a part has them under its prefix, and no others."""
     named = [kind for kind in _subclasses(Sample) if kind.__name__ == name]
-    yield from reversed(named)  # a dataclass with slots leaves its first draft behind, which came before it
+    fitting = [
+        kind
+        for kind in reversed(named)  # a dataclass with slots leaves its first draft behind, which came before it
+        if all(fields.get(prefix + field) == shape for field, shape in kind.fields(n).items())
+    ]
+    return max(fitting, key=lambda kind: len(kind.fields(n)), default=None)
 
 
 def _subclasses(kind: type[Any]) -> Iterator[type[Sample]]:
@@ -230,7 +274,7 @@ def _blocks(file: IO[bytes], found: Contents, layout: TickLayout) -> Iterator[Bl
     # A channel may stand under another name because its record is damaged, but not under one of ours.
     others = set(found.channels.values()) - set(ours.values())
     as_written = all(found.channels.get(i, name) in {name, *others} for i, name in ours.items())
-    loose = _Loose(layout, found.channels or ours)
+    loose = _Loose(layout, found.channels or ours, sum(chunk.length for chunk in found.chunks))
     for chunks in _gathered(file, found):
         rows = _rows(chunks, layout) if as_written else None
         if rows is not None:
@@ -279,7 +323,8 @@ def _parts(rows: Array, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Floa
 class _Loose:
     """Messages of a file whose chunks are not ours, topic by topic."""
 
-    def __init__(self, layout: TickLayout, channels: Mapping[int, str]) -> None:
+    def __init__(self, layout: TickLayout, channels: Mapping[int, str], size: int) -> None:
+        self._most = FEW_MESSAGES + size // PACKED_MESSAGE
         self._layout = layout
         self._topics = {topic.name: topic for topic in layout.topics}
         self._channels = dict(channels)
@@ -288,6 +333,9 @@ class _Loose:
     def take(self, data: bytes) -> None:
         """The messages of a chunk, by topic and number."""
         for opcode, _, body in messages(data):
+            self._most -= 1
+            if self._most < 0:
+                raise ValueError("it has more messages than its size explains")
             if opcode == 4 and len(body) >= 8:  # a channel that is declared inside the chunk
                 length = int.from_bytes(body[4:8], "little")
                 self._channels[int.from_bytes(body[:2], "little")] = body[8 : 8 + length].decode(errors="replace")

@@ -79,7 +79,13 @@ class Run:
 
     @property
     def rate(self) -> float:
-        """Ticks per second [Hz]."""
+        """Ticks per second [Hz].
+
+        Raises:
+            UsageError: The run does not say.
+        """
+        if "rate" not in self.info:
+            raise UsageError("the run has no rate; give its info the entry 'rate' [Hz]", name="rate")
         return float(self.info["rate"])
 
     @property
