@@ -1,6 +1,7 @@
 # make demo   set up, run the main job, print what it made and where
 # make test   set up, run lint, types and tests
 # make bars   the long counts;  make bench  figures against Pinocchio and MuJoCo;  make docs  the site
+# make scorecard   the rows of docs/reliability.md and how many hold
 # make fuzz   10,000 mutants of every kind of file that is read: N=100 takes fewer
 
 PYTHON ?= python3
@@ -8,7 +9,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: demo test bars fuzz bench docs clean
+.PHONY: demo test bars fuzz scorecard bench docs clean
 
 demo: $(VENV)/demo.stamp
 	$(BIN)/taut run panda_payload --out out/demo
@@ -25,6 +26,9 @@ bars: $(VENV)/test.stamp
 N ?= 10000
 fuzz: $(VENV)/test.stamp
 	$(BIN)/python tests/fuzz/fuzz.py $(N)
+
+scorecard: $(VENV)/test.stamp
+	$(BIN)/python tools/scorecard.py
 
 bench: $(VENV)/test.stamp
 	cd benchmarks && ../$(BIN)/python run.py
