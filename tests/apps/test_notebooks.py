@@ -109,6 +109,7 @@ def test_the_error_of_the_body_leads_aside() -> None:
     assert body > 50.0 * straight
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_a_soft_joint_swings_without_damping() -> None:
     text = execute("10_6_other_topics", "2000.0, 5.0", "2000.0, 1.0").text
     assert numbers(text, r"swinging by # rad")[0] > 1.0

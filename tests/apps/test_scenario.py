@@ -84,6 +84,7 @@ def test_a_missed_pass_figure_exits_with_one_and_says_which(
     assert said[-1] == "reached: 0 of 1 pass figures"
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_a_run_that_diverges_exits_with_one_and_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "case.toml"
     file.write_text(changed("kd = [8, 4]", "kd = 1e6"))
@@ -91,6 +92,7 @@ def test_a_run_that_diverges_exits_with_one_and_says_why(tmp_path: Path, capsys:
     assert "PD: the simulation diverged at t = " in capsys.readouterr().out
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 class TestALawThatFailsInTheFirstTick:
     """There is nothing to draw and nothing to film, but how it ended must be heard."""
 
@@ -367,7 +369,7 @@ class TestNamesThatMeanSomethingElsewhere:
             changed('title = "a test"', 'title = "[/b] and [bold]"')
             .replace("[laws.PD]", "[laws.'$\\frac{$ [/b]']")
             .replace('law = "PD"', "law = '$\\frac{$ [/b]'")
-            + '[laws."$x^$\\n"]\nlaw = "PID"\nkp = 1\n'
+            + '[laws."$x^$"]\nlaw = "PID"\nkp = 1\n'
         )
         assert main(["run", str(file), "--out", str(tmp_path / "out")]) == 0
         said = capsys.readouterr().out
@@ -381,7 +383,7 @@ class TestNamesThatMeanSomethingElsewhere:
         file.write_text(GOOD.replace("[laws.PD]", '[laws."a\\nb\\u001b[31m"]').replace("kp = 50", "kp = -1"))
         assert main(["run", str(file), "--out", str(tmp_path / "out")]) == 2
         said = capsys.readouterr().err
-        assert r"[laws.a\nb\x1b[31m] kp must be >= 0" in said
+        assert r"'a\nb\x1b[31m' with an invisible character" in said
         assert said.count("\n") == 1
 
     def test_an_editors_mark_at_the_start_is_no_part_of_the_text(self, tmp_path: Path) -> None:
@@ -565,7 +567,14 @@ def test_a_low_pass_of_the_measured_velocity_can_be_written_too(tmp_path: Path) 
 ELSEWHERE = ("panda_payload", "peg", "wrong_board", *STORIES)  # each runs once, in the tests of its own
 
 
-@pytest.mark.parametrize("name", [name for name in built_in_scenarios() if name not in ELSEWHERE])
+UNSTABLE = pytest.param(
+    "gain_bounds", marks=pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
+)  # it shows that
+
+
+@pytest.mark.parametrize(
+    "name", [UNSTABLE if n == "gain_bounds" else n for n in built_in_scenarios() if n not in ELSEWHERE]
+)
 def test_every_built_in_scenario_reaches_its_pass_figures(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -150,6 +150,7 @@ class TestAContact:
         [(None, True, 0.0), (30.0, True, 1.0 / (2.0 * math.pi * 30.0)), (None, False, 1.0 / BANDWIDTH + DELAY + 0.5 / RATE)],
     )  # fmt: skip
     @pytest.mark.parametrize(("share", "grows"), [(0.75, True), (1.25, False)])
+    @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_is_stable_with_as_much_damping_as_its_lags_take(
         self, D: float, cutoff: float | None, led: bool, lag: float, share: float, grows: bool
     ) -> None:

@@ -92,6 +92,7 @@ def test_damping_beside_the_tool_is_stable_off_contact_on_light_directions_too(n
 
 
 @pytest.mark.parametrize(("kfp", "stable"), [(0.55, True), (0.66, False)])
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_joint_torques_off_contact_bear_kfp_as_far_as_the_damping_leaves_it(kfp: float, stable: bool) -> None:
     """kfp + kfi dt / 2 + d / 2 < 1, d the largest eigenvalue of D dt A Lambda^-1 A^T: 0.79 beside the tool of a UR10."""
     arm = taut.load_arm("ur10")
@@ -120,6 +121,7 @@ def test_the_damping_against_a_row_is_that_of_the_end_of_the_tick() -> None:
     np.testing.assert_allclose(ctrl.terms["force_D"], -D * (A @ x.v) @ A, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_contact_that_comes_back_is_taken_up_within_the_rate_limit(faded: taut.Controller) -> None:
     """A wall that was off for a while; the force comes back to what was asked for, and no torque jumps."""
     wall = taut.StiffWall(point=T.p, normal=[0.0, 0.0, 1.0], stiffness=2e4, damping=300.0)

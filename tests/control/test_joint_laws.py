@@ -140,6 +140,7 @@ def test_gains_have_a_unit_for_joints_that_turn_and_one_for_those_that_slide(nam
 
 @pytest.mark.parametrize("name", ["ur10", "kinova"])
 @pytest.mark.parametrize(("share", "stable"), [(0.97, True), (1.03, False)])
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_the_damping_of_gravity_pid_is_held_over_a_tick_and_diverges_on_light_joints(
     name: str, share: float, stable: bool
 ) -> None:

@@ -113,6 +113,7 @@ class TestTorqueLoop:
     def test_without_it_friction_takes_its_part(self) -> None:
         assert self.error(None) == pytest.approx(2.0, abs=0.3)
 
+    @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_its_integral_leaves_nothing(self) -> None:
         assert abs(self.error(taut.TorqueLoop(kp=0.5, ki=100.0))) < 0.02
 
@@ -294,6 +295,7 @@ class TestStepsThatAreTooLong:
             taut.run(taut.compile(taut.laws.PID(kp=1.0), plant.arm), plant, duration=0.1)
         return str(caught.value)
 
+    @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_for_the_steep_curve_of_a_motor_without_a_rotor(self) -> None:
         arm = FREE.with_joints(gear=200.0)
         motor = taut.Motor(stall=0.5, no_load=30.0)

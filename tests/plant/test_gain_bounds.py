@@ -14,6 +14,7 @@ SEARCH = 1e-3  # what ten halvings leave of the border, and a run of some second
 
 @pytest.mark.parametrize("differenced", [False, True], ids=["tachometer", "differenced"])
 @pytest.mark.parametrize("taps", [2, 5, 10])
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_a_delay_bounds_kd_where_the_sampled_loop_says(taps: int, differenced: bool) -> None:
     predicted = bounds.delay_predicted(taps, differenced=differenced)
     assert bounds.delay_simulated(taps, differenced=differenced) == pytest.approx(predicted, rel=2.0 * SEARCH)
@@ -23,6 +24,7 @@ def test_a_delay_bounds_kd_where_the_sampled_loop_says(taps: int, differenced: b
 
 @pytest.mark.parametrize("differenced", [False, True], ids=["tachometer", "differenced"])
 @pytest.mark.parametrize("rate", [50.0, 100.0, 500.0])
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_a_servo_rate_bounds_kd_where_the_sampled_loop_says(rate: float, differenced: bool) -> None:
     predicted = bounds.rate_predicted(rate, differenced=differenced)
     assert bounds.rate_simulated(rate, differenced=differenced) == pytest.approx(predicted, rel=2.0 * SEARCH)
@@ -37,11 +39,13 @@ def test_that_is_where_one_tick_of_the_damper_turns_the_motion_round(rate: float
 
 class TestElasticity:
     @pytest.mark.parametrize("damping", [2.0, 4.0])
+    @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_an_elastic_joint_bounds_kd_where_the_sampled_loop_says(self, damping: float) -> None:
         predicted = bounds.elasticity_predicted(damping)
         assert bounds.elasticity_simulated(damping) == pytest.approx(predicted, rel=2.0 * SEARCH)
         assert bounds.elasticity_formula(damping) == pytest.approx(predicted, rel=0.01)
 
+    @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_what_grows_is_the_swing_of_motor_against_link(self) -> None:
         spring = taut.Actuation(transmission=taut.Transmission(stiffness=bounds.STIFFNESS, damping=2.0))
         plant = taut.RigidPlant(bounds.GEARED, actuation=spring, substeps=20)
@@ -53,6 +57,7 @@ class TestElasticity:
         omega = np.sqrt(bounds.STIFFNESS * (1.0 / bounds.M + 1.0 / bounds.B))
         assert 2.0 * np.pi / period == pytest.approx(omega, rel=0.02)
 
+    @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_sensors_at_the_motor_meet_the_servo_rate_first_and_with_the_rotor_alone(self) -> None:
         predicted = bounds.elasticity_predicted(3.0, side="motor")
         assert predicted == pytest.approx(2.0 * bounds.B * bounds.RATE, rel=1e-3)
@@ -61,6 +66,7 @@ class TestElasticity:
 
 
 @pytest.mark.parametrize(("step", "within"), [(0.3, 0.01), (0.5, 0.06), (1.0, 0.11)])
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_a_motor_at_its_limit_bounds_ki_by_what_it_leaves_of_the_damping(step: float, within: float) -> None:
     """Without anti-windup. The describing function has the first harmonic only: good to 10 %, and on the safe side."""
     formula, simulated = bounds.saturation_formula(step), bounds.saturation_simulated(step)

@@ -157,6 +157,7 @@ class TestElectricMotor:
         if not saturated:
             assert i == pytest.approx(goal, rel=1e-9)
 
+    @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_under_full_voltage_it_runs_up_to_its_no_load_speed(self) -> None:
         arm = taut.load_arm("one_joint").with_gravity([0.0, 0.0, 0.0]).with_joints(viscous=0.0)
         motor = taut.ElectricMotor(torque_constant=0.5, resistance=1.0, inductance=1e-3, voltage=12.0)

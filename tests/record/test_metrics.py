@@ -148,6 +148,7 @@ def test_continuous_joints_take_the_short_way(make_run: Any) -> None:
     np.testing.assert_allclose(straight.error, [[0.2 - 2.0 * math.pi], [0.0]], atol=1e-12)
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_the_error_is_the_one_that_laws_see() -> None:
     arm = taut.load_arm("kinova")
     assert arm.continuous

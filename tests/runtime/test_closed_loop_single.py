@@ -154,6 +154,7 @@ class TestTheBoundOnTheIntegralGain:
         return float(np.abs(late).max() / np.abs(early).max())
 
     @pytest.mark.parametrize("dt", [1e-3, 1e-2, 4e-2])
+    @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_is_where_the_eigenvalues_of_the_tick_say(self, dt: float) -> None:
         border = self.border(dt)
         assert self.growth(dt, 0.99 * border) < 1.0 < self.growth(dt, 1.01 * border)

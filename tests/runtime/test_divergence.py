@@ -34,6 +34,7 @@ def is_told(out: taut.Run, arm: taut.Arm) -> bool:
 
 
 @pytest.mark.bars
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_on_every_arm_in_both_plants(
     bar: Callable[[str, object], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

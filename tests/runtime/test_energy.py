@@ -12,6 +12,7 @@ EACH = 60
 
 
 @pytest.mark.bars
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_inside_the_region_no_arm_gives_energy_and_outside_the_report_has_said_so(
     share: Callable[[int], int], bar: Callable[[str, object], None]
 ) -> None:

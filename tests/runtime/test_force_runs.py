@@ -178,6 +178,7 @@ def test_from_any_pose_it_holds_in_the_mean_square(name: str) -> None:
 
 
 @pytest.mark.parametrize(("kfp", "kfi", "stable"), [(0.55, 0.0, True), (0.66, 0.0, False), (0.3, 500.0, True), (0.3, 720.0, False)])  # fmt: skip
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_joint_torques_off_contact_bear_kfp_as_far_as_the_damping_leaves_it(kfp: Any, kfi: Any, stable: Any) -> None:
     """kfp + kfi dt / 2 + d / 2 < 1, d the largest eigenvalue of D dt Lambda^-1: 0.79 on a UR10."""
     arm = arm_of("ur10")
@@ -256,6 +257,7 @@ def test_so_it_is_in_a_plant_with_a_rigid_floor(kfp: float, kfi: float, stable: 
 
 @pytest.mark.parametrize(("substeps", "lag"), [(1, 1.0), (10, 0.55)])
 @pytest.mark.parametrize(("kfp", "kdamp", "b"), [(0.5, 50.0, 0.0), (2.0, 50.0, 20.0)])
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_on_a_springy_contact_the_lag_of_the_force_takes_kfp_k_lag_from_the_damping(
     substeps: int, lag: float, kfp: float, kdamp: float, b: float
 ) -> None:

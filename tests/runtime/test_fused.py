@@ -92,6 +92,7 @@ CASES: dict[str, Case] = {
 
 @pytest.mark.parametrize("name", CASES)
 class TestAFusedRun:
+    @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_is_the_loop_that_a_person_would_write(self, name: str) -> None:
         law, arm, control, options = CASES[name]
         plant = taut.RigidPlant(arm if "perturbed" not in name else PANDA, **options)
@@ -104,6 +105,7 @@ class TestAFusedRun:
             got = getattr(out, column)
             assert np.abs(got - expected).max() <= SAME * np.abs(expected).max(), column
 
+    @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_is_the_same_in_the_float_engine(self, name: str) -> None:
         law, arm, control, options = CASES[name]
         runs = []
@@ -116,6 +118,7 @@ class TestAFusedRun:
             scale = max(np.abs(expected).max(), 1e-3)
             assert np.abs(native[column] - expected).max() <= SAME * scale, column
 
+    @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_has_terms_that_add_up_to_the_command(self, name: str) -> None:
         law, arm, control, options = CASES[name]
         ctrl = taut.compile(law, arm, rate=500.0, **control)
@@ -155,6 +158,7 @@ class TestTheOrderOfATick:
         for duration, ticks in ((1.0, 1001), (0.0301, 31), (0.001, 2)):
             assert len(taut.run(ctrl, taut.RigidPlant(PLANAR), duration=duration)) == ticks
 
+    @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_the_controller_is_left_alone(self) -> None:
         ctrl = taut.compile(taut.laws.PID(kp=3.0, ki=2.0), PLANAR)
         taut.run(ctrl, taut.RigidPlant(PLANAR), duration=0.1, events=[taut.Event(t=0.0, set={"law.kp": 9.0})])

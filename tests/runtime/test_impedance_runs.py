@@ -209,6 +209,7 @@ def test_an_event_that_asks_for_it_ends_the_run_before_it_and_keeps_what_was(pla
     assert taut.run(ctrl, plant(arm, friction=None), ref, duration=0.1, events=allowed).outcome.ok
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_above_twice_the_inertia_the_loop_does_diverge(monkeypatch: pytest.MonkeyPatch) -> None:
     arm = taut.load_arm("panda")
     Lam = inertia(arm, arm.home)
@@ -306,6 +307,7 @@ def test_a_held_torque_gives_energy_without_damping_and_none_with_k_dt_and_more(
     assert least < -1.0 if gives else least >= -1e-6
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_a_stiff_spring_without_damping_does_gain_energy_from_being_sampled() -> None:
     arm = taut.load_arm("panda")
     law = impedance(K=(20000.0, 1000.0), B=(0.0, 0.0), zeta=None, null=None)

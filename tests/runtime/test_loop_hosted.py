@@ -59,6 +59,7 @@ def test_it_is_what_a_controllers_own_steps_give(engine: Any) -> None:
         plant.advance(tau)
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_the_controller_is_left_alone() -> None:
     plant = HandPlant()
     ctrl = taut.compile(taut.laws.PID(kp=3.0, ki=1.0), ARM, adds=plant.adds)

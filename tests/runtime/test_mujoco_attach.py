@@ -108,6 +108,7 @@ def test_everything_else_is_left_alone(tmp_path: Path) -> None:
     ],
     ids=["motors", "servos", "one motor"],
 )
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_a_run_leaves_controls_and_applied_forces_as_they_were(
     tmp_path: Path, actuators: str, options: dict[str, bool]
 ) -> None:
@@ -194,6 +195,7 @@ def test_a_joint_that_lets_less_through_cuts_too(tmp_path: Path) -> None:
     assert np.abs(out.tau[:, 1]).max() == 0.25
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_a_diverging_run_ends_without_putting_the_scene_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     arm = pair(tmp_path)

@@ -249,6 +249,7 @@ def test_a_control_period_is_a_whole_number_of_time_steps(rate: float, timestep:
 
 
 @pytest.mark.parametrize("kp", [1e5, 1e9, 1e200])
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_a_run_that_diverges_ends_so_and_keeps_what_came_before(
     kp: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

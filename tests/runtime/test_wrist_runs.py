@@ -142,6 +142,7 @@ def test_inertia_of_the_tool_stays_in_as_the_docs_say(kind: str) -> None:
 
 @kinds
 @pytest.mark.parametrize(("D", "holds"), [((4.0, 0.02), True), ((4.0, 0.2), False)])
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_an_inertia_far_above_the_arms_own_makes_the_tools_inertia_a_loop_as_the_docs_say(
     D: tuple[float, float], holds: bool, kind: str
 ) -> None:
@@ -287,6 +288,7 @@ def test_the_end_of_the_range_is_told_where_the_controller_alone_knows_it(engine
 
 @kinds
 @engines
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_plant_and_controller_agree_on_the_end_of_the_range(kind: str, engine: Any) -> None:
     plant = plant_of(kind, ARM.with_payload(20.0), range=(100.0, 50.0))
     law = Soft(kp=300.0, kd=30.0)

@@ -210,6 +210,7 @@ class Wrong(taut.Law):
         return taut.Torque(x.M @ a + taut.Terms(nonlinear=x.h))
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_a_term_that_is_wrong_in_its_own_measure_is_told_where_the_command_hardly_shows_it() -> None:
     arm = taut.load_arm("planar2")
     ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)

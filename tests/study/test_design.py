@@ -511,6 +511,7 @@ def test_an_integral_is_a_share_of_its_bound(strong: taut.Arm, on_strong: taut.D
     assert numbers(on_strong, "simulated", "zeta") == pytest.approx(numbers(on_strong, "predicted", "zeta"), rel=FIT)
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_an_elastic_joint_tells_its_frequency_and_backlash_its_play() -> None:
     arm = taut.load_arm("one_joint").with_gears(100.0, 1e-5)
     gear = taut.Transmission(stiffness=200.0, backlash=1e-3)

@@ -18,6 +18,7 @@ def elastic(damping: float) -> taut.RigidPlant:
 
 
 @pytest.mark.parametrize(("damping", "stable"), [(0.5, False), (4.0, True)])
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_a_spring_that_kd_sets_off_is_told(damping: float, stable: bool) -> None:
     """A design of a twelfth of its frequency was told not to feel it, and overshot by 10 830 %."""
     plant = elastic(damping)

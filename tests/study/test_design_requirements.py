@@ -36,6 +36,7 @@ UPRIGHT = [math.pi / 2.0]
 
 
 @pytest.mark.parametrize("law", [laws.PID, laws.FeedForward() + laws.PID(kp=1.0)], ids=["PID", "FeedForward + PID"])
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_an_arm_that_stands_upright_and_falls_over_is_refused(law: Any) -> None:
     """PID was called stable with a sag of 0 rad, where the run falls over."""
     arm = taut.load_arm("one_joint")

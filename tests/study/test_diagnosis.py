@@ -166,6 +166,7 @@ def said_of(scenario: str) -> dict[tuple[str, str, str], tuple[str, str] | None]
 
 
 @pytest.mark.parametrize("scenario", QUICK)
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_scenarios_are_judged_as_what_they_show(scenario: str) -> None:
     found = said_of(scenario)
     assert found == {key: SCENARIOS.get(key) for key in found}
@@ -327,6 +328,7 @@ def test_where_a_centre_is_along_gravity_is_not_known_from_an_arm_at_rest() -> N
 
 
 @pytest.mark.parametrize("name", ["one_joint", "panda", "ur10"])
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_a_drive_that_is_turned_round_is_found_by_its_torque(name: str) -> None:
     arm = runs.arm_of(name)
     (found,) = taut.doctor(runs.turned_drive(name)).findings
@@ -336,6 +338,7 @@ def test_a_drive_that_is_turned_round_is_found_by_its_torque(name: str) -> None:
 
 
 @pytest.mark.parametrize("g", [9.81, 0.0])
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_a_loop_that_runs_away_in_a_few_ticks_is_told_its_gain(g: float) -> None:
     """kd T / M is 4.6 at the last joint, where 2 is the border: no payload, and no sign, is to be had from that."""
     arm = taut.load_arm("panda")
@@ -390,6 +393,7 @@ def test_the_damping_that_is_advised_gives_the_damping_ratio_that_is_said() -> N
 
 
 @pytest.mark.parametrize("ki", [990.0, 1050.0, 1150.0, 1300.0])
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_the_bound_of_the_integral_does_not_follow_ki(ki: float) -> None:
     """(b + kd) kp / M is 10 x 50 / 0.5 N m/(rad s), whether the swing dies out or grows; no spring is blamed for it."""
     arm = runs.arm_of("one_joint")
@@ -424,6 +428,7 @@ def test_an_integral_is_not_advised_to_a_law_that_has_one() -> None:
         assert ("an integral" in found.remedy) == advised
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_damping_that_comes_late_is_lowered_to_less() -> None:
     """The blow-up at the end of the run is no part of what the gain is read from: kd times what the mode moves."""
     arm = taut.load_arm("panda")
@@ -441,6 +446,7 @@ def test_damping_that_comes_late_is_lowered_to_less() -> None:
     assert found.share > 0.25
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_the_bound_of_the_integral_is_that_of_the_chapter() -> None:
     """0 <= ki < (b + kd) kp / M, with b = 0."""
     arm = taut.load_arm("one_joint").with_gravity([0.0, 0.0, 0.0]).with_friction(taut.Friction())

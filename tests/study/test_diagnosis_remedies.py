@@ -63,6 +63,7 @@ CASES = [(cure, arm) for cure, arm in CASES if not (arm == "two_link" and cure.e
 
 
 @pytest.mark.parametrize(("cure", "arm"), CASES)
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_what_is_advised_for_an_oscillation_ends_it(cure: str, arm: str) -> None:
     """The factor that the remedy says, on the law's own gain: then nothing swings any more."""
     law, more, term = CURES[cure]
@@ -75,6 +76,7 @@ def test_what_is_advised_for_an_oscillation_ends_it(cure: str, arm: str) -> None
     assert not any(each.name == "oscillates" for each in after)
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_the_damping_of_a_law_of_accelerations_is_told_in_times_of_its_own() -> None:
     """zeta is 0.03: 23.3 times as much is 0.7, in whatever joint the swing shows most."""
     found = taut.doctor(held("ur5", L.ComputedTorque(kp=484.0, kd=1.32))).findings[0]
@@ -85,6 +87,7 @@ def test_the_damping_of_a_law_of_accelerations_is_told_in_times_of_its_own() -> 
     assert "it is 440 1/s of the inertia that it moves, and a sampled loop bears 2 / T = 400 1/s" in found.remedy
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_an_integral_is_told_with_its_unit_and_bound() -> None:
     """kp kd of computed torque is the bound of ki, whatever the inertia is."""
     found = taut.doctor(held("ur5", L.ComputedTorque(kp=225.0, kd=15.0, ki=3900.0))).findings[0]
@@ -131,6 +134,7 @@ def along(name: str, law: type[taut.Law], kd: float) -> tuple[taut.Finding, ...]
 
 
 @pytest.mark.parametrize("name", ["gantry3", "two_link"])
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_damping_that_drives_is_a_wrong_sign(name: str) -> None:
     first, *others = along(name, Driven, 4.0)
     assert (first.name, first.term) == ("wrong sign", "D")
@@ -138,6 +142,7 @@ def test_damping_that_drives_is_a_wrong_sign(name: str) -> None:
     assert all(each.follows == "wrong sign" for each in others)
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_of_one_spring_that_is_turned_its_own_joint_is_told() -> None:
     """Others are pushed off their targets by it, and theirs are the first in the list."""
     arm = runs.arm_of("ur5")
@@ -149,6 +154,7 @@ def test_of_one_spring_that_is_turned_its_own_joint_is_told() -> None:
 
 @pytest.mark.parametrize("name", ["gantry3", "one_joint"])
 @pytest.mark.parametrize("delay", [0.002, 0.008])
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_a_loop_that_runs_away_within_two_periods_is_told_what_feeds_it(name: str, delay: float) -> None:
     """3.5 times what the delay bears: a tenth of it is left at a phase margin of 60 degrees."""
     kd = 3.5 * 0.5 * np.pi / (delay + 0.5e-3)
@@ -317,6 +323,7 @@ def test_a_line_at_half_of_the_rate_is_as_large_as_it_shows() -> None:
 
 
 @pytest.mark.parametrize(("name", "fed"), [("kinova", None), ("xarm7", "D"), ("z1", "D")])
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_a_run_that_diverges_at_once_is_answered_with_how_it_ended(name: str, fed: str | None) -> None:
     """Where five ticks of it turn round, with what feeds it."""
     arm = taut.load_arm(name)

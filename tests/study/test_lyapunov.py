@@ -25,6 +25,7 @@ def run_of(law: taut.Law, arm: taut.Arm, plant: taut.RigidPlant | None = None, *
 
 
 @pytest.mark.parametrize("name", ["one_joint", "planar2", "gantry3", "double_pendulum"])
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_it_falls_at_the_rate_of_the_damping(name: str) -> None:
     arm = taut.load_arm(name)
     v0 = np.cos(np.arange(arm.n))
@@ -125,6 +126,7 @@ def test_a_payload_that_the_law_does_not_know_shows(kd: float) -> None:
     assert found.worst > 0.01
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_what_the_proof_does_not_assume_is_named() -> None:
     arm = taut.load_arm("planar2")
     law = laws.GravityPID(kp=100.0, kd=20.0)

@@ -32,6 +32,7 @@ class TestAtTheTool:
         np.testing.assert_allclose(np.abs(check.loop.poles())[:4], np.abs(joints.poles())[:4], rtol=1e-9)
         assert check.stable == joints.stable
 
+    @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_its_border_is_that_of_runs(self) -> None:
         """A stiff spring along x and z at the tool of two links, undamped but for the joints: runs grow above it."""
         arm = PLANAR.with_gravity([0.0, 0.0, 0.0]).with_joints(viscous=[2.0, 1.0])

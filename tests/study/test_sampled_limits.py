@@ -168,6 +168,7 @@ class TestPassiveEnvironments:
         assert spare_damping(loop_of(hand)) == -np.inf
 
     @pytest.mark.parametrize("name", ["spring", "one period late"])
+    @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_runs_of_taut_with_it_have_their_border_there(self, name: str) -> None:
         limit = largest_passive(loop_of(HANDS[name]))
         predicted, simulated = haptic.borders_with_the_worst(HANDS[name], limit)
@@ -175,6 +176,7 @@ class TestPassiveEnvironments:
         assert predicted == pytest.approx(limit, rel=0.03)
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_runs_of_taut_have_the_borders_of_the_eigenvalues(
     share: Callable[[int], int], bar: Callable[[str, object], None]
 ) -> None:

@@ -41,6 +41,7 @@ MAPS = {
 
 
 @pytest.mark.bars
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_runs_die_away_one_percent_within_the_border_and_grow_one_percent_beyond(
     share: Callable[[int], int], bar: Callable[[str, object], None]
 ) -> None:
@@ -240,6 +241,7 @@ WHOLE = {
 
 
 @pytest.mark.bars
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_runs_agree_with_the_map_of_gain_against_rate_one_percent_to_either_side(
     share: Callable[[int], int], bar: Callable[[str, object], None]
 ) -> None:
@@ -268,6 +270,7 @@ def test_runs_agree_with_the_map_of_gain_against_rate_one_percent_to_either_side
 
 @pytest.mark.bars
 @pytest.mark.parametrize("name", WHOLE)
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_runs_of_an_arm_agree_with_the_named_maps_one_percent_to_either_side(
     name: str, share: Callable[[int], int], bar: Callable[[str, object], None]
 ) -> None:

@@ -131,6 +131,7 @@ def test_a_search_is_the_same_again_with_the_same_seed(loop: taut.Loop) -> None:
 
 
 @pytest.mark.parametrize("method", ["gradient", "search"])
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_constraints_are_kept(noisy: tuple[taut.Loop, taut.Arm], method: Any) -> None:
     loop, arm = noisy
     limits = taut.Limits(tau=0.9 * arm.effort)
@@ -306,6 +307,7 @@ def test_progress_sees_every_trial_and_may_end_it(loop: taut.Loop) -> None:
     assert tuned.json()["trials"] == 5
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_runs_that_diverge_are_told_and_never_best() -> None:
     loop = swing(2.0, duration=0.3)
     tuned = taut.tune(loop, ("law.kd",), bounds={"law.kd": (1.0, 5e4)}, q0=[0.0], evaluations=30)

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
-import scipy.linalg
 
 from taut.base.errors import TautError
 from taut.base.types import Float64Array
@@ -24,10 +25,11 @@ from taut.loop import AnyPlant, HasLawSide, Loop
 from taut.maths.snapshot import snapshot
 from taut.plant.rigid import RigidPlant
 from taut.runtime.fused import FusedRun, Period
-from taut.runtime.stand_in import stand_in
+from taut.runtime.stand_in import has_steps, stand_in
 
 __all__ = ["Judgement", "judge", "judged"]
 
+EMPTY: Final[Mapping[str, Any]] = MappingProxyType({})
 STEP: Final = 1e-6  # [-] of a state's size, of central differences
 REST: Final = 1e-11  # [-] of a state's size in a period: the loop rests
 NEWTON_STEPS: Final = 20
@@ -35,6 +37,7 @@ REACH: Final = 0.5  # [rad | m] between the start pose and the equilibrium, as i
 RANK: Final = 1e-9  # [-] of the largest singular value: a motion below it is free, and rests where it is
 ROUNDING: Final = 1e-9  # [-] of a modulus of one
 FACTORS: Final = 2.0 ** -np.arange(1, 15)  # [-] of a gain, at which a stable loop is looked for
+BALANCING: Final = 12  # sweeps
 FINE: Final = 0.01  # [-] of the largest stable factor
 PART: Final = 0.2  # [-] the least part in a mode that a sentence names
 HUGE: Final = 1e12  # a limit that is never reached
@@ -125,7 +128,9 @@ class Judgement:
         }
 
 
-def judged(ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, run: FusedRun | None) -> Judgement | str:
+def judged(
+    ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, run: FusedRun | None, changes: Mapping[str, Any] = EMPTY
+) -> Judgement | str:
     """The judgement of a run at its start: of its own loop, or of one with the same arm as a smooth model plant.
 
     Args:
@@ -133,24 +138,42 @@ def judged(ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, run: FusedRun | N
         plant: What it runs against.
         q: (n,) the start pose [rad | m].
         run: The run of a model plant, before it begins; None for an engine or a robot.
+        changes: Parameters by path that events change at the start; a run has them already.
     """
     if ctrl.engine != "native":
         return "not judged: plain Python is for debugging, and the loop is judged where it is compiled"
-    smooth = stand_in(plant, ctrl.side.needs)
-    if smooth is plant and run is not None:
+    if run is not None and not has_steps(plant):
         return judge(run, ctrl.side, plant.name)
     try:
-        loop = Loop(_Side(ctrl.side, {**ctrl.side.parameters}, ctrl.engine), smooth, duration=ctrl.side.dt)
-        for path, value in {**plant.parameters, **ctrl.parameters}.items():
+        loop = _stand_in_loop(ctrl, plant)
+        for path, value in {**plant.parameters, **ctrl.parameters, **changes}.items():
             if path in loop.parameters:
                 loop.parameters[path] = value
         made = FusedRun(loop, q, np.zeros_like(q), 0, (), {})
     except TautError as error:
         return f"not judged: {error}"
-    name = (
-        f"{plant.name} without steps" if isinstance(plant, RigidPlant) else f"{smooth.name} in place of {plant.name}"
-    )
+    same = isinstance(plant, RigidPlant)
+    name = f"{plant.name} without steps" if same else f"{loop.plant.name} in place of {plant.name}"
     return judge(made, ctrl.side, name)
+
+
+# One for each plant, so that a controller which runs again on it is not traced again; a loop does not hold its key.
+_STAND_INS: Final[WeakKeyDictionary[AnyPlant, Loop]] = WeakKeyDictionary()
+
+
+def _stand_in_loop(ctrl: HasLawSide, plant: AnyPlant) -> Loop:
+    try:
+        known = _STAND_INS.get(plant)
+    except TypeError:  # a plant of the user's own that has no hash
+        return _made_loop(ctrl, plant)
+    if known is None or known.side is not ctrl.side:
+        known = _STAND_INS[plant] = _made_loop(ctrl, plant)
+    return known
+
+
+def _made_loop(ctrl: HasLawSide, plant: AnyPlant) -> Loop:
+    side = ctrl.side
+    return Loop(_Side(side, side.parameters, ctrl.engine), stand_in(plant, side.needs), duration=side.dt)
 
 
 @dataclass(frozen=True)
@@ -175,6 +198,14 @@ def judge(run: FusedRun, side: LawSide, plant: str) -> Judgement | str:
     Returns:
         The judgement; a sentence why there is none: no equilibrium within reach, or a map without a derivative.
     """
+    try:
+        with np.errstate(all="ignore"):  # numbers that no float can hold are refused where the run meets them
+            return _judged(run, side, plant)
+    except np.linalg.LinAlgError:
+        return "not judged: the derivative of a period is no matrix that has eigenvalues"
+
+
+def _judged(run: FusedRun, side: LawSide, plant: str) -> Judgement | str:
     period = run.period()
     left_out = _left_out(side, period.values)
     after = period.after(left_out)
@@ -301,9 +332,20 @@ def _acting(A: Float64Array, coordinates: BlockCoordinates) -> list[int]:
 
 def _eigenvalues(A: Float64Array, error: Float64Array) -> tuple[Any, Float64Array, Any, Any]:
     """Eigenvalues of A, how far each is uncertain by the error of A, left and right eigenvectors."""
-    _, (scale, _) = scipy.linalg.matrix_balance(A, permute=False, separate=True)
+    scale = np.ones(len(A))
+    for _ in range(BALANCING):  # Osborne's: rows and columns of one size, so that rounding is of all states alike
+        sizes = np.abs(A * scale / scale[:, np.newaxis])
+        np.fill_diagonal(sizes, 0.0)
+        rows, columns = sizes.sum(axis=1), sizes.sum(axis=0)
+        both = (rows > 0.0) & (columns > 0.0)
+        scale[both] *= (rows[both] / columns[both]) ** 0.25
     balanced = A * scale / scale[:, np.newaxis]
-    z, left, right = scipy.linalg.eig(balanced, left=True, right=True)
+    z, right = np.linalg.eig(balanced)
+    try:
+        left = np.linalg.inv(right).conj().T
+    except np.linalg.LinAlgError:  # of poles that coincide there are too few eigenvectors
+        left = np.linalg.pinv(right).conj().T
+    left /= np.linalg.norm(left, axis=0)
     aligned = np.abs(np.einsum("ij,ij->j", left.conj(), right))
     rounding = np.finfo(float).eps / STEP * max(1.0, float(np.abs(balanced).max()))
     noise = rounding + float(np.linalg.norm(error * scale / scale[:, np.newaxis], 2))

@@ -126,7 +126,8 @@ def run(
         assert isinstance(ctrl, Controller)
         both = {**ctrl.parameters, **target.parameters}
         info["parameters"] = {path: value.tolist() for path, value in both.items()}
-        unstable = _judged(judged(ctrl, target, q, None), target, info)
+        at_once = {path: value for tick, event in due if tick == 0 for path, value in event.set.items()}
+        unstable = _judged(judged(ctrl, target, q, None, at_once), target, info)
         going = HostedRun(ctrl, target, reference, ticks, q, v, due, info)
     going.tape.unstable = unstable
     return _recorded(going, log, progress)

@@ -15,7 +15,7 @@ from taut.plant.environment_push import Push
 from taut.plant.rigid import RigidPlant
 from taut.plant.sensors import Sensors
 
-__all__ = ["stand_in"]
+__all__ = ["has_steps", "stand_in"]
 
 
 @runtime_checkable
@@ -32,16 +32,20 @@ class HasStages(Protocol):
     def sensors(self) -> Sensors: ...
 
 
+def has_steps(plant: AnyPlant) -> bool:
+    """Whether sensors or amplifiers of a plant make steps, which have no derivative."""
+    return any(path.endswith(".resolution") for path in plant.parameters)
+
+
 def stand_in(plant: AnyPlant, needs: Container[str]) -> ModelPlant:
-    """The plant itself where it is a smooth model; else the same arm, drives and sensors as one, without steps.
+    """The same arm, drives and sensors as a model plant without steps.
 
     Args:
         plant: The plant.
         needs: What the controller measures.
     """
-    steps = any(path.endswith(".resolution") for path in plant.parameters)
-    if isinstance(plant, ModelPlant) and not (steps and isinstance(plant, RigidPlant)):
-        return plant
+    if isinstance(plant, ModelPlant) and not isinstance(plant, RigidPlant):
+        return plant  # a model of the user's own
     stages = plant if isinstance(plant, HasStages) else RigidPlant(plant.arm)
     actuation, sensors = _without_steps(stages.actuation), stages.sensors
     sensors = dataclasses.replace(
@@ -56,7 +60,7 @@ def stand_in(plant: AnyPlant, needs: Container[str]) -> ModelPlant:
         actuation=actuation,
         sensors=sensors,
         adds=plant.adds,
-        environment=Push(peak=np.zeros(6)) if "F_ext" in needs else None,
+        environment=Push(peak=np.zeros(6)) if "F_ext" in needs or sensors.wrench is not None else None,
     )
 
 
