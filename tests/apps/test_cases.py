@@ -232,6 +232,7 @@ def test_a_law_of_the_users_own_runs_in_every_case(tmp_path: Path, capsys: pytes
     }
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_a_run_that_diverges_names_its_case(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = GOOD + "[cases.calm]\n[cases.wild.laws.PD]\nkd = 1e6\n"
     assert main(["run", write(tmp_path, text), "--out", str(tmp_path / "out")]) == 1

@@ -281,18 +281,19 @@ def _equilibrium(
     places = coordinates.places["plant.q"]
     first = period.numbers(memory)[places]
     for _ in range(NEWTON_STEPS):
-        found = _differences(period, after, memory)
-        if isinstance(found, str):
-            return found
-        A, error, next_memory = found
+        here = after(memory)
+        A = _differences(period, after, memory, here, STEP)
+        if not np.isfinite(A).all():
+            return "not judged: a period of the loop is not finite at the start pose"
         kept = _acting(A, coordinates)
-        residual = coordinates.difference(next_memory, memory)
+        residual = coordinates.difference(here, memory)
         sizes = 1.0 + np.abs(period.numbers(memory))
         if (np.abs(residual) <= REST * sizes)[kept].all():
-            return A[np.ix_(kept, kept)], error[np.ix_(kept, kept)], kept, memory
+            far = _differences(period, after, memory, here, 2.0 * STEP)
+            block = np.ix_(kept, kept)
+            return ((4.0 * A - far) / 3.0)[block], np.abs(A - far)[block], kept, memory
         by = np.zeros(len(coordinates))
-        block = (np.eye(len(A)) - A)[np.ix_(kept, kept)]
-        by[kept] = np.linalg.lstsq(block, residual[kept], rcond=RANK)[0]
+        by[kept] = np.linalg.lstsq((np.eye(len(A)) - A)[np.ix_(kept, kept)], residual[kept], rcond=RANK)[0]
         longest = float(np.abs(by[places]).max(initial=0.0))
         memory = coordinates.moved(memory, by * min(1.0, REACH / max(longest, 1e-300)))
         off = np.abs(period.numbers(memory)[places] - first)
@@ -301,21 +302,13 @@ def _equilibrium(
     return "not judged: the loop does not rest near the start pose"
 
 
-def _differences(
-    period: Period, after: Map, memory: Float64Array
-) -> tuple[Float64Array, Float64Array, Float64Array] | str:
-    """(N, N) derivative of the memory after a period by that before it, its error, and the memory after it."""
-    coordinates, here = period.coordinates, after(memory)
-    steps = STEP * (1.0 + np.abs(period.numbers(memory)))[:, np.newaxis]
+def _differences(period: Period, after: Map, memory: Float64Array, here: Float64Array, step: float) -> Float64Array:
+    """(N, N) derivative of the memory after a period by that before it, by central differences of a step."""
+    coordinates = period.coordinates
+    steps = step * (1.0 + np.abs(period.numbers(memory)))[:, np.newaxis]
     moves = steps * coordinates.basis(memory)
-    near, far = (
-        coordinates.read(here, np.stack([after(memory + k * move) - after(memory - k * move) for move in moves]))
-        / (2.0 * k * steps)
-        for k in (1.0, 2.0)
-    )
-    if not (np.isfinite(near).all() and np.isfinite(far).all()):
-        return "not judged: a period of the loop is not finite at the start pose"
-    return (4.0 * near - far).T / 3.0, np.abs(near - far).T, here
+    ends = np.stack([after(memory + move) - after(memory - move) for move in moves])
+    return np.asarray((coordinates.read(here, ends) / (2.0 * steps)).T)
 
 
 def _acting(A: Float64Array, coordinates: BlockCoordinates) -> list[int]:
