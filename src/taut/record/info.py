@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 
 from taut.arm.description import Arm
+from taut.arm.doubts import indefinite
 from taut.base.types import Float64Array
 from taut.control.phase_sample import PhaseSample
 from taut.control.phases import ENDED
@@ -134,9 +135,9 @@ def _dynamics(value: Mapping[str, Any], n: int) -> bool:
 
 
 def _possible(arm: Arm) -> bool:
-    """Bodies that a mass matrix can be made of."""
+    """Bodies whose mass matrix is positive definite."""
     numbers = [np.r_[body.mass, body.com, body.inertia.ravel()] for body in arm.bodies]
-    return _array(numbers, finite=True) and all(body.mass >= 0.0 for body in arm.bodies)
+    return _array(numbers, finite=True) and indefinite(arm) is None
 
 
 def _options(value: Mapping[str, Any]) -> bool:

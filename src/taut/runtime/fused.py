@@ -119,7 +119,7 @@ class FusedRun:
         events: Iterable[tuple[int, Event]],
         info: dict[str, Any],
     ) -> None:
-        self._loop, self._q = loop, q
+        self._loop, self._q, self._v = loop, q, v
         side = loop.side
         self._events: dict[int, dict[str, Float64Array]] = {}
         values = dict(loop.parameters)
@@ -163,13 +163,13 @@ class FusedRun:
         at_rest = side.at_rest(q)
         feed = ReferenceFeed(Hold(), side.law.reference, side.arm, self._loop.dt, at_rest)
         feed.fill(subtree(views, "ref"), 0, lambda: None)
-        memory = self._loop.start(
-            q, np.zeros_like(q), self._inputs.views(row[0]), self._parameters.views(self._values)
-        )
+        start = self._state.copy()
+        if self._v.any() or self._loop.plant.noise:
+            values = self._inputs.views(row[0]), self._parameters.views(self._values)
+            start = self._memory.pack(self._loop.start(q, np.zeros_like(q), *values))
         return Period(
-            self._run, row, self._parameters, self._values, self._memory, self._memory.pack(memory),
-            self._loop.plant.arm, self._loop.dt,
-        )  # fmt: skip
+            self._run, row, self._parameters, self._values, self._memory, start, self._loop.plant.arm, self._loop.dt
+        )
 
     def _started(self, q: Float64Array, v: Float64Array, first: Float64Array) -> dict[str, Any]:
         """Memory in the first tick, whose reference and noise (1, ...) are filled in here, before there is a tape."""

@@ -60,7 +60,7 @@ class Judgement:
         dt: Control period [s].
         radius: Spectral radius of the one-period map [-].
         unstable: Whether it is above one by more than the map is known.
-        joints: Part of each joint in the least stable mode, by name, the largest first.
+        joints: Of an unstable loop: part of each joint in the mode that grows fastest, by name, the largest first.
         tool: Part of each axis of the tool in it, by kinetic energy (world axes), likewise.
         largest: Of an unstable loop: the largest factor on a gain, by path, with which the loop is stable, the others
             as they are; on all of them, "law", where only that helps; empty where nothing does.
@@ -215,10 +215,6 @@ def _judged(run: FusedRun, side: LawSide, plant: str) -> Judgement | str:
     A, error, kept, memory = rest
     z, slack, left, right = _eigenvalues(A, error)
     unstable = bool(_unstable(z, slack))
-    moving = np.abs(z - 1.0) > slack  # what rests where it is put is no mode that could be less stable
-    worst = int(np.argmax(np.where(moving, np.abs(z), -1.0)))
-    joints, tool = _directions(period, kept, memory, left[:, worst], right[:, worst])
-
     nearby = memory + STEP * period.coordinates.basis(memory).sum(axis=0)
     elsewhere = after(nearby)
     if np.array_equal(period.command(memory), period.command(nearby)):
@@ -231,12 +227,16 @@ def _judged(run: FusedRun, side: LawSide, plant: str) -> Judgement | str:
         found = _equilibrium(period, after, memory)
         return not isinstance(found, str) and not _unstable(*_eigenvalues(*found[:2])[:2])
 
+    joints: dict[str, float] = {}
+    tool: dict[str, float] = {}
     largest: dict[str, float] = {}
     relies_on: tuple[str, ...] = ()
-    dry = tuple(path for path in left_out if path.startswith("plant.friction.") or path == EFFICIENCY)
     if unstable:
+        worst = int(np.argmax(np.abs(z)))
+        joints, tool = _directions(period, kept, memory, left[:, worst], right[:, worst])
         largest = _largest_gains(_gains(side, period.values), stable_with)
-        if any(np.any(period.values[path] != value) for path, value in left_out.items() if path in dry):
+        dry = {path: period.values[path] for path in left_out if _is_dry(path)}
+        if any(np.any(dry[path] != left_out[path]) for path in dry) and stable_with(dry):
             relies_on = ("dry friction",)
     elif VISCOUS in period.values and np.any(period.values[VISCOUS]):
         without = {VISCOUS: np.zeros_like(period.values[VISCOUS])}
@@ -256,9 +256,7 @@ def _judged(run: FusedRun, side: LawSide, plant: str) -> Judgement | str:
 
 def _left_out(side: LawSide, values: Changes) -> dict[str, Any]:
     """Parameters that leave limits and dry friction out of a loop, those of its compensation included."""
-    out = {path: np.zeros_like(values[path]) for path in values if path.startswith("plant.friction.") and _dry(path)}
-    if EFFICIENCY in values:
-        out[EFFICIENCY] = np.ones_like(values[EFFICIENCY])
+    out = {path: np.full_like(values[path], path == EFFICIENCY) for path in values if _is_dry(path)}
     out |= {f"limits.{name}": HUGE for name in ("tau", "tau_dot", "v") if f"limits.{name}" in values}
     for path, law in all_laws(side.law, "law"):
         if isinstance(law, FrictionCompensation):
@@ -266,8 +264,8 @@ def _left_out(side: LawSide, values: Changes) -> dict[str, Any]:
     return out
 
 
-def _dry(path: str) -> bool:
-    return path.rpartition(".")[2] in DRY
+def _is_dry(path: str) -> bool:
+    return path == EFFICIENCY or (path.startswith("plant.friction.") and path.rpartition(".")[2] in DRY)
 
 
 # -------------------------------------------------------------------- the derivative of a period
@@ -420,5 +418,7 @@ def _times(factor: float, value: Any) -> str:
         return f"{factor:.3g} times what it is"
     if flat.shape == (6,) and np.ptp(flat[:3]) == np.ptp(flat[3:]) == 0.0:
         flat = flat[[0, 3]]
-    numbers = ", ".join(f"{x:.4g}" for x in np.atleast_1d(flat))
+    digits = 10.0 ** (np.floor(np.log10(np.maximum(np.abs(flat), 1e-300))) - 3.0)
+    down = np.floor(flat / digits + 1e-9) * digits  # what is printed is no more than what was tried
+    numbers = ", ".join(f"{x:.4g}" for x in np.atleast_1d(down))
     return numbers if flat.size == 1 else f"({numbers})"
