@@ -37,6 +37,8 @@ def checked_arguments(thing: Any, name: str) -> Any:
         for word in thing.__all__:
             if isinstance(vars(thing)[word], FunctionType):
                 setattr(thing, word, _checked(vars(thing)[word]))
+            elif isinstance(vars(thing)[word], type):
+                checked_arguments(vars(thing)[word], word)
     if isinstance(thing, type) and not issubclass(thing, (Exception, enum.Enum)):
         for cls in thing.__mro__:
             if cls.__module__.startswith("taut.") and not vars(cls).get("_is_protocol"):
