@@ -34,18 +34,18 @@ def main() -> None:
     mpl.use("Agg")
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else IMAGES
     start = time.process_time()
-    told = taut.compare(on="panda_payload", by="rms_error", model=taut.WrongModel(mass=0.1, payload=1.0))
+    told = taut.compare(on="panda_payload", by="rms_error", model=taut.analysis.WrongModel(mass=0.1, payload=1.0))
     print(told)
     told.plot().savefig(folder / "compare.png", dpi=150)
     print(f"user time {time.process_time() - start:.1f} s\n")
-    print(taut.grade(Student(kp=100.0, kd=20.0), "ComputedTorque(kp=100, kd=20)", swing()))
+    print(taut.analysis.grade(Student(kp=100.0, kd=20.0), "ComputedTorque(kp=100, kd=20)", swing()))
 
 
 def swing() -> taut.Loop:
     """A Panda whose joints swing by 0.4 rad."""
     arm = taut.load_arm("panda")
     ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)
-    ref = taut.Sine(center=arm.home, amplitude=np.full(7, 0.4), frequency=0.8, phase=0.0)
+    ref = taut.trajectories.Sine(center=arm.home, amplitude=np.full(7, 0.4), frequency=0.8, phase=0.0)
     return taut.Loop(ctrl, taut.RigidPlant(arm), ref, duration=2.0)
 
 

@@ -19,7 +19,7 @@ BOUNDS = {"law.kp": (10.0, 1000.0), "law.kd": (5.0, 200.0), "law.ki": (0.0, 2000
 def loops(first: int, count: int) -> dict[str, taut.Loop]:
     """Paths through random poses of a Panda with 1 kg that its law does not know; encoder noise 1e-5 rad."""
     arm = taut.load_arm("panda")
-    sensors = taut.Sensors(position=taut.Encoder(noise=1e-5), velocity=None)
+    sensors = taut.sensors.Sensors(position=taut.sensors.Encoder(noise=1e-5), velocity=None)
     plant = taut.RigidPlant(arm.with_payload(1.0), friction=None, sensors=sensors)
     ctrl = taut.compile(
         taut.laws.ComputedTorque(kp=100.0, kd=20.0, ki=0.0),
@@ -33,7 +33,7 @@ def loops(first: int, count: int) -> dict[str, taut.Loop]:
         low, high = arm.lower + 0.1, arm.upper - 0.1
         points = [arm.home, *(np.clip(arm.home + rng.uniform(-0.5, 0.5, 7), low, high) for _ in range(3))]
         out[f"path {k}"] = taut.Loop(
-            ctrl, plant, taut.Spline(times=[0.0, 1.0, 2.0, 3.0], points=np.array(points)), duration=3.0
+            ctrl, plant, taut.trajectories.Spline(times=[0.0, 1.0, 2.0, 3.0], points=np.array(points)), duration=3.0
         )
     return out
 

@@ -16,8 +16,8 @@ from rich.console import Console
 from rich.table import Table
 
 import taut
-from taut.record.style import COLOURS, DASHED, INK, SMALL, WIDTH, prepared
-from taut.study.stability_plots import draw_locus, draw_map
+from taut.analysis.stability_plots import draw_locus, draw_map
+from taut.record.plots.style import COLOURS, DASHED, INK, SMALL, WIDTH, prepared
 
 IMAGES = Path(__file__).parent.parent / "docs" / "images"
 CHAPTER = {"M": 0.5, "b": 0.1}
@@ -28,7 +28,7 @@ def main() -> None:
     """Draw, and print."""
     mpl.use("Agg")
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else IMAGES
-    taut.second_order(**CHAPTER, kp=2.205, kd=2.0, ki=1.0).plot().savefig(folder / "error_dynamics.png")
+    taut.analysis.second_order(**CHAPTER, kp=2.205, kd=2.0, ki=1.0).plot().savefig(folder / "error_dynamics.png")
     loci().savefig(folder / "root_loci.png", dpi=150)
     maps().savefig(folder / "stability_maps.png", dpi=150)
     Console(width=110).print(rates())
@@ -39,11 +39,13 @@ def loci() -> Figure:
     figure = Figure(figsize=(WIDTH, 2.9), layout="constrained", facecolor="white")
     left, middle, right = figure.subplots(1, 3)
     points = [10.1**2 / (4.0 * 0.5 * zeta**2) for zeta in (1.5, 1.0, 0.5)]
-    over_kp = taut.locus(lambda kp: taut.second_order(**CHAPTER, kp=kp, kd=10.0), [0.0, 230.0], name="kp")
+    over_kp = taut.analysis.locus(
+        lambda kp: taut.analysis.second_order(**CHAPTER, kp=kp, kd=10.0), [0.0, 230.0], name="kp"
+    )
     draw_locus(left, over_kp, np.array(points))
     responses(middle, points)
-    pd = taut.second_order(**CHAPTER, kp=2.205, kd=2.0)
-    draw_locus(right, taut.locus("ki", [0.0, 12.0], of=pd), np.zeros(0))
+    pd = taut.analysis.second_order(**CHAPTER, kp=2.205, kd=2.0)
+    draw_locus(right, taut.analysis.locus("ki", [0.0, 12.0], of=pd), np.zeros(0))
     return figure
 
 
@@ -52,7 +54,7 @@ def responses(ax: Axes, points: list[float]) -> None:
     prepared(ax, "error from 1", "e", "t [s]")
     t = np.linspace(0.0, 1.6, 400)
     for k, kp in enumerate(points):
-        d = taut.second_order(**CHAPTER, kp=kp, kd=10.0)
+        d = taut.analysis.second_order(**CHAPTER, kp=kp, kd=10.0)
         ax.plot(t, d.response(t)[0], color=COLOURS[k], linewidth=1.5, label=f"{k + 1}: zeta = {d.zeta:.2g}")
     ax.axhline(0.0, color=INK, linewidth=0.6)
     ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
@@ -63,20 +65,24 @@ def maps() -> Figure:
     figure = Figure(figsize=(WIDTH, 2.9), layout="constrained", facecolor="white")
     left, right = figure.subplots(1, 2)
 
-    def damped(rate: float, kd: float) -> taut.SampledErrorDynamics:
-        return taut.second_order(M=0.5, b=0.1, kd=kd, zeta=1.0).sampled(rate=rate, velocity="difference")
+    def damped(rate: float, kd: float) -> taut.analysis.SampledErrorDynamics:
+        return taut.analysis.second_order(M=0.5, b=0.1, kd=kd, zeta=1.0).sampled(rate=rate, velocity="difference")
 
-    found = taut.stability_map(damped, {"rate": np.geomspace(20.0, 1000.0, 13), "kd": np.geomspace(5.0, 1000.0, 13)})
+    found = taut.analysis.stability_map(
+        damped, {"rate": np.geomspace(20.0, 1000.0, 13), "kd": np.geomspace(5.0, 1000.0, 13)}
+    )
     draw_map(left, found, ("Hz", "N m s/rad"), log=True)
     rate = np.array([20.0, 1000.0])
     left.plot(rate, rate, color=COLOURS[1], linewidth=1.0, linestyle=DASHED, label="2 M / dt, measured velocity")
     left.set_title("differenced velocity, zeta = 1", fontsize=SMALL, loc="left", color=INK)
     left.legend(fontsize=SMALL, frameon=False, labelcolor=INK, loc="upper left")
 
-    def late(delay: float, kd: float) -> taut.SampledErrorDynamics:
-        return taut.second_order(M=0.5, b=0.1, kd=kd, zeta=1.0).sampled(rate=1000.0, delay=1e-3 * delay)
+    def late(delay: float, kd: float) -> taut.analysis.SampledErrorDynamics:
+        return taut.analysis.second_order(M=0.5, b=0.1, kd=kd, zeta=1.0).sampled(rate=1000.0, delay=1e-3 * delay)
 
-    found = taut.stability_map(late, {"delay": np.geomspace(1.0, 20.0, 11), "kd": np.geomspace(10.0, 1000.0, 13)})
+    found = taut.analysis.stability_map(
+        late, {"delay": np.geomspace(1.0, 20.0, 11), "kd": np.geomspace(10.0, 1000.0, 13)}
+    )
     draw_map(right, found, ("ms", "N m s/rad"), log=True)
     right.set_title("1 kHz, late, zeta = 1", fontsize=SMALL, loc="left", color=INK)
     return figure
@@ -85,7 +91,7 @@ def maps() -> Figure:
 def rates() -> Table:
     """One design at six rates."""
     table = Table("rate [Hz]", "largest pole", "poles as s", "overshoot [%]", "settling [s]", "most delay [ms]")
-    d = taut.second_order(**CHAPTER, kd=120.0, zeta=1.0)
+    d = taut.analysis.second_order(**CHAPTER, kd=120.0, zeta=1.0)
     for rate in RATES:
         at = d.sampled(rate=rate)
         slow = complex(at.s_poles[0])

@@ -178,15 +178,17 @@ def model(arm: str) -> taut.Arm:
 
 @cache
 def controller(kind: Kind) -> taut.Controller:
-    wrench = None if kind.control == "impedance" else taut.LowPass(cutoff=CUTOFF)
-    sensing = taut.Sensing(velocity=taut.Difference(cutoff=VELOCITY), F_ext=wrench)
+    wrench = None if kind.control == "impedance" else taut.sensors.LowPass(cutoff=CUTOFF)
+    sensing = taut.Sensing(velocity=taut.sensors.Difference(cutoff=VELOCITY), F_ext=wrench)
     return taut.compile(kind.law(), model(kind.arm), rate=RATE, sensing=sensing)
 
 
 @cache
 def loop(kind: Kind, environment: str, duration: float) -> taut.Loop:
     touched = {"hand": HumanHand, "wall": StiffSpring}[environment]()
-    plant = taut.RigidPlant(model(kind.arm), environment=touched, substeps=10, actuation=taut.Actuation(delay=DELAY))
+    plant = taut.RigidPlant(
+        model(kind.arm), environment=touched, substeps=10, actuation=taut.drives.Actuation(delay=DELAY)
+    )
     return taut.Loop(controller(kind), plant, taut.JointMotion(q=[0.0]), duration=duration)
 
 

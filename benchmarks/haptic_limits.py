@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 import taut
-from taut.record.style import COLOURS, DASHED, INK, SMALL, WIDTH, prepared
+from taut.record.plots.style import COLOURS, DASHED, INK, SMALL, WIDTH, prepared
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "tests" / "study"))
@@ -103,7 +103,7 @@ def drawn(ax: Axes, panel: Panel, table: Table) -> None:
     x = np.geomspace(*ends, 40) if panel.log else np.linspace(*ends, 33)
     if panel.title == "delay":
         lines = [
-            taut.stiffness_limits(
+            taut.analysis.stiffness_limits(
                 mass=BASE.mass, damping=BASE.damping, B=BASE.B, rate=BASE.rate, delay=1e-3 * v, velocity="difference"
             )
             for v in x

@@ -16,9 +16,9 @@ os.environ["TAUT_CACHE_DIR"] = tempfile.mkdtemp()  # so that compiling is measur
 
 import taut
 from taut.codegen.loop import NativeLoop
+from taut.linear.linearise import rest_of
+from taut.linear.loop_map import LoopMap, Point, loop_map
 from taut.loop import Loop
-from taut.study.linearise import rest_of
-from taut.study.loop_map import LoopMap, Point, loop_map
 
 IMAGES = Path(__file__).parent.parent / "docs" / "images"
 REPEATS = 10
@@ -37,12 +37,12 @@ def loops() -> dict[str, Loop]:
         arm,
         friction=None,
         substeps=4,
-        environment=taut.Push(),
-        actuation=taut.Actuation(delay=1e-3, bandwidth=800.0),
+        environment=taut.environments.Push(),
+        actuation=taut.drives.Actuation(delay=1e-3, bandwidth=800.0),
     )
     inner = laws.TaskComputedTorque(kp=400.0, kd=40.0)
     admittance = laws.Admittance(D=(5.0, 0.1), B=(100.0, 3.0), K=(500.0, 30.0), inner=inner)
-    filtered = taut.Sensing(velocity=taut.Difference(cutoff=60.0))
+    filtered = taut.Sensing(velocity=taut.sensors.Difference(cutoff=60.0))
     return {
         "computed torque": Loop(
             taut.compile(laws.ComputedTorque(kp=100.0, kd=20.0, ki=50.0), arm), plain, duration=0.01
@@ -119,13 +119,15 @@ def _ratio(made: LoopMap, point: Point) -> float:
 def _pictures() -> None:
     arm = taut.load_arm("panda")
     laws = taut.laws
-    late = taut.RigidPlant(arm, friction=None, actuation=taut.Actuation(delay=2e-3, bandwidth=300.0), substeps=4)
-    sensing = taut.Sensing(velocity=taut.Difference(cutoff=60.0))
+    late = taut.RigidPlant(
+        arm, friction=None, actuation=taut.drives.Actuation(delay=2e-3, bandwidth=300.0), substeps=4
+    )
+    sensing = taut.Sensing(velocity=taut.sensors.Difference(cutoff=60.0))
     law = laws.ComputedTorque(kp=100.0, kd=20.0, ki=50.0)
     lin = taut.linearise(Loop(taut.compile(law, arm, sensing=sensing), late, duration=1.0))
     lin.plot().savefig(IMAGES / "linearise_loop.png", dpi=110)
     law = laws.Impedance(K=(800.0, 30.0), zeta=0.7)
-    tip = taut.tip_impedance(Loop(taut.compile(law, arm), late, duration=1.0), direction=[0.0, 0.0, 1.0])
+    tip = taut.analysis.tip_impedance(Loop(taut.compile(law, arm), late, duration=1.0), direction=[0.0, 0.0, 1.0])
     omega = 2.0 * np.pi * np.array([0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0])
     tip.plot(tip.measure(omega)).savefig(IMAGES / "linearise_tip.png", dpi=110)
 

@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 import taut
-from taut.apps.bench import BareLoop, empty_cache, interleaved
+from taut.cli.bench import BareLoop, empty_cache, interleaved
 from taut.maths.model import model_of
 
 TICKS = 2000
@@ -140,7 +140,7 @@ def task_figures() -> dict[str, dict]:
     T = taut.snapshot(arm, arm.home).T()
     height = T.p[2]
     floor = taut.Constraint(lambda T: T.p[2] - height)
-    q, v = taut.onto(floor, arm, arm.home + 0.1 * rng.standard_normal(7)), rng.standard_normal(7)
+    q, v = taut.dynamics.onto(floor, arm, arm.home + 0.1 * rng.standard_normal(7)), rng.standard_normal(7)
     upwards = taut.snapshot(arm, q).J()[2]
     v -= upwards * (upwards @ v) / (upwards @ upwards)  # a state, and below a motion, that keep to the floor
     V, a = rng.standard_normal(6), rng.standard_normal(6)
@@ -210,7 +210,7 @@ def task_figures() -> dict[str, dict]:
 def loop_figures() -> dict[str, dict]:
     """The fused closed loop with its own plant model against loops in Python."""
     law = taut.laws.ComputedTorque(kp=rivals.KP, kd=rivals.KD, ki=rivals.KI)
-    ref = taut.Sine(center=rivals.CENTER, amplitude=rivals.AMPLITUDE, frequency=rivals.FREQUENCY)
+    ref = taut.trajectories.Sine(center=rivals.CENTER, amplitude=rivals.AMPLITUDE, frequency=rivals.FREQUENCY)
     loaded = rivals.ARM.with_payload(rivals.PAYLOAD_MASS, rivals.PAYLOAD_COM, rivals.PAYLOAD_INERTIA)
     ctrl = taut.compile(law, rivals.ARM)
     own = BareLoop(ctrl, taut.RigidPlant(loaded, friction=None), ref, TICKS)
@@ -263,21 +263,23 @@ def joint_figures() -> dict[str, dict]:
     friction = taut.Friction(viscous=0.5, coulomb=1.0, static=1.5, stribeck=0.05)
     arm = ideal.with_gears(ratio=100.0, motor_inertia=1e-6).with_friction(friction)
     law = taut.laws.ComputedTorque(kp=rivals.KP, kd=rivals.KD, ki=rivals.KI)
-    ref = taut.Sine(center=rivals.CENTER, amplitude=rivals.AMPLITUDE, frequency=rivals.FREQUENCY)
+    ref = taut.trajectories.Sine(center=rivals.CENTER, amplitude=rivals.AMPLITUDE, frequency=rivals.FREQUENCY)
     measured, differenced = (
         taut.compile(law, ideal, sensing=taut.Sensing(velocity=v)) for v in ("measured", "difference")
     )
-    encoder = taut.Encoder(resolution=1e-5)
-    seen = taut.Sensors(position=encoder, velocity=None)
-    noisy = taut.Sensors(position=taut.Encoder(resolution=1e-5, noise=1e-6), velocity=None)
+    encoder = taut.sensors.Encoder(resolution=1e-5)
+    seen = taut.sensors.Sensors(position=encoder, velocity=None)
+    noisy = taut.sensors.Sensors(position=taut.sensors.Encoder(resolution=1e-5, noise=1e-6), velocity=None)
     lag = {"bandwidth": 1000.0}
     soft = {"stiffness": 1e4, "damping": 1.0}
 
     def loop(ctrl: taut.Controller, plant: taut.RigidPlant) -> BareLoop:
         return BareLoop(ctrl, plant, ref, TICKS)
 
-    def joints(sensors: taut.Sensors, substeps: int = 1, **drives: object) -> taut.RigidPlant:
-        return taut.RigidPlant(arm, actuation=taut.Actuation(**lag, **drives), sensors=sensors, substeps=substeps)
+    def joints(sensors: taut.sensors.Sensors, substeps: int = 1, **drives: object) -> taut.RigidPlant:
+        return taut.RigidPlant(
+            arm, actuation=taut.drives.Actuation(**lag, **drives), sensors=sensors, substeps=substeps
+        )
 
     loops = {
         "bare": loop(measured, taut.RigidPlant(ideal)),
@@ -285,8 +287,10 @@ def joint_figures() -> dict[str, dict]:
         "friction": loop(measured, taut.RigidPlant(arm)),
         "all": loop(differenced, joints(seen)),
         "noise": loop(differenced, joints(noisy)),
-        "elastic": loop(differenced, joints(seen, transmission=taut.Transmission(**soft), substeps=4)),
-        "play": loop(differenced, joints(seen, transmission=taut.Transmission(**soft, backlash=1e-3), substeps=4)),
+        "elastic": loop(differenced, joints(seen, transmission=taut.drives.Transmission(**soft), substeps=4)),
+        "play": loop(
+            differenced, joints(seen, transmission=taut.drives.Transmission(**soft, backlash=1e-3), substeps=4)
+        ),
     }
     timing = interleaved({name: own.run for name, own in loops.items()}, budget=0.1)
     share = {name: 100.0 * float(np.median(timing["bare"].rounds / t.rounds)) for name, t in timing.items()}
@@ -332,7 +336,7 @@ LONG_RUN = """
 import resource, sys, taut
 arm = taut.load_arm("panda")
 ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0, ki=10.0), arm)
-ref = taut.Sine(center=arm.home, amplitude=0.1, frequency=0.3)
+ref = taut.trajectories.Sine(center=arm.home, amplitude=0.1, frequency=0.3)
 run = taut.run(ctrl, taut.RigidPlant(arm), ref, duration=600.0, log=sys.argv[1] or None, progress=False)
 assert run.outcome.ok and len(run) == 600_001
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20)

@@ -19,7 +19,7 @@ from rich.table import Table
 
 import taut
 from taut.maths.spatial import pose_log, rotation_exp, rotation_log
-from taut.record.style import COLOURS, DASHED, INK, SMALL, WIDTH, prepared
+from taut.record.plots.style import COLOURS, DASHED, INK, SMALL, WIDTH, prepared
 
 Array = NDArray[np.float64]
 IMAGES = Path(__file__).parent.parent / "docs" / "images"
@@ -33,7 +33,7 @@ GAINS = {  # by what their row is called
 }
 START = taut.snapshot(ARM, ARM.home).T()
 GOAL = taut.Pose.of(rotation_exp(ANGLE * AXIS) @ START.R, START.p + SHIFT)
-RPY = taut.Coordinates.position_and_rpy()
+RPY = taut.laws.Coordinates.position_and_rpy()
 KINDS = {
     "decoupled": {},
     "body": {"error": "body"},

@@ -24,7 +24,7 @@ def laws() -> dict[str, taut.Law]:
     """The two options, and the second one without what it does at singularities."""
     task = taut.laws.TaskComputedTorque
     return {
-        "via_joint_space(ComputedTorque)": taut.via_joint_space(taut.laws.ComputedTorque(kp=KP, kd=KD)),
+        "via_joint_space(ComputedTorque)": taut.laws.via_joint_space(taut.laws.ComputedTorque(kp=KP, kd=KD)),
         "TaskComputedTorque": task(kp=KP, kd=KD),
         'TaskComputedTorque(singularity="plain")': task(kp=KP, kd=KD, singularity="plain"),
     }
@@ -32,7 +32,11 @@ def laws() -> dict[str, taut.Law]:
 
 def circle(arm: taut.Arm) -> Any:
     T0 = taut.snapshot(arm, arm.home).T()
-    return taut.Circle(T0=T0, centre=T0.act([0.0, -0.15, 0.0]), axis=[1, 0, 0], duration=3.0), arm.home, 3.5
+    return (
+        taut.trajectories.Circle(T0=T0, centre=T0.act([0.0, -0.15, 0.0]), axis=[1, 0, 0], duration=3.0),
+        arm.home,
+        3.5,
+    )
 
 
 def to_a_limit(arm: taut.Arm) -> Any:
@@ -41,7 +45,7 @@ def to_a_limit(arm: taut.Arm) -> Any:
     there = taut.Pose(T0.p, R=T0.R @ np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
     turned = taut.Pose(T0.p, R=there.R @ np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
     times, poses = [0.0, 1.5, 2.5, 4.0, 5.0], [T0, there, turned, there, T0]
-    return taut.TaskSamples(times=times, poses=poses), arm.home, 6.0
+    return taut.trajectories.TaskSamples(times=times, poses=poses), arm.home, 6.0
 
 
 def through_alignment(arm: taut.Arm) -> Any:
@@ -52,7 +56,11 @@ def through_alignment(arm: taut.Arm) -> Any:
     q1 = q0.copy()
     q1[4] = 0.25
     T1 = taut.snapshot(arm, q1).T()
-    return taut.Line(T0=T0, T1=taut.Pose(T1.p, R=T1.R), velocity=(0.25, 1.0), acceleration=(1.0, 4.0)), q0, 3.0
+    return (
+        taut.trajectories.Line(T0=T0, T1=taut.Pose(T1.p, R=T1.R), velocity=(0.25, 1.0), acceleration=(1.0, 4.0)),
+        q0,
+        3.0,
+    )
 
 
 PATHS = {"circle": circle, "to a joint limit and back": to_a_limit, "through wrist alignment": through_alignment}

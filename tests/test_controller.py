@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 import taut
-from taut import Gain, MatchError, Memory, RangeError, ShapeError, TautError, Torque, UnknownNameError, UsageError
+from taut import Gain, Memory, TautError, Torque
 from taut.arm.parts import Body, Frame, Joint
+from taut.errors import MatchError, RangeError, ShapeError, UnknownNameError, UsageError
 
 ARM = taut.load_arm("planar2")
 REF = taut.JointMotion(q=[0.3, -0.2], v=[0.1, 0.0], a=[1.0, -1.0])
@@ -401,7 +402,7 @@ COMPILES: list[tuple[str, Callable[[], Any], type[TautError], str]] = [
         "a class",
         lambda: taut.compile(L.PID, ARM),  # type: ignore[arg-type]
         UsageError,
-        "compile takes a law such as taut.laws.PID(kp=...), with its gains; got <class 'taut.control.joint.PID'>",
+        "compile takes a law such as taut.laws.PID(kp=...), with its gains; got <class 'taut.control.laws.joint.PID'>",
     ),
     ("no law", lambda: taut.compile(None, ARM), UsageError,  # type: ignore[arg-type]
      "compile takes a law such as taut.laws.PID(kp=...), with its gains; got None"),

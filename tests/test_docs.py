@@ -15,7 +15,7 @@ import matplotlib as mpl
 import pytest
 
 import taut
-from taut.apps.cli import main
+from taut.cli.main import main
 
 REPOSITORY = Path(__file__).parents[1]
 PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md"))]

@@ -112,7 +112,11 @@ DOORS: list[tuple[str, Callable[[Any], Any], tuple[Any, ...]]] = [
     ("v", lambda value: tick(ref=taut.JointMotion(q=[0.0, 0.0], v=value)), VECTOR_2),
     ("a", lambda value: tick(ref=taut.JointMotion(q=[0.0, 0.0], a=value)), VECTOR_2),
     ("F_ext", lambda value: tick(F_ext=value), ([0.0] * 6,)),  # which this law does not use
-    ("ref", lambda value: tick(ref=value), (None, 1.0, [0.0, 0.0], taut.Cubic(q0=0.0, q1=1.0, duration=1.0))),
+    (
+        "ref",
+        lambda value: tick(ref=value),
+        (None, 1.0, [0.0, 0.0], taut.trajectories.Cubic(q0=0.0, q1=1.0, duration=1.0)),
+    ),
     ("tau_applied", lambda value: CTRL.reset(tau_applied=value), VECTOR_2),
     ("q0", lambda value: simulate(q0=value), VECTOR_2),
     ("v0", lambda value: simulate(v0=value), VECTOR_2),
@@ -144,45 +148,71 @@ DOORS: list[tuple[str, Callable[[Any], Any], tuple[Any, ...]]] = [
     ),
     (
         "resolution",
-        lambda value: taut.RigidPlant(ARM, sensors=taut.Sensors(position=taut.Encoder(resolution=value))),
+        lambda value: taut.RigidPlant(
+            ARM, sensors=taut.sensors.Sensors(position=taut.sensors.Encoder(resolution=value))
+        ),
         (NAN, 0.0, -1.0, [1.0] * 3, [0.0, 0.0], "x"),
     ),
     (
         "noise",
-        lambda value: taut.RigidPlant(ARM, sensors=taut.Sensors(velocity=taut.Tachometer(noise=value))),
+        lambda value: taut.RigidPlant(
+            ARM, sensors=taut.sensors.Sensors(velocity=taut.sensors.Tachometer(noise=value))
+        ),
         (INF, -1.0, [1.0] * 3, "x"),
     ),
-    ("range", lambda value: taut.WrenchSensor(range=value), (NAN, 0.0, -1.0, 5.0, [1.0] * 3, (1.0, 0.0), "x")),
-    ("range", lambda value: taut.Accelerometer(range=value), (NAN, 0.0, -1.0, "x")),
+    (
+        "range",
+        lambda value: taut.sensors.WrenchSensor(range=value),
+        (NAN, 0.0, -1.0, 5.0, [1.0] * 3, (1.0, 0.0), "x"),
+    ),
+    ("range", lambda value: taut.sensors.Accelerometer(range=value), (NAN, 0.0, -1.0, "x")),
     (
         "cutoff",
-        lambda value: taut.compile(CTRL.law, ARM, sensing=taut.Sensing(velocity=taut.Difference(cutoff=value))),
+        lambda value: taut.compile(
+            CTRL.law, ARM, sensing=taut.Sensing(velocity=taut.sensors.Difference(cutoff=value))
+        ),
         (NAN, INF, 0.0, -1.0, 500.0, [1.0] * 3, "x"),
     ),
     (
         "frequency",
-        lambda value: taut.compile(CTRL.law, ARM, sensing=taut.Sensing(notch=taut.Notch(frequency=value, width=1.0))),
+        lambda value: taut.compile(
+            CTRL.law, ARM, sensing=taut.Sensing(notch=taut.sensors.Notch(frequency=value, width=1.0))
+        ),
         (NAN, INF, 0.0, -1.0, 500.0, [1.0] * 3, [0.0, 0.0], "x"),
     ),
     (
         "position_noise",
         lambda value: taut.compile(
-            CTRL.law, ARM, sensing=taut.Sensing(velocity=taut.Kalman(acceleration_noise=1.0, position_noise=value))
+            CTRL.law,
+            ARM,
+            sensing=taut.Sensing(velocity=taut.sensors.Kalman(acceleration_noise=1.0, position_noise=value)),
         ),
         (NAN, INF, 0.0, -1.0, [1.0] * 3, "x"),
     ),
-    ("delay", lambda value: taut.RigidPlant(ARM, actuation=taut.Actuation(delay=value)), (*NOT_FINITE, -1.0, "x")),
+    (
+        "delay",
+        lambda value: taut.RigidPlant(ARM, actuation=taut.drives.Actuation(delay=value)),
+        (*NOT_FINITE, -1.0, "x"),
+    ),
     (
         "bandwidth",
-        lambda value: taut.RigidPlant(ARM, actuation=taut.Actuation(bandwidth=value)),
+        lambda value: taut.RigidPlant(ARM, actuation=taut.drives.Actuation(bandwidth=value)),
         (NAN, 0.0, -1.0, "x"),
     ),
     ("substeps", lambda value: taut.RigidPlant(ARM, substeps=value), (0, -1, 1.5, NAN, "x")),
     ("t", lambda value: taut.Event(t=value, set={"law.kp": 1.0}), (*NOT_FINITE, -1.0, "x")),
-    ("duration", lambda value: taut.Cubic(q0=[0.0], q1=[1.0], duration=value), (*NOT_FINITE, 0.0, -1.0, "x")),
-    ("q1", lambda value: taut.Quintic(q0=[0.0, 0.0], q1=value, duration=1.0), VECTOR_2[:3]),
-    ("frequency", lambda value: taut.Sine(center=0.0, amplitude=1.0, frequency=value), (NAN, INF, "x")),
-    ("times", lambda value: taut.Samples(times=value, q=[[0.0], [1.0]]), ([0.0, 0.0], [1.0, 0.0], [0.0, NAN], [0.0])),
+    (
+        "duration",
+        lambda value: taut.trajectories.Cubic(q0=[0.0], q1=[1.0], duration=value),
+        (*NOT_FINITE, 0.0, -1.0, "x"),
+    ),
+    ("q1", lambda value: taut.trajectories.Quintic(q0=[0.0, 0.0], q1=value, duration=1.0), VECTOR_2[:3]),
+    ("frequency", lambda value: taut.trajectories.Sine(center=0.0, amplitude=1.0, frequency=value), (NAN, INF, "x")),
+    (
+        "times",
+        lambda value: taut.trajectories.Samples(times=value, q=[[0.0], [1.0]]),
+        ([0.0, 0.0], [1.0, 0.0], [0.0, NAN], [0.0]),
+    ),
     ("period", lambda value: taut.stream(period=value), (*NOT_FINITE, 0.0, -1.0, "x")),
 ]
 
@@ -276,7 +306,7 @@ MISUSE: list[tuple[str, Callable[[], Any], str]] = [
     ("degrees in a set-point", lambda: run_limited(ref=taut.JointMotion(q=DEGREES)), rf"ref\.q\[0\].*{RADIANS}"),
     (
         "degrees in a trajectory",
-        lambda: run_limited(ref=taut.Cubic(q0=LIMITED.home, q1=DEGREES, duration=1.0), duration=1.0),
+        lambda: run_limited(ref=taut.trajectories.Cubic(q0=LIMITED.home, q1=DEGREES, duration=1.0), duration=1.0),
         rf"ref\.q\[0\].*{RADIANS}",
     ),
     (
@@ -324,7 +354,11 @@ MISUSE: list[tuple[str, Callable[[], Any], str]] = [
     ("a joint's name", lambda: ARM.joint_index("joint3"), "did you mean 'joint[12]'"),
     ("a joint of a subset", lambda: ARM.subset(["joint7"]), "joint7"),
     ("an argument of step", lambda: tick(F_ex=1.0), "did you mean 'F_ext'"),
-    ("a trajectory for a sample", lambda: tick(ref=taut.Cubic(q0=[0.0], q1=[1.0], duration=1.0)), r"ref\.at\(t\)"),
+    (
+        "a trajectory for a sample",
+        lambda: tick(ref=taut.trajectories.Cubic(q0=[0.0], q1=[1.0], duration=1.0)),
+        r"ref\.at\(t\)",
+    ),
     ("a class for a law", lambda: taut.compile(taut.laws.PID, ARM), "PID"),
     ("a name for an arm", lambda: taut.compile(CTRL.law, "planar2"), "load_arm"),
     ("an arm for a plant", lambda: taut.run(CTRL, ARM, duration=1.0), "plant"),
@@ -358,7 +392,7 @@ MISUSE: list[tuple[str, Callable[[], Any], str]] = [
         "leave one of the two out",
     ),
     ("a rate in seconds", lambda: taut.compile(CTRL.law, ARM, rate=0.001), r"rate=1/0\.001"),
-    ("a rate in seconds of a bound", lambda: taut.stiffness_limits(mass=1.0, rate=0.002), r"rate=1/0\.002"),
+    ("a rate in seconds of a bound", lambda: taut.analysis.stiffness_limits(mass=1.0, rate=0.002), r"rate=1/0\.002"),
     (
         "a rate in seconds of a design",
         lambda: taut.design(taut.laws.PID, ARM, zeta=1.0, omega_n=3.0, rate=0.01),
@@ -366,7 +400,7 @@ MISUSE: list[tuple[str, Callable[[], Any], str]] = [
     ),
     (
         "a rate in seconds of error dynamics",
-        lambda: taut.second_order(M=1.0, kp=1.0, kd=1.0).sampled(rate=0.01),
+        lambda: taut.analysis.second_order(M=1.0, kp=1.0, kd=1.0).sampled(rate=0.01),
         r"rate=1/0\.01",
     ),
     ("a run of no period", lambda: simulate(duration=1e-4), r"duration must be >= 0\.001"),
@@ -375,7 +409,7 @@ MISUSE: list[tuple[str, Callable[[], Any], str]] = [
         lambda: taut.Loop(CTRL, taut.RigidPlant(ARM), duration=9e-4),
         r"duration must be >= 0\.001",
     ),
-    ("a tolerance in percent", lambda: taut.grade(CTRL.law, CTRL.law, LOOP, tolerance=5), r"5 % is 0\.05"),
+    ("a tolerance in percent", lambda: taut.analysis.grade(CTRL.law, CTRL.law, LOOP, tolerance=5), r"5 % is 0\.05"),
     ("a home in degrees", lambda: taut.load_arm("planar2", home=[90, 45]), r"np\.radians"),
     ("another home in degrees", lambda: ARM.with_home([0.0, 45.0]), r"np\.radians"),
     ("a sample by another name", lambda: HOME.theta, "it has 'a', 'motion', 'q', 'v'"),
@@ -439,7 +473,7 @@ def test_a_tool_of_the_same_name_that_stands_elsewhere_is_an_error_of_the_model(
     believed = arm.with_tool("panda_hand", taut.Pose(p=[0.0, 0.0, 0.10]))
     law = taut.laws.ForceControl(kfp=0.5, kfi=10.0)
     check_fit(taut.compile(law, believed, engine="float").side, taut.MujocoPlant(longer))
-    with pytest.raises(taut.MatchError):
+    with pytest.raises(taut.errors.MatchError):
         check_fit(taut.compile(law, arm, engine="float").side, taut.MujocoPlant(longer))
 
 
@@ -468,6 +502,6 @@ def test_results_by_name_are_dicts_that_can_be_copied_and_sent() -> None:
     terms = simulate().terms
     for again in (pickle.loads(pickle.dumps(terms)), copy.deepcopy(terms)):
         assert set(again) == set(terms)
-        with pytest.raises(taut.UnknownNameError, match="the run has no term"):
+        with pytest.raises(taut.errors.UnknownNameError, match="the run has no term"):
             again["nonlinar"]
     assert terms.get("nonlinar") is None

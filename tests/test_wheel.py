@@ -60,7 +60,7 @@ def test_the_wheel_ships_what_it_reads_and_nothing_else(wheel: Path) -> None:
     shipped = {name for name in names if not name.startswith("taut-")}
     assert shipped == {Path(name).as_posix() for name in source}
     assert "taut/py.typed" in shipped
-    assert any(name.startswith("taut/apps/scenarios/") and name.endswith(".toml") for name in shipped)
+    assert any(name.startswith("taut/scenarios/files/") and name.endswith(".toml") for name in shipped)
     assert any("LICENSE" in name for name in names)
 
 
@@ -70,7 +70,7 @@ def test_an_empty_environment_runs_an_arm_in_both_plants(python: Path, tmp_path:
         arm = taut.load_arm("planar2")
         ctrl = taut.compile(taut.laws.ComputedTorque(kp=400.0, kd=40.0), arm)
         assert ctrl.engine == "native"
-        goal = taut.Quintic(q0=arm.home, q1=arm.home + 0.3, duration=0.5)
+        goal = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + 0.3, duration=0.5)
         for plant in (taut.RigidPlant(arm), taut.MujocoPlant(arm)):
             run = taut.run(ctrl, plant, goal, duration=1.0)
             assert run.outcome.ok and abs(run.error[-1]).max() < 1e-3, run.outcome

@@ -2,6 +2,6 @@
 
 import sys
 
-from taut.apps.cli import main
+from taut.cli.main import main
 
 sys.exit(main())

@@ -24,11 +24,11 @@ from taut.control.law import Law
 from taut.control.lawside import HELD, TOLD, LawSide, Probe, WildTerm, wild_term
 from taut.control.limiting import take_up
 from taut.control.limits import Limits
-from taut.control.phase import Phase
-from taut.control.phases import Phases
-from taut.control.reference import Sample, Trajectory
-from taut.control.sensing import Sensing
-from taut.control.task_steps import TaskSteps
+from taut.control.sensing.sensing import Sensing
+from taut.control.tasks.phase import Phase
+from taut.control.tasks.phases import Phases
+from taut.control.tasks.task_steps import TaskSteps
+from taut.control.trajectories.reference import Sample, Trajectory
 from taut.maths.adds import Adds
 from taut.maths.snapshot import AT_TOOL, MEASUREMENTS, measurement_shapes
 
@@ -467,7 +467,7 @@ class Controller:
     def sensed(self) -> Mapping[str, Float64Array]:
         """What the law saw in the last tick, by measurement, computed when asked for: after all filters.
 
-        With `taut.Wrist(range=...)` also saturated.F_ext: 1.0 if the reading was at the end of its range.
+        With `taut.sensors.Wrist(range=...)` also saturated.F_ext: 1.0 if the reading was at the end of its range.
 
         Raises:
             UsageError: There was no tick yet.

@@ -19,14 +19,14 @@ from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.control.describe import title
 from taut.control.lawside import LawSide
-from taut.control.phases import Phases
-from taut.control.reference import Hold, Reference, as_reference
+from taut.control.tasks.phases import Phases
+from taut.control.trajectories.reference import Hold, Reference, as_reference
 from taut.maths.adds import Adds
 from taut.maths.dynamics import pose
 from taut.maths.model import model_of
 from taut.maths.snapshot import MEASUREMENTS
 from taut.plant.disturbance import COMMAND, of_plant
-from taut.plant.sensors import Sensors
+from taut.plant.sensors.sensors import Sensors
 from taut.plant.swing import check_swing
 
 __all__ = [
@@ -44,10 +44,10 @@ DT: Final = "dt"
 PROVIDED_BY: Final[Mapping[str, str]] = {
     "v": "; sensing=taut.Sensing(velocity='difference') needs positions only",
     "F_ext": "; give the plant environment= or contact=, or take a taut.MujocoPlant",
-    "tau_meas": "; give the plant sensors=taut.Sensors(torque=taut.TorqueSensor())",
-    "q_motor": "; give the plant sensors=taut.Sensors(motor=taut.Encoder())",
-    "v_motor": "; give the plant sensors=taut.Sensors(motor_velocity=taut.Tachometer())",
-    "a_tip": "; give the plant sensors=taut.Sensors(tip=taut.Accelerometer())",
+    "tau_meas": "; give the plant sensors=taut.sensors.Sensors(torque=taut.sensors.TorqueSensor())",
+    "q_motor": "; give the plant sensors=taut.sensors.Sensors(motor=taut.sensors.Encoder())",
+    "v_motor": "; give the plant sensors=taut.sensors.Sensors(motor_velocity=taut.sensors.Tachometer())",
+    "a_tip": "; give the plant sensors=taut.sensors.Sensors(tip=taut.sensors.Accelerometer())",
 }
 """What would measure it, for messages."""
 ONE_PLACE: Final = 1e-6  # [m] between the origins of frames that are the same point
@@ -162,7 +162,7 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
 def _provided_by(name: str, plant: AnyPlant) -> str:
     """What would measure it, as a way out."""
     if name == "F_ext" and isinstance(plant, HasSensors) and plant.sensors.wrench is None:
-        return "; give the plant sensors=taut.Sensors(wrench=taut.WrenchSensor())"
+        return "; give the plant sensors=taut.sensors.Sensors(wrench=taut.sensors.WrenchSensor())"
     return PROVIDED_BY.get(name, "")
 
 
@@ -223,8 +223,8 @@ def _check_weight(side: LawSide, plant: AnyPlant) -> None:
         return
     raise MatchError(
         "the controller's sensing takes the weight of tool and payload out of F_ext, and the wrench sensor of plant "
-        f"'{plant.name}' reads no weight; give it sensors=taut.Sensors(wrench=taut.WrenchSensor(tool="
-        "taut.Payload(mass=...))), or leave mass out of taut.Wrist",
+        f"'{plant.name}' reads no weight; give it sensors=taut.sensors.Sensors(wrench=taut.sensors.WrenchSensor(tool="
+        "taut.Payload(mass=...))), or leave mass out of taut.sensors.Wrist",
         name="wrist",
     )
 
@@ -400,7 +400,7 @@ def without_environment(path: str) -> UsageError:
     """A push, or what else is set of an environment, needs one in the plant."""
     return UsageError(
         f"'{path}' is of the plant's environment, and this plant has none; give it one, such as "
-        "taut.RigidPlant(arm, environment=taut.Push(...)) for Event.push",
+        "taut.RigidPlant(arm, environment=taut.environments.Push(...)) for Event.push",
         name=path,
     )
 

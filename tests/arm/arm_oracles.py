@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 
 from taut.arm.description import BASE, Arm
-from taut.base.pose import Pose
+from taut.trace.pose import Pose
 
 
 def se3(pose: Pose) -> pin.SE3:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from taut.arm.description import BASE, Arm
-from taut.base.pose import Pose
+from taut.trace.pose import Pose
 
 
 def as_urdf(arm: Arm) -> str:

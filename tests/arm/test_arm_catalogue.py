@@ -16,12 +16,12 @@ from taut.arm.catalogue import CATALOGUE, Entry, entry_tree
 from taut.arm.description import BASE
 from taut.arm.gears import rotor_doubts
 from taut.arm.load import load_arm
+from taut.arm.loaders.tree import assemble
 from taut.arm.report import check_model
-from taut.arm.tree import assemble
 from taut.base.errors import MissingExtraError
 
 SAME = 1e-12  # both read the same decimal numbers; what differs is the order of a few sums
-SNAPPED = 2e-11  # a rotation entry this close to 0 or +-1 is set exactly (taut.base.pose.SNAP)
+SNAPPED = 2e-11  # a rotation entry this close to 0 or +-1 is set exactly (taut.trace.pose.SNAP)
 NAMES = sorted(CATALOGUE)
 
 

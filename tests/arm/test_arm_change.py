@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 
 from taut.arm.description import BASE, Arm, Friction, Payload
 from taut.arm.load import load_arm
+from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeLink, assemble
 from taut.arm.rules import check_inertia
-from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeLink, assemble
 from taut.base.errors import ModelError, RangeError, ShapeError, TautError, UnknownNameError, UsageError
-from taut.base.pose import Pose
+from taut.trace.pose import Pose
 
 
 def chain(n: int, seed: int = 0) -> Tree:

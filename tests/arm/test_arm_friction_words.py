@@ -10,9 +10,10 @@ import pytest
 from arm_models import DUO, PAIR
 
 import taut
-from taut import Friction, ModelError, UsageError
+from taut import Friction
 from taut.arm.report import check_model, joint_table
 from taut.arm.write_friction import to_mjcf_joints, to_urdf_dynamics
+from taut.errors import ModelError, UsageError
 
 SIMPLE = Friction(viscous=[0.1, 1.0 / 3.0], coulomb=[0.5, 0.0])
 FULL = Friction(
@@ -195,7 +196,7 @@ class TestMjcf:
 
     def test_a_name_with_marks_is_quoted(self) -> None:
         words = to_mjcf_joints(taut.load_arm("one_joint"))
-        odd = taut.JointWords(element="joint", attributes={'a"<b': {"damping": 0.5}}, notes=())
+        odd = taut.drives.JointWords(element="joint", attributes={'a"<b': {"damping": 0.5}}, notes=())
         assert words.xml("joint1").startswith('<joint name="joint1" ')
         assert odd.xml('a"<b') == '<joint name=\'a"&lt;b\' damping="0.5"/>'
 
@@ -219,7 +220,9 @@ class TestMjcf:
 
 def test_a_joint_that_is_not_there_has_no_words() -> None:
     words = to_urdf_dynamics(taut.load_arm("one_joint"))
-    with pytest.raises(taut.UnknownNameError, match=r"^the arm has no joint 'joint2'; did you mean 'joint1'\?$"):
+    with pytest.raises(
+        taut.errors.UnknownNameError, match=r"^the arm has no joint 'joint2'; did you mean 'joint1'\?$"
+    ):
         words.xml("joint2")
 
 

@@ -15,7 +15,7 @@ import taut
 from taut.arm.builtin import BUILT_IN
 from taut.arm.catalogue import CATALOGUE
 from taut.arm.description import Arm, Body, Frame, Joint, Visual
-from taut.base.pose import Pose
+from taut.trace.pose import Pose
 
 R = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 COMPUTED = ("lower", "upper", "velocity", "effort", "viscous", "coulomb", "rotor_inertia")

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import taut
-from taut import RangeError, ShapeError, UnknownNameError, UsageError
 from taut.arm.gears import matched_ratio, reflected_inertia, rotor_doubts
 from taut.arm.report import check_model
+from taut.errors import RangeError, ShapeError, UnknownNameError, UsageError
 
 ROTOR = 2e-5  # [kg m^2] of a motor of 100 W
 
@@ -38,20 +38,20 @@ def test_the_share_of_the_rotors_is_that_of_the_mass_matrix() -> None:
     for q in ([0.0, 0.0], [0.3, 2.0]):
         M = taut.snapshot(arm, q).M
         without = taut.snapshot(arm.with_joints(rotor_inertia=0.0), q).M
-        np.testing.assert_allclose(taut.rotor_share(arm, q), 1.0 - np.diag(without) / np.diag(M), rtol=1e-12)
-    np.testing.assert_array_equal(taut.rotor_share(arm), taut.rotor_share(arm, arm.home))
+        np.testing.assert_allclose(taut.drives.rotor_share(arm, q), 1.0 - np.diag(without) / np.diag(M), rtol=1e-12)
+    np.testing.assert_array_equal(taut.drives.rotor_share(arm), taut.drives.rotor_share(arm, arm.home))
 
 
 def test_only_an_arm_has_rotors() -> None:
-    with pytest.raises(taut.UsageError, match=r"^rotor_share takes an Arm from taut\.load_arm; got str$"):
-        taut.rotor_share("panda")  # type: ignore[arg-type]
+    with pytest.raises(taut.errors.UsageError, match=r"^rotor_share takes an Arm from taut\.load_arm; got str$"):
+        taut.drives.rotor_share("panda")  # type: ignore[arg-type]
 
 
 def test_a_matched_gear_has_half_of_the_inertia() -> None:
     arm = taut.load_arm("one_joint")
     link = float(taut.snapshot(arm, [0.0]).M[0, 0])
     geared = arm.with_gears(float(matched_ratio(link, 1e-4)), 1e-4)
-    assert taut.rotor_share(geared).tolist() == pytest.approx([0.5])
+    assert taut.drives.rotor_share(geared).tolist() == pytest.approx([0.5])
 
 
 class TestGearsOfSomeJoints:
@@ -144,7 +144,7 @@ class TestDoubts:
         with warnings.catch_warnings():
             warnings.simplefilter("error", RuntimeWarning)
             arm = taut.load_arm("so101").with_joints(rotor_inertia=0.0284)
-        assert taut.rotor_share(arm)[-1] > 0.98
+        assert taut.drives.rotor_share(arm)[-1] > 0.98
 
     def test_a_file_with_a_wrong_unit_is_doubted_where_it_is_checked(self, tmp_path: Path) -> None:
         file = tmp_path / "arm.xml"

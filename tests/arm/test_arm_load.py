@@ -21,7 +21,7 @@ from taut.base.errors import (
     UnknownNameError,
     UsageError,
 )
-from taut.base.pose import Pose
+from taut.trace.pose import Pose
 
 HINT = " (taut arms lists them; a file is named with its suffix, .urdf or .xml)"
 

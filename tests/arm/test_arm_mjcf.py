@@ -13,8 +13,8 @@ from arm_models import PAIR
 from arm_oracles import assert_same_as_mujoco
 
 from taut.arm.load import load_arm
-from taut.arm.mjcf import mjcf_tree
-from taut.arm.xml import read_xml
+from taut.arm.loaders.mjcf import mjcf_tree
+from taut.arm.loaders.xml import read_xml
 from taut.base.errors import ModelError
 from taut.maths.snapshot import snapshot
 

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 import taut
-from taut import FileError, Friction, ModelError, RangeError, Servo, ShapeError, UnknownNameError, UsageError
+from taut import Friction, Servo
+from taut.errors import FileError, ModelError, RangeError, ShapeError, UnknownNameError, UsageError
 from taut.maths.friction_law import FrictionValues, dry_limit
 
 WHEELS = Path(__file__).parents[2] / ".wheels"  # filled by set-up

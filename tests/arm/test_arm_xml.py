@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from taut.arm import xml
 from taut.arm.load import load_arm
-from taut.arm.mjcf_source import MOST
+from taut.arm.loaders import xml
+from taut.arm.loaders.mjcf_source import MOST
+from taut.arm.loaders.xml import BadNumberError, Element, numbers, parse_xml, read_xml
 from taut.arm.rules import MAX_LINKS
-from taut.arm.xml import BadNumberError, Element, numbers, parse_xml, read_xml
 from taut.base.errors import FileError, ModelError
 
 MEGABYTE = 2**20

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from taut.base.array import traced_array
-from taut.base.graph import Graph
-from taut.base.scalar import Condition, Scalar, to_node, tracing
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
 from taut.codegen.llvm import declarations, kernel
 from taut.codegen.native import compiled
 from taut.codegen.program import Program
+from taut.trace.array import traced_array
+from taut.trace.graph import Graph
+from taut.trace.scalar import Condition, Scalar, to_node, tracing
 
 
 def native_values(graph: Graph, nodes: Sequence[int], inputs: Sequence[float]) -> Float64Array:

@@ -13,11 +13,11 @@ from base_tools import native_values, traced_value
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taut import ShapeError, TraceError
 from taut import math as tm
-from taut.base.derivative import jacobian
-from taut.base.graph import Graph
-from taut.base.scalar import Scalar, to_node, tracing
+from taut.errors import ShapeError, TraceError
+from taut.trace.derivative import jacobian
+from taut.trace.graph import Graph
+from taut.trace.scalar import Scalar, to_node, tracing
 
 STEP = 1e-6
 DIFFERENCES = 2e-8  # central differences: STEP^2 of truncation, 1e-16 / STEP of rounding, times values of a few

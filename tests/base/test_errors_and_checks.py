@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut import FileError, ModelError, RangeError, ShapeError, TautError, UsageError
+from taut import TautError
 from taut.base import checks, paths
 from taut.base.errors import (
     Problem,
@@ -27,6 +27,7 @@ from taut.base.errors import (
     unknown_name,
     user_location,
 )
+from taut.errors import FileError, ModelError, RangeError, ShapeError, UsageError
 
 JOINTS = ("base", "elbow")
 
@@ -323,7 +324,7 @@ def test_code_without_a_file_has_a_place_too() -> None:
         "        return taut.Torque(P=np.ones(2) * float(x.q[0]))\n"
         "try:\n"
         "    taut.compile(Bad(), taut.load_arm('planar2'))\n"
-        "except taut.TraceError as error:\n"
+        "except taut.errors.TraceError as error:\n"
         "    print(error)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

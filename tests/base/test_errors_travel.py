@@ -74,7 +74,7 @@ def test_those_that_are_made_by_functions_are_whole_too() -> None:
 
 
 def test_a_value_that_cannot_be_pickled_is_there_as_text() -> None:
-    error = taut.UsageError("no function", value=lambda: None)
+    error = taut.errors.UsageError("no function", value=lambda: None)
     twin = pickle.loads(pickle.dumps(error))
     assert (str(twin), twin.value) == ("no function", repr(error.value))
 
@@ -112,7 +112,7 @@ def test_what_holds_machine_code_refuses_to_be_copied(copied: Callable[[Any], An
     ctrl, plant = taut.compile(LAW, ARM), taut.MujocoPlant(ARM)
     attached = taut.MujocoPlant.attach(plant.model, plant.data, ARM)
     for thing in (ctrl, ctrl.parameters, ctrl.bind(), attached):
-        with pytest.raises(taut.UsageError):
+        with pytest.raises(taut.errors.UsageError):
             copied(thing)
     assert dict(ctrl.parameters).keys() == ctrl.parameters.keys()
 
@@ -120,9 +120,9 @@ def test_what_holds_machine_code_refuses_to_be_copied(copied: Callable[[Any], An
 @pytest.mark.parametrize("copied", COPIES.values(), ids=COPIES)
 def test_a_copy_of_a_mujoco_plant_runs_as_it_does_and_is_another_one(copied: Callable[[Any], Any]) -> None:
     box = '<body name="box" pos="0.5 0 2"><freejoint/><geom type="box" size="0.1 0.1 0.1" mass="1"/></body>'
-    sensors = taut.Sensors(torque=taut.TorqueSensor(noise=0.05))
+    sensors = taut.sensors.Sensors(torque=taut.sensors.TorqueSensor(noise=0.05))
     plant = taut.MujocoPlant(
-        ARM, scene=box, adds=("gravity",), sensors=sensors, environment=taut.Spring(stiffness=30.0)
+        ARM, scene=box, adds=("gravity",), sensors=sensors, environment=taut.environments.Spring(stiffness=30.0)
     )
     plant.set_parameters({"plant.payload.mass": 0.5})
     twin = copied(plant)

@@ -13,10 +13,10 @@ from base_tools import native_values
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taut import TraceError
 from taut import math as tm
-from taut.base.graph import Graph, Op
-from taut.base.scalar import Condition, Scalar, to_node, to_symbol
+from taut.errors import TraceError
+from taut.trace.graph import Graph, Op
+from taut.trace.scalar import Condition, Scalar, to_node, to_symbol
 
 LARGEST = (
     1e6  # intermediate results beyond it are left out, so that infinity and its rules stay out of random programs
@@ -399,7 +399,7 @@ def test_symbols_of_two_graphs_do_not_mix() -> None:
 
 
 def test_two_threads_trace_at_the_same_time() -> None:
-    from taut.base.scalar import active_graph, tracing
+    from taut.trace.scalar import active_graph, tracing
 
     both, seen, errors = threading.Barrier(2), {}, []
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from base_tools import native_values, traced_value
 
-from taut import NumericalError, ShapeError
 from taut import math as tm
-from taut.base.graph import Graph, Op
-from taut.base.scalar import Scalar, to_node, tracing
+from taut.errors import NumericalError, ShapeError
+from taut.trace.graph import Graph, Op
+from taut.trace.scalar import Scalar, to_node, tracing
 
 SOLVED = 1e-13  # relative; matrices of condition up to 1e3, in double precision
 ROUNDING = 4e-15
@@ -286,7 +286,7 @@ def test_what_cannot_be_solved_is_told(name: str) -> None:
 
 def test_a_row_that_depends_on_later_ones_is_left_out_of_the_factors() -> None:
     """A = B B^T whose first row of B is the second: what is left is solved as if that row were not there."""
-    from taut.base.linalg import factor_spd
+    from taut.trace.linalg import factor_spd
 
     B = np.array([[1.0, 2.0, 0.5], [1.0, 2.0, 0.5], [0.3, -1.0, 2.0]])
     b = np.array([4.0, 4.0, -1.0])

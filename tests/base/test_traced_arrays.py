@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 from base_tools import traced_value
 
-from taut import ShapeError, TautError, TraceError
+from taut import TautError
 from taut import math as tm
-from taut.base.array import Traced, traced_array
-from taut.base.graph import Graph
-from taut.base.scalar import Condition, Scalar, tracing
+from taut.errors import ShapeError, TraceError
+from taut.trace.array import Traced, traced_array
+from taut.trace.graph import Graph
+from taut.trace.scalar import Condition, Scalar, tracing
 
 ROUNDING = 1e-15  # the trace does the operations of NumPy, but sums in another order and divides before it multiplies
 

@@ -18,8 +18,8 @@ import pytest
 
 import taut
 from taut import math as tm
-from taut.base.graph import Op
 from taut.codegen import cache, llvm, native
+from taut.trace.graph import Op
 
 KEY = bytes(range(32))
 
@@ -304,7 +304,8 @@ def test_a_kernel_that_is_wrong_is_refused_and_not_kept(folder: Path, monkeypatc
     with monkeypatch.context() as broken:
         broken.setitem(llvm._BINARY, Op.SUB, "fadd")  # type: ignore[arg-type]
         with pytest.raises(
-            taut.TraceError, match=r"^PID: compiled code and plain Python differ, \S+ and \S+; it does something"
+            taut.errors.TraceError,
+            match=r"^PID: compiled code and plain Python differ, \S+ and \S+; it does something",
         ):
             taut.compile(taut.laws.PID(kp=1.0, kd=1.0), arm)
     assert entries(folder) == []
@@ -319,14 +320,16 @@ def test_wrong_memory_is_found_too(folder: Path, monkeypatch: pytest.MonkeyPatch
         stores(self, block, nodes[::-1] if block == "new" else nodes)
 
     monkeypatch.setattr(llvm._Body, "_stores", swapped)
-    with pytest.raises(taut.TraceError, match=r"^PID: compiled code and plain Python differ, "):
+    with pytest.raises(taut.errors.TraceError, match=r"^PID: compiled code and plain Python differ, "):
         taut.compile(taut.laws.PID(kp=1.0, ki=1.0), taut.load_arm("planar2"))
     assert entries(folder) == []
 
 
 def test_a_kernel_that_gives_nan_is_found(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(llvm, "_FARTHEST", 0.0)  # every angle is too far
-    with pytest.raises(taut.TraceError, match=r"^GravityPID: compiled code and plain Python differ, nan and \S+; "):
+    with pytest.raises(
+        taut.errors.TraceError, match=r"^GravityPID: compiled code and plain Python differ, nan and \S+; "
+    ):
         taut.compile(taut.laws.GravityPID(kp=1.0, kd=1.0), taut.load_arm("planar2"))
     assert entries(folder) == []
 

@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 
 import taut
-from taut import NumericalError, RangeError, ShapeError, TautError, UsageError
+from taut import TautError
 from taut.codegen import call, kernel
 from taut.codegen.call import offsets, slot_offsets
+from taut.errors import NumericalError, RangeError, ShapeError, UsageError
 
 ARM = taut.load_arm("planar2")
 LAW = taut.laws.PID(kp=10.0, kd=1.0, ki=2.0)
@@ -129,7 +130,7 @@ SENTENCES: list[tuple[str, Callable[[Any], Any], type[TautError], str]] = [
     ("a list for a reference", lambda step: step(Q, V, [0.1, 0.2]), UsageError, "step needs ref, a taut.JointMotion; got list"),
     (
         "a trajectory",
-        lambda step: step(Q, V, taut.Quintic(q0=[0.0, 0.0], q1=[1.0, 1.0], duration=1.0)),
+        lambda step: step(Q, V, taut.trajectories.Quintic(q0=[0.0, 0.0], q1=[1.0, 1.0], duration=1.0)),
         UsageError,
         "step needs ref, a taut.JointMotion; got Quintic; for a trajectory pass ref.at(t)",
     ),
@@ -142,7 +143,7 @@ SENTENCES: list[tuple[str, Callable[[Any], Any], type[TautError], str]] = [
     ("no velocity", lambda step: step(Q, None, REF), UsageError,
      "step needs v, measured velocities, unless compiled with sensing=taut.Sensing(velocity='difference'); got none"),
     ("too many", lambda step: step(Q, V, REF, REF), UsageError, "step takes q, v, ref; got 4 positional arguments"),
-    ("misspelt", lambda step: step(Q, V, rf=REF), taut.UnknownNameError, "step has no argument 'rf'; did you mean 'ref'?"),
+    ("misspelt", lambda step: step(Q, V, rf=REF), taut.errors.UnknownNameError, "step has no argument 'rf'; did you mean 'ref'?"),
     ("twice", lambda step: step(Q, V, REF, q=Q), UsageError, "step got q twice"),
     (
         "a wrench that is not used",

@@ -12,10 +12,10 @@ import pytest
 from law_oracles import LAWS, loaded
 
 import taut
-from taut import MissingExtraError, TraceError, UsageError
 from taut import math as tm
 from taut.codegen.layout import Block
 from taut.codegen.program import trace
+from taut.errors import MissingExtraError, TraceError, UsageError
 
 AGREED = 1e-12  # relative to the largest torque
 ROUNDING = 1e-14

@@ -13,19 +13,9 @@ import numpy as np
 import pytest
 
 import taut
-from taut import (
-    Gain,
-    MatchError,
-    Memory,
-    RangeError,
-    ShapeError,
-    TautError,
-    Torque,
-    TraceError,
-    UnknownNameError,
-    UsageError,
-)
+from taut import Gain, Memory, TautError, Torque
 from taut import math as tm
+from taut.errors import MatchError, RangeError, ShapeError, TraceError, UnknownNameError, UsageError
 
 ARM = taut.load_arm("planar2")
 HERE = r"\S*test_fooling_the_tracer\.py:\d+"

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import taut
-from taut import ShapeError, TraceError, UsageError
 from taut import math as tm
+from taut.errors import ShapeError, TraceError, UsageError
 
 ROUNDING = 1e-14
 A = np.array([0.3, -1.2, 0.7])

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from taut.base import math as tm
 from taut.codegen.layout import Block
 from taut.codegen.native import available
 from taut.codegen.tangent import TANGENT, StepTangent
+from taut.trace import math as tm
 
 Values = Mapping[str, Any]
 REPEATS = 3

@@ -48,7 +48,7 @@ def in_the_middle(step: Callable[[], Any], blocks: Blocks, others: Callable[[], 
 
 
 def refused(step: Callable[[], object]) -> None:
-    with pytest.raises(taut.UsageError) as caught:
+    with pytest.raises(taut.errors.UsageError) as caught:
         step()
     assert caught.value.name == "step"
 
@@ -136,7 +136,7 @@ def test_no_thread_gets_the_torque_of_another_one(lists: bool, hasty: None) -> N
         for _ in range(500):
             try:
                 tau = ctrl.step(given, V, REF)
-            except taut.UsageError:
+            except taut.errors.UsageError:
                 continue
             right[number] += 1
             wrong[number] += not np.allclose(tau, -10.0 * q, rtol=1e-12)

@@ -47,7 +47,7 @@ def test_asking_for_native_code_is_refused_in_a_sentence() -> None:
     done = run(
         "try:\n"
         "    taut.compile(taut.laws.PID(kp=1.0), taut.load_arm('planar2'), engine='native')\n"
-        "except taut.UsageError as error:\n"
+        "except taut.errors.UsageError as error:\n"
         "    print(error)\n"
     )
     assert done.stdout.strip() == (

@@ -48,7 +48,7 @@ def steady(*wrench: float) -> Wave:
     return Wave(amplitude=wrench, frequency=0.0, phase=0.5 * math.pi)
 
 
-DRIVES = taut.Actuation(bandwidth=BANDWIDTH, delay=DELAY)
+DRIVES = taut.drives.Actuation(bandwidth=BANDWIDTH, delay=DELAY)
 INNER: dict[str, Law] = {
     "velocity": taut.laws.TaskVelocity(kp=2.0, lead=1.0 / BANDWIDTH + DELAY + 0.5 / RATE),
     "position": taut.laws.TaskPosition(kp=2.0, lead=2.0 / BANDWIDTH + DELAY + 1.0 / RATE),
@@ -157,10 +157,10 @@ class TestAContact:
         k = 500.0
         B = share * k * (1.5 / RATE + lag)
         inner = INNER["velocity"] if led else taut.laws.TaskVelocity(kp=2.0)
-        sensing = None if cutoff is None else taut.Sensing(F_ext=taut.LowPass(cutoff=cutoff))
+        sensing = None if cutoff is None else taut.Sensing(F_ext=taut.sensors.LowPass(cutoff=cutoff))
         law = taut.laws.Admittance(D=(D, 1.0), B=(B, 2.0), inner=inner)
         rest = HOME.p + np.array([2e-3, 0.0, 0.0])
-        spring = taut.Spring(stiffness=[k, 0, 0, 0, 0, 0], at=rest)
+        spring = taut.environments.Spring(stiffness=[k, 0, 0, 0, 0, 0], at=rest)
         run = taut.run(
             taut.compile(law, UR10, rate=RATE, sensing=sensing), plant("velocity", spring), HOLD, duration=8.0
         )
@@ -244,14 +244,14 @@ class TestTheWrench:
     def test_that_is_no_number_is_refused(self) -> None:
         ctrl = taut.compile(law("velocity"), UR10, rate=RATE)
         bad = np.array([0.0, 0.0, np.nan, 0.0, 0.0, 0.0])
-        with pytest.raises(taut.RangeError, match=r"^F_ext\[2\] must be finite; got nan in tick 0$"):
+        with pytest.raises(taut.errors.RangeError, match=r"^F_ext\[2\] must be finite; got nan in tick 0$"):
             ctrl.step(UR10.home, np.zeros(6), HOLD, F_ext=bad)
 
     def test_without_a_sensor_is_told(self) -> None:
         ctrl = taut.compile(law("velocity"), UR10, rate=RATE)
         free = taut.RigidPlant(UR10, takes="velocity", actuation=DRIVES)
         with pytest.raises(
-            taut.MatchError, match=r"^Admittance needs F_ext, which plant 'RigidPlant\(ur10\)' does not"
+            taut.errors.MatchError, match=r"^Admittance needs F_ext, which plant 'RigidPlant\(ur10\)' does not"
         ):
             taut.run(ctrl, free, HOLD, duration=0.1)
         with pytest.raises(taut.TautError, match="F_ext"):
@@ -288,24 +288,26 @@ class TestRefused:
             r"^D is too small for 500 Hz: it must be >= B dt / 2 \+ K dt\^2 / 4 in every direction, or the virtual "
             r"mass turns round within a tick; make it 2 times larger, B and K smaller, or the rate higher$"
         )
-        with pytest.raises(taut.RangeError, match=words):
+        with pytest.raises(taut.errors.RangeError, match=words):
             taut.compile(law("velocity", D=(0.01, 1.0)), UR10, rate=RATE)
         taut.compile(law("velocity", D=(0.0201, 1.0)), UR10, rate=RATE)
         ctrl = taut.compile(law("velocity"), UR10, rate=RATE)
-        with pytest.raises(taut.RangeError, match=r"^D is too small for 500 Hz"):
+        with pytest.raises(taut.errors.RangeError, match=r"^D is too small for 500 Hz"):
             ctrl.parameters["law.D"] = (0.01, 1.0)
 
     def test_the_chapters_form_where_its_sampled_loop_grows(self) -> None:
         words = r"^with model='measured' the loop sampled at 1000 Hz grows by the factor 1\.0"
-        with pytest.raises(taut.RangeError, match=words):
+        with pytest.raises(taut.errors.RangeError, match=words):
             taut.compile(law("torque", model="measured", K=(2000.0, 200.0), B=(0.5, 0.05)), UR10)
 
     def test_the_chapters_form_for_a_velocity_drive(self) -> None:
         with pytest.raises(
-            taut.UsageError, match=r"^model='measured' is for an inner law that gives torques, and Tas"
+            taut.errors.UsageError, match=r"^model='measured' is for an inner law that gives torques, and Tas"
         ):
             taut.compile(law("velocity", model="measured"), UR10, rate=RATE)
 
     def test_feedback_that_is_faster_than_the_rate(self) -> None:
-        with pytest.raises(taut.RangeError, match=r"^kp must be at most the rate, 500 \[1/s\], with which the error"):
+        with pytest.raises(
+            taut.errors.RangeError, match=r"^kp must be at most the rate, 500 \[1/s\], with which the error"
+        ):
             taut.compile(taut.laws.TaskPosition(kp=600.0), UR10, rate=RATE)

@@ -9,8 +9,8 @@ import taut
 from taut import Constraint, Pose
 from taut import math as tm
 from taut.base.types import Float64Array
-from taut.control.along_constraint import along_constraint, of_one_body
-from taut.control.laws import HybridMotionForce, Impedance, TaskComputedTorque
+from taut.control.laws.along_constraint import along_constraint, of_one_body
+from taut.laws import HybridMotionForce, Impedance, TaskComputedTorque
 from taut.maths.spatial import rotation_exp
 
 Array = Float64Array
@@ -168,7 +168,7 @@ def test_an_impedance_with_inertia_answers_friction_and_a_push_and_not_the_force
 def on_soft_board(motion: taut.Law, depth: float) -> Array:
     """Where the tool rests on a board that gives way, with a reference so far below the board's face."""
     T = taut.snapshot(ARM, ARM.home).T()
-    wall = taut.StiffWall(point=T.p - [0.0, 0.0, depth], normal=[0, 0, 1], stiffness=5e3, damping=200.0)
+    wall = taut.environments.StiffWall(point=T.p - [0.0, 0.0, depth], normal=[0, 0, 1], stiffness=5e3, damping=200.0)
     law = HybridMotionForce(
         constraint=Constraint.plane(point=T.p, normal=[0, 0, 1]), motion=motion, kfi=10.0, kdamp=100.0
     )

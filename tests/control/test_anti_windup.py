@@ -9,7 +9,7 @@ import pytest
 
 import taut
 from taut.control.gains import GainValue
-from taut.control.integral import solved
+from taut.control.laws.integral import solved
 
 L = taut.laws
 LINK = taut.load_arm("one_joint").with_joints(viscous=[0.1])
@@ -132,7 +132,7 @@ class TestTheTrackingRate:
     @pytest.mark.parametrize("law", [L.PID, L.GravityPID, L.ComputedTorque, L.VelocityPI])
     def test_is_refused_elsewhere(self, law: Any) -> None:
         gains = {"kp": 1.0} if law in (L.PID, L.VelocityPI) else {"kp": 1.0, "kd": 1.0}
-        with pytest.raises(taut.UsageError) as caught:
+        with pytest.raises(taut.errors.UsageError) as caught:
             law(**gains, tracking=5.0)
         assert str(caught.value) == (
             f"{law.__name__}: tracking is for anti_windup='back-calculation', and this one has 'clamping'; leave it out"
@@ -141,15 +141,15 @@ class TestTheTrackingRate:
     def test_cannot_be_faster_than_the_rate(self) -> None:
         law = L.PID(kp=1.0, anti_windup="back-calculation", tracking=300.0)
         text = "tracking must be at most the rate, 200 [1/s], or the integral would swing; got 300"
-        with pytest.raises(taut.RangeError) as caught:
+        with pytest.raises(taut.errors.RangeError) as caught:
             taut.compile(law, ARM, rate=200.0)
         assert str(caught.value) == text
         ctrl = taut.compile(law, ARM, rate=1000.0)
-        with pytest.raises(taut.RangeError, match="at most the rate, 1000"):
+        with pytest.raises(taut.errors.RangeError, match="at most the rate, 1000"):
             ctrl.parameters["law.tracking"] = 2000.0
         assert ctrl.parameters["law.tracking"] == 300.0
 
     def test_and_schemes_that_are_unknown_are_told(self) -> None:
-        with pytest.raises(taut.UsageError) as caught:
+        with pytest.raises(taut.errors.UsageError) as caught:
             L.VelocityPI(kp=1.0, anti_windup="back")  # type: ignore[arg-type]
         assert str(caught.value) == ("anti_windup must be one of 'none', 'clamping', 'back-calculation'; got 'back'")

@@ -135,9 +135,9 @@ class TestATick:
         ctrl.parameters["law.kp"] = 500.0
         bound.q[:] = np.nan
         for _ in range(2):
-            with pytest.raises(taut.RangeError, match="q"):
+            with pytest.raises(taut.errors.RangeError, match="q"):
                 bound.tick()
-        with pytest.raises(taut.ShapeError):
+        with pytest.raises(taut.errors.ShapeError):
             ctrl.step(np.zeros(3), V, REF)
         assert ctrl.ticks == 3
         np.testing.assert_allclose(ctrl.step(Q, V, REF), unchanged.step(Q, V, REF), rtol=ROUNDING, atol=1e-11)
@@ -201,7 +201,7 @@ def test_a_limit_that_changes_acts_at_once_and_leaves_the_blend_alone(engine: An
 @engines
 def test_what_sensing_makes_is_blended_too(engine: Any) -> None:
     """The start, and another cutoff of a filter, with the velocity that the filter gives."""
-    sensing = taut.Sensing(velocity=taut.LowPass(cutoff=200.0))
+    sensing = taut.Sensing(velocity=taut.sensors.LowPass(cutoff=200.0))
     law, limits = L.GravityPID(kp=50.0, kd=5.0), taut.Limits(blend=0.05)
     ctrl, unchanged = (taut.compile(law, ARM, limits=limits, sensing=sensing, engine=engine) for _ in range(2))
     np.testing.assert_allclose(ctrl.step(Q, V, REF), taut.snapshot(ARM, Q).g, rtol=ROUNDING)
@@ -241,7 +241,7 @@ def test_a_velocity_command_begins_at_rest(engine: Any) -> None:
 
 def test_another_law_takes_over_at_the_last_command() -> None:
     """PID hands over to computed torque on a moving Panda at 1 kHz, both stepped by hand."""
-    dt, ref = 1e-3, taut.Quintic(q0=PANDA.home, q1=PANDA.home + 0.2, duration=0.3)
+    dt, ref = 1e-3, taut.trajectories.Quintic(q0=PANDA.home, q1=PANDA.home + 0.2, duration=0.3)
     first = taut.compile(
         L.GravityPID(kp=np.array([300.0] * 4 + [30.0] * 3), kd=np.array([30.0] * 4 + [2.0] * 3)), PANDA
     )

@@ -50,7 +50,7 @@ WHOLE = bool(os.environ.get("TAUT_BARS"))  # `make bars`
 LIGHT = ("ur10", "xarm7")  # arms with the lightest last joints
 ALL = ("panda", "fr3", "z1", "kinova", "ur3", "ur5", *LIGHT)
 OF_ONE_JOINT = re.compile(r"laws\.PID\(")  # whose gains are for one_joint, as the page states
-TOUCHING = taut.Push(peak=[0.0, 0.0, 0.0])  # nothing, but the wrench is measured
+TOUCHING = taut.environments.Push(peak=[0.0, 0.0, 0.0])  # nothing, but the wrench is measured
 
 
 @pytest.mark.bars

@@ -10,7 +10,7 @@ import pytest
 
 import taut
 from taut.base.errors import RangeError, UsageError
-from taut.control.constraint_estimate import NormalEstimate, turn_between, turned_rows
+from taut.control.laws.constraint_estimate import NormalEstimate, turn_between, turned_rows
 from taut.maths.spatial import rotation_exp, rotation_log
 
 DT = 1e-3
@@ -169,9 +169,11 @@ def board_law(**more: object) -> taut.laws.HybridMotionForce:
 def test_in_the_loop_the_normal_and_its_force_come_back() -> None:
     arm = taut.load_arm("panda")
     T, n = taut.snapshot(arm, arm.home).T(), tilted(10.0, np.pi / 2.0)
-    wall = taut.StiffWall(point=T.p, normal=n, stiffness=2e4, damping=300.0, friction=0.3, sliding_damping=1000.0)
+    wall = taut.environments.StiffWall(
+        point=T.p, normal=n, stiffness=2e4, damping=300.0, friction=0.3, sliding_damping=1000.0
+    )
     plant = taut.RigidPlant(arm, friction=None, environment=wall, substeps=2)
-    way = taut.Line(T0=T, T1=taut.Pose.of(T.R, T.p + np.array([0.06, 0.06, 0.0])), duration=1.6)
+    way = taut.trajectories.Line(T0=T, T1=taut.Pose.of(T.R, T.p + np.array([0.06, 0.06, 0.0])), duration=1.6)
     errors = {}
     for name, estimate in (("nothing", None), ("estimate", taut.laws.NormalEstimate())):
         ctrl = taut.compile(board_law(estimate=estimate), arm)

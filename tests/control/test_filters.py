@@ -11,7 +11,7 @@ import scipy.signal
 
 import taut
 from taut.base.types import Float64Array
-from taut.control.velocity import kalman_gains
+from taut.control.sensing.velocity import kalman_gains
 
 Array = Float64Array
 RATE = 1000.0
@@ -42,7 +42,7 @@ class TestLowPass:
     @pytest.mark.parametrize("order", [1, 2])
     @pytest.mark.parametrize("cutoff", [2.0, 30.0, 200.0, 480.0])
     def test_is_three_decibels_down_at_its_cutoff_exactly(self, order: Any, cutoff: float) -> None:
-        part = taut.LowPass(cutoff=cutoff, order=order)
+        part = taut.sensors.LowPass(cutoff=cutoff, order=order)
         gains = np.abs(response(part, np.array([0.0, cutoff, 499.999])))
         np.testing.assert_allclose(gains[:2], [1.0, np.sqrt(0.5)], rtol=1e-7)
         if cutoff < 200.0:
@@ -54,20 +54,20 @@ class TestLowPass:
         b, a = scipy.signal.butter(order, 30.0, fs=RATE)
         start = scipy.signal.lfilter_zi(b, a)[:, np.newaxis] * signal[0]
         wanted, _ = scipy.signal.lfilter(b, a, signal, axis=0, zi=start)
-        got = through(taut.LowPass(cutoff=30.0, order=order), signal)
+        got = through(taut.sensors.LowPass(cutoff=30.0, order=order), signal)
         np.testing.assert_allclose(got, wanted, rtol=0.0, atol=EXACT)
 
     @pytest.mark.parametrize("order", [1, 2])
     def test_has_a_cutoff_for_each_entry(self, order: Any) -> None:
         signal = np.random.default_rng(1).standard_normal((500, 2))
-        both = through(taut.LowPass(cutoff=[10.0, 100.0], order=order), signal)
+        both = through(taut.sensors.LowPass(cutoff=[10.0, 100.0], order=order), signal)
         for i, cutoff in enumerate((10.0, 100.0)):
-            alone = through(taut.LowPass(cutoff=cutoff, order=order), signal[:, [i]])
+            alone = through(taut.sensors.LowPass(cutoff=cutoff, order=order), signal[:, [i]])
             np.testing.assert_allclose(both[:, [i]], alone, rtol=0.0, atol=EXACT)
 
     @pytest.mark.parametrize("order", [1, 2])
     def test_keeps_still_what_stands_still_however_its_cutoff_jumps(self, order: Any) -> None:
-        part = taut.LowPass(cutoff=30.0, order=order)
+        part = taut.sensors.LowPass(cutoff=30.0, order=order)
         memory = part.start(np.array([2.5]))
         for cutoff in (30.0, 400.0, 0.01, 30.0):
             y, memory = part.filtered(np.array([2.5]), memory, {"cutoff": np.asarray(cutoff)}, DT)
@@ -76,7 +76,7 @@ class TestLowPass:
     @pytest.mark.parametrize("order", [1, 2])
     def test_delays_a_ramp_as_its_docstring_says(self, order: Any) -> None:
         ramp = np.arange(5000.0)[:, np.newaxis] * DT
-        behind = (ramp - through(taut.LowPass(cutoff=5.0, order=order), ramp))[-1, 0]
+        behind = (ramp - through(taut.sensors.LowPass(cutoff=5.0, order=order), ramp))[-1, 0]
         delay = {1: 1.0, 2: np.sqrt(2.0)}[order] / (2.0 * np.pi * 5.0)
         np.testing.assert_allclose(behind, delay, rtol=1e-3)  # prewarping moves it by (pi 5/1000)^2 / 3
 
@@ -87,7 +87,7 @@ class TestNotch:
         signal[0] = 0.0
         b, a = scipy.signal.iirnotch(18.0, 18.0 / 4.0, fs=RATE)
         wanted = scipy.signal.lfilter(b, a, signal, axis=0)
-        got = through(taut.Notch(frequency=18.0, width=4.0, depth=400.0), signal)
+        got = through(taut.sensors.Notch(frequency=18.0, width=4.0, depth=400.0), signal)
         np.testing.assert_allclose(got, wanted, rtol=0.0, atol=EXACT)
 
     @pytest.mark.parametrize(
@@ -96,12 +96,12 @@ class TestNotch:
     def test_has_its_depth_at_its_frequency_and_passes_the_rest(
         self, frequency: float, width: float, depth: float
     ) -> None:
-        part = taut.Notch(frequency=frequency, width=width, depth=depth)
+        part = taut.sensors.Notch(frequency=frequency, width=width, depth=depth)
         gains = np.abs(response(part, np.array([0.0, frequency, 499.999])))
         np.testing.assert_allclose(gains, [1.0, 10.0 ** (-depth / 20.0), 1.0], rtol=1e-5)
 
     def test_is_as_wide_as_it_says(self) -> None:
-        part, w0, width = taut.Notch(frequency=80.0, width=30.0, depth=300.0), 80.0, 30.0
+        part, w0, width = taut.sensors.Notch(frequency=80.0, width=30.0, depth=300.0), 80.0, 30.0
         frequencies = np.linspace(40.0, 140.0, 1001)
         inside = frequencies[np.abs(response(part, frequencies, ticks=1000)) < np.sqrt(0.5)]
         np.testing.assert_allclose(inside[-1] - inside[0], width, atol=0.21)
@@ -109,13 +109,13 @@ class TestNotch:
 
     def test_can_be_of_some_joints_alone(self) -> None:
         signal = np.random.default_rng(3).standard_normal((300, 2))
-        got = through(taut.Notch(frequency=[0.0, 18.0], width=4.0), signal)
+        got = through(taut.sensors.Notch(frequency=[0.0, 18.0], width=4.0), signal)
         np.testing.assert_array_equal(got[:, 0], signal[:, 0])
-        alone = through(taut.Notch(frequency=18.0, width=4.0), signal[:, [1]])
+        alone = through(taut.sensors.Notch(frequency=18.0, width=4.0), signal[:, [1]])
         np.testing.assert_allclose(got[:, [1]], alone, rtol=0.0, atol=EXACT)
 
     def test_keeps_still_what_stands_still_however_it_is_changed(self) -> None:
-        part = taut.Notch(frequency=18.0, width=4.0)
+        part = taut.sensors.Notch(frequency=18.0, width=4.0)
         memory = part.start(np.array([2.5]))
         for frequency in (18.0, 200.0, 1.0):
             numbers = {"frequency": np.asarray(frequency), "width": np.asarray(9.0), "depth": np.asarray(30.0)}
@@ -125,7 +125,9 @@ class TestNotch:
     def test_takes_a_vibration_out_of_a_motion_that_it_leaves(self) -> None:
         t = DT * np.arange(4000.0)
         slow = np.sin(2.0 * np.pi * 0.5 * t)
-        got = through(taut.Notch(frequency=18.0, width=4.0), (slow + 0.1 * np.sin(36.0 * np.pi * t))[:, np.newaxis])
+        got = through(
+            taut.sensors.Notch(frequency=18.0, width=4.0), (slow + 0.1 * np.sin(36.0 * np.pi * t))[:, np.newaxis]
+        )
         # What is left of the vibration is a hundredth; the motion is late by width / (2 pi frequency^2), 2 ms.
         assert np.abs(got[1000:, 0] - slow[1000:]).max() < 0.001 + np.pi * 0.002 * 1.1
 
@@ -157,7 +159,7 @@ class TestKalman:
             gain = prior[:, 0] / (prior[0, 0] + sigma**2)
             state = state + gain * (z - state[0])
             wanted.append(state[1])
-        part, arm = taut.Kalman(acceleration_noise=noise, position_noise=sigma), taut.load_arm("one_joint")
+        part, arm = taut.sensors.Kalman(acceleration_noise=noise, position_noise=sigma), taut.load_arm("one_joint")
         numbers = {"acceleration_noise": np.asarray(noise), "position_noise": np.asarray(sigma)}
         memory, got = part.start(measured[:1], np.zeros(1)), []
         for z in measured:
@@ -185,7 +187,7 @@ class TestKalman:
         np.testing.assert_allclose(errors.std(), np.sqrt(after), rtol=0.05)
 
     def test_follows_a_constant_velocity_without_error(self) -> None:
-        part, arm = taut.Kalman(acceleration_noise=5.0, position_noise=1e-4), taut.load_arm("one_joint")
+        part, arm = taut.sensors.Kalman(acceleration_noise=5.0, position_noise=1e-4), taut.load_arm("one_joint")
         numbers = {"acceleration_noise": np.asarray(5.0), "position_noise": np.asarray(1e-4)}
         memory, v = part.start(np.zeros(1), np.zeros(1)), np.zeros(1)
         for k in range(3000):
@@ -196,21 +198,21 @@ class TestKalman:
 @pytest.mark.parametrize(
     ("make", "kind", "message"),
     [
-        (lambda: taut.LowPass(cutoff=0.0), taut.RangeError, "low_pass.cutoff must be > 0 [Hz]; got 0.0; leave the filter out for none"),
-        (lambda: taut.LowPass(cutoff=[3.0, -1.0]), taut.RangeError, "low_pass.cutoff[1] must be > 0 [Hz]; got -1.0"),
-        (lambda: taut.LowPass(cutoff=np.nan), taut.RangeError, "low_pass.cutoff must be finite [Hz]; got nan"),
-        (lambda: taut.LowPass(cutoff="fast"), taut.ShapeError, "low_pass.cutoff must be numbers [Hz]; got 'fast'"),
-        (lambda: taut.LowPass(cutoff=np.ones((2, 2))), taut.ShapeError, "low_pass.cutoff must be one number, or one for each; got shape (2, 2)"),
-        (lambda: taut.LowPass(cutoff=3.0, order=3), taut.UsageError, "order must be one of 1, 2; got 3"),  # type: ignore[arg-type]
-        (lambda: taut.Difference(cutoff=0.0), taut.RangeError, "difference.cutoff must be > 0 [Hz]; got 0.0; leave it out for no low-pass"),
-        (lambda: taut.Difference(order=2), taut.UsageError, "order=2 is that of the low-pass; give cutoff= too"),
-        (lambda: taut.Notch(frequency=0.0, width=1.0), taut.RangeError, "notch.frequency must be > 0 [Hz]; got 0.0; leave the notch out for none"),
-        (lambda: taut.Notch(frequency=[0.0, 0.0], width=1.0), taut.RangeError, "notch.frequency must be > 0 for one entry at least [Hz]; got [0.0, 0.0]; leave the notch out for none"),
-        (lambda: taut.Notch(frequency=[3.0, -3.0], width=1.0), taut.RangeError, "notch.frequency[1] must be >= 0 [Hz]; got -3.0"),
-        (lambda: taut.Notch(frequency=3.0, width=0.0), taut.RangeError, "notch.width must be > 0 [Hz]; got 0.0; leave the notch out for none"),
-        (lambda: taut.Notch(frequency=3.0, width=1.0, depth=-3.0), taut.RangeError, "notch.depth must be > 0 [dB]; got -3.0"),
-        (lambda: taut.Kalman(acceleration_noise=0.0, position_noise=1.0), taut.RangeError, "kalman.acceleration_noise must be > 0 [rad/s^2/sqrt(Hz) | m/s^2/sqrt(Hz)]; got 0.0"),
-        (lambda: taut.Kalman(acceleration_noise=1.0, position_noise=0.0), taut.RangeError, "kalman.position_noise must be > 0 [rad | m]; got 0.0; of exact positions take velocity='difference'"),
+        (lambda: taut.sensors.LowPass(cutoff=0.0), taut.errors.RangeError, "low_pass.cutoff must be > 0 [Hz]; got 0.0; leave the filter out for none"),
+        (lambda: taut.sensors.LowPass(cutoff=[3.0, -1.0]), taut.errors.RangeError, "low_pass.cutoff[1] must be > 0 [Hz]; got -1.0"),
+        (lambda: taut.sensors.LowPass(cutoff=np.nan), taut.errors.RangeError, "low_pass.cutoff must be finite [Hz]; got nan"),
+        (lambda: taut.sensors.LowPass(cutoff="fast"), taut.errors.ShapeError, "low_pass.cutoff must be numbers [Hz]; got 'fast'"),
+        (lambda: taut.sensors.LowPass(cutoff=np.ones((2, 2))), taut.errors.ShapeError, "low_pass.cutoff must be one number, or one for each; got shape (2, 2)"),
+        (lambda: taut.sensors.LowPass(cutoff=3.0, order=3), taut.errors.UsageError, "order must be one of 1, 2; got 3"),  # type: ignore[arg-type]
+        (lambda: taut.sensors.Difference(cutoff=0.0), taut.errors.RangeError, "difference.cutoff must be > 0 [Hz]; got 0.0; leave it out for no low-pass"),
+        (lambda: taut.sensors.Difference(order=2), taut.errors.UsageError, "order=2 is that of the low-pass; give cutoff= too"),
+        (lambda: taut.sensors.Notch(frequency=0.0, width=1.0), taut.errors.RangeError, "notch.frequency must be > 0 [Hz]; got 0.0; leave the notch out for none"),
+        (lambda: taut.sensors.Notch(frequency=[0.0, 0.0], width=1.0), taut.errors.RangeError, "notch.frequency must be > 0 for one entry at least [Hz]; got [0.0, 0.0]; leave the notch out for none"),
+        (lambda: taut.sensors.Notch(frequency=[3.0, -3.0], width=1.0), taut.errors.RangeError, "notch.frequency[1] must be >= 0 [Hz]; got -3.0"),
+        (lambda: taut.sensors.Notch(frequency=3.0, width=0.0), taut.errors.RangeError, "notch.width must be > 0 [Hz]; got 0.0; leave the notch out for none"),
+        (lambda: taut.sensors.Notch(frequency=3.0, width=1.0, depth=-3.0), taut.errors.RangeError, "notch.depth must be > 0 [dB]; got -3.0"),
+        (lambda: taut.sensors.Kalman(acceleration_noise=0.0, position_noise=1.0), taut.errors.RangeError, "kalman.acceleration_noise must be > 0 [rad/s^2/sqrt(Hz) | m/s^2/sqrt(Hz)]; got 0.0"),
+        (lambda: taut.sensors.Kalman(acceleration_noise=1.0, position_noise=0.0), taut.errors.RangeError, "kalman.position_noise must be > 0 [rad | m]; got 0.0; of exact positions take velocity='difference'"),
     ],
     ids=range(15),
 )  # fmt: skip

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.control.force import wrench_of_torques
+from taut.control.laws.force import wrench_of_torques
 from taut.maths.snapshot import Snapshot
 from taut.maths.task_inertia import TaskInertia
 
@@ -245,7 +245,7 @@ def test_a_wrench_may_be_that_of_the_environment_on_the_arm() -> None:
 def test_a_stream_a_hold_and_a_trajectory_of_forces_run() -> None:
     arm = taut.load_arm("gantry3")
     ctrl = taut.compile(L.ForceControl(feedback="none", kdamp=(50.0, 1.0)), arm)
-    plant = taut.RigidPlant(arm, friction=None, environment=taut.Spring(stiffness=1000.0))
+    plant = taut.RigidPlant(arm, friction=None, environment=taut.environments.Spring(stiffness=1000.0))
     press = taut.TaskForce(F_app=[0, 0, 5.0, 0, 0, 0])
 
     class Ramp:

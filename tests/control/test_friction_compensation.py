@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import taut
-from taut import Friction, RangeError, UsageError
+from taut import Friction
 from taut.arm.friction import FRICTION_FIELDS
-from taut.control.laws import PID, ComputedTorque, FrictionCompensation
+from taut.errors import RangeError, UsageError
+from taut.laws import PID, ComputedTorque, FrictionCompensation
 
 SAME = 1e-12  # the same formula in another order, relative to the largest torque
 FULL = Friction(
@@ -123,7 +124,7 @@ class TestTheLoopThatItLeaves:
     def test_of_friction_along_the_reference_nothing_is_left_where_the_joint_follows(self) -> None:
         """Coulomb and viscous friction, a sine that turns: beside the turns the error falls by far."""
         arm = LINK.with_joints(viscous=0.4, coulomb=0.5)
-        ref = taut.Sine(center=[0.0], amplitude=0.5, frequency=0.5)
+        ref = taut.trajectories.Sine(center=[0.0], amplitude=0.5, frequency=0.5)
         errors = {}
         for name, law in {
             "alone": ComputedTorque(kp=100.0, kd=20.0),
@@ -145,7 +146,7 @@ class TestTheLoopThatItLeaves:
 
     def test_along_the_reference_a_joint_breaks_away_that_feedback_leaves(self) -> None:
         arm = LINK.with_joints(viscous=0.0, coulomb=0.5)
-        ref = taut.Sine(center=[0.0], amplitude=0.02, frequency=0.5)
+        ref = taut.trajectories.Sine(center=[0.0], amplitude=0.02, frequency=0.5)
         moved = {}
         for share in (0.0, 0.9):
             law = PID(kp=10.0, kd=2.0) + FrictionCompensation(share=share, width=0.002)

@@ -12,8 +12,8 @@ import taut
 from taut import Constraint, Pose
 from taut import math as tm
 from taut.base.types import Float64Array
-from taut.control.laws import ComputedTorque, HybridMotionForce, TaskComputedTorque, TaskVelocity
-from taut.control.reference import sample_rows
+from taut.control.trajectories.reference import sample_rows
+from taut.laws import ComputedTorque, HybridMotionForce, TaskComputedTorque, TaskVelocity
 
 Array = Float64Array
 ARM = taut.load_arm("panda")
@@ -29,7 +29,7 @@ def motion(**more: Any) -> TaskComputedTorque:
 def on(constraint: Constraint, arm: taut.Arm, seed: int = 0) -> tuple[Array, Array]:
     """A state on a constraint, that moves along it."""
     rng = np.random.default_rng(seed)
-    q = taut.onto(constraint, arm, arm.home + 0.1 * rng.normal(size=arm.n))
+    q = taut.dynamics.onto(constraint, arm, arm.home + 0.1 * rng.normal(size=arm.n))
     x = taut.snapshot(arm, q)
     A = np.asarray(constraint.at(x).A_q)
     v = 0.5 * rng.normal(size=arm.n)
@@ -93,7 +93,7 @@ def test_without_the_curvature_term_3_kg_at_0_3_m_per_s_on_0_1_m_press_2_7_newto
         for curvature in (True, False):
             law = HybridMotionForce(
                 constraint=ball,
-                motion=motion(error="coordinates", coordinates=taut.Coordinates.position()),
+                motion=motion(error="coordinates", coordinates=taut.laws.Coordinates.position()),
                 curvature=curvature,
             )
             ctrl = taut.compile(law, arm)
@@ -227,14 +227,14 @@ def test_the_integral_rests_where_it_would_pull_or_limits_cut_it() -> None:
 @pytest.mark.parametrize("adds", [(), ("gravity",)])
 def test_joint_torques_measure_the_contact_whatever_the_plant_adds_itself(adds: tuple[str, ...]) -> None:
     """Torque sensors have all that acts on the links: gravity that the plant compensates is in what they tell."""
-    q = taut.onto(FLOOR, ARM, ARM.home)
+    q = taut.dynamics.onto(FLOOR, ARM, ARM.home)
     law = HybridMotionForce(constraint=FLOOR, motion=motion(), kfp=0.3, kfi=5.0, feedback="joint_torque")
     plant = taut.RigidPlant(
         ARM,
         friction=None,
         contact=taut.RigidContact(constraint=FLOOR),
         adds=adds,
-        sensors=taut.Sensors(torque=taut.TorqueSensor()),
+        sensors=taut.sensors.Sensors(torque=taut.sensors.TorqueSensor()),
     )
     ctrl = taut.compile(law, ARM, adds=plant.adds)
     run = taut.run(ctrl, plant, taut.pressing(taut.TaskMotion(pose=floor_pose()), 10.0), q0=q, duration=0.1)
@@ -248,7 +248,7 @@ def test_on_a_rigid_contact_the_force_settles_where_kfp_and_kfi_dt_over_2_are_be
     kfp: float, kfi: float, settles: bool
 ) -> None:
     """The measured force is a tick old: e' = -kfp e - kfi int(e)."""
-    q = taut.onto(FLOOR, ARM, ARM.home)
+    q = taut.dynamics.onto(FLOOR, ARM, ARM.home)
     law = HybridMotionForce(constraint=FLOOR, motion=motion(), kfp=kfp, kfi=kfi)
     ctrl = taut.compile(law, ARM, engine="float")
     ref, lam, errors = taut.pressing(taut.TaskMotion(pose=floor_pose()), 10.0), -9.9, []
@@ -263,9 +263,9 @@ def test_on_a_rigid_contact_the_force_settles_where_kfp_and_kfi_dt_over_2_are_be
 
 def test_what_is_asked_follows_in_time() -> None:
     pose = Pose([0.4, 0.0, 0.3])
-    line = taut.Line(T0=pose, T1=Pose([0.4, 0.2, 0.3]), duration=2.0)
+    line = taut.trajectories.Line(T0=pose, T1=Pose([0.4, 0.2, 0.3]), duration=2.0)
     both = taut.pressing(line, lambda t: 5.0 * t)
-    assert isinstance(both.at(1.0), taut.HybridMotion)  # type: ignore[union-attr]
+    assert isinstance(both.at(1.0), taut.trajectories.HybridMotion)  # type: ignore[union-attr]
     assert both.at(1.0).press == 5.0  # type: ignore[union-attr]
     assert both.at(1.0).p.tolist() == [0.4, 0.1, 0.3]  # type: ignore[union-attr]
     assert both.duration == 2.0  # type: ignore[union-attr]
@@ -277,7 +277,7 @@ def test_what_is_asked_follows_in_time() -> None:
 )
 def test_samples_at_many_times_are_those_one_after_the_other(force: dict[str, Any]) -> None:
     pose = Pose([0.4, 0.0, 0.3])
-    line = taut.Line(T0=pose, T1=Pose([0.4, 0.2, 0.3], rpy=[0.0, 0.5, 0.0]), duration=2.0)
+    line = taut.trajectories.Line(T0=pose, T1=Pose([0.4, 0.2, 0.3], rpy=[0.0, 0.5, 0.0]), duration=2.0)
     times, kind = np.array([0.0, 0.3, 1.7]), taut.pressing(taut.TaskMotion(pose=pose)).__class__
 
     class OneByOne:
@@ -292,17 +292,17 @@ def test_samples_at_many_times_are_those_one_after_the_other(force: dict[str, An
 def stepped(constraint: Any, ref: Any, q: Array | None = None, **more: Any) -> Array:
     ctrl = taut.compile(HybridMotionForce(constraint=constraint, motion=motion(), **more), ARM)
     given = {"F_ext": np.zeros(6)} if "F_ext" in ctrl.needs else {}
-    return ctrl.step(taut.onto(FLOOR, ARM, ARM.home) if q is None else q, np.zeros(7), ref, **given)
+    return ctrl.step(taut.dynamics.onto(FLOOR, ARM, ARM.home) if q is None else q, np.zeros(7), ref, **given)
 
 
 def checked(constraint: Any, ref: Any) -> None:
     """What a run looks at before it starts."""
-    x = taut.snapshot(ARM, taut.onto(FLOOR, ARM, ARM.home))
+    x = taut.snapshot(ARM, taut.dynamics.onto(FLOOR, ARM, ARM.home))
     HybridMotionForce(constraint=constraint, motion=motion()).check_reference(x, ref, 1000.0)
 
 
 def floor_pose() -> Pose:
-    return taut.snapshot(ARM, taut.onto(FLOOR, ARM, ARM.home)).T()
+    return taut.snapshot(ARM, taut.dynamics.onto(FLOOR, ARM, ARM.home)).T()
 
 
 FLOOR_REF = taut.pressing(taut.TaskMotion(pose=floor_pose()))
@@ -324,46 +324,46 @@ def squared(T: Pose) -> Any:
     [
         (
             lambda: HybridMotionForce(constraint=3, motion=motion()),
-            taut.UsageError,
+            taut.errors.UsageError,
             "constraint must be a function of",
         ),
-        (lambda: HybridMotionForce(constraint=FLOOR, motion=3), taut.UsageError, "motion holds a law such as"),
-        (lambda: HybridMotionForce(constraint=FLOOR), taut.UsageError, "HybridMotionForce needs motion"),
+        (lambda: HybridMotionForce(constraint=FLOOR, motion=3), taut.errors.UsageError, "motion holds a law such as"),
+        (lambda: HybridMotionForce(constraint=FLOOR), taut.errors.UsageError, "HybridMotionForce needs motion"),
         (
             lambda: HybridMotionForce(constraint=FLOOR, motion=motion(), feedback="eye"),
-            taut.UsageError,
+            taut.errors.UsageError,
             "feedback must be",
         ),
         (
             lambda: HybridMotionForce(
                 constraint=Constraint.of_joints(lambda q: q[0]), motion=ComputedTorque(kp=1.0, kd=1.0), kfp=0.5
             ),
-            taut.UsageError,
+            taut.errors.UsageError,
             "feedback='wrench' is for a constraint of one frame of the tool's link",
         ),
         (
             lambda: taut.compile(HybridMotionForce(constraint=FLOOR, motion=TaskVelocity(kp=1.0)), ARM),
-            taut.UsageError,
+            taut.errors.UsageError,
             "motion holds a law that gives torques, and TaskVelocity gives a velocity",
         ),
         (
             lambda: taut.compile(HybridMotionForce(constraint=FLOOR + FLOOR, motion=motion()), ARM),
-            taut.RangeError,
+            taut.errors.RangeError,
             "the 2 rows of the constraint must be independent, and at the pose of 'panda' there they are not",
         ),
         (
             lambda: stepped(squared, taut.pressing(taut.TaskMotion(pose=floor_pose()))),
-            taut.RangeError,
+            taut.errors.RangeError,
             "row 0 of the constraint must have a gradient, and it is zero",
         ),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose())), np.array(ARM.home)),
-            taut.RangeError,
+            taut.errors.RangeError,
             r"must start on its constraint, and the constraint has phi = 0\.\d+ there, .*; start from taut\.onto",
         ),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), F_app=[0, 3.0, -9.0, 0, 0, 0])),
-            taut.RangeError,
+            taut.errors.RangeError,
             r"of \[0, 3, -9, 0, 0, 0\] it can bear \[0, 0, -9, 0, 0, 0\], and not \[0, 3, 0, 0, 0, 0\]",
         ),
         (  # a millionth of it is nothing to speak of
@@ -371,67 +371,67 @@ def squared(T: Pose) -> Any:
                 Constraint.plane(point=[0.0, 0.0, 0.4], normal=[1e-6, 0.0, 1.0]),
                 taut.pressing(taut.TaskMotion(pose=floor_pose()), F_app=[0, 3.0, -9.0, 0, 0, 0]),
             ),
-            taut.RangeError,
+            taut.errors.RangeError,
             r"it can bear \[0, 0, -9, 0, 0, 0\], and not \[0, 3, 0, 0, 0, 0\]",
         ),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), F_app=[0, 0, 9.0, 0, 0, 0])),
-            taut.RangeError,
+            taut.errors.RangeError,
             "F_app must press on a contact, and .* pulls at row 0",
         ),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), lam=[4.0])),
-            taut.RangeError,
+            taut.errors.RangeError,
             r"lam\[0\] must be <= 0 \[N\], for the contact can be pressed and not pulled; got 4",
         ),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), lam=[-4.0, 1.0])),
-            taut.UsageError,
+            taut.errors.UsageError,
             "lam has 2 entries, and the constraint has 1 row; give one for each row",
         ),
         (
             lambda: stepped(HINGE, taut.pressing(taut.TaskMotion(pose=floor_pose()), lam=[0.0, 1.0, 2.0])),
-            taut.UsageError,
+            taut.errors.UsageError,
             "lam has 3 entries, and the constraint has 5 rows; give one for each row",
         ),
         (
             lambda: stepped(HINGE, taut.pressing(taut.TaskMotion(pose=floor_pose()), lam=[0.0, 0.0])),
-            taut.UsageError,
+            taut.errors.UsageError,
             "lam has 2 entries, and the constraint has 5 rows",
         ),
         (
             lambda: stepped(HINGE, FLOOR_PRESS),
-            taut.UsageError,
+            taut.errors.UsageError,
             "press is a force into a surface, and the first row of the constraint holds both ways; put the surface",
         ),
         (
             lambda: checked(HINGE, taut.pressing(taut.TaskMotion(pose=floor_pose()), lambda t: 5.0 * t)),
-            taut.UsageError,
+            taut.errors.UsageError,
             "press is a force into a surface, and the first row of the constraint holds both ways",
         ),
         (
             lambda: checked(HINGE, taut.chunk([0.0, 1.0], [FLOOR_REF, FLOOR_PRESS])),  # type: ignore[list-item]
-            taut.UsageError,
+            taut.errors.UsageError,
             "press is a force into a surface, and the first row of the constraint holds both ways",
         ),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=Pose(floor_pose().p - [0, 0, 0.05])), 5.0)),
-            taut.RangeError,
+            taut.errors.RangeError,
             "the motion must keep to the constraint, and at t = 0 s it is 0.05 into it",
         ),
         (
             lambda: stepped(FLOOR, taut.TaskMotion(pose=floor_pose())),
-            taut.UsageError,
+            taut.errors.UsageError,
             r"taut\.pressing",
         ),
         (
             lambda: HybridMotionForce(constraint=FLOOR, motion=motion(), tolerance=float("nan")),
-            taut.RangeError,
+            taut.errors.RangeError,
             r"tolerance must be >= 0 \[m, rad\]; got nan",
         ),
         (
             lambda: HybridMotionForce(constraint=FLOOR, motion=motion(), curvature="no"),
-            taut.UsageError,
+            taut.errors.UsageError,
             "curvature must be True or False; got 'no'",
         ),
         (
@@ -439,33 +439,37 @@ def squared(T: Pose) -> Any:
                 constraint=Constraint.of_joints(lambda q: q, rows=7) + Constraint.of_joints(lambda q: q, rows=7),
                 motion=motion(),
             ),
-            taut.UsageError,
+            taut.errors.UsageError,
             "a hybrid law takes constraints of up to 12 rows; these have 14",
         ),
         (
             lambda: taut.compile(HybridMotionForce(constraint=FLOOR, motion=motion(), kfp=0.5, kfi=3000.0), ARM),
-            taut.RangeError,
+            taut.errors.RangeError,
             r"kfi / \(1 \+ kfp\) must be below twice the rate, 2000 \[1/s\]",
         ),
         (
             lambda: stepped(lambda T: tm.array([T.p[2] - 0.4, T.p[2] - 0.4 + 1e-5 * T.p[0]]), FLOOR_REF),
-            taut.RangeError,
+            taut.errors.RangeError,
             "the 2 rows of the constraint must be independent",
         ),
         (
             lambda: stepped(Constraint.knife_edge(sideways=[0.0, 1.0, 0.0]) + FLOOR, FLOOR_PRESS),
-            taut.UsageError,
+            taut.errors.UsageError,
             "press is a force into a surface, and the first row of the constraint holds both ways; put the surface",
         ),
-        (lambda: taut.pressing(3.0), taut.UsageError, "pressing takes a motion such as"),  # type: ignore[arg-type]
-        (lambda: taut.pressing(taut.hold()), taut.UsageError, "got a hold without its sample"),
-        (lambda: taut.pressing(taut.JointMotion(q=[0.0]), -3.0), taut.RangeError, "press must be >= 0"),
+        (lambda: taut.pressing(3.0), taut.errors.UsageError, "pressing takes a motion such as"),  # type: ignore[arg-type]
+        (lambda: taut.pressing(taut.hold()), taut.errors.UsageError, "got a hold without its sample"),
+        (lambda: taut.pressing(taut.JointMotion(q=[0.0]), -3.0), taut.errors.RangeError, "press must be >= 0"),
         (
             lambda: taut.pressing(taut.JointMotion(q=[0.0]), 3.0, lam=[1.0]),
-            taut.UsageError,
+            taut.errors.UsageError,
             "pressing takes one of press, lam and F_app; got press and lam",
         ),
-        (lambda: taut.pressing(taut.JointMotion(q=[0.0]), lam=np.ones((2, 2))), taut.ShapeError, "lam must be"),
+        (
+            lambda: taut.pressing(taut.JointMotion(q=[0.0]), lam=np.ones((2, 2))),
+            taut.errors.ShapeError,
+            "lam must be",
+        ),
     ],
 )
 def test_what_makes_no_sense_is_one_sentence(make: Callable[[], Any], error: type[Exception], sentence: str) -> None:
@@ -475,51 +479,51 @@ def test_what_makes_no_sense_is_one_sentence(make: Callable[[], Any], error: typ
 
 def test_a_run_into_the_surface_is_refused_before_it_starts() -> None:
     law = HybridMotionForce(constraint=FLOOR, motion=motion())
-    ctrl, q = taut.compile(law, ARM), taut.onto(FLOOR, ARM, ARM.home)
+    ctrl, q = taut.compile(law, ARM), taut.dynamics.onto(FLOOR, ARM, ARM.home)
     T = floor_pose()
-    dive = taut.pressing(taut.Line(T0=T, T1=Pose(T.p - [0.0, 0.0, 0.1], R=T.R), duration=1.0), 5.0)
-    with pytest.raises(taut.RangeError, match=r"at t = 0\.25\d* s it is 0\.01\d* into it"):
+    dive = taut.pressing(taut.trajectories.Line(T0=T, T1=Pose(T.p - [0.0, 0.0, 0.1], R=T.R), duration=1.0), 5.0)
+    with pytest.raises(taut.errors.RangeError, match=r"at t = 0\.25\d* s it is 0\.01\d* into it"):
         taut.run(ctrl, taut.RigidPlant(ARM), dive, duration=1.0, q0=q)
 
 
 def test_a_motion_is_looked_at_whichever_way_its_frame_is_named_and_of_a_chunk_each_sample() -> None:
     """A constraint of the tool, a motion of the same frame by its name; a constraint of the flange behind the tool."""
     T = floor_pose()
-    x = taut.snapshot(ARM, taut.onto(FLOOR, ARM, ARM.home))
+    x = taut.snapshot(ARM, taut.dynamics.onto(FLOOR, ARM, ARM.home))
     flange = Constraint.plane(point=x.T("panda_link8").p, normal=[0.0, 0.0, 1.0], frame="panda_link8")
     down = taut.pressing(taut.TaskMotion(pose=Pose.of(T.R, T.p - [0.0, 0.0, 0.05])), 5.0)
     tilt = taut.pressing(taut.TaskMotion(pose=Pose.of(Pose(rpy=[0.5, 0.0, 0.0]).R @ T.R, T.p)), 5.0)
     chunk = taut.chunk([0.1, 0.5], [taut.pressing(taut.TaskMotion(pose=T), 5.0), down])
     for constraint, ref, when in ((FLOOR, down, "t = 0 s"), (FLOOR, chunk, "t = 0.5 s"), (flange, tilt, "t = 0 s")):
         law = HybridMotionForce(constraint=constraint, motion=motion(tool="panda_hand_tcp"))
-        with pytest.raises(taut.RangeError, match=f"must keep to the constraint, and at {when} it is 0.0"):
+        with pytest.raises(taut.errors.RangeError, match=f"must keep to the constraint, and at {when} it is 0.0"):
             law.check_reference(x, ref, 1000.0)
 
 
 def test_a_wheel_is_not_asked_to_go_sideways() -> None:
     """Against rows of velocities it counts how far a motion goes; steering on the way is no offence."""
-    x = taut.snapshot(ARM, taut.onto(FLOOR, ARM, ARM.home))
+    x = taut.snapshot(ARM, taut.dynamics.onto(FLOOR, ARM, ARM.home))
     T, flange = x.T(), "panda_link8"
     aside = np.array([*T.R[:2, 1], 0.0]) / np.linalg.norm(T.R[:2, 1])
     ahead = np.cross(aside, [0.0, 0.0, 1.0])
     wheel = FLOOR + Constraint.knife_edge(sideways=T.R.T @ aside)
     law = HybridMotionForce(constraint=wheel, motion=motion())
     for way, fine in ((0.1 * ahead, True), (0.1 * aside, False), (0.1 * ahead + 0.005 * aside, True)):
-        line = taut.pressing(taut.Line(T0=T, T1=Pose(T.p + way, R=T.R), duration=1.0), 5.0)
+        line = taut.pressing(taut.trajectories.Line(T0=T, T1=Pose(T.p + way, R=T.R), duration=1.0), 5.0)
         if fine:
             law.check_reference(x, line, 1000.0)
         else:
             with pytest.raises(
-                taut.RangeError, match=r"until t = 0\.\d+ s it goes 0\.01\d+ against row 1, which is one"
+                taut.errors.RangeError, match=r"until t = 0\.\d+ s it goes 0\.01\d+ against row 1, which is one"
             ):
                 law.check_reference(x, line, 1000.0)
-    turning = taut.Circle(
+    turning = taut.trajectories.Circle(
         T0=T, centre=T.p + 0.1 * aside, axis=[0.0, 0.0, 1.0], angle=0.8, orientation="turn", duration=1.0
     )
     law.check_reference(x, taut.pressing(turning, 5.0), 1000.0)
     spin = taut.TaskMotion(pose=T, twist=[*(0.3 * ahead), 0.0, 0.0, 1.0])
     law.check_reference(x, taut.pressing(spin, 5.0), 1000.0)
-    with pytest.raises(taut.RangeError, match=r"in 1 s it goes 0\.2 against row 1"):
+    with pytest.raises(taut.errors.RangeError, match=r"in 1 s it goes 0\.2 against row 1"):
         law.check_reference(x, taut.pressing(taut.TaskMotion(pose=T, twist=[*(0.2 * aside), 0, 0, 0]), 5.0), 1000.0)
     # of another frame of the link: it is the wheel that must not slip, and not where the motion is told
     at_flange = HybridMotionForce(constraint=wheel, motion=motion(tool=flange))
@@ -545,14 +549,16 @@ def test_a_wrench_must_lie_in_the_range_of_a_all_the_way() -> None:
 
     law = HybridMotionForce(constraint=BALL, motion=motion())
     law.check_reference(x, taut.pressing(Arc(), 10.0), 1000.0)
-    with pytest.raises(taut.RangeError, match=r"F_app must lie in the range of A\^T, .* at t = 0\.0\d+ s, and not"):
+    with pytest.raises(
+        taut.errors.RangeError, match=r"F_app must lie in the range of A\^T, .* at t = 0\.0\d+ s, and not"
+    ):
         law.check_reference(x, taut.pressing(Arc(), F_app=[*(-10.0 * n), 0.0, 0.0, 0.0]), 1000.0)
 
 
 def test_a_user_writes_a_constraint_as_a_function() -> None:
     law = HybridMotionForce(constraint=Constraint(lambda T: T.p[2] - 0.4, one_sided=True), motion=motion())
     same = HybridMotionForce(constraint=FLOOR, motion=motion())
-    q = taut.onto(FLOOR, ARM, ARM.home)
+    q = taut.dynamics.onto(FLOOR, ARM, ARM.home)
     ref = taut.pressing(taut.TaskMotion(pose=floor_pose()), 7.0)
     one, other = (taut.compile(each, ARM).step(q, np.zeros(7), ref) for each in (law, same))
     assert np.abs(one - other).max() < 1e-12

@@ -10,14 +10,14 @@ import pytest
 import taut
 from taut import Constraint, Pose
 from taut.base.types import Float64Array
-from taut.control.laws import HybridMotionForce, TaskComputedTorque
+from taut.laws import HybridMotionForce, TaskComputedTorque
 
 Array = Float64Array
 ARM = taut.load_arm("kinova")
 T = taut.snapshot(ARM, ARM.home).T()
 BOARD = Constraint(lambda now: now.p[2] - T.p[2], one_sided=True)
 STAY = taut.TaskMotion(pose=T)
-NOWHERE = taut.StiffWall(point=T.p - [0.0, 0.0, 3.0], normal=[0.0, 0.0, 1.0], stiffness=1e4)
+NOWHERE = taut.environments.StiffWall(point=T.p - [0.0, 0.0, 3.0], normal=[0.0, 0.0, 1.0], stiffness=1e4)
 KFP, KFI, E_INT_MAX, KDAMP = 0.3, 10.0, 0.4, 60.0
 LIMITS = taut.Limits(tau_dot=1000.0)
 
@@ -124,7 +124,7 @@ def test_the_damping_against_a_row_is_that_of_the_end_of_the_tick() -> None:
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_contact_that_comes_back_is_taken_up_within_the_rate_limit(faded: taut.Controller) -> None:
     """A wall that was off for a while; the force comes back to what was asked for, and no torque jumps."""
-    wall = taut.StiffWall(point=T.p, normal=[0.0, 0.0, 1.0], stiffness=2e4, damping=300.0)
+    wall = taut.environments.StiffWall(point=T.p, normal=[0.0, 0.0, 1.0], stiffness=2e4, damping=300.0)
     away = taut.Event(t=0.3, set={"environment.stiffness": 1e-3, "environment.damping": 0.0})
     back = taut.Event(t=0.45, set={"environment.stiffness": 2e4, "environment.damping": 300.0})
     plant = taut.RigidPlant(ARM, friction=None, environment=wall, substeps=4)
@@ -252,10 +252,10 @@ def test_a_streamed_force_that_the_constraint_does_not_bear_is_told_and_left_out
 def test_gains_that_swing_up_on_a_rigid_contact_are_refused_there_and_told_elsewhere() -> None:
     high = taut.compile(law(kfp=1.5), ARM)
     with pytest.raises(
-        taut.RangeError, match=r"under 1 on a rigid contact, .* or it swings up; law has 1\.505; lower"
+        taut.errors.RangeError, match=r"under 1 on a rigid contact, .* or it swings up; law has 1\.505; lower"
     ):
         run(high, taut.pressing(STAY, 5.0), contact=BOARD)
-    filtered = taut.compile(law(kfp=1.5), ARM, sensing=taut.Sensing(F_ext=taut.LowPass(cutoff=50.0)))
+    filtered = taut.compile(law(kfp=1.5), ARM, sensing=taut.Sensing(F_ext=taut.sensors.LowPass(cutoff=50.0)))
     assert run(filtered, taut.pressing(STAY, 5.0), contact=BOARD, duration=0.05).outcome.ok
     assert law(kfp=[1.0]).swing(1e-3) == pytest.approx(1.005)
     assert HybridMotionForce(constraint=BOARD, motion=motion()).swing(1e-3) == 0.0
@@ -287,7 +287,7 @@ def test_rows_that_become_dependent_are_told_and_left_out() -> None:
 
     both = Constraint(meeting)
     ctrl = taut.compile(HybridMotionForce(constraint=both, motion=motion()), ARM)
-    way = taut.pressing(taut.Line(T0=T, T1=Pose(centre, R=T.R), duration=0.3))
+    way = taut.pressing(taut.trajectories.Line(T0=T, T1=Pose(centre, R=T.R), duration=0.3))
     out = run(ctrl, way, contact=both, duration=0.5)
     assert "rows of the constraint said the same as later ones, and were left out (index 0) in" in out.outcome.message
     gone = out.extra["law.dependent"]
@@ -297,7 +297,7 @@ def test_rows_that_become_dependent_are_told_and_left_out() -> None:
     assert np.abs(out.task.p[-1] - centre).max() < 1e-3
     # exactly there, with a motion that both rows cannot have
     ctrl.step(ARM.home, np.zeros(ARM.n), taut.pressing(STAY))
-    x = taut.snapshot(ARM, taut.onto(BOARD, ARM, out.q[-1]), np.full(ARM.n, 0.1))
+    x = taut.snapshot(ARM, taut.dynamics.onto(BOARD, ARM, out.q[-1]), np.full(ARM.n, 0.1))
     tau = ctrl.step(x.q, x.v, taut.pressing(taut.TaskMotion(pose=x.T())))
     assert np.abs(tau).max() < 100.0
 

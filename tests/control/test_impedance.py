@@ -9,10 +9,10 @@ import pytest
 from scipy.linalg import eigh
 
 import taut
-from taut.base.linalg import factor_spd
-from taut.control.compliance import Compliance, modal_damping
-from taut.control.task_reference import TaskMotion
+from taut.control.laws.compliance import Compliance, modal_damping
+from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.spatial import rotation_exp, rotation_log
+from taut.trace.linalg import factor_spd
 
 ENGINES = 1e-9  # MATHS section 2: task laws, relative to the largest torque
 ARMS = ["panda", "ur10", "kinova"]
@@ -67,7 +67,7 @@ SPRINGS = [
     {"frame": "tool"},
     {"error": "body"},
     {"error": "space"},
-    {"error": "coordinates", "coordinates": taut.Coordinates(function=lambda T: T.p), "K": K[:3]},
+    {"error": "coordinates", "coordinates": taut.laws.Coordinates(function=lambda T: T.p), "K": K[:3]},
 ]
 
 
@@ -202,14 +202,14 @@ def test_a_wrench_of_another_link_is_refused() -> None:
         Impedance(**gains(D=(2.0, 0.2), tool="panda_link6")),
         taut.laws.Admittance(D=(5.0, 0.5), B=(40.0, 4.0), tool="panda_link6", inner=inner),
     ):
-        with pytest.raises(taut.MatchError, match=sentence):
+        with pytest.raises(taut.errors.MatchError, match=sentence):
             taut.compile(law, taut.load_arm("panda")).needs  # noqa: B018
     taut.compile(Impedance(**gains(D=(2.0, 0.2), tool="panda_hand")), taut.load_arm("panda"))
 
 
 def test_an_inertia_cannot_become_zero_in_a_run() -> None:
     ctrl = taut.compile(Impedance(**gains(D=(5.0, 0.5))), taut.load_arm("panda"))
-    with pytest.raises(taut.RangeError, match=r"D must be > 0 \[kg, kg m\^2\] in every .*; its least is 0;"):
+    with pytest.raises(taut.errors.RangeError, match=r"D must be > 0 \[kg, kg m\^2\] in every .*; its least is 0;"):
         ctrl.parameters["law.D"] = (0.0, 0.5)
 
 
@@ -322,12 +322,12 @@ def test_gains_without_a_meaning_get_one_sentence(case: str) -> None:
     ],
 )
 def test_a_matrix_must_be_symmetric_and_positive(matrix: Any, words: str) -> None:
-    with pytest.raises(taut.RangeError, match=words):
+    with pytest.raises(taut.errors.RangeError, match=words):
         Impedance(K=matrix, zeta=1.0)
 
 
 def test_a_frame_that_the_arm_has_not_is_told_with_the_nearest() -> None:
-    with pytest.raises(taut.UnknownNameError, match="did you mean 'panda_hand_tcp'"):
+    with pytest.raises(taut.errors.UnknownNameError, match="did you mean 'panda_hand_tcp'"):
         taut.compile(Impedance(**gains(tool="panda_hand_tpc")), taut.load_arm("panda")).needs  # noqa: B018
 
 
@@ -335,25 +335,25 @@ def test_a_wrench_that_nobody_measures_is_told() -> None:
     arm = taut.load_arm("panda")
     ctrl = taut.compile(Impedance(**gains(D=(2.0, 0.2))), arm)
     ref = TaskMotion(pose=taut.snapshot(arm, arm.home).T())
-    with pytest.raises(taut.UsageError, match="step needs F_ext, which the law asks for"):
+    with pytest.raises(taut.errors.UsageError, match="step needs F_ext, which the law asks for"):
         ctrl.step(arm.home, np.zeros(7), ref)
-    with pytest.raises(taut.MatchError, match="Impedance needs F_ext, which plant"):
+    with pytest.raises(taut.errors.MatchError, match="Impedance needs F_ext, which plant"):
         taut.run(ctrl, taut.RigidPlant(arm), ref, duration=0.1)
 
 
 def test_a_new_stiffness_is_checked_like_the_first() -> None:
     arm = taut.load_arm("panda")
     ctrl = taut.compile(Impedance(**gains()), arm)
-    with pytest.raises(taut.ShapeError, match="needs one number for metres and one for radians"):
+    with pytest.raises(taut.errors.ShapeError, match="needs one number for metres and one for radians"):
         ctrl.parameters["law.K"] = 500.0
     ctrl.parameters["law.K"] = (500.0, 10.0)
     assert ctrl.parameters["law.K"].tolist() == [500.0] * 3 + [10.0] * 3
-    with pytest.raises(taut.RangeError, match=r"law.error_max|no parameter"):
+    with pytest.raises(taut.errors.RangeError, match=r"law.error_max|no parameter"):
         taut.compile(Impedance(**gains(error_max=(0.1, 0.1))), arm).parameters["law.error_max"] = (0.0, 0.1)
 
 
 def test_three_numbers_are_refused_with_what_is_taken() -> None:
-    with pytest.raises(taut.ShapeError) as caught:
+    with pytest.raises(taut.errors.ShapeError) as caught:
         taut.compile(Impedance(**gains(K=[1.0, 1.0, 1.0])), taut.load_arm("panda"))
     assert str(caught.value) == "K must be (linear, angular), (6,) or (6, 6) as its law declares it; got shape (3,)"
 
@@ -361,13 +361,13 @@ def test_three_numbers_are_refused_with_what_is_taken() -> None:
 def test_a_function_that_gives_no_gain_is_told_where_a_run_starts() -> None:
     arm = taut.load_arm("panda")
     law = Impedance(K=lambda T: [-100.0 + 0.0 * T.p[0], 10.0], B=(8.0, 1.0), tank=0.1)
-    with pytest.raises(taut.RangeError, match=r"K\[0\] must be >= 0"):
+    with pytest.raises(taut.errors.RangeError, match=r"K\[0\] must be >= 0"):
         taut.compile(law, arm).needs  # noqa: B018
 
 
 def test_a_frame_that_lacks_two_directions_is_told() -> None:
     with pytest.raises(
-        taut.MatchError, match="frame 'panda_link4' of 'panda' is moved by 4 joints, and is asked for 6"
+        taut.errors.MatchError, match="frame 'panda_link4' of 'panda' is moved by 4 joints, and is asked for 6"
     ):
         taut.compile(Impedance(**gains(tool="panda_link4")), taut.load_arm("panda")).needs  # noqa: B018
 
@@ -375,12 +375,14 @@ def test_a_frame_that_lacks_two_directions_is_told() -> None:
 def test_a_posture_in_degrees_is_told() -> None:
     arm = taut.load_arm("panda")
     law = Impedance(**gains(null=taut.laws.Posture(q=[0.0, -45.0, 0.0, -135.0, 0.0, 90.0, 45.0])))
-    with pytest.raises(taut.RangeError, match="degrees"):
+    with pytest.raises(taut.errors.RangeError, match="degrees"):
         taut.compile(law, arm).needs  # noqa: B018
 
 
 def test_a_pose_in_degrees_is_told() -> None:
-    with pytest.raises(taut.RangeError, match=r"rpy\[0\] must be an angle in rad; got 180, which looks like degrees"):
+    with pytest.raises(
+        taut.errors.RangeError, match=r"rpy\[0\] must be an angle in rad; got 180, which looks like degrees"
+    ):
         taut.Pose([0.0, 0.0, 0.0], rpy=[180.0, 0.0, 90.0])
 
 

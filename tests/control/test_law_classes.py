@@ -60,7 +60,9 @@ def test_a_gain_may_have_a_size_of_its_own() -> None:
         got = taut.compile(Pull(K=K), arm).step(arm.home, np.zeros(7), JointMotion(q=arm.home))
         matrix = K if np.ndim(K) == 2 else np.eye(3) * K
         np.testing.assert_allclose(got, x.J()[:3].T @ (matrix @ (np.array([0.5, 0.0, 0.5]) - x.T().p)), atol=1e-12)
-    with pytest.raises(taut.ShapeError, match=r"^K must be a scalar, \(3,\) or \(3, 3\) as its law declares it; got"):
+    with pytest.raises(
+        taut.errors.ShapeError, match=r"^K must be a scalar, \(3,\) or \(3, 3\) as its law declares it; got"
+    ):
         taut.compile(Pull(K=[1.0] * 7), arm)
 
 
@@ -154,7 +156,7 @@ def test_a_matrix_that_is_singular_at_home_alone_is_no_obstacle() -> None:
 
     ctrl = taut.compile(Inverse(), ARM)
     np.testing.assert_allclose(ctrl.step(Q + 0.5, V, REF), (Q + 0.5) / 0.5, rtol=1e-13)
-    with pytest.raises(taut.NumericalError):
+    with pytest.raises(taut.errors.NumericalError):
         ctrl.step(Q, V, REF)
 
 
@@ -268,5 +270,5 @@ def test_a_branch_on_a_gain_is_refused_like_any_other() -> None:
         def command(self, x: Snapshot, ref: JointMotion) -> Torque:
             return Torque(P=x.q if self.kp > 3.0 else x.v)
 
-    with pytest.raises(taut.TraceError, match=r"taut\.math\.where"):
+    with pytest.raises(taut.errors.TraceError, match=r"taut\.math\.where"):
         step(Branches(kp=1.0))

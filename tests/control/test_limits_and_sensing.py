@@ -57,7 +57,7 @@ class TestLimits:
         np.testing.assert_allclose(ctrl.step(REST, REST, REF), [6.9, -2.9])
         plain = taut.compile(taut.laws.PID(kp=0.0), ARM)
         with pytest.raises(
-            taut.UsageError, match=r"reset\(tau_applied=\) is for controllers that limit the torque rate"
+            taut.errors.UsageError, match=r"reset\(tau_applied=\) is for controllers that limit the torque rate"
         ):
             plain.reset(tau_applied=[1.0, 1.0])
 
@@ -65,7 +65,7 @@ class TestLimits:
         ctrl = taut.compile(taut.laws.PID(kp=100.0), ARM, limits=taut.Limits(tau=[5.0, 5.0]))
         ctrl.parameters["limits.tau"] = [1.0, 2.0]
         np.testing.assert_allclose(ctrl.step(np.array([1.0, 1.0]), REST, REF), [-1.0, -2.0])
-        with pytest.raises(taut.RangeError, match=r"limits\.tau\[1\] must be > 0 \[N m \| N\]; got 0\.0"):
+        with pytest.raises(taut.errors.RangeError, match=r"limits\.tau\[1\] must be > 0 \[N m \| N\]; got 0\.0"):
             ctrl.parameters["limits.tau"] = [1.0, 0.0]
 
     @pytest.mark.parametrize(
@@ -126,13 +126,14 @@ class TestSensing:
 
     def test_a_velocity_that_is_not_used_is_refused_and_one_that_is_missing_too(self) -> None:
         ctrl = taut.compile(taut.laws.PID(kp=1.0), ARM, sensing=taut.Sensing(velocity="difference"))
-        with pytest.raises(taut.UsageError) as caught:
+        with pytest.raises(taut.errors.UsageError) as caught:
             ctrl.step(REST, REST, REF)
         assert str(caught.value) == (
             "step got v, which this controller does not use; its sensing makes v from positions; leave it out"
         )
         with pytest.raises(
-            taut.UsageError, match=r"velocity must be 'measured', 'difference', .* or taut\.Kalman.*; got 'tacho'$"
+            taut.errors.UsageError,
+            match=r"velocity must be 'measured', 'difference', .* or taut\.Kalman.*; got 'tacho'$",
         ):
             taut.Sensing(velocity="tacho")  # type: ignore[arg-type]
 
@@ -149,5 +150,5 @@ def test_clamping_holds_the_integral_while_limits_cut_and_the_error_pushes_on() 
 
 
 def test_the_limits_of_something_else_are_refused() -> None:
-    with pytest.raises(taut.UsageError, match=r"^Limits\.of takes an Arm from taut\.load_arm; got str$"):
+    with pytest.raises(taut.errors.UsageError, match=r"^Limits\.of takes an Arm from taut\.load_arm; got str$"):
         taut.Limits.of("panda")  # type: ignore[arg-type]

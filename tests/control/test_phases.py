@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.control.phases import Phases
+from taut.control.tasks.phases import Phases
 
 PLANAR = taut.load_arm("planar3")
 REST = np.array([0.5, 0.8, 0.6])
@@ -97,7 +97,7 @@ def test_then_makes_a_loop_and_a_phase_is_entered_afresh() -> None:
 
 
 def test_a_guard_that_has_to_last_counts_ticks_on_end_and_from_the_begin_of_its_phase() -> None:
-    touch = taut.lasting(lambda x: taut.contact(x, 2.0, direction=[0, 0, 2]), ticks=3)
+    touch = taut.guards.lasting(lambda x: taut.guards.contact(x, 2.0, direction=[0, 0, 2]), ticks=3)
     task = [taut.Phase(PD, name="a", until=touch), taut.Phase(PD, name="b", until=touch)]
     ctrl = taut.compile(task, PLANAR)
     on, off = np.array([0, 0, 2.1, 0, 0, 0]), np.array([5.0, 0, 1.9, 0, 0, 0])
@@ -130,21 +130,21 @@ def test_guards_tell_where_the_arm_is() -> None:
         return ctrl.phase == "stop"
 
     target = taut.JointMotion(q=near)
-    assert holds(lambda x: taut.settled(x, q=1.1e-4), ref=target)
-    assert not holds(lambda x: taut.settled(x, q=0.9e-4), ref=target)
-    assert not holds(lambda x: taut.settled(x, q=1.1e-4, v=0.01) & (x.elapsed > 0.0), v=0.02, ref=target)
-    assert holds(lambda x: taut.reached(x, turned, position=1e-9, rotation=0.021))
-    assert not holds(lambda x: taut.reached(x, turned, rotation=0.019))
-    assert holds(lambda x: taut.reached(x, taut.TaskMotion(pose=tool), position=1e-9))
+    assert holds(lambda x: taut.guards.settled(x, q=1.1e-4), ref=target)
+    assert not holds(lambda x: taut.guards.settled(x, q=0.9e-4), ref=target)
+    assert not holds(lambda x: taut.guards.settled(x, q=1.1e-4, v=0.01) & (x.elapsed > 0.0), v=0.02, ref=target)
+    assert holds(lambda x: taut.guards.reached(x, turned, position=1e-9, rotation=0.021))
+    assert not holds(lambda x: taut.guards.reached(x, turned, rotation=0.019))
+    assert holds(lambda x: taut.guards.reached(x, taut.TaskMotion(pose=tool), position=1e-9))
     far = REST + np.array([0.0, 0.0, 0.1])  # the tool swings on the last link
     way = float(np.linalg.norm(taut.snapshot(PLANAR, far).T().p - tool.p))
-    assert holds(lambda x: taut.moved(x, way * 0.999), far)
-    assert not holds(lambda x: taut.moved(x, way * 1.001), far)
+    assert holds(lambda x: taut.guards.moved(x, way * 0.999), far)
+    assert not holds(lambda x: taut.guards.moved(x, way * 1.001), far)
 
 
 def test_the_direction_of_a_contact_may_be_one_of_the_tool() -> None:
     def phase_after(F: list[float], **axes: Any) -> str:
-        task = [taut.Phase(PD, until=lambda x: taut.contact(x, 1.0, **axes), name="a")]
+        task = [taut.Phase(PD, until=lambda x: taut.guards.contact(x, 1.0, **axes), name="a")]
         ctrl = taut.compile(task, PLANAR, engine="float")
         ctrl.step(REST, np.zeros(3), F_ext=[*F, 0, 0, 0])
         return ctrl.phase
@@ -154,7 +154,7 @@ def test_the_direction_of_a_contact_may_be_one_of_the_tool() -> None:
     assert phase_after(along, direction=[1, 0, 0], frame="tool") == "stop"
     assert phase_after((-R[:, 0]).tolist(), direction=[1, 0, 0], frame="tool") == "a"
     assert phase_after([0.0, -1.1, 0.0]) == "stop"  # without a direction any force counts
-    task = [taut.Phase(PD, until=lambda x: taut.no_contact(x, 1.0), name="a")]
+    task = [taut.Phase(PD, until=lambda x: taut.guards.no_contact(x, 1.0), name="a")]
     ctrl = taut.compile(task, PLANAR)
     assert steps(ctrl, 2, F_ext=[0, 2.0, 0, 0, 0, 0]) == ["a", "a"]
     assert [*steps(ctrl, 1, F_ext=[0, 0.5, 0, 0, 0, 0]), ctrl.phase] == ["a", "stop"]
@@ -177,7 +177,9 @@ def test_without_a_reference_a_phase_holds_where_it_began() -> None:
 def test_times_of_a_trajectory_count_from_the_begin_of_its_phase_in_a_step_as_in_a_run() -> None:
     task = [
         taut.Phase(PD, name="wait", until=lambda x: x.elapsed > 0.1),
-        taut.Phase(PD, lambda x: taut.Quintic(q0=x.q, q1=x.q + 0.2, duration=0.2), name="go", timeout=0.3),
+        taut.Phase(
+            PD, lambda x: taut.trajectories.Quintic(q0=x.q, q1=x.q + 0.2, duration=0.2), name="go", timeout=0.3
+        ),
     ]
     ctrl = taut.compile(task, PLANAR, rate=500.0)
     run = taut.run(ctrl, taut.RigidPlant(PLANAR), duration=0.6, q0=REST)
@@ -193,20 +195,24 @@ def test_times_of_a_trajectory_count_from_the_begin_of_its_phase_in_a_step_as_in
 def test_a_stream_without_a_source_is_given_sample_by_sample() -> None:
     task = [taut.Phase(PD, taut.stream(period=0.01), name="a", until=lambda x: x.elapsed > 0.0015), taut.Phase(PD)]
     ctrl = taut.compile(task, PLANAR)
-    with pytest.raises(taut.UsageError, match="phase 'a' follows a stream: step needs ref, a JointMotion; got none"):
+    with pytest.raises(
+        taut.errors.UsageError, match="phase 'a' follows a stream: step needs ref, a JointMotion; got none"
+    ):
         ctrl.step(REST, np.zeros(3))
     for _ in range(3):
         ctrl.step(REST, np.zeros(3), taut.JointMotion(q=REST + 0.1))
     assert np.abs(ctrl.terms["P"]).max() > 0.1
     assert ctrl.phase == "phase2"
-    with pytest.raises(taut.UsageError, match="phase 'phase2' has its own reference; leave ref out of step"):
+    with pytest.raises(taut.errors.UsageError, match="phase 'phase2' has its own reference; leave ref out of step"):
         ctrl.step(REST, np.zeros(3), taut.JointMotion(q=REST))
 
 
 def test_a_given_sample_of_another_size_is_refused_in_a_phase_too() -> None:
     ctrl = taut.compile([taut.Phase(PD, taut.stream(period=0.01))], PLANAR)
     for _ in range(2):
-        with pytest.raises(taut.ShapeError, match=r"ref.q must have shape \(3,\) \(3 joints\); got shape \(1,\)"):
+        with pytest.raises(
+            taut.errors.ShapeError, match=r"ref.q must have shape \(3,\) \(3 joints\); got shape \(1,\)"
+        ):
             ctrl.step(REST, np.zeros(3), taut.JointMotion(q=[0.1]))
         ctrl.step(REST, np.zeros(3), taut.JointMotion(q=REST))
 
@@ -222,9 +228,9 @@ def test_a_given_sample_is_followed_in_its_own_tick_whatever_the_way_of_the_call
         np.testing.assert_allclose(got, expected, rtol=1e-12)
         got = ctrl.step(REST.tolist(), zero, ref) if k % 2 else ctrl.step(REST, zero, ref)
         np.testing.assert_allclose(got, expected, rtol=1e-12)
-        with pytest.raises(taut.UsageError, match="phase 'a' follows a stream: step needs ref"):
+        with pytest.raises(taut.errors.UsageError, match="phase 'a' follows a stream: step needs ref"):
             ctrl.step(REST, zero)
-        with pytest.raises(taut.RangeError, match=r"q\[0\] \(joint 'joint1'\) must be finite"):
+        with pytest.raises(taut.errors.RangeError, match=r"q\[0\] \(joint 'joint1'\) must be finite"):
             ctrl.step(REST, zero, taut.JointMotion.of({"q": np.full(3, np.nan), "v": zero, "a": zero}))
 
 
@@ -246,7 +252,9 @@ def calls(function: Callable[[], object]) -> int:
 
 
 @pytest.mark.parametrize(
-    "reference", [None, lambda x: taut.Quintic(q0=x.q, q1=x.q + 0.2, duration=0.2)], ids=["hold", "trajectory"]
+    "reference",
+    [None, lambda x: taut.trajectories.Quintic(q0=x.q, q1=x.q + 0.2, duration=0.2)],
+    ids=["hold", "trajectory"],
 )
 def test_a_tick_within_a_phase_runs_one_python_function(reference: Any) -> None:
     """Counted and not timed: samples are made ahead, and a tick copies one of them."""
@@ -264,7 +272,11 @@ def test_a_tick_within_a_phase_runs_one_python_function(reference: Any) -> None:
 def test_an_odd_call_follows_the_same_reference_as_a_plain_one() -> None:
     """Lists, a failing tick, new parameters with a blend: the sample is that of the tick, whatever the way to it."""
     go = taut.Phase(
-        PD, lambda x: taut.Quintic(q0=x.q, q1=x.q + 0.2, duration=0.2), name="go", timeout=0.05, otherwise=1
+        PD,
+        lambda x: taut.trajectories.Quintic(q0=x.q, q1=x.q + 0.2, duration=0.2),
+        name="go",
+        timeout=0.05,
+        otherwise=1,
     )
     plain, odd = (taut.compile([go, taut.Phase(PD)], PLANAR, limits=taut.Limits(blend=0.01)) for _ in range(2))
     for k in range(80):
@@ -273,7 +285,7 @@ def test_an_odd_call_follows_the_same_reference_as_a_plain_one() -> None:
             for ctrl in (plain, odd):
                 ctrl.parameters["law.go.kp"] = 50.0
         if k % 7 == 3:
-            with pytest.raises(taut.RangeError, match=f"in tick {k}"):
+            with pytest.raises(taut.errors.RangeError, match=f"in tick {k}"):
                 odd.step(np.full(3, np.nan), np.zeros(3))
         expected = plain.step(q, np.zeros(3))
         got = odd.step(q.tolist(), v=[0.0, 0.0, 0.0]) if k % 3 else odd.step(q, np.zeros(3))
@@ -326,10 +338,10 @@ def test_where_a_reference_fails_a_step_says_so_and_the_next_one_holds_the_arm()
         for _ in range(ticks):
             ctrl.step(REST, np.zeros(3))
         for _ in range(2):  # a sensor's fault is none of the reference
-            with pytest.raises(taut.RangeError, match="must be finite; got nan"):
+            with pytest.raises(taut.errors.RangeError, match="must be finite; got nan"):
                 ctrl.step(np.full(3, np.nan), np.zeros(3))
         assert ctrl.phase == "b"
-        with pytest.raises(taut.UsageError, match=text):
+        with pytest.raises(taut.errors.UsageError, match=text):
             ctrl.step(REST, np.zeros(3))
         assert ctrl.phase == "stop"
         held = ctrl.step(REST, np.zeros(3))
@@ -380,7 +392,7 @@ def test_what_is_singular_in_a_phase_that_does_not_act_ends_nothing_in_either_en
 
     task = [
         taut.Phase(PD, Q, name="a", until=lambda x: x.q[0] > 1.0),
-        taut.Phase(Inverts(), name="b", unless=taut.lasting(singular, ticks=3), otherwise="a"),
+        taut.Phase(Inverts(), name="b", unless=taut.guards.lasting(singular, ticks=3), otherwise="a"),
     ]
     native, plain = (taut.compile(task, PLANAR, engine=engine) for engine in ("native", "float"))
     at_zero, beyond = np.array([0.0, 0.8, 0.6]), np.array([2.0, 0.8, 0.6])
@@ -393,7 +405,7 @@ def test_what_is_singular_in_a_phase_that_does_not_act_ends_nothing_in_either_en
     run = taut.run(plain, taut.RigidPlant(PLANAR), duration=0.003, q0=at_zero)
     assert run.outcome.ok
     alone = taut.compile([taut.Phase(Inverts(), name="b")], PLANAR, engine="float")
-    with pytest.raises(taut.NumericalError):
+    with pytest.raises(taut.errors.NumericalError):
         alone.step(at_zero, np.zeros(3))
 
 
@@ -460,7 +472,7 @@ def test_a_law_that_needs_contact_never_starts_without() -> None:
 
 
 def test_a_first_phase_without_contact_stops_in_words() -> None:
-    plant = taut.RigidPlant(PLANAR, environment=taut.Push(peak=[1.0, 0.0, 0.0]))
+    plant = taut.RigidPlant(PLANAR, environment=taut.environments.Push(peak=[1.0, 0.0, 0.0]))
     run = taut.run([taut.Phase(Spring(kp=5.0), name="press")], plant, duration=0.01, q0=REST)
     assert run.outcome.kind == "stopped"
     assert "phases: press to 0.001 s: it needs contact and began without (" in run.outcome.message
@@ -532,7 +544,7 @@ def compiled(make: Callable[[], Any]) -> taut.Controller:
 
 def test_what_is_no_task_is_refused_in_a_sentence() -> None:
     a = taut.Phase(PD, name="a")
-    wrist = taut.Phase(PD, name="touch", until=lambda x: taut.contact(x, 2.0))
+    wrist = taut.Phase(PD, name="touch", until=lambda x: taut.guards.contact(x, 2.0))
     tool = taut.TaskMotion(pose=taut.Pose([0, 0, 0]))
     Move, plant = taut.Phase, taut.RigidPlant(PLANAR)
 
@@ -543,54 +555,54 @@ def test_what_is_no_task_is_refused_in_a_sentence() -> None:
             return taut.Velocity(P=ref.q - x.q)
 
     cases: list[tuple[Callable[[], Any], type[Exception], str]] = [
-        (list, taut.UsageError, "a task needs one phase at least; got an empty list"),
-        (lambda: a, taut.UsageError, "a task is a list of phases: taut.compile([taut.Phase(...)], arm)"),
-        (lambda: [a, PD], taut.UsageError, "a task is a list of taut.Phase; entry 1 is a ComputedTorque"),
-        (lambda: [a, a], taut.UsageError, "two phases of a task are called 'a'; give one another name="),
-        (lambda: [Move(PD, otherwise="b", name="a")], taut.UnknownNameError, "phase 'a': otherwise: the task has no phase 'b'; it has 'a', 'stop'"),
-        (lambda: [Move(PD, then="b", name="a")], taut.UnknownNameError, "phase 'a': then: the task has no phase 'b'; it has 'a', 'stop'"),
-        (lambda: [Move(PD, otherwise=1)], taut.RangeError, "phase 'phase1': otherwise must be the number of a phase, from 0 to 0; got 1"),
-        (lambda: [Move(PD, otherwise=None)], taut.UsageError, "phase 'phase1': otherwise must be 'stop', or the name or number of a phase; got None"),  # type: ignore[arg-type]
-        (lambda: [Move(PD, timeout=0.0)], taut.RangeError, "timeout must be > 0 [s]; got 0.0"),
-        (lambda: [Move(PD, contact=0.0)], taut.RangeError, "contact must be > 0 [N]; got 0"),
-        (lambda: [Move(PD, contact=taut.lasting(lambda x: x.t > 1, ticks=2))], taut.UsageError, "phase 'phase1': contact is looked at once, when the phase begins, so that taut.lasting has no meaning in it; give the guard that it holds"),
-        (lambda: [Move(7)], taut.UsageError, "a phase takes a law such as taut.laws.PID(kp=...); got 7"),  # type: ignore[arg-type]
-        (lambda: [Move(PD, name="my phase")], taut.UsageError, "the name of a phase must be a word of letters, digits and _, as it stands in the paths of gains; got 'my phase'"),
-        (lambda: [Move(PD, name="stop")], taut.UsageError, "'stop' is a word of every task; give the phase another name"),
-        (lambda: [Move(PD, until=True)], taut.UsageError, "a phase: until must be a function of the snapshot, such as lambda x: taut.contact(x, 2.0); got True"),  # type: ignore[arg-type]
-        (lambda: [Move(PD, tool, name="a")], taut.UsageError, "phase 'a': its law follows JointMotion; the reference gives TaskMotion"),
-        (lambda: [Move(PD, "home", name="a")], taut.UsageError, "phase 'a': a reference is a sample such as taut.JointMotion(q=...), taut.hold(), a trajectory with at(t), taut.stream(...) or taut.chunk(...); got str"),  # type: ignore[arg-type]
-        (lambda: [Move(PD, until=lambda x: x.q)], taut.UsageError, "until of phase 'phase1' must give a condition, such as x.F_ext[2] > 2.0; got ndarray"),
-        (lambda: [Move(PD, until=lambda x: x.q > 0.0)], taut.ShapeError, "until of phase 'phase1' must give one condition; got an array of shape (3,); combine them with & or |, or compare taut.math.norm(...)"),
-        (lambda: [Move(PD, unless=lambda x: None)], taut.UsageError, "unless of phase 'phase1' must give a condition, such as x.F_ext[2] > 2.0; got None; did it forget its return?"),
-        (lambda: [Move(PD, until=lambda x: taut.lasting(lambda x: x.t > 1, ticks=2))], taut.UsageError, "until of phase 'phase1' must give a condition, such as x.F_ext[2] > 2.0; got taut.lasting(...), which stands around the whole guard"),
-        (lambda: [Move(PD, until=lambda x: x.elapsd > 1)], taut.UsageError, "until of phase 'phase1' fails: AttributeError: the snapshot x has no quantity 'elapsd'; did you mean 'elapsed'?"),
-        (lambda: [Move(PD, until=lambda x: taut.settled(x, position=1.0))], taut.UsageError, "a JointMotion is reached within q=; got position="),
-        (lambda: [Move(PD, until=lambda x: taut.settled(x))], taut.UsageError, "a JointMotion is reached within q=; got none of them"),
-        (lambda: [Move(PD, until=lambda x: taut.reached(x, 1.0, q=1.0))], taut.UsageError, "a guard can tell whether a taut.Pose, TaskMotion or JointMotion is reached; got float"),  # type: ignore[arg-type]
-        (lambda: [Move(PD, until=lambda x: taut.contact(x, 1.0, direction=[0, 0, 0]))], taut.RangeError, "direction must have a length; got zeros"),
-        (lambda: [Move(PD, until=lambda x: taut.contact(x, -1.0))], taut.RangeError, "force must be >= 0 [N]; got -1.0"),
-        (lambda: [a, Move(taut.laws.PID(kp=np.ones(2)), name="b")], taut.ShapeError, "phase 'b': kp must be a scalar, (3,) or (3, 3) for 3 joints; got shape (2,)"),
-        (lambda: [a, Move(Drive(), name="b")], taut.MatchError, "the phases of a task give commands of one kind; these give 'a' a torque, 'b' a velocity"),
-        (lambda: taut.lasting(7, ticks=1), taut.UsageError, "lasting takes a guard, such as lambda x: taut.contact(x, 2.0); got 7"),  # type: ignore[arg-type]
-        (lambda: taut.lasting(lambda x: x.t > 1, ticks=0), taut.RangeError, "ticks must be a whole number >= 1; got 0"),
-        (lambda: taut.run([a, wrist], plant, duration=1.0), taut.MatchError, "phase 'touch' needs F_ext, which plant 'RigidPlant(planar3)' does not measure; it measures tau_meas, v; give the plant environment= or contact=, or take a taut.MujocoPlant"),
-        (lambda: [a, Move(PD, taut.JointMotion(q=[0.1]), name="b")], taut.ShapeError, "phase 'b': ref.q must have shape (3,); the reference gives (1,)"),
-        (lambda: [a, Move(PD, taut.hold(taut.JointMotion(q=[0.1])), name="b")], taut.ShapeError, "phase 'b': ref.q must have shape (3,); the reference gives (1,)"),
-        (lambda: [a, Move(PD, taut.Quintic(q0=[0.0], q1=[1.0], duration=1.0), name="b")], taut.ShapeError, "phase 'b': ref.q must have shape (3,); the reference gives (1,)"),
-        (lambda: taut.run([a], plant, Q, duration=1.0), taut.UsageError, "each phase of a task has its own reference, as in taut.Phase(law, reference); leave ref out"),
-        (lambda: taut.run([Move(PD, taut.stream(period=0.1))], plant, duration=1.0), taut.UsageError, "phase 'phase1': a stream in a simulation needs source=, a function that gives the next sample"),
-        (lambda: taut.run([Move(PD, lambda x: 7)], plant, duration=1.0), taut.UsageError, "phase 'phase1': a reference is a sample such as taut.JointMotion(q=...), taut.hold(), a trajectory with at(t), taut.stream(...) or taut.chunk(...); got int"),  # type: ignore[arg-type, return-value]
-        (lambda: taut.run([Move(PD, lambda x: tool)], plant, duration=1.0), taut.UsageError, "phase 'phase1': the law follows JointMotion; the reference is a TaskMotion"),
-        (lambda: taut.run([Move(PD, lambda x: 1 / 0)], plant, duration=1.0), taut.UsageError, "phase 'phase1': its reference fails: ZeroDivisionError: division by zero"),  # type: ignore[arg-type, return-value]
-        (lambda: taut.compile([a], PLANAR).bind(), taut.UsageError, "bind is for a law, whose reference is written from outside; the references of a task are made as its phases begin: take ctrl.step"),
-        (lambda: taut.compile(PD, PLANAR).phase, taut.UsageError, "a controller of one law has no phases; compile a list of taut.Phase"),
-        (lambda: taut.compile([a], PLANAR).step(REST, np.zeros(3), Q), taut.UsageError, "phase 'a' has its own reference; leave ref out of step"),
-        (lambda: taut.compile([a], PLANAR).step(REST[:2], np.zeros(3)), taut.ShapeError, "q must have shape (3,); got shape (2,)"),
-        (lambda: taut.compile([a], PLANAR).step(), taut.UsageError, "step needs q; got none"),
-        (lambda: taut.compile([wrist], PLANAR).step(REST, np.zeros(3)), taut.UsageError, "step needs F_ext, which the law asks for: pass F_ext= or F_app=; got none"),
-        (lambda: taut.snapshot(PLANAR, REST).elapsed, taut.UsageError, "x.elapsed is for the guards of a taut.Phase; a law has no phase"),
-        (lambda: taut.Steady(T0=taut.Pose([0, 0, 0])), taut.RangeError, "velocity or angular must be above zero, or nothing moves; got zeros"),
+        (list, taut.errors.UsageError, "a task needs one phase at least; got an empty list"),
+        (lambda: a, taut.errors.UsageError, "a task is a list of phases: taut.compile([taut.Phase(...)], arm)"),
+        (lambda: [a, PD], taut.errors.UsageError, "a task is a list of taut.Phase; entry 1 is a ComputedTorque"),
+        (lambda: [a, a], taut.errors.UsageError, "two phases of a task are called 'a'; give one another name="),
+        (lambda: [Move(PD, otherwise="b", name="a")], taut.errors.UnknownNameError, "phase 'a': otherwise: the task has no phase 'b'; it has 'a', 'stop'"),
+        (lambda: [Move(PD, then="b", name="a")], taut.errors.UnknownNameError, "phase 'a': then: the task has no phase 'b'; it has 'a', 'stop'"),
+        (lambda: [Move(PD, otherwise=1)], taut.errors.RangeError, "phase 'phase1': otherwise must be the number of a phase, from 0 to 0; got 1"),
+        (lambda: [Move(PD, otherwise=None)], taut.errors.UsageError, "phase 'phase1': otherwise must be 'stop', or the name or number of a phase; got None"),  # type: ignore[arg-type]
+        (lambda: [Move(PD, timeout=0.0)], taut.errors.RangeError, "timeout must be > 0 [s]; got 0.0"),
+        (lambda: [Move(PD, contact=0.0)], taut.errors.RangeError, "contact must be > 0 [N]; got 0"),
+        (lambda: [Move(PD, contact=taut.guards.lasting(lambda x: x.t > 1, ticks=2))], taut.errors.UsageError, "phase 'phase1': contact is looked at once, when the phase begins, so that taut.guards.lasting has no meaning in it; give the guard that it holds"),
+        (lambda: [Move(7)], taut.errors.UsageError, "a phase takes a law such as taut.laws.PID(kp=...); got 7"),  # type: ignore[arg-type]
+        (lambda: [Move(PD, name="my phase")], taut.errors.UsageError, "the name of a phase must be a word of letters, digits and _, as it stands in the paths of gains; got 'my phase'"),
+        (lambda: [Move(PD, name="stop")], taut.errors.UsageError, "'stop' is a word of every task; give the phase another name"),
+        (lambda: [Move(PD, until=True)], taut.errors.UsageError, "a phase: until must be a function of the snapshot, such as lambda x: taut.guards.contact(x, 2.0); got True"),  # type: ignore[arg-type]
+        (lambda: [Move(PD, tool, name="a")], taut.errors.UsageError, "phase 'a': its law follows JointMotion; the reference gives TaskMotion"),
+        (lambda: [Move(PD, "home", name="a")], taut.errors.UsageError, "phase 'a': a reference is a sample such as taut.JointMotion(q=...), taut.hold(), a trajectory with at(t), taut.stream(...) or taut.chunk(...); got str"),  # type: ignore[arg-type]
+        (lambda: [Move(PD, until=lambda x: x.q)], taut.errors.UsageError, "until of phase 'phase1' must give a condition, such as x.F_ext[2] > 2.0; got ndarray"),
+        (lambda: [Move(PD, until=lambda x: x.q > 0.0)], taut.errors.ShapeError, "until of phase 'phase1' must give one condition; got an array of shape (3,); combine them with & or |, or compare taut.math.norm(...)"),
+        (lambda: [Move(PD, unless=lambda x: None)], taut.errors.UsageError, "unless of phase 'phase1' must give a condition, such as x.F_ext[2] > 2.0; got None; did it forget its return?"),
+        (lambda: [Move(PD, until=lambda x: taut.guards.lasting(lambda x: x.t > 1, ticks=2))], taut.errors.UsageError, "until of phase 'phase1' must give a condition, such as x.F_ext[2] > 2.0; got taut.guards.lasting(...), which stands around the whole guard"),
+        (lambda: [Move(PD, until=lambda x: x.elapsd > 1)], taut.errors.UsageError, "until of phase 'phase1' fails: AttributeError: the snapshot x has no quantity 'elapsd'; did you mean 'elapsed'?"),
+        (lambda: [Move(PD, until=lambda x: taut.guards.settled(x, position=1.0))], taut.errors.UsageError, "a JointMotion is reached within q=; got position="),
+        (lambda: [Move(PD, until=lambda x: taut.guards.settled(x))], taut.errors.UsageError, "a JointMotion is reached within q=; got none of them"),
+        (lambda: [Move(PD, until=lambda x: taut.guards.reached(x, 1.0, q=1.0))], taut.errors.UsageError, "a guard can tell whether a taut.Pose, TaskMotion or JointMotion is reached; got float"),  # type: ignore[arg-type]
+        (lambda: [Move(PD, until=lambda x: taut.guards.contact(x, 1.0, direction=[0, 0, 0]))], taut.errors.RangeError, "direction must have a length; got zeros"),
+        (lambda: [Move(PD, until=lambda x: taut.guards.contact(x, -1.0))], taut.errors.RangeError, "force must be >= 0 [N]; got -1.0"),
+        (lambda: [a, Move(taut.laws.PID(kp=np.ones(2)), name="b")], taut.errors.ShapeError, "phase 'b': kp must be a scalar, (3,) or (3, 3) for 3 joints; got shape (2,)"),
+        (lambda: [a, Move(Drive(), name="b")], taut.errors.MatchError, "the phases of a task give commands of one kind; these give 'a' a torque, 'b' a velocity"),
+        (lambda: taut.guards.lasting(7, ticks=1), taut.errors.UsageError, "lasting takes a guard, such as lambda x: taut.guards.contact(x, 2.0); got 7"),  # type: ignore[arg-type]
+        (lambda: taut.guards.lasting(lambda x: x.t > 1, ticks=0), taut.errors.RangeError, "ticks must be a whole number >= 1; got 0"),
+        (lambda: taut.run([a, wrist], plant, duration=1.0), taut.errors.MatchError, "phase 'touch' needs F_ext, which plant 'RigidPlant(planar3)' does not measure; it measures tau_meas, v; give the plant environment= or contact=, or take a taut.MujocoPlant"),
+        (lambda: [a, Move(PD, taut.JointMotion(q=[0.1]), name="b")], taut.errors.ShapeError, "phase 'b': ref.q must have shape (3,); the reference gives (1,)"),
+        (lambda: [a, Move(PD, taut.hold(taut.JointMotion(q=[0.1])), name="b")], taut.errors.ShapeError, "phase 'b': ref.q must have shape (3,); the reference gives (1,)"),
+        (lambda: [a, Move(PD, taut.trajectories.Quintic(q0=[0.0], q1=[1.0], duration=1.0), name="b")], taut.errors.ShapeError, "phase 'b': ref.q must have shape (3,); the reference gives (1,)"),
+        (lambda: taut.run([a], plant, Q, duration=1.0), taut.errors.UsageError, "each phase of a task has its own reference, as in taut.Phase(law, reference); leave ref out"),
+        (lambda: taut.run([Move(PD, taut.stream(period=0.1))], plant, duration=1.0), taut.errors.UsageError, "phase 'phase1': a stream in a simulation needs source=, a function that gives the next sample"),
+        (lambda: taut.run([Move(PD, lambda x: 7)], plant, duration=1.0), taut.errors.UsageError, "phase 'phase1': a reference is a sample such as taut.JointMotion(q=...), taut.hold(), a trajectory with at(t), taut.stream(...) or taut.chunk(...); got int"),  # type: ignore[arg-type, return-value]
+        (lambda: taut.run([Move(PD, lambda x: tool)], plant, duration=1.0), taut.errors.UsageError, "phase 'phase1': the law follows JointMotion; the reference is a TaskMotion"),
+        (lambda: taut.run([Move(PD, lambda x: 1 / 0)], plant, duration=1.0), taut.errors.UsageError, "phase 'phase1': its reference fails: ZeroDivisionError: division by zero"),  # type: ignore[arg-type, return-value]
+        (lambda: taut.compile([a], PLANAR).bind(), taut.errors.UsageError, "bind is for a law, whose reference is written from outside; the references of a task are made as its phases begin: take ctrl.step"),
+        (lambda: taut.compile(PD, PLANAR).phase, taut.errors.UsageError, "a controller of one law has no phases; compile a list of taut.Phase"),
+        (lambda: taut.compile([a], PLANAR).step(REST, np.zeros(3), Q), taut.errors.UsageError, "phase 'a' has its own reference; leave ref out of step"),
+        (lambda: taut.compile([a], PLANAR).step(REST[:2], np.zeros(3)), taut.errors.ShapeError, "q must have shape (3,); got shape (2,)"),
+        (lambda: taut.compile([a], PLANAR).step(), taut.errors.UsageError, "step needs q; got none"),
+        (lambda: taut.compile([wrist], PLANAR).step(REST, np.zeros(3)), taut.errors.UsageError, "step needs F_ext, which the law asks for: pass F_ext= or F_app=; got none"),
+        (lambda: taut.snapshot(PLANAR, REST).elapsed, taut.errors.UsageError, "x.elapsed is for the guards of a taut.Phase; a law has no phase"),
+        (lambda: taut.trajectories.Steady(T0=taut.Pose([0, 0, 0])), taut.errors.RangeError, "velocity or angular must be above zero, or nothing moves; got zeros"),
     ]  # fmt: skip
     for make, kind, text in cases:
         with pytest.raises(kind) as caught:
@@ -599,13 +611,13 @@ def test_what_is_no_task_is_refused_in_a_sentence() -> None:
 
 
 def test_a_branch_in_a_guard_is_told_with_its_line() -> None:
-    with pytest.raises(taut.TraceError, match=r"decides a branch at .*test_phases\.py"):
+    with pytest.raises(taut.errors.TraceError, match=r"decides a branch at .*test_phases\.py"):
         taut.compile([taut.Phase(PD, until=lambda x: x.q[0] > 0.0 and x.q[1] > 0.0)], PLANAR, engine="native")
 
 
 def test_explain_tells_what_follows_each_phase(capsys: pytest.CaptureFixture[str]) -> None:
     task = [
-        taut.Phase(PD, name="a", until=taut.lasting(lambda x: x.t > 1, ticks=2), timeout=2.0, otherwise="c"),
+        taut.Phase(PD, name="a", until=taut.guards.lasting(lambda x: x.t > 1, ticks=2), timeout=2.0, otherwise="c"),
         taut.Phase(Spring(kp=1.0), name="b", unless=lambda x: x.t > 3),
         taut.Phase(PD, name="c"),
     ]
@@ -619,7 +631,7 @@ def test_explain_tells_what_follows_each_phase(capsys: pytest.CaptureFixture[str
 
 
 def test_a_steady_motion_has_the_rates_of_its_pose() -> None:
-    steady = taut.Steady(
+    steady = taut.trajectories.Steady(
         T0=taut.Pose([0.1, 0.2, 0.3], rpy=[0.3, 0, 0]), velocity=[0, 0.1, -0.02], angular=[0, 0, 0.5]
     )
     h = 1e-5

@@ -27,8 +27,10 @@ def recorded_angles(n: int) -> Iterator[tuple[float, Float64Array]]:
         yield t, 0.4 * np.sin(rate * t + phase) + 0.001 * rng.standard_normal(n)
 
 
-def trajectory(n: int) -> taut.Sine:
-    return taut.Sine(center=np.full(n, 0.2), amplitude=0.5, frequency=0.4, phase=np.linspace(0.0, 1.0, n))
+def trajectory(n: int) -> taut.trajectories.Sine:
+    return taut.trajectories.Sine(
+        center=np.full(n, 0.2), amplitude=0.5, frequency=0.4, phase=np.linspace(0.0, 1.0, n)
+    )
 
 
 def torques_of(law: taut.Law, arm: taut.Arm, engine: str) -> Float64Array:

@@ -27,7 +27,7 @@ LAWS: dict[str, tuple[taut.Law, dict[str, Any]]] = {
         {"inner": laws.PID(kp=2.0, kd=2.0)},
     ),
     "VelocityPI": (laws.VelocityPI(kp=1.0), {"kp": 2.0}),
-    "ViaJointSpace": (taut.via_joint_space(JOINT), {"inner": laws.PID(kp=2.0, kd=2.0)}),
+    "ViaJointSpace": (taut.laws.via_joint_space(JOINT), {"inner": laws.PID(kp=2.0, kd=2.0)}),
     "TaskComputedTorque": (TASK, {"kd": (50.0, 20.0)}),
     "TaskVelocity": (laws.TaskVelocity(kp=5.0), {"kp": 6.0}),
     "TaskPosition": (laws.TaskPosition(kp=5.0), {"lead": 0.1}),
@@ -93,7 +93,7 @@ def test_a_gain_that_loses_its_meaning_goes_with_what_gave_it() -> None:
     assert "tracking" not in clamped.parameters()
     again = dataclasses.replace(clamped, anti_windup="back-calculation")  # type: ignore[type-var]
     assert again.parameters()["tracking"].item() == 10.0
-    with pytest.raises(taut.UsageError, match="tracking is for anti_windup='back-calculation'"):
+    with pytest.raises(taut.errors.UsageError, match="tracking is for anti_windup='back-calculation'"):
         dataclasses.replace(clamped, tracking=4.0)  # type: ignore[type-var]
 
 

@@ -45,15 +45,15 @@ class ShowAll(taut.Law):
 
 SENSINGS: dict[str, taut.Sensing] = {
     "measured": taut.Sensing(),
-    "low-pass": taut.Sensing(velocity=taut.LowPass(cutoff=[30.0, 40.0], order=2)),
+    "low-pass": taut.Sensing(velocity=taut.sensors.LowPass(cutoff=[30.0, 40.0], order=2)),
     "difference": taut.Sensing(velocity="difference"),
-    "difference and low-pass": taut.Sensing(velocity=taut.Difference(cutoff=30.0)),
-    "difference and second order": taut.Sensing(velocity=taut.Difference(cutoff=30.0, order=2)),
-    "kalman": taut.Sensing(velocity=taut.Kalman(acceleration_noise=[10.0, 30.0], position_noise=1e-4)),
-    "notch": taut.Sensing(notch=taut.Notch(frequency=[18.0, 0.0], width=4.0)),
+    "difference and low-pass": taut.Sensing(velocity=taut.sensors.Difference(cutoff=30.0)),
+    "difference and second order": taut.Sensing(velocity=taut.sensors.Difference(cutoff=30.0, order=2)),
+    "kalman": taut.Sensing(velocity=taut.sensors.Kalman(acceleration_noise=[10.0, 30.0], position_noise=1e-4)),
+    "notch": taut.Sensing(notch=taut.sensors.Notch(frequency=[18.0, 0.0], width=4.0)),
     "notch and kalman": taut.Sensing(
-        velocity=taut.Kalman(acceleration_noise=10.0, position_noise=1e-4),
-        notch=taut.Notch(frequency=18.0, width=4.0),
+        velocity=taut.sensors.Kalman(acceleration_noise=10.0, position_noise=1e-4),
+        notch=taut.sensors.Notch(frequency=18.0, width=4.0),
     ),
 }
 every = pytest.mark.parametrize("sensing", SENSINGS.values(), ids=SENSINGS)
@@ -77,7 +77,7 @@ def walk(seed: int = 0, ticks: int = 400) -> tuple[Array, Array]:
 @pytest.mark.parametrize("order", [1, 2])
 def test_a_low_pass_of_the_measured_velocity_is_scipys(engine: Any, order: Any) -> None:
     q, v = walk()
-    sensing = taut.Sensing(velocity=taut.LowPass(cutoff=25.0, order=order))
+    sensing = taut.Sensing(velocity=taut.sensors.LowPass(cutoff=25.0, order=order))
     got = steps(taut.compile(ShowV(), ARM, sensing=sensing, engine=engine), q, v)
     b, a = scipy.signal.butter(order, 25.0, fs=RATE)
     wanted, _ = scipy.signal.lfilter(b, a, v, axis=0, zi=scipy.signal.lfilter_zi(b, a)[:, np.newaxis] * v[0])
@@ -88,7 +88,7 @@ def test_a_low_pass_of_the_measured_velocity_is_scipys(engine: Any, order: Any) 
 @pytest.mark.parametrize("order", [1, 2])
 def test_differences_with_a_low_pass_are_scipys_of_the_differences(engine: Any, order: Any) -> None:
     q, _ = walk()
-    sensing = taut.Sensing(velocity=taut.Difference(cutoff=25.0, order=order))
+    sensing = taut.Sensing(velocity=taut.sensors.Difference(cutoff=25.0, order=order))
     got = steps(taut.compile(ShowV(), ARM, sensing=sensing, engine=engine), q)
     rates = np.vstack([np.zeros(2), np.diff(q, axis=0) * RATE])
     wanted = scipy.signal.lfilter(*scipy.signal.butter(order, 25.0, fs=RATE), rates, axis=0)
@@ -98,7 +98,7 @@ def test_differences_with_a_low_pass_are_scipys_of_the_differences(engine: Any, 
 @engines
 def test_a_notch_acts_on_positions_and_velocities_alike(engine: Any) -> None:
     q, v = walk()
-    sensing = taut.Sensing(notch=taut.Notch(frequency=18.0, width=4.0, depth=400.0))
+    sensing = taut.Sensing(notch=taut.sensors.Notch(frequency=18.0, width=4.0, depth=400.0))
     b, a = scipy.signal.iirnotch(18.0, 4.5, fs=RATE)
     for law, signal, given in ((ShowQ(), q, (q,)), (ShowV(), v, (q, v))):
         got = steps(taut.compile(law, ARM, sensing=sensing, engine=engine), given[0], v)
@@ -112,7 +112,9 @@ def test_a_notch_acts_on_positions_and_velocities_alike(engine: Any) -> None:
 def test_forces_and_torques_have_low_passes_of_their_own(engine: Any) -> None:
     rng = np.random.default_rng(1)
     F, tau = rng.standard_normal((200, 6)), rng.standard_normal((200, 2))
-    sensing = taut.Sensing(F_ext=taut.LowPass(cutoff=[20.0] * 6), tau_meas=taut.LowPass(cutoff=50.0, order=2))
+    sensing = taut.Sensing(
+        F_ext=taut.sensors.LowPass(cutoff=[20.0] * 6), tau_meas=taut.sensors.LowPass(cutoff=50.0, order=2)
+    )
     ctrl = taut.compile(ShowForce(), ARM, sensing=sensing, engine=engine)
     got = []
     for k in range(200):
@@ -134,12 +136,12 @@ def test_a_joint_that_turns_without_end_is_sensed_as_if_it_were_not_wrapped(name
     kinova = taut.load_arm("kinova")
     turns, n = list(kinova.continuous), kinova.n
     sensing = {
-        "difference and second order": taut.Sensing(velocity=taut.Difference(cutoff=30.0, order=2)),
-        "kalman": taut.Sensing(velocity=taut.Kalman(acceleration_noise=10.0, position_noise=1e-4)),
-        "notch": taut.Sensing(notch=taut.Notch(frequency=18.0, width=4.0)),
+        "difference and second order": taut.Sensing(velocity=taut.sensors.Difference(cutoff=30.0, order=2)),
+        "kalman": taut.Sensing(velocity=taut.sensors.Kalman(acceleration_noise=10.0, position_noise=1e-4)),
+        "notch": taut.Sensing(notch=taut.sensors.Notch(frequency=18.0, width=4.0)),
         "notch and kalman": taut.Sensing(
-            velocity=taut.Kalman(acceleration_noise=10.0, position_noise=1e-4),
-            notch=taut.Notch(frequency=18.0, width=4.0),
+            velocity=taut.sensors.Kalman(acceleration_noise=10.0, position_noise=1e-4),
+            notch=taut.sensors.Notch(frequency=18.0, width=4.0),
         ),
     }[name]
     t = np.arange(1500)[:, np.newaxis] / RATE
@@ -213,15 +215,15 @@ def test_its_numbers_are_parameters_that_act_without_a_compile(
 
 
 REFUSED: list[tuple[taut.Sensing, str, Any, type[taut.TautError], str]] = [
-    (SENSINGS["difference and low-pass"], "velocity.cutoff", 0.0, taut.RangeError, "sensing.velocity.cutoff must be > 0 [Hz]; got 0.0; leave it out for no low-pass"),
-    (SENSINGS["difference and low-pass"], "velocity.cutoff", 500.0, taut.RangeError, "sensing.velocity.cutoff must be < 500 [Hz], half the controller's rate of 1000 Hz; got 500.0; make it lower, or the rate higher"),
-    (SENSINGS["difference and low-pass"], "velocity.cutoff", [1.0, 2.0], taut.ShapeError, "sensing.velocity.cutoff was compiled with shape (); got shape (2,); compile the law with a value of the new shape"),
-    (SENSINGS["low-pass"], "velocity.cutoff", [30.0, 700.0], taut.RangeError, "sensing.velocity.cutoff[1] (joint 'joint2') must be < 500 [Hz], half the controller's rate of 1000 Hz; got 700.0; make it lower, or the rate higher"),
-    (SENSINGS["low-pass"], "velocity.cutoff", [1.0, 2.0, 3.0], taut.ShapeError, "sensing.velocity.cutoff must have shape (2,) (2 joints) [Hz]; got shape (3,)"),
-    (SENSINGS["low-pass"], "velocity.cutoff", np.nan, taut.RangeError, "sensing.velocity.cutoff must be finite [Hz]; got nan"),
-    (SENSINGS["notch"], "notch.frequency", 0.0, taut.RangeError, "sensing.notch.frequency must be > 0 [Hz]; got 0.0; leave the notch out for none"),
-    (SENSINGS["notch"], "notch.width", 600.0, taut.RangeError, "sensing.notch.width must be < 500 [Hz], half the controller's rate of 1000 Hz; got 600.0; make it lower, or the rate higher"),
-    (SENSINGS["kalman"], "velocity.position_noise", [1.0, -1.0], taut.RangeError, "sensing.velocity.position_noise[1] (joint 'joint2') must be > 0 [rad | m]; got -1.0"),
+    (SENSINGS["difference and low-pass"], "velocity.cutoff", 0.0, taut.errors.RangeError, "sensing.velocity.cutoff must be > 0 [Hz]; got 0.0; leave it out for no low-pass"),
+    (SENSINGS["difference and low-pass"], "velocity.cutoff", 500.0, taut.errors.RangeError, "sensing.velocity.cutoff must be < 500 [Hz], half the controller's rate of 1000 Hz; got 500.0; make it lower, or the rate higher"),
+    (SENSINGS["difference and low-pass"], "velocity.cutoff", [1.0, 2.0], taut.errors.ShapeError, "sensing.velocity.cutoff was compiled with shape (); got shape (2,); compile the law with a value of the new shape"),
+    (SENSINGS["low-pass"], "velocity.cutoff", [30.0, 700.0], taut.errors.RangeError, "sensing.velocity.cutoff[1] (joint 'joint2') must be < 500 [Hz], half the controller's rate of 1000 Hz; got 700.0; make it lower, or the rate higher"),
+    (SENSINGS["low-pass"], "velocity.cutoff", [1.0, 2.0, 3.0], taut.errors.ShapeError, "sensing.velocity.cutoff must have shape (2,) (2 joints) [Hz]; got shape (3,)"),
+    (SENSINGS["low-pass"], "velocity.cutoff", np.nan, taut.errors.RangeError, "sensing.velocity.cutoff must be finite [Hz]; got nan"),
+    (SENSINGS["notch"], "notch.frequency", 0.0, taut.errors.RangeError, "sensing.notch.frequency must be > 0 [Hz]; got 0.0; leave the notch out for none"),
+    (SENSINGS["notch"], "notch.width", 600.0, taut.errors.RangeError, "sensing.notch.width must be < 500 [Hz], half the controller's rate of 1000 Hz; got 600.0; make it lower, or the rate higher"),
+    (SENSINGS["kalman"], "velocity.position_noise", [1.0, -1.0], taut.errors.RangeError, "sensing.velocity.position_noise[1] (joint 'joint2') must be > 0 [rad | m]; got -1.0"),
 ]  # fmt: skip
 
 
@@ -238,13 +240,13 @@ def test_a_number_that_it_cannot_have_is_refused_when_it_is_given_in_a_run_too(
 @pytest.mark.parametrize(
     ("make", "kind", "message"),
     [
-        (lambda: taut.Sensing(velocity=3.0), taut.UsageError, "velocity must be 'measured', 'difference', taut.LowPass(...), taut.Difference(...) or taut.Kalman(...); got float"),
-        (lambda: taut.Sensing(notch=taut.LowPass(cutoff=3.0)), taut.UsageError, "notch must be taut.Notch(...) or None; got LowPass"),
-        (lambda: taut.Sensing(F_ext=30.0), taut.UsageError, "F_ext must be taut.LowPass(...) or None; got float"),
-        (lambda: taut.compile(ShowV(), ARM, rate=50.0, sensing=SENSINGS["difference and low-pass"]), taut.RangeError, "sensing.velocity.cutoff must be < 25 [Hz], half the controller's rate of 50 Hz; got 30.0; make it lower, or the rate higher"),
-        (lambda: taut.compile(ShowV(), ARM, sensing=taut.Sensing(notch=taut.Notch(frequency=[1.0] * 3, width=1.0))), taut.ShapeError, "sensing.notch.frequency must have shape (2,) (2 joints) [Hz]; got shape (3,)"),
-        (lambda: taut.compile(ShowForce(), ARM, sensing=taut.Sensing(F_ext=taut.LowPass(cutoff=[1.0, 1.0]))), taut.ShapeError, "sensing.F_ext.cutoff must have shape (6,) [Hz]; got shape (2,)"),
-        (lambda: taut.compile(ShowV(), ARM, sensing=taut.Sensing(F_ext=taut.LowPass(cutoff=9.0))), taut.UsageError, "sensing filters F_ext, which ShowV does not use; leave F_ext= out of the sensing"),
+        (lambda: taut.Sensing(velocity=3.0), taut.errors.UsageError, "velocity must be 'measured', 'difference', taut.sensors.LowPass(...), taut.sensors.Difference(...) or taut.sensors.Kalman(...); got float"),
+        (lambda: taut.Sensing(notch=taut.sensors.LowPass(cutoff=3.0)), taut.errors.UsageError, "notch must be taut.sensors.Notch(...) or None; got LowPass"),
+        (lambda: taut.Sensing(F_ext=30.0), taut.errors.UsageError, "F_ext must be taut.sensors.LowPass(...) or None; got float"),
+        (lambda: taut.compile(ShowV(), ARM, rate=50.0, sensing=SENSINGS["difference and low-pass"]), taut.errors.RangeError, "sensing.velocity.cutoff must be < 25 [Hz], half the controller's rate of 50 Hz; got 30.0; make it lower, or the rate higher"),
+        (lambda: taut.compile(ShowV(), ARM, sensing=taut.Sensing(notch=taut.sensors.Notch(frequency=[1.0] * 3, width=1.0))), taut.errors.ShapeError, "sensing.notch.frequency must have shape (2,) (2 joints) [Hz]; got shape (3,)"),
+        (lambda: taut.compile(ShowForce(), ARM, sensing=taut.Sensing(F_ext=taut.sensors.LowPass(cutoff=[1.0, 1.0]))), taut.errors.ShapeError, "sensing.F_ext.cutoff must have shape (6,) [Hz]; got shape (2,)"),
+        (lambda: taut.compile(ShowV(), ARM, sensing=taut.Sensing(F_ext=taut.sensors.LowPass(cutoff=9.0))), taut.errors.UsageError, "sensing filters F_ext, which ShowV does not use; leave F_ext= out of the sensing"),
     ],
     ids=range(7),
 )  # fmt: skip
@@ -280,7 +282,7 @@ def measurements(rng: np.random.Generator) -> dict[str, Array]:
 @engines
 def test_a_sensor_that_gives_nan_stops_its_tick_and_leaves_nothing_behind(sensing: taut.Sensing, engine: Any) -> None:
     """In the first tick and later, through step and through bound arrays; the next good tick is as if it never was."""
-    filters = {"F_ext": taut.LowPass(cutoff=30.0, order=2), "tau_meas": taut.LowPass(cutoff=30.0)}
+    filters = {"F_ext": taut.sensors.LowPass(cutoff=30.0, order=2), "tau_meas": taut.sensors.LowPass(cutoff=30.0)}
     whole = taut.Sensing(velocity=sensing.velocity, notch=sensing.notch, **filters)
     ctrl, twin = (taut.compile(ShowAll(), ARM, sensing=whole, engine=engine) for _ in range(2))
     rng, bound = np.random.default_rng(6), ctrl.bind()
@@ -291,13 +293,13 @@ def test_a_sensor_that_gives_nan_stops_its_tick_and_leaves_nothing_behind(sensin
                 bad = {**good, name: good[name].copy()}
                 bad[name][1] = wrong
                 who = " (joint 'joint2')" if len(bad[name]) == 2 else ""
-                with pytest.raises(taut.RangeError) as caught:
+                with pytest.raises(taut.errors.RangeError) as caught:
                     tick(ctrl, bad)
                 assert str(caught.value) == f"{name}[1]{who} must be finite; got {wrong!r} in tick {k}"
                 assert caught.value.joint == ("joint2" if who else None)
                 for path in ("q", *ctrl.side.takes):
                     getattr(bound, path)[:] = bad[path]
-                with pytest.raises(taut.RangeError) as caught:
+                with pytest.raises(taut.errors.RangeError) as caught:
                     bound.tick()
                 assert str(caught.value) == f"{name}[1]{who} must be finite; got {wrong!r} in tick {k}"
         np.testing.assert_array_equal(tick(ctrl, good), tick(twin, good))
@@ -313,7 +315,7 @@ def test_a_force_with_as_many_axes_as_joints_is_not_blamed_on_a_joint(engine: An
     arm = taut.load_arm("ur5")
     ctrl = taut.compile(Feels(), arm, engine=engine)
     F = np.array([0.0, np.nan, 0.0, 0.0, 0.0, 0.0])
-    with pytest.raises(taut.RangeError, match=r"^F_ext\[1\] must be finite; got nan in tick 0$"):
+    with pytest.raises(taut.errors.RangeError, match=r"^F_ext\[1\] must be finite; got nan in tick 0$"):
         ctrl.step(arm.home, np.zeros(6), taut.JointMotion(q=arm.home), F_ext=F)
 
 
@@ -329,10 +331,10 @@ def test_a_law_sees_the_motor_side_and_the_tip_as_they_are_given(engine: Any) ->
     for name, entry in (("q_motor", "q_motor"), ("v_motor", "v_motor"), ("a", "a_tip")):
         np.testing.assert_array_equal(ctrl.terms[name], given[entry][:2])
     for name in ("q_motor", "v_motor", "a_tip"):
-        with pytest.raises(taut.UsageError) as caught:
+        with pytest.raises(taut.errors.UsageError) as caught:
             tick(ctrl, {key: value for key, value in given.items() if key != name})
         assert str(caught.value) == f"step needs {name}, which the law asks for: pass {name}=; got none"
-    with pytest.raises(taut.ShapeError, match=r"^a_tip must have shape \(3,\); got shape \(2,\)$"):
+    with pytest.raises(taut.errors.ShapeError, match=r"^a_tip must have shape \(3,\); got shape \(2,\)$"):
         tick(ctrl, {**given, "a_tip": np.zeros(2)})
 
 
@@ -345,7 +347,7 @@ def test_a_law_sees_the_motor_side_and_the_tip_as_they_are_given(engine: Any) ->
     ],
 )
 def test_a_snapshot_says_what_would_measure_what_it_lacks(name: str, provider: str) -> None:
-    with pytest.raises(taut.MatchError) as caught:
+    with pytest.raises(taut.errors.MatchError) as caught:
         getattr(taut.snapshot(ARM, [0.0, 0.0]), name)
     assert str(caught.value) == f"the law asks for {name}, which is not measured; it needs {provider}"
 

@@ -74,7 +74,7 @@ def test_a_trajectory_and_a_sample_go_together(baxter: taut.Arm) -> None:
     right = tuple(name for name in baxter.joint_names if name.startswith("right"))
     law = taut.SideBySide(left=held("left"), right=(taut.laws.ComputedTorque(kp=100.0, kd=20.0), right))
     q0 = baxter.home[: len(right)]
-    wave = taut.Sine(center=q0, amplitude=0.1, frequency=0.5)
+    wave = taut.trajectories.Sine(center=q0, amplitude=0.1, frequency=0.5)
     ref = taut.together(left=both(baxter).left, right=wave)
     run = taut.run(taut.compile(law, baxter), taut.RigidPlant(baxter, friction=None), ref, duration=4.0)
     assert np.abs(run.q[-1000:, : len(right)] - wave.rows(run.t[-1000:]).q).max() <= 1e-3
@@ -83,12 +83,12 @@ def test_a_trajectory_and_a_sample_go_together(baxter: taut.Arm) -> None:
 def test_joints_that_carry_two_parts_are_refused() -> None:
     arm = taut.load_arm("panda")
     law = taut.SideBySide(a=held("x", tool="panda_hand_tcp"), b=held("x", tool="panda_link4"))
-    with pytest.raises(taut.MatchError, match="joint 'panda_joint1' of 'panda' belongs to a and to b"):
+    with pytest.raises(taut.errors.MatchError, match="joint 'panda_joint1' of 'panda' belongs to a and to b"):
         taut.compile(law, arm).needs  # noqa: B018
 
 
 def test_joints_without_a_law_are_refused(baxter: taut.Arm) -> None:
-    with pytest.raises(taut.MatchError, match="joint 'right_s0' of 'baxter' belongs to no law"):
+    with pytest.raises(taut.errors.MatchError, match="joint 'right_s0' of 'baxter' belongs to no law"):
         taut.compile(taut.SideBySide(left=held("left")), baxter).needs  # noqa: B018
 
 
@@ -101,21 +101,21 @@ def test_joints_without_a_law_are_refused(baxter: taut.Arm) -> None:
     ],
 )
 def test_what_is_no_law_is_refused(laws: dict[str, Any], sentence: str) -> None:
-    with pytest.raises(taut.UsageError, match=sentence):
+    with pytest.raises(taut.errors.UsageError, match=sentence):
         taut.SideBySide(**laws)
 
 
 def test_references_side_by_side_must_be_references() -> None:
-    with pytest.raises(taut.UsageError, match="left must be a sample or a trajectory; got int"):
+    with pytest.raises(taut.errors.UsageError, match="left must be a sample or a trajectory; got int"):
         taut.together(left=3)  # type: ignore[arg-type]
-    with pytest.raises(taut.UsageError, match="a hold needs its sample here"):
+    with pytest.raises(taut.errors.UsageError, match="a hold needs its sample here"):
         taut.together(left=taut.hold())
 
 
 def test_parts_of_two_kinds_of_command_are_refused(baxter: taut.Arm) -> None:
     right = tuple(name for name in baxter.joint_names if name.startswith("right"))
     law = taut.SideBySide(left=held("left"), right=(taut.laws.VelocityPI(kp=1.0), right))
-    with pytest.raises(taut.MatchError, match="left a torque, right a velocity"):
+    with pytest.raises(taut.errors.MatchError, match="left a torque, right a velocity"):
         taut.compile(law, baxter).needs  # noqa: B018
 
 
@@ -130,10 +130,10 @@ def test_references_of_other_names_are_told_with_both_lists(baxter: taut.Arm) ->
             "Together(left=TaskMotion, rihgt=TaskMotion)",
         ),
         (
-            taut.together(left=taut.Line(T0=pose, T1=pose, duration=1.0)),
+            taut.together(left=taut.trajectories.Line(T0=pose, T1=pose, duration=1.0)),
             "the law follows Together(left=TaskMotion, right=TaskMotion); the reference gives Together(left=TaskMotion)",
         ),
     ):
-        with pytest.raises(taut.UsageError) as caught:
+        with pytest.raises(taut.errors.UsageError) as caught:
             taut.run(ctrl, taut.RigidPlant(baxter), given, duration=0.01)
         assert str(caught.value) == sentence

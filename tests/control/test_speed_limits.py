@@ -129,13 +129,15 @@ class TestASpeedLimit:
         on = taut.snapshot(ARM, [0.3, 0.4]).M @ np.array([50.0, 50.0])
         tau = ctrl.step([0.3, 0.4], [1.0, 1.0], wanting(on))
         np.testing.assert_allclose(tau, 0.0, atol=1e-9)
-        with pytest.raises(taut.MatchError) as caught:
+        with pytest.raises(taut.errors.MatchError) as caught:
             taut.run(ctrl, taut.RigidPlant(ARM), duration=0.1)
         assert str(caught.value) == (
             "plant 'RigidPlant(planar2)' does not add gravity, and the acceleration that the controller's speed limit "
             "expects says otherwise; compile with adds=plant.adds"
         )
-        with pytest.raises(taut.MatchError, match=r"does not add coriolis, and the acceleration .* says otherwise"):
+        with pytest.raises(
+            taut.errors.MatchError, match=r"does not add coriolis, and the acceleration .* says otherwise"
+        ):
             taut.run(ctrl, taut.RigidPlant(ARM, adds=("gravity",)), duration=0.1)
 
     def test_asks_for_a_velocity_even_where_the_law_does_not(self) -> None:
@@ -158,7 +160,7 @@ class TestASpeedLimit:
         x = taut.snapshot(ARM, [0.0, 0.0], [0.5, 0.5])
         tau = ctrl.step([0.0, 0.0], [0.5, 0.5], wanting(x.M @ np.array([50.0, 50.0]) + x.h))
         np.testing.assert_allclose(x.forward_dynamics(tau), 0.0, atol=1e-9)
-        with pytest.raises(taut.RangeError, match=r"limits\.v_gain must be at most the rate, 1000 \[1/s\]"):
+        with pytest.raises(taut.errors.RangeError, match=r"limits\.v_gain must be at most the rate, 1000 \[1/s\]"):
             ctrl.parameters["limits.v_gain"] = 1001.0
 
 
@@ -224,7 +226,7 @@ def test_limits_on_a_position_are_refused_in_words() -> None:
         def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Position:
             return taut.Position(wanted=ref.q)
 
-    with pytest.raises(taut.MatchError) as caught:
+    with pytest.raises(taut.errors.MatchError) as caught:
         taut.compile(Place(), ARM, limits=Limits(v=1.0))
     assert str(caught.value) == "limits cut torques and velocities, and Place gives a position; leave limits=None"
 

@@ -169,7 +169,7 @@ class TestRaisedGains:
         ctrl.parameters["law.inner.kp"] = 20.0
         ctrl.parameters["law.factor"] = 2.0
         np.testing.assert_allclose(ctrl.step(Q, np.zeros(2), REF), 40.0 * (REF.q - Q))
-        with pytest.raises(taut.RangeError, match=r"law\.factor must be >= 1; got 0\.5"):
+        with pytest.raises(taut.errors.RangeError, match=r"law\.factor must be >= 1; got 0\.5"):
             ctrl.parameters["law.factor"] = 0.5
 
     @pytest.mark.parametrize("factor", [2.0, 5.0])
@@ -246,16 +246,16 @@ class TestRaisedBackCalculation:
         return taut.compile(law, taut.load_arm("one_joint"), rate=1000.0, limits=taut.Limits(tau=1.0))
 
     def test_no_faster_than_the_rate(self) -> None:
-        with pytest.raises(taut.RangeError) as caught:
+        with pytest.raises(taut.errors.RangeError) as caught:
             self.compiled(4.0, 500.0)
         assert str(caught.value) == (
             "tracking of a law whose gains are raised must be at most the rate over the factor, 250 [1/s], or its "
             "integral would swing near rest; got 500"
         )
         ctrl = self.compiled(2.0, 500.0)
-        with pytest.raises(taut.RangeError, match="at most the rate over the factor"):
+        with pytest.raises(taut.errors.RangeError, match="at most the rate over the factor"):
             ctrl.parameters["law.factor"] = 4.0
-        with pytest.raises(taut.RangeError, match="at most the rate over the factor"):
+        with pytest.raises(taut.errors.RangeError, match="at most the rate over the factor"):
             ctrl.parameters["law.inner.tracking"] = 800.0
 
     def test_at_the_rate_it_is_steady(self) -> None:
@@ -266,16 +266,16 @@ class TestRaisedBackCalculation:
 
 def test_a_frequency_is_checked_when_it_changes_too() -> None:
     ctrl = taut.compile(L.PID(kp=1.0) + L.Dither(amplitude=1.0, frequency=60.0), ARM)
-    with pytest.raises(taut.RangeError, match=r"must be below 500 \[Hz\], half the rate of 1000 Hz; got 700"):
+    with pytest.raises(taut.errors.RangeError, match=r"must be below 500 \[Hz\], half the rate of 1000 Hz; got 700"):
         ctrl.parameters["law.Dither.frequency"] = 700.0
     assert ctrl.parameters["law.Dither.frequency"] == 60.0
     event = taut.Event(t=0.1, set={"law.Dither.frequency": 700.0})
-    with pytest.raises(taut.RangeError, match="half the rate"):
+    with pytest.raises(taut.errors.RangeError, match="half the rate"):
         taut.run(ctrl, taut.RigidPlant(ARM), duration=0.2, events=[event])
 
 
 def test_a_dither_without_a_frequency_is_refused() -> None:
     law = taut.laws.PID(kp=1.0) + taut.laws.Dither(amplitude=1.0, frequency=0.0)
-    with pytest.raises(taut.RangeError) as caught:
+    with pytest.raises(taut.errors.RangeError) as caught:
         taut.compile(law, taut.load_arm("planar2"))
     assert str(caught.value) == "frequency must be > 0 [Hz]; got 0.0"

@@ -11,17 +11,17 @@ from task_motion_tools import POSES, START, assert_exact_rates
 
 import taut
 from taut.base.types import Float64Array
-from taut.control.fade import Fade, can_fade
-from taut.control.reference import Sample, sample_rows
-from taut.control.task_reference import TaskMotion
+from taut.control.trajectories.fade import Fade, can_fade
+from taut.control.trajectories.reference import Sample, sample_rows
+from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.rotation_rows import exp_rows, from_body_rates, log_rows, to_body_rates
 
 ARM = taut.load_arm("planar2")
 TIMES = np.array([0.0, 0.6, 1.1, 2.0])
 INSIDE = np.linspace(0.013, 1.983, 23)
 FIELDS = ("p", "R", "twist", "acceleration")
-MOVING = taut.Screw(T0=START, T1=POSES["generic"], duration=2.0)
-OTHER = taut.Circle(
+MOVING = taut.trajectories.Screw(T0=START, T1=POSES["generic"], duration=2.0)
+OTHER = taut.trajectories.Circle(
     T0=START,
     centre=START.p + np.array([0.0, 0.2, 0.0]),
     axis=[0.0, 0.6, 0.8][::-1] * np.array([1, 0, 1]),
@@ -134,7 +134,7 @@ class TestChunks:
         ],
     )
     def test_targets_that_do_not_fit_are_refused(self, make: Any, words: str) -> None:
-        with pytest.raises(taut.ShapeError) as caught:
+        with pytest.raises(taut.errors.ShapeError) as caught:
             make()
         assert str(caught.value).startswith(words)
 
@@ -195,10 +195,13 @@ def test_a_reference_of_ones_own_that_gives_no_rotation_is_refused() -> None:
 
     times = np.linspace(0.0, 1.0, 5)
     with pytest.raises(
-        taut.RangeError, match=r"^ref.R must be orthonormal; at t = 0.75 s R\^T R differs from the identity by 0.21$"
+        taut.errors.RangeError,
+        match=r"^ref.R must be orthonormal; at t = 0.75 s R\^T R differs from the identity by 0.21$",
     ):
         sample_rows(Mine(), times, TaskMotion, 7)
-    with pytest.raises(taut.RangeError, match=r"^ref.R\[1, 2\] must be finite; the reference gives nan at t = 0 s$"):
+    with pytest.raises(
+        taut.errors.RangeError, match=r"^ref.R\[1, 2\] must be finite; the reference gives nan at t = 0 s$"
+    ):
         sample_rows(Broken(), times, TaskMotion, 7)
 
 

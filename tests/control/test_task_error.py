@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 from task_tools import Array, JointPath, Target, se3
 
 import taut
-from taut.base import math as tm
-from taut.control.task_error import Coordinates, TaskError, task_error
+from taut.control.laws.task_error import Coordinates, TaskError, task_error
 from taut.maths.spatial import adjoint, pose_log_rate, rotation_exp
+from taut.trace import math as tm
 
 PANDA = taut.load_arm("panda")
 ARMS = {

@@ -14,7 +14,7 @@ L = taut.laws
 PANDA = taut.load_arm("panda")
 T = taut.snapshot(PANDA, PANDA.home).T()
 HERE = taut.TaskMotion(pose=T)
-Coordinates = taut.Coordinates
+Coordinates = taut.laws.Coordinates
 
 
 class Weight(taut.Law):
@@ -51,227 +51,227 @@ def step(ref: Any) -> Any:
 CASES: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (
         lambda: task(tool="panda_hand_tpc"),
-        taut.UnknownNameError,
+        taut.errors.UnknownNameError,
         "the arm has no frame 'panda_hand_tpc'; did you mean 'panda_hand_tcp' or 'panda_hand'? "
         "(13 frames: taut check MODEL lists them)",
     ),
-    (lambda: task(tool="nope"), taut.UnknownNameError, "the arm has no frame 'nope'; it has 'panda_link0', "),
-    (lambda: task(tool=3), taut.UnknownNameError, "a frame of the arm is named by a text; got 3"),
+    (lambda: task(tool="nope"), taut.errors.UnknownNameError, "the arm has no frame 'nope'; it has 'panda_link0', "),
+    (lambda: task(tool=3), taut.errors.UnknownNameError, "a frame of the arm is named by a text; got 3"),
     (
         lambda: task(null=L.Manipulability(tool="nope")),
-        taut.UnknownNameError,
+        taut.errors.UnknownNameError,
         "the arm has no frame 'nope'; it has 'panda_link0', ",
     ),
     (
         lambda: task(kp=[1.0, 2.0, 3.0]),
-        taut.ShapeError,
+        taut.errors.ShapeError,
         "kp must be a scalar, (linear, angular), (6,) or (6, 6) as its law declares it; got shape (3,)",
     ),
     (
         lambda: task(kd=np.eye(7)),
-        taut.ShapeError,
+        taut.errors.ShapeError,
         "kd must be a scalar, (linear, angular), (6,) or (6, 6) as its law declares it; got shape (7, 7)",
     ),
-    (lambda: task(kp=(100.0, -1.0)), taut.RangeError, "kp[1] must be >= 0 [1/s^2]; got -1.0"),
-    (lambda: task(ki=np.nan), taut.RangeError, "ki must be finite [1/s^3]; got nan"),
+    (lambda: task(kp=(100.0, -1.0)), taut.errors.RangeError, "kp[1] must be >= 0 [1/s^2]; got -1.0"),
+    (lambda: task(ki=np.nan), taut.errors.RangeError, "ki must be finite [1/s^3]; got nan"),
     (
         lambda: task(kp=-np.eye(6)),
-        taut.RangeError,
+        taut.errors.RangeError,
         "kp must be positive semidefinite [1/s^2]; its smallest eigenvalue is -1",
     ),
     (
         lambda: task(error="twist"),
-        taut.UsageError,
+        taut.errors.UsageError,
         "error must be one of 'decoupled', 'body', 'space', 'coordinates'; got 'twist'",
     ),
     (
         lambda: task(error="coordinates"),
-        taut.UsageError,
-        "TaskComputedTorque with error='coordinates' needs coordinates=taut.Coordinates(function=lambda T: T.p)",
+        taut.errors.UsageError,
+        "TaskComputedTorque with error='coordinates' needs coordinates=taut.laws.Coordinates(function=lambda T: T.p)",
     ),
     (
         lambda: task(coordinates=Coordinates.position()),
-        taut.UsageError,
+        taut.errors.UsageError,
         "coordinates are for error='coordinates', and this TaskComputedTorque has error='decoupled'; leave one of "
         "them out",
     ),
     (
         lambda: task(error="coordinates", coordinates=lambda T: T.p),
-        taut.UsageError,
-        "coordinates must be taut.Coordinates(function=lambda T: T.p); got function",
+        taut.errors.UsageError,
+        "coordinates must be taut.laws.Coordinates(function=lambda T: T.p); got function",
     ),
     (
         coordinates(3),
-        taut.UsageError,
+        taut.errors.UsageError,
         "Coordinates.function must be a function of the pose, such as lambda T: T.p; got int",
     ),
     (
         coordinates(lambda T: T.p[0]),
-        taut.ShapeError,
+        taut.errors.ShapeError,
         "coordinates must be 1 to 6 numbers, (k,); the function gives shape ()",
     ),
     (
         coordinates(lambda T: [*T.p, *T.p, 1.0]),
-        taut.ShapeError,
+        taut.errors.ShapeError,
         "coordinates must be 1 to 6 numbers, (k,); the function gives shape (7,)",
     ),
     (
         coordinates(lambda T: [T.p[0], [1.0]]),
-        taut.ShapeError,
+        taut.errors.ShapeError,
         "coordinates must be 1 to 6 numbers, (k,); the function gives rows of different lengths",
     ),
     (
         coordinates(lambda T: T.p, angles=(3,)),
-        taut.ShapeError,
+        taut.errors.ShapeError,
         "angles must be entries 0 to 2 of the coordinates; got 3",
     ),
     (
         coordinates(lambda T: T.p, angles=(1.5,)),
-        taut.UsageError,
+        taut.errors.UsageError,
         "Coordinates.angles must be a tuple of entries, such as angles=(2,); got (1.5,)",
     ),
     (
         coordinates(lambda T: T.p, angles=1),
-        taut.UsageError,
+        taut.errors.UsageError,
         "Coordinates.angles must be a tuple of entries, such as angles=(2,); got 1",
     ),
     (
         lambda: task(error="coordinates", coordinates=Coordinates.position(), kp=(100.0, 50.0)),
-        taut.ShapeError,
+        taut.errors.ShapeError,
         "kp must be a scalar, (3,) or (3, 3) as its law declares it; got shape (2,)",
     ),
     (
         lambda: task(error="coordinates", coordinates=Coordinates.position(), error_max=(0.1, 0.1)),
-        taut.UsageError,
+        taut.errors.UsageError,
         "error_max=(linear, angular) bounds the errors of a pose, and error='coordinates' has others; leave it out",
     ),
     (
         lambda: task(error_max=0.1),
-        taut.ShapeError,
+        taut.errors.ShapeError,
         "error_max needs one number for metres and one for radians, error_max=(linear, angular) [m, rad]; got "
         "shape ()",
     ),
     (
         lambda: task(error_max=np.eye(2)),
-        taut.ShapeError,
+        taut.errors.ShapeError,
         "error_max needs one number for metres and one for radians, error_max=(linear, angular) [m, rad]; got "
         "shape (2, 2)",
     ),
     (
         lambda: task(error_max=(0.1, 0.0)),
-        taut.RangeError,
+        taut.errors.RangeError,
         "error_max[1] must be >= 1e-09 [m, rad]; got 0.0",
     ),
     (
         lambda: task(error_max=(0.1, 0.1)).parameters.__setitem__("law.error_max", (0.0, 0.1)),
-        taut.RangeError,
+        taut.errors.RangeError,
         "law.error_max[0] must be >= 1e-09 [m, rad]; got 0.0",
     ),
     (
         lambda: task(null=L.Posture),
-        taut.UsageError,
+        taut.errors.UsageError,
         "null holds a law such as taut.laws.Posture(); got type",
     ),
     (
         lambda: task(null=L.PID(kp=1.0, kd=1.0)),
-        taut.UsageError,
+        taut.errors.UsageError,
         "null holds a law that follows no reference, such as taut.laws.Posture(), and PID follows a JointMotion",
     ),
     (
         lambda: task(null=Weight()),
-        taut.UsageError,
+        taut.errors.UsageError,
         "null: Weight compensates gravity, which the law around it adds already; use a law without, such as "
         "taut.laws.Posture()",
     ),
     (
         lambda: task(null=L.GravityCompensation()),
-        taut.UsageError,
+        taut.errors.UsageError,
         "null: GravityCompensation compensates gravity, which the law around it adds already; use a law without, "
         "such as taut.laws.Posture()",
     ),
     (
         lambda: task(null=Speed()),
-        taut.UsageError,
+        taut.errors.UsageError,
         "null holds a law that gives a torque, and Speed gives a velocity",
     ),
     (
         lambda: taut.compile(L.TaskComputedTorque(kp=1.0, kd=1.0, null=L.Posture(kp=2.0)), taut.load_arm("ur10")),
-        taut.MatchError,
+        taut.errors.MatchError,
         "null=Posture(...) is for motion that the task leaves free, and with 6 joints 'ur10' has none beside 6 "
         "directions; leave null out",
     ),
     (
         lambda: taut.compile(L.Impedance(K=(1.0, 1.0), zeta=1.0, null=L.Posture()), taut.load_arm("planar3")),
-        taut.MatchError,
+        taut.errors.MatchError,
         "null=Posture(...) is for motion that the task leaves free, and with 3 joints 'planar3' has none beside 6 "
         "directions; leave null out",
     ),
     (
         lambda: task(null=L.Posture(q=[0.0, 0.0])),
-        taut.ShapeError,
+        taut.errors.ShapeError,
         "q must have shape (7,) (7 joints); got shape (2,)",
     ),
-    (lambda: L.Posture(q=[0.0, np.nan]), taut.RangeError, "q[1] must be finite [rad | m]; got nan"),
+    (lambda: L.Posture(q=[0.0, np.nan]), taut.errors.RangeError, "q[1] must be finite [rad | m]; got nan"),
     (
         lambda: L.LimitAvoidance(margin=np.eye(7)),
-        taut.ShapeError,
+        taut.errors.ShapeError,
         "margin must be one number or one per joint [rad | m]; got shape (7, 7)",
     ),
-    (lambda: L.LimitAvoidance(margin=0.0), taut.RangeError, "margin must be >= 1e-06 [rad | m]; got 0.0"),
+    (lambda: L.LimitAvoidance(margin=0.0), taut.errors.RangeError, "margin must be >= 1e-06 [rad | m]; got 0.0"),
     (
         lambda: L.Manipulability(most=np.eye(7)),
-        taut.ShapeError,
+        taut.errors.ShapeError,
         "most must be one number or one per joint [1/rad | 1/m]; got shape (7, 7)",
     ),
     (
         lambda: taut.compile(L.Manipulability(), taut.load_arm("planar3")),
-        taut.UsageError,
+        taut.errors.UsageError,
         "Manipulability is for arms of 6 joints and more; 'planar3' has 3, and its measure is zero",
     ),
     (
         lambda: task(tracking=5.0),
-        taut.UsageError,
+        taut.errors.UsageError,
         "TaskComputedTorque: tracking is for anti_windup='back-calculation', and this one has 'clamping'; leave it "
         "out",
     ),
     (
         lambda: task(anti_windup="back-calculation", ki=1.0, tracking=1e5),
-        taut.RangeError,
+        taut.errors.RangeError,
         "tracking must be at most the rate, 1000 [1/s], or the integral would swing; got 100000",
     ),
     (
         lambda: step(taut.JointMotion(q=PANDA.home)),
-        taut.UsageError,
+        taut.errors.UsageError,
         "step needs ref, a taut.TaskMotion; got JointMotion",
     ),
     (
         lambda: taut.TaskMotion(pose=np.eye(4)),  # type: ignore[arg-type]
-        taut.UsageError,
+        taut.errors.UsageError,
         "ref.pose must be a taut.Pose(p=..., rpy=...); got ndarray",
     ),
     (
         lambda: taut.TaskMotion(pose=taut.Pose([0.0, np.nan, 0.0])),
-        taut.RangeError,
+        taut.errors.RangeError,
         "p[1] must be finite [m]; got nan",
     ),
     (
         lambda: taut.TaskMotion(pose=taut.Pose([0.0, 0.0, 0.0], xyzw=[0.0, 0.0, 0.0, 1.1])),
-        taut.RangeError,
+        taut.errors.RangeError,
         "xyzw must have length 1; its length is 1.1; divide it by its length",
     ),
     (
         lambda: taut.TaskMotion(pose=T, twist=[0.0, 0.0, 0.0]),
-        taut.ShapeError,
+        taut.errors.ShapeError,
         "ref.twist must have shape (6,) [m/s, rad/s]; got shape (3,)",
     ),
     (
         lambda: taut.TaskMotion(pose=T, acceleration=[np.inf] * 6),
-        taut.RangeError,
+        taut.errors.RangeError,
         "ref.acceleration[0] must be finite; got inf",
     ),
     (
         lambda: taut.TaskMotion(pose=T, frame="base"),  # type: ignore[arg-type]
-        taut.UsageError,
+        taut.errors.UsageError,
         "frame must be one of 'world', 'tool'; got 'base'",
     ),
 ]
@@ -296,10 +296,10 @@ def test_is_said_in_one_sentence(act: Callable[[], Any], kind: type[Exception], 
     ],
 )
 def test_a_goal_where_coordinates_are_singular_is_refused_and_costs_nothing(
-    coordinates: taut.Coordinates, pose: taut.Pose
+    coordinates: taut.laws.Coordinates, pose: taut.Pose
 ) -> None:
     ctrl = taut.compile(L.TaskComputedTorque(kp=100.0, kd=20.0, error="coordinates", coordinates=coordinates), PANDA)
-    with pytest.raises(taut.NumericalError, match="gives numbers that are not finite in tick 0"):
+    with pytest.raises(taut.errors.NumericalError, match="gives numbers that are not finite in tick 0"):
         ctrl.step(PANDA.home, np.zeros(7), taut.TaskMotion(pose=pose))
     assert np.isfinite(ctrl.step(PANDA.home, np.zeros(7), HERE)).all()
 

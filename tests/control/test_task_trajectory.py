@@ -19,17 +19,17 @@ FIELDS = ("p", "R", "twist", "acceleration")
 SCALINGS = ("quintic", "cubic", "trapezoidal")
 
 
-def straight(T1: taut.Pose, **options: Any) -> taut.Line:
-    return taut.Line(T0=START, T1=T1, **({"duration": T} | options))
+def straight(T1: taut.Pose, **options: Any) -> taut.trajectories.Line:
+    return taut.trajectories.Line(T0=START, T1=T1, **({"duration": T} | options))
 
 
-def screw(T1: taut.Pose, **options: Any) -> taut.Screw:
-    return taut.Screw(T0=START, T1=T1, **({"duration": T} | options))
+def screw(T1: taut.Pose, **options: Any) -> taut.trajectories.Screw:
+    return taut.trajectories.Screw(T0=START, T1=T1, **({"duration": T} | options))
 
 
-def ring(**options: Any) -> taut.Circle:
+def ring(**options: Any) -> taut.trajectories.Circle:
     given: dict[str, Any] = {"centre": START.p + np.array([0.0, 0.1, 0.0]), "axis": [1.0, 0.0, 0.0], "duration": T}
-    return taut.Circle(T0=START, **(given | options))
+    return taut.trajectories.Circle(T0=START, **(given | options))
 
 
 @pytest.fixture(params=SCALINGS)
@@ -127,7 +127,7 @@ class TestCircle:
         rng = np.random.default_rng(3)
         for _ in range(20):
             via, end = START.p + 0.2 * rng.standard_normal((2, 3))
-            arc = taut.Circle.through(T0=START, via=via, end=end, duration=T)
+            arc = taut.trajectories.Circle.through(T0=START, via=via, end=end, duration=T)
             np.testing.assert_allclose(arc.at(T).p, end, atol=1e-12)
             distances = np.linalg.norm(arc.rows(np.linspace(0.0, T, 20001)).p - via, axis=1)
             assert distances.min() < 1e-3 * arc.radius  # of the nearest of the rows
@@ -168,7 +168,7 @@ class TestLimits:
         used = np.array(parts) / np.array([*limits[0], *limits[1]])
         assert used.max() <= 1.0 + 1e-9
         # A trapezoid on a curve leaves room for both parts of its acceleration.
-        least = 0.7 if scaling == "trapezoidal" and not isinstance(motion, taut.Line) else 0.999
+        least = 0.7 if scaling == "trapezoidal" and not isinstance(motion, taut.trajectories.Line) else 0.999
         assert used.max() > least
 
     def test_a_duration_that_limits_allow_is_kept_with_them(self, scaling: str) -> None:
@@ -201,14 +201,14 @@ class TestSamples:
     @pytest.mark.parametrize("interpolation", ["spline", "linear"])
     @pytest.mark.parametrize("count", [1, 2, 3, 4])
     def test_they_go_through_their_poses_with_exact_rates(self, interpolation: str, count: int) -> None:
-        motion = taut.TaskSamples(times=KNOTS[:count], poses=WAY[:count], interpolation=interpolation)
+        motion = taut.trajectories.TaskSamples(times=KNOTS[:count], poses=WAY[:count], interpolation=interpolation)
         for t, pose in zip(KNOTS[:count], WAY, strict=False):
             np.testing.assert_allclose(motion.at(t).p, pose.p, atol=1e-14)
             np.testing.assert_allclose(motion.at(t).R, pose.R, atol=1e-13)
         assert_exact_rates(motion, INSIDE)
 
     def test_a_spline_starts_and_ends_at_rest_and_its_acceleration_is_continuous(self) -> None:
-        motion = taut.TaskSamples(times=KNOTS, poses=WAY)
+        motion = taut.trajectories.TaskSamples(times=KNOTS, poses=WAY)
         assert motion.duration == 2.0
         for t in (-0.5, 0.0, 2.0, 2.5):
             np.testing.assert_allclose(motion.at(t).twist, 0.0, atol=1e-14)
@@ -218,7 +218,7 @@ class TestSamples:
             np.testing.assert_allclose(near.acceleration, far.acceleration, atol=1e-5)
 
     def test_linear_ones_are_slerp_in_between(self) -> None:
-        motion = taut.TaskSamples(times=KNOTS, poses=WAY, interpolation="linear")
+        motion = taut.trajectories.TaskSamples(times=KNOTS, poses=WAY, interpolation="linear")
         slerp = Slerp(KNOTS, Rotation.from_matrix([pose.R for pose in WAY]))
         np.testing.assert_allclose(motion.rows(INSIDE).R, slerp(INSIDE).as_matrix(), atol=1e-14)
 
@@ -232,8 +232,8 @@ class TestSamples:
         ]
         file = tmp_path / "way.csv"
         file.write_text("\n".join(lines))
-        read = taut.TaskSamples.from_csv(file)
-        given = taut.TaskSamples(times=KNOTS, poses=WAY)
+        read = taut.trajectories.TaskSamples.from_csv(file)
+        given = taut.trajectories.TaskSamples(times=KNOTS, poses=WAY)
         for name in FIELDS:
             np.testing.assert_allclose(
                 getattr(read.rows(INSIDE), name), getattr(given.rows(INSIDE), name), atol=1e-11
@@ -244,98 +244,110 @@ POINT = {"T0": START, "T1": START}
 NOT_A_POSE: Any = [0.4, 0.0, 0.3]
 REFUSED: list[tuple[Any, type[Exception], str]] = [
     (
-        lambda: taut.Line(T0=NOT_A_POSE, T1=START, duration=1.0),
-        taut.UsageError,
+        lambda: taut.trajectories.Line(T0=NOT_A_POSE, T1=START, duration=1.0),
+        taut.errors.UsageError,
         "T0 must be a taut.Pose(p=..., rpy=...); got list",
     ),
     (
-        lambda: taut.Screw(T0=START, T1=NOT_A_POSE, duration=1.0),
-        taut.UsageError,
+        lambda: taut.trajectories.Screw(T0=START, T1=NOT_A_POSE, duration=1.0),
+        taut.errors.UsageError,
         "T1 must be a taut.Pose(p=..., rpy=...); got list",
     ),
     (
-        lambda: taut.Line(**POINT),
-        taut.UsageError,
+        lambda: taut.trajectories.Line(**POINT),
+        taut.errors.UsageError,
         "Line needs duration= [s], or velocity= and acceleration=, each (linear, angular)",
     ),
     (
-        lambda: taut.Line(**POINT, velocity=(1.0, 1.0)),
-        taut.UsageError,
+        lambda: taut.trajectories.Line(**POINT, velocity=(1.0, 1.0)),
+        taut.errors.UsageError,
         "Line needs acceleration= too, as (linear, angular) [m/s^2, rad/s^2]",
     ),
     (
         lambda: ring(acceleration=(1.0, 1.0)),
-        taut.UsageError,
+        taut.errors.UsageError,
         "Circle needs velocity= too, as (linear, angular) [m/s, rad/s]",
     ),
     (
-        lambda: taut.Line(**POINT, velocity=0.5, acceleration=(1.0, 1.0)),
-        taut.ShapeError,
+        lambda: taut.trajectories.Line(**POINT, velocity=0.5, acceleration=(1.0, 1.0)),
+        taut.errors.ShapeError,
         "velocity must be (linear, angular) [m/s, rad/s]; got 0.5",
     ),
     (
-        lambda: taut.Line(**POINT, velocity=(0.5, 0.0), acceleration=(1.0, 1.0)),
-        taut.RangeError,
+        lambda: taut.trajectories.Line(**POINT, velocity=(0.5, 0.0), acceleration=(1.0, 1.0)),
+        taut.errors.RangeError,
         "velocity[1] must be > 0 [m/s, rad/s]; got 0.0",
     ),
-    (lambda: taut.Line(**POINT, duration=0.0), taut.RangeError, "duration must be > 0 [s]; got 0.0"),
     (
-        lambda: taut.Line(**POINT, duration=1.0, scaling="min-jerk"),
-        taut.UsageError,
+        lambda: taut.trajectories.Line(**POINT, duration=0.0),
+        taut.errors.RangeError,
+        "duration must be > 0 [s]; got 0.0",
+    ),
+    (
+        lambda: taut.trajectories.Line(**POINT, duration=1.0, scaling="min-jerk"),
+        taut.errors.UsageError,
         "scaling must be one of 'quintic', 'cubic', 'trapezoidal'; got 'min-jerk'",
     ),
     (
         lambda: straight(POSES["pure translation"], duration=0.1, velocity=(0.1, 1.0), acceleration=(1.0, 1.0)),
-        taut.RangeError,
+        taut.errors.RangeError,
         "duration must be >= 5.04859 [s], which velocity and acceleration allow; got 0.1",
     ),
-    (lambda: ring(axis=[0.0, 0.0, 0.0]), taut.RangeError, "axis must have a direction; got zeros"),
+    (lambda: ring(axis=[0.0, 0.0, 0.0]), taut.errors.RangeError, "axis must have a direction; got zeros"),
     (
         lambda: ring(centre=START.p),
-        taut.RangeError,
+        taut.errors.RangeError,
         "centre is where the circle starts, so that it has no radius; give another point",
     ),
     (
         lambda: ring(centre=[0.41, 0.0, 0.3]),
-        taut.RangeError,
+        taut.errors.RangeError,
         "centre must be in the plane through T0 that the axis is normal to; it is 0.01 m off, and the nearest point is [0.4, 0.0, 0.3]",
     ),
     (
         lambda: ring(angle=-360),
-        taut.RangeError,
+        taut.errors.RangeError,
         "angle must be in radians; got -360, which is 57.3 turns; if it is in degrees, np.radians(-360) converts it",
     ),
-    (lambda: ring(orientation="free"), taut.UsageError, "orientation must be one of 'keep', 'turn'; got 'free'"),
     (
-        lambda: taut.Circle.through(T0=START, via=START.p, end=START.p + 0.1, duration=1.0),
-        taut.RangeError,
-        "via and end must make a circle with T0: three different points that are not on one line; for a straight line take taut.Line",
+        lambda: ring(orientation="free"),
+        taut.errors.UsageError,
+        "orientation must be one of 'keep', 'turn'; got 'free'",
     ),
     (
-        lambda: taut.Circle.through(T0=START, via=START.p + 0.05, end=START.p + 0.1, duration=1.0),
-        taut.RangeError,
+        lambda: taut.trajectories.Circle.through(T0=START, via=START.p, end=START.p + 0.1, duration=1.0),
+        taut.errors.RangeError,
+        "via and end must make a circle with T0: three different points that are not on one line; for a straight line take taut.trajectories.Line",
+    ),
+    (
+        lambda: taut.trajectories.Circle.through(T0=START, via=START.p + 0.05, end=START.p + 0.1, duration=1.0),
+        taut.errors.RangeError,
         "via and end must make a circle with T0",
     ),
-    (lambda: straight(START).at(np.nan), taut.RangeError, "t must be finite [s]; got nan"),
+    (lambda: straight(START).at(np.nan), taut.errors.RangeError, "t must be finite [s]; got nan"),
     (
-        lambda: taut.TaskSamples(times=[0.0], poses=[NOT_A_POSE]),
-        taut.UsageError,
+        lambda: taut.trajectories.TaskSamples(times=[0.0], poses=[NOT_A_POSE]),
+        taut.errors.UsageError,
         "poses must be a list of taut.Pose(p=..., rpy=...)",
     ),
     (
-        lambda: taut.TaskSamples(times=[0.0, 1.0], poses=[START]),
-        taut.ShapeError,
+        lambda: taut.trajectories.TaskSamples(times=[0.0, 1.0], poses=[START]),
+        taut.errors.ShapeError,
         "poses must have one pose per time; got 1 for 2 times",
     ),
     (
-        lambda: taut.TaskSamples(times=[0.0, 0.0], poses=[START, START]),
-        taut.RangeError,
+        lambda: taut.trajectories.TaskSamples(times=[0.0, 0.0], poses=[START, START]),
+        taut.errors.RangeError,
         "times must increase; times[1] = 0 follows 0",
     ),
-    (lambda: taut.TaskSamples(times=[], poses=[]), taut.ShapeError, "times must be a vector (k,); got shape (0,)"),
     (
-        lambda: taut.TaskSamples(times=[0.0], poses=[START], interpolation="cubic"),
-        taut.UsageError,
+        lambda: taut.trajectories.TaskSamples(times=[], poses=[]),
+        taut.errors.ShapeError,
+        "times must be a vector (k,); got shape (0,)",
+    ),
+    (
+        lambda: taut.trajectories.TaskSamples(times=[0.0], poses=[START], interpolation="cubic"),
+        taut.errors.UsageError,
         "interpolation must be one of 'spline', 'linear'; got 'cubic'",
     ),
 ]
@@ -366,6 +378,6 @@ def test_bad_input_is_refused_in_one_sentence(make: Any, kind: type[Exception], 
 def test_a_csv_file_that_holds_no_poses_is_refused(text: str, words: str, tmp_path: Path) -> None:
     file = tmp_path / "way.csv"
     file.write_text(text)
-    with pytest.raises(taut.FileError) as caught:
-        taut.TaskSamples.from_csv(file)
+    with pytest.raises(taut.errors.FileError) as caught:
+        taut.trajectories.TaskSamples.from_csv(file)
     assert str(caught.value).endswith(words)

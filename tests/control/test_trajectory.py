@@ -16,21 +16,21 @@ STEP = 1e-5
 CENTRAL = 1e-5  # error of a central difference of these curves at STEP
 
 CURVES = {
-    "cubic": taut.Cubic(q0=Q0, q1=Q1, duration=2.0),
-    "quintic": taut.Quintic(q0=Q0, q1=Q1, duration=2.0),
-    "trapezoidal": taut.Trapezoidal(q0=Q0, q1=Q1, velocity=1.2, acceleration=3.0),
-    "short trapezoidal": taut.Trapezoidal(q0=Q0, q1=Q1, velocity=10.0, acceleration=3.0),
-    "jerk-limited": taut.JerkLimited(q0=Q0, q1=Q1, velocity=1.2, acceleration=3.0, jerk=20.0),
-    "spline": taut.Spline(times=[0.0, 0.7, 2.0], points=[Q0, [0.3, 0.4, 0.5], Q1]),
+    "cubic": taut.trajectories.Cubic(q0=Q0, q1=Q1, duration=2.0),
+    "quintic": taut.trajectories.Quintic(q0=Q0, q1=Q1, duration=2.0),
+    "trapezoidal": taut.trajectories.Trapezoidal(q0=Q0, q1=Q1, velocity=1.2, acceleration=3.0),
+    "short trapezoidal": taut.trajectories.Trapezoidal(q0=Q0, q1=Q1, velocity=10.0, acceleration=3.0),
+    "jerk-limited": taut.trajectories.JerkLimited(q0=Q0, q1=Q1, velocity=1.2, acceleration=3.0, jerk=20.0),
+    "spline": taut.trajectories.Spline(times=[0.0, 0.7, 2.0], points=[Q0, [0.3, 0.4, 0.5], Q1]),
 }
 
 
 @pytest.fixture(params=list(CURVES))
-def curve(request: pytest.FixtureRequest) -> taut.Quintic:
+def curve(request: pytest.FixtureRequest) -> taut.trajectories.Quintic:
     return CURVES[request.param]
 
 
-def test_it_starts_and_ends_at_rest_at_its_ends_and_stays_there(curve: taut.Quintic) -> None:
+def test_it_starts_and_ends_at_rest_at_its_ends_and_stays_there(curve: taut.trajectories.Quintic) -> None:
     for t, q in ((-1.0, Q0), (0.0, Q0), (curve.duration, Q1), (curve.duration + 5.0, Q1)):
         sample = curve.at(t)
         np.testing.assert_allclose(sample.q, q, atol=1e-9)
@@ -39,7 +39,7 @@ def test_it_starts_and_ends_at_rest_at_its_ends_and_stays_there(curve: taut.Quin
         np.testing.assert_array_equal(curve.at(t).a, 0.0)
 
 
-def test_velocity_and_acceleration_are_the_derivatives(curve: taut.Quintic) -> None:
+def test_velocity_and_acceleration_are_the_derivatives(curve: taut.trajectories.Quintic) -> None:
     # Off the instants at which the acceleration or the jerk of a curve jumps.
     for t in np.linspace(0.013, curve.duration - 0.017, 23):
         before, now, after = curve.at(t - STEP), curve.at(t), curve.at(t + STEP)
@@ -49,7 +49,7 @@ def test_velocity_and_acceleration_are_the_derivatives(curve: taut.Quintic) -> N
         np.testing.assert_allclose(now.a, (after.v - before.v) / (2 * STEP), atol=1e-3)
 
 
-def test_many_times_at_once_are_the_same_as_one_by_one(curve: taut.Quintic) -> None:
+def test_many_times_at_once_are_the_same_as_one_by_one(curve: taut.trajectories.Quintic) -> None:
     times = np.linspace(-0.2, curve.duration + 0.2, 41)
     rows = curve.rows(times)
     for k, t in enumerate(times):
@@ -90,13 +90,13 @@ def test_a_spline_goes_through_its_points_with_continuous_acceleration() -> None
 
 
 def test_a_trapezoid_that_does_not_move_takes_no_time() -> None:
-    curve = taut.Trapezoidal(q0=Q0, q1=Q0, velocity=1.0, acceleration=1.0)
+    curve = taut.trajectories.Trapezoidal(q0=Q0, q1=Q0, velocity=1.0, acceleration=1.0)
     assert curve.duration == 0.0
     np.testing.assert_array_equal(curve.at(0.5).q, Q0)
 
 
 def test_a_sine_is_the_one_of_its_formula() -> None:
-    curve = taut.Sine(center=[1.0, 2.0], amplitude=[0.5, 0.25], frequency=2.0, phase=[0.0, 1.0])
+    curve = taut.trajectories.Sine(center=[1.0, 2.0], amplitude=[0.5, 0.25], frequency=2.0, phase=[0.0, 1.0])
     t, w = 0.3, 4.0 * np.pi
     phase = np.array([0.0, 1.0])
     sample = curve.at(t)
@@ -110,7 +110,7 @@ class TestSamples:
     q = np.array([[0.0, 1.0], [1.0, 1.0], [4.0, 0.0]])
 
     def test_positions_are_linear_in_between_and_held_outside(self) -> None:
-        samples = taut.Samples(times=self.times, q=self.q)
+        samples = taut.trajectories.Samples(times=self.times, q=self.q)
         np.testing.assert_allclose(samples.at(0.25).q, [0.5, 1.0])
         np.testing.assert_allclose(samples.at(9.0).q, [4.0, 0.0])
         np.testing.assert_array_equal(samples.at(9.0).v, 0.0)
@@ -119,7 +119,7 @@ class TestSamples:
         file = tmp_path / "path.csv"
         rows = ["t,q1,q2,v1,v2"] + [f"{t},{q[0]},{q[1]},0.5,-0.5" for t, q in zip(self.times, self.q, strict=True)]
         file.write_text("\n".join(rows) + "\n")
-        samples = taut.Samples.from_csv(file)
+        samples = taut.trajectories.Samples.from_csv(file)
         np.testing.assert_array_equal(samples.q, self.q)
         np.testing.assert_array_equal(samples.at(0.5).v, [0.5, -0.5])
 
@@ -129,7 +129,7 @@ class TestSamples:
         columns = ["t", *(f"{letter}{i}" for letter in f"q{rates}" for i in (1, 2))]
         table = np.column_stack([self.times, self.q, *(given[letter] for letter in rates)])
         np.savetxt(tmp_path / "path.csv", table, delimiter=",", header=",".join(columns), comments="")
-        samples = taut.Samples.from_csv(tmp_path / "path.csv")
+        samples = taut.trajectories.Samples.from_csv(tmp_path / "path.csv")
         np.testing.assert_array_equal(samples.q, self.q)
         v = given["v"] if "v" in rates else np.gradient(self.q, self.times, axis=0)
         np.testing.assert_array_equal(samples.v, v)
@@ -159,30 +159,30 @@ class TestSamples:
         file = tmp_path / "path.csv"
         file.write_text(text)
         with pytest.raises(taut.TautError) as caught:
-            taut.Samples.from_csv(file)
+            taut.trajectories.Samples.from_csv(file)
         assert message in str(caught.value)
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: taut.Quintic(q0=[0.0], q1=[1.0], duration=0.0), "duration must be > 0 [s]; got 0.0"),
+        (lambda: taut.trajectories.Quintic(q0=[0.0], q1=[1.0], duration=0.0), "duration must be > 0 [s]; got 0.0"),
         (
-            lambda: taut.Quintic(q0=[0.0], q1=[1.0, 2.0], duration=1.0),
+            lambda: taut.trajectories.Quintic(q0=[0.0], q1=[1.0, 2.0], duration=1.0),
             "q1 must have shape (1,), like the others; got (2,)",
         ),
-        (lambda: taut.Quintic(q0=[np.nan], q1=[1.0], duration=1.0), "q0[0] must be finite; got nan"),
+        (lambda: taut.trajectories.Quintic(q0=[np.nan], q1=[1.0], duration=1.0), "q0[0] must be finite; got nan"),
         (
-            lambda: taut.Trapezoidal(q0=[0.0], q1=[1.0], velocity=0.0, acceleration=1.0),
+            lambda: taut.trajectories.Trapezoidal(q0=[0.0], q1=[1.0], velocity=0.0, acceleration=1.0),
             "velocity[0] must be > 0; got 0.0",
         ),
         (
-            lambda: taut.Spline(times=[0.0, 0.0], points=[[0.0], [1.0]]),
+            lambda: taut.trajectories.Spline(times=[0.0, 0.0], points=[[0.0], [1.0]]),
             "times must increase; times[1] = 0 follows 0",
         ),
-        (lambda: taut.Spline(times=[0.0], points=[[0.0]]), "a spline needs two points at least; got 1"),
+        (lambda: taut.trajectories.Spline(times=[0.0], points=[[0.0]]), "a spline needs two points at least; got 1"),
         (
-            lambda: taut.Samples(times=[0.0, 1.0], q=[[0.0]]),
+            lambda: taut.trajectories.Samples(times=[0.0, 1.0], q=[[0.0]]),
             "times must have shape (k,) and q (k, n); got (2,) and (1, 1)",
         ),
         (lambda: taut.chunk([0.0, 0.1], [[0.0]]), "targets must have one sample per time; got 1 for 2 times"),
@@ -207,8 +207,8 @@ def test_what_makes_no_reference_is_refused_in_words(make: object, message: str)
 
 def test_without_ruckig_the_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "ruckig", None)
-    with pytest.raises(taut.MissingExtraError) as caught:
-        taut.JerkLimited(q0=[0.0], q1=[1.0], velocity=1.0, acceleration=1.0, jerk=1.0)
+    with pytest.raises(taut.errors.MissingExtraError) as caught:
+        taut.trajectories.JerkLimited(q0=[0.0], q1=[1.0], velocity=1.0, acceleration=1.0, jerk=1.0)
     assert str(caught.value) == (
         "a jerk-limited trajectory needs the package 'ruckig', which is not installed; "
         'pip install -e ".[ruckig]" installs it'
@@ -242,8 +242,8 @@ def test_every_trajectory_gives_one_row_for_each_time(count: int) -> None:
     times = np.linspace(0.0, 1.0, count)
     others = {
         "chunk": taut.chunk([0.0, 1.0], [Q0, Q1]),
-        "sine": taut.Sine(center=Q0, amplitude=1.0, frequency=1.0),
-        "samples": taut.Samples(times=[0.0, 1.0], q=[Q0, Q1]),
+        "sine": taut.trajectories.Sine(center=Q0, amplitude=1.0, frequency=1.0),
+        "samples": taut.trajectories.Samples(times=[0.0, 1.0], q=[Q0, Q1]),
     }
     for name, curve in (CURVES | others).items():
         rows, one = curve.rows(times), curve.at(0.5)
@@ -255,13 +255,13 @@ def test_every_trajectory_gives_one_row_for_each_time(count: int) -> None:
 @pytest.mark.parametrize("t", ["a", [0.0, 0.5], np.nan, None])
 def test_a_time_that_is_none_is_refused(t: Any) -> None:
     for motion in (
-        taut.Cubic(q0=[0.0], q1=[1.0], duration=1.0),
-        taut.Sine(center=0.0, amplitude=[1.0], frequency=1.0),
+        taut.trajectories.Cubic(q0=[0.0], q1=[1.0], duration=1.0),
+        taut.trajectories.Sine(center=0.0, amplitude=[1.0], frequency=1.0),
     ):
         with pytest.raises(taut.TautError, match=r"^t must be"):
             motion.at(t)
 
 
 def test_limits_that_ruckig_cannot_work_with_are_told() -> None:
-    with pytest.raises(taut.NumericalError, match=r"^Ruckig cannot work with numbers as large or small as"):
-        taut.JerkLimited(q0=[0.0], q1=[1e300], velocity=1e-300, acceleration=1e-300, jerk=1e-300)
+    with pytest.raises(taut.errors.NumericalError, match=r"^Ruckig cannot work with numbers as large or small as"):
+        taut.trajectories.JerkLimited(q0=[0.0], q1=[1e300], velocity=1e-300, acceleration=1e-300, jerk=1e-300)

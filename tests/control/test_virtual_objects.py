@@ -140,14 +140,16 @@ class TestAddedToOthers:
         ctrl.parameters["law.VirtualWall.K"] = 1800.0
         ctrl.step(PANDA.home, np.zeros(7), ref)
         np.testing.assert_allclose(ctrl.terms["wall"], 2.0 * first, rtol=1e-12)
-        with pytest.raises(taut.RangeError, match=r"^normal must be a direction, of any length but zero; got \[0\.0"):
+        with pytest.raises(
+            taut.errors.RangeError, match=r"^normal must be a direction, of any length but zero; got \[0\.0"
+        ):
             ctrl.parameters["law.VirtualWall.normal"] = [0.0, 0.0, 0.0]
 
     def test_a_hand_slides_along_a_groove_and_not_out_of_it(self) -> None:
         arm = PANDA.with_joints(viscous=1.0, coulomb=0.0)
         groove = taut.laws.VirtualGroove(point=TIP, direction=[0.0, 1.0, 0.0], K=3000.0, B=30.0)
         law = taut.laws.GravityCompensation(kd=1.0) + groove
-        push = taut.Push(peak=[10.0, 10.0, 0.0], t=0.0, duration=0.8)
+        push = taut.environments.Push(peak=[10.0, 10.0, 0.0], t=0.0, duration=0.8)
         run = taut.run(taut.compile(law, arm), taut.RigidPlant(arm, environment=push), duration=0.8)
         way = taut.snapshot(arm, run.q[-1]).T().p - TIP
         assert abs(way[1]) > 0.03
@@ -180,7 +182,9 @@ def most_energy(arm: taut.Arm, K: float, B: float) -> float:
     thrown = -np.linalg.solve(x.M, J)
     wall = taut.laws.VirtualWall(point=x.T().p - np.array([0, 0, 1e-3]), normal=[0, 0, 1], K=K, B=B)
     ctrl = taut.compile(taut.laws.GravityCompensation() + wall, arm, rate=RATE)
-    plant = taut.RigidPlant(arm, substeps=10, environment=taut.Push(peak=[0.0, 0.0, -5.0], t=0.0, duration=1.0))
+    plant = taut.RigidPlant(
+        arm, substeps=10, environment=taut.environments.Push(peak=[0.0, 0.0, -5.0], t=0.0, duration=1.0)
+    )
     run = taut.run(ctrl, plant, duration=1.5, v0=0.2 * thrown / abs(J @ thrown))
     assert run.outcome.ok
     kinetic = taut.native(lambda q, v: taut.math.array([taut.dynamics.kinetic_energy(model, q, v)]), q=arm.n, v=arm.n)

@@ -55,7 +55,7 @@ def states(count: int = 20) -> tuple[Array, Array]:
 @engines
 @pytest.mark.parametrize("frame", [None, "tool"])
 def test_a_law_sees_contact_alone(engine: Any, frame: str | None) -> None:
-    wrist = taut.Wrist(bias=BIAS, mass=MASS, com=COM, frame=frame)
+    wrist = taut.sensors.Wrist(bias=BIAS, mass=MASS, com=COM, frame=frame)
     ctrl = taut.compile(Feels(), LADEN, sensing=taut.Sensing(wrist=wrist), engine=engine)
     for q, F in zip(*states(), strict=True):
         step(ctrl, q, reading(q, F, frame))
@@ -64,7 +64,7 @@ def test_a_law_sees_contact_alone(engine: Any, frame: str | None) -> None:
 
 @engines
 def test_without_a_mass_nothing_weighs_and_the_payload_does_not_either(engine: Any) -> None:
-    ctrl = taut.compile(Feels(), LADEN, sensing=taut.Sensing(wrist=taut.Wrist(bias=BIAS)), engine=engine)
+    ctrl = taut.compile(Feels(), LADEN, sensing=taut.Sensing(wrist=taut.sensors.Wrist(bias=BIAS)), engine=engine)
     q, F = (rows[0] for rows in states())
     R = taut.snapshot(ARM, q).T().R
     step(ctrl, q, F)
@@ -78,7 +78,7 @@ def step(ctrl: taut.Controller, q: Array, F: Array) -> Array:
 
 @engines
 def test_every_number_of_it_changes_without_a_compile(engine: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    wrist = taut.Wrist(bias=(0.0, 0.0), mass=0.0, range=(50.0, 5.0))
+    wrist = taut.sensors.Wrist(bias=(0.0, 0.0), mass=0.0, range=(50.0, 5.0))
     ctrl = taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=wrist), engine=engine)
     monkeypatch.setattr("taut.controller.trace", lambda *_: pytest.fail("traced again"))
     paths = [path for path in ctrl.parameters if path.startswith("sensing.")]
@@ -99,8 +99,8 @@ def test_every_number_of_it_changes_without_a_compile(engine: Any, monkeypatch: 
 @engines
 def test_a_low_pass_comes_after_it_and_starts_without_a_transient(engine: Any) -> None:
     """The weight turns with the arm: filtered before it is taken out, it would lag and leave a wrench behind."""
-    low_pass = taut.LowPass(cutoff=20.0, order=2)
-    sensing = taut.Sensing(wrist=taut.Wrist(bias=BIAS, mass=MASS, com=COM), F_ext=low_pass)
+    low_pass = taut.sensors.LowPass(cutoff=20.0, order=2)
+    sensing = taut.Sensing(wrist=taut.sensors.Wrist(bias=BIAS, mass=MASS, com=COM), F_ext=low_pass)
     ctrl = taut.compile(Feels(), LADEN, sensing=sensing, engine=engine)
     t = np.arange(200)[:, np.newaxis] * 1e-3
     q, F = np.sin(9.0 * t + np.arange(3)), np.sin(40.0 * t + np.arange(6))
@@ -120,7 +120,7 @@ def test_a_low_pass_comes_after_it_and_starts_without_a_transient(engine: Any) -
 @pytest.mark.parametrize("frame", [None, "tool"])
 def test_a_reading_at_the_end_of_the_range_is_told(engine: Any, frame: str | None) -> None:
     limit = np.array([30.0, np.inf, 20.0, 4.0, 5.0, np.inf])
-    wrist = taut.Wrist(bias=BIAS, range=limit, frame=frame)
+    wrist = taut.sensors.Wrist(bias=BIAS, range=limit, frame=frame)
     ctrl = taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=wrist), engine=engine)
     rng, told = np.random.default_rng(5), []
     for k in range(40):
@@ -136,14 +136,16 @@ def test_a_reading_at_the_end_of_the_range_is_told(engine: Any, frame: str | Non
 
 
 def test_what_the_law_saw_can_be_looked_at() -> None:
-    ctrl = taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=taut.Wrist(bias=BIAS)), engine="float")
-    with pytest.raises(taut.UsageError, match=r"^there are no measurements before the first tick; call step first$"):
+    ctrl = taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=taut.sensors.Wrist(bias=BIAS)), engine="float")
+    with pytest.raises(
+        taut.errors.UsageError, match=r"^there are no measurements before the first tick; call step first$"
+    ):
         ctrl.sensed  # noqa: B018
     q, F = (rows[2] for rows in states())
     step(ctrl, q, F)
     assert set(ctrl.sensed) >= {"q", "F_ext"}
     np.testing.assert_array_equal(ctrl.sensed["q"], q)
-    with pytest.raises(taut.UnknownNameError, match=r"the controller's sensing has no measurement 'F_ex'"):
+    with pytest.raises(taut.errors.UnknownNameError, match=r"the controller's sensing has no measurement 'F_ex'"):
         ctrl.sensed["F_ex"]
 
 
@@ -157,14 +159,14 @@ def test_a_reading_that_is_no_number_stops_its_tick_and_leaves_nothing_behind(
     engine: Any, entry: int, wrong: float
 ) -> None:
     sensing = taut.Sensing(
-        wrist=taut.Wrist(bias=BIAS, mass=MASS, com=COM, range=(200.0, 10.0), repeats=3),
-        F_ext=taut.LowPass(cutoff=30.0, order=2),
+        wrist=taut.sensors.Wrist(bias=BIAS, mass=MASS, com=COM, range=(200.0, 10.0), repeats=3),
+        F_ext=taut.sensors.LowPass(cutoff=30.0, order=2),
     )
     ctrl, twin = (taut.compile(Feels(), LADEN, sensing=sensing, engine=engine) for _ in range(2))
     for k, (q, F) in enumerate(zip(*states(4), strict=True)):
         bad = F.copy()
         bad[entry] = wrong
-        with pytest.raises(taut.RangeError) as caught:
+        with pytest.raises(taut.errors.RangeError) as caught:
             step(ctrl, q, bad)
         assert str(caught.value) == f"F_ext[{entry}] must be finite; got {wrong!r} in tick {k}"
         assert caught.value.joint is None
@@ -177,7 +179,7 @@ def test_a_reading_that_is_no_number_stops_its_tick_and_leaves_nothing_behind(
 def test_a_frozen_sensor_is_found_while_the_arm_moves_and_its_ticks_do_not_happen(
     engine: Any, frame: str | None, stuck: str
 ) -> None:
-    sensing = taut.Sensing(wrist=taut.Wrist(repeats=5, frame=frame), F_ext=taut.LowPass(cutoff=30.0))
+    sensing = taut.Sensing(wrist=taut.sensors.Wrist(repeats=5, frame=frame), F_ext=taut.sensors.LowPass(cutoff=30.0))
     ctrl, twin = (taut.compile(Feels(), ARM, sensing=sensing, engine=engine) for _ in range(2))
     rng, F_S = np.random.default_rng(7), np.array([3.0, -1.0, 2.0, 0.3, 0.1, 0.2]) * (stuck == "frozen")
 
@@ -195,7 +197,7 @@ def test_a_frozen_sensor_is_found_while_the_arm_moves_and_its_ticks_do_not_happe
         if k < 7:  # the first reading, and three that repeat it
             np.testing.assert_array_equal(step(ctrl, q, in_world(q, F_S)), step(twin, q, in_world(q, F_S)))
             continue
-        with pytest.raises(taut.RangeError) as caught:
+        with pytest.raises(taut.errors.RangeError) as caught:
             step(ctrl, q, in_world(q, F_S))
         assert str(caught.value) == (
             "F_ext must change from tick to tick; got the same reading in 5 ticks in a row, the last of them tick 7; "
@@ -209,16 +211,16 @@ def test_a_frozen_sensor_is_found_while_the_arm_moves_and_its_ticks_do_not_happe
 
 @engines
 def test_a_sensor_that_is_dead_from_the_first_tick_on_is_found_too(engine: Any) -> None:
-    ctrl = taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=taut.Wrist(repeats=3)), engine=engine)
+    ctrl = taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=taut.sensors.Wrist(repeats=3)), engine=engine)
     for _ in range(2):
         step(ctrl, np.zeros(3), np.zeros(6))
-    with pytest.raises(taut.RangeError, match="in 3 ticks in a row, the last of them tick 2"):
+    with pytest.raises(taut.errors.RangeError, match="in 3 ticks in a row, the last of them tick 2"):
         step(ctrl, np.zeros(3), np.zeros(6))
 
 
 @engines
 def test_a_sensor_with_the_least_noise_is_not_frozen(engine: Any) -> None:
-    ctrl = taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=taut.Wrist(repeats=2)), engine=engine)
+    ctrl = taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=taut.sensors.Wrist(repeats=2)), engine=engine)
     rng, F = np.random.default_rng(9), np.array([100.0, 0.0, 0.0, 10.0, 0.0, 0.0])
     for _ in range(50):
         step(ctrl, np.zeros(3), F + 1e-5 * rng.standard_normal(6))  # a ten-millionth of the reading
@@ -228,28 +230,28 @@ def test_a_sensor_with_the_least_noise_is_not_frozen(engine: Any) -> None:
 
 
 CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
-    (lambda: taut.Wrist(bias=1.0), taut.ShapeError, "wrist.bias must be (force, moment) or six numbers [N, N m]; got shape ()"),
-    (lambda: taut.Wrist(bias=[np.nan] * 6), taut.RangeError, "wrist.bias[0] must be finite [N, N m]; got nan"),
-    (lambda: taut.Wrist(mass=-0.1), taut.RangeError, "wrist.mass must be >= 0 [kg]; got -0.1"),
-    (lambda: taut.Wrist(mass=[0.1, 0.2]), taut.ShapeError, "wrist.mass must be one number [kg]; got shape (2,)"),
-    (lambda: taut.Wrist(com=[0.0, 0.0, 0.1]), taut.UsageError, "wrist.com is that of the tool, whose mass is missing; give mass= too"),
-    (lambda: taut.Wrist(mass=0.1, com=[0.0, 0.1]), taut.ShapeError, "wrist.com must have shape (3,) [m]; got shape (2,)"),
-    (lambda: taut.Wrist(range=(0.0, 1.0)), taut.RangeError, "wrist.range[0] must be > 0 [N, N m]; got 0.0; leave it out for a sensor without end"),
-    (lambda: taut.Wrist(repeats=1), taut.RangeError, "wrist.repeats must be >= 2 ticks; got 1"),
-    (lambda: taut.Wrist(repeats=2.5), taut.UsageError, "wrist.repeats must be a whole number of ticks; got 2.5"),  # type: ignore[arg-type]
-    (lambda: taut.Sensing(wrist=BIAS), taut.UsageError, "wrist must be taut.Wrist(...) or None; got ndarray"),  # type: ignore[arg-type]
-    (lambda: taut.compile(Blind(), ARM, sensing=taut.Sensing(wrist=taut.Wrist())), taut.UsageError, "sensing corrects F_ext, which Blind does not use; leave wrist= out of the sensing"),
-    (lambda: taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=taut.Wrist(frame="link2"))), taut.UsageError, "sensing.wrist.frame must move with the tool 'tip'; got 'link2', which has a joint between it and the tool; name a frame of the last body"),
-    (lambda: taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=taut.Wrist(frame="tol"))), taut.UnknownNameError, "the arm has no frame 'tol'; did you mean 'tool'? (6 frames: taut check MODEL lists them)"),
-    (lambda: compiled().parameters.__setitem__("sensing.wrist.mass", -1.0), taut.RangeError, "sensing.wrist.mass must be >= 0 [kg]; got -1.0"),
-    (lambda: compiled().parameters.__setitem__("sensing.wrist.com", [0.0]), taut.ShapeError, "sensing.wrist.com must have shape (3,) [m]; got shape (1,)"),
-    (lambda: compiled().parameters.__setitem__("sensing.wrist.range", (9.0, 1.0)), taut.UnknownNameError, "the controller has no parameter 'sensing.wrist.range'; did you mean 'sensing.wrist.mass' or 'sensing.wrist.bias'?"),
-    (lambda: taut.run(compiled(), taut.MujocoPlant(ARM), duration=0.01), taut.MatchError, "the controller's sensing takes the weight of tool and payload out of F_ext, and the wrench sensor of plant 'MujocoPlant(planar3)' reads no weight; give it sensors=taut.Sensors(wrench=taut.WrenchSensor(tool=taut.Payload(mass=...))), or leave mass out of taut.Wrist"),
+    (lambda: taut.sensors.Wrist(bias=1.0), taut.errors.ShapeError, "wrist.bias must be (force, moment) or six numbers [N, N m]; got shape ()"),
+    (lambda: taut.sensors.Wrist(bias=[np.nan] * 6), taut.errors.RangeError, "wrist.bias[0] must be finite [N, N m]; got nan"),
+    (lambda: taut.sensors.Wrist(mass=-0.1), taut.errors.RangeError, "wrist.mass must be >= 0 [kg]; got -0.1"),
+    (lambda: taut.sensors.Wrist(mass=[0.1, 0.2]), taut.errors.ShapeError, "wrist.mass must be one number [kg]; got shape (2,)"),
+    (lambda: taut.sensors.Wrist(com=[0.0, 0.0, 0.1]), taut.errors.UsageError, "wrist.com is that of the tool, whose mass is missing; give mass= too"),
+    (lambda: taut.sensors.Wrist(mass=0.1, com=[0.0, 0.1]), taut.errors.ShapeError, "wrist.com must have shape (3,) [m]; got shape (2,)"),
+    (lambda: taut.sensors.Wrist(range=(0.0, 1.0)), taut.errors.RangeError, "wrist.range[0] must be > 0 [N, N m]; got 0.0; leave it out for a sensor without end"),
+    (lambda: taut.sensors.Wrist(repeats=1), taut.errors.RangeError, "wrist.repeats must be >= 2 ticks; got 1"),
+    (lambda: taut.sensors.Wrist(repeats=2.5), taut.errors.UsageError, "wrist.repeats must be a whole number of ticks; got 2.5"),  # type: ignore[arg-type]
+    (lambda: taut.Sensing(wrist=BIAS), taut.errors.UsageError, "wrist must be taut.sensors.Wrist(...) or None; got ndarray"),  # type: ignore[arg-type]
+    (lambda: taut.compile(Blind(), ARM, sensing=taut.Sensing(wrist=taut.sensors.Wrist())), taut.errors.UsageError, "sensing corrects F_ext, which Blind does not use; leave wrist= out of the sensing"),
+    (lambda: taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=taut.sensors.Wrist(frame="link2"))), taut.errors.UsageError, "sensing.wrist.frame must move with the tool 'tip'; got 'link2', which has a joint between it and the tool; name a frame of the last body"),
+    (lambda: taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=taut.sensors.Wrist(frame="tol"))), taut.errors.UnknownNameError, "the arm has no frame 'tol'; did you mean 'tool'? (6 frames: taut check MODEL lists them)"),
+    (lambda: compiled().parameters.__setitem__("sensing.wrist.mass", -1.0), taut.errors.RangeError, "sensing.wrist.mass must be >= 0 [kg]; got -1.0"),
+    (lambda: compiled().parameters.__setitem__("sensing.wrist.com", [0.0]), taut.errors.ShapeError, "sensing.wrist.com must have shape (3,) [m]; got shape (1,)"),
+    (lambda: compiled().parameters.__setitem__("sensing.wrist.range", (9.0, 1.0)), taut.errors.UnknownNameError, "the controller has no parameter 'sensing.wrist.range'; did you mean 'sensing.wrist.mass' or 'sensing.wrist.bias'?"),
+    (lambda: taut.run(compiled(), taut.MujocoPlant(ARM), duration=0.01), taut.errors.MatchError, "the controller's sensing takes the weight of tool and payload out of F_ext, and the wrench sensor of plant 'MujocoPlant(planar3)' reads no weight; give it sensors=taut.sensors.Sensors(wrench=taut.sensors.WrenchSensor(tool=taut.Payload(mass=...))), or leave mass out of taut.sensors.Wrist"),
 ]  # fmt: skip
 
 
 def compiled() -> taut.Controller:
-    wrist = taut.Wrist(mass=MASS, com=COM)
+    wrist = taut.sensors.Wrist(mass=MASS, com=COM)
     return taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=wrist), engine="float")
 
 

@@ -72,7 +72,7 @@ def read_model(path: Path) -> None:
         raise AssertionError("the report commands a terminal")
     try:
         arm = taut.load_arm(path)
-    except taut.UsageError as ask:  # several ends
+    except taut.errors.UsageError as ask:  # several ends
         arm = taut.load_arm(path, tool=str(ask.value))
     _require_definite(arm)
 
@@ -121,7 +121,7 @@ SMALL_TOO = ("panda_payload", "backlash_cycle", "policy_10hz", "slow_reversal", 
 
 @functools.cache
 def scenarios() -> tuple[bytes, ...]:
-    folder = resources.files("taut.apps") / "scenarios"
+    folder = resources.files("taut.scenarios") / "files"
     return tuple((folder / f"{name}.toml").read_bytes() for name in (*SMALL, *SMALL_TOO))
 
 
@@ -133,13 +133,13 @@ def tables() -> tuple[bytes, ...]:
 
 
 def read_scenario(path: Path) -> None:
-    from taut.apps.scenario import load_scenario
+    from taut.scenarios.scenario import load_scenario
 
     load_scenario(str(path))
 
 
 def read_table(path: Path) -> None:
-    kind = taut.TaskSamples if b"qw" in path.read_bytes()[:100] else taut.Samples
+    kind = taut.trajectories.TaskSamples if b"qw" in path.read_bytes()[:100] else taut.trajectories.Samples
     motion = kind.from_csv(path)
     motion.at(0.05)
 
@@ -186,7 +186,7 @@ def read_log(path: Path) -> None:
     if not f"{run!r} {run.outcome} {run.joint_names} {list(run.terms)}".isprintable():
         raise AssertionError("a log commands a terminal")
     if len(path.read_bytes()) % EXAMINED == 0 and len(run) > 2:
-        from taut.record.report_run import faults_of
+        from taut.record.report.run_report import faults_of
 
         faults_of(run)
         str(taut.doctor(run))

@@ -13,8 +13,8 @@ import numpy as np
 
 import taut
 from taut.record.description import described, sealed
-from taut.record.mcap_writer import MAGIC, McapWriter
-from taut.record.topics import Description, TickLayout, columns_of
+from taut.record.log.mcap_writer import MAGIC, McapWriter
+from taut.record.log.topics import Description, TickLayout, columns_of
 
 
 def write_log(

@@ -19,13 +19,13 @@ from fuzz_kinds import MJCF, SERVOS, runs
 from fuzz_logs import chunk, record, with_chunks, write_log
 
 import taut
-from taut.apps.cli import main
-from taut.apps.scenario import load_scenario
 from taut.arm.catalogue import CATALOGUE, is_installed
 from taut.arm.report import check_model
 from taut.base.words import printable
-from taut.control.phase_sample import PhaseSample
-from taut.record.mcap_writer import MAGIC
+from taut.cli.main import main
+from taut.control.tasks.phase_sample import PhaseSample
+from taut.record.log.mcap_writer import MAGIC
+from taut.scenarios.scenario import load_scenario
 
 HIDDEN = "\x1b]0;taken\x07\u202e\x9b31m"  # sets a title, turns the reading order, colours
 DUO = Path(__file__).parents[1] / "arm" / "arm_models.py"
@@ -52,7 +52,7 @@ def test_what_cannot_be_seen_is_written_out() -> None:
     assert printable("a b ü 関節 ²") == "a b ü 関節 ²"
     assert printable(f"{HIDDEN}\n\t\ud800") == "\\x1b]0;taken\\x07\\u202e\\x9b31m\\n\\t\\ud800"
     assert printable("a\n\tb\r", lines=True) == "a\n\tb\\r"
-    assert str(taut.FileError(f"log '{HIDDEN}'")).isprintable()
+    assert str(taut.errors.FileError(f"log '{HIDDEN}'")).isprintable()
 
 
 def test_a_log_commands_no_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -91,7 +91,7 @@ def test_whatever_is_printed_is_written_as_text(
 @pytest.mark.parametrize("letter", ["\x9b", "\u202e", "\x7f", "\u200b", "&#10;"])
 def test_a_model_has_no_invisible_characters(letter: str, tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(MJCF.replace('name="j1"', f'name="j{letter}1"'), encoding="utf-8")
-    with pytest.raises(taut.ModelError) as refused:
+    with pytest.raises(taut.errors.ModelError) as refused:
         taut.load_arm(tmp_path / "arm.xml")
     assert (refused.value.problems[0].attribute, refused.value.problems[0].line) == ("name", 4)
 
@@ -99,7 +99,7 @@ def test_a_model_has_no_invisible_characters(letter: str, tmp_path: Path) -> Non
 @pytest.mark.parametrize("text", ['title = "a\\u001b[2J"', '"a\\u202e" = 1', '[laws."\\u009b"]\nlaw = "PID"'])
 def test_a_scenario_has_no_invisible_characters(text: str, tmp_path: Path) -> None:
     (tmp_path / "case.toml").write_text(text, encoding="utf-8")
-    with pytest.raises(taut.ScenarioError) as refused:
+    with pytest.raises(taut.errors.ScenarioError) as refused:
         load_scenario(str(tmp_path / "case.toml"))
     assert str(refused.value).isprintable()
 
@@ -107,7 +107,7 @@ def test_a_scenario_has_no_invisible_characters(text: str, tmp_path: Path) -> No
 def test_a_matplotlibrc_of_the_current_folder_is_ignored(tmp_path: Path) -> None:
     log = plain().save(tmp_path / "run.mcap")
     (tmp_path / "matplotlibrc").write_bytes(b"text.usetex: True\n\xff\xfe")
-    command = [sys.executable, "-c", "import sys; from taut.apps.cli import main; sys.exit(main())", "report"]
+    command = [sys.executable, "-c", "import sys; from taut.cli.main import main; sys.exit(main())", "report"]
     done = subprocess.run([*command, log.name, "-o", "r.html"], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "r.html").stat().st_size > 1000
@@ -125,7 +125,7 @@ def test_a_scenario_downloads_nothing(tmp_path: Path, monkeypatch: pytest.Monkey
         (tmp_path / "case.toml").write_text(
             text.replace('model = "planar2"\n', "", key == "arm") + 'model = "x_description"\n'
         )
-        with pytest.raises(taut.ScenarioError, match="x_description") as refused:
+        with pytest.raises(taut.errors.ScenarioError, match="x_description") as refused:
             load_scenario(str(tmp_path / "case.toml"))
         assert "imported" not in str(refused.value)
 
@@ -158,7 +158,7 @@ DESCRIPTIONS: dict[str, Callable[[dict[str, Any]], Any]] = {
 def test_a_description_costs_little_and_is_refused(name: str, tmp_path: Path) -> None:
     log = write_log(plain(), tmp_path / "run.mcap", DESCRIPTIONS[name])
     known = len(PhaseSample.__subclasses__())
-    with memory_below(150), pytest.raises(taut.FileError):
+    with memory_below(150), pytest.raises(taut.errors.FileError):
         taut.load_run(log)
     assert len(PhaseSample.__subclasses__()) - known <= 64
 
@@ -178,7 +178,7 @@ BOMBS: dict[str, Callable[[], bytes]] = {
 @pytest.mark.parametrize("name", BOMBS)
 def test_a_log_that_unpacks_to_more_than_a_log_does_is_refused(name: str, tmp_path: Path) -> None:
     log = with_chunks(write_log(plain(), tmp_path / "run.mcap"), BOMBS[name]())
-    with memory_below(150), pytest.raises(taut.FileError):
+    with memory_below(150), pytest.raises(taut.errors.FileError):
         taut.load_run(log)
 
 
@@ -194,7 +194,7 @@ def test_a_sparse_file_is_searched_only_so_far(tmp_path: Path) -> None:
     with (tmp_path / "run.mcap").open("wb") as file:
         file.write(MAGIC)
         file.truncate(4 << 30)
-    with memory_below(50), pytest.raises(taut.FileError):
+    with memory_below(50), pytest.raises(taut.errors.FileError):
         taut.load_run(tmp_path / "run.mcap")
     log = plain().save(tmp_path / "whole.mcap")
     with log.open("r+b") as file:
@@ -235,7 +235,7 @@ def test_an_entry_of_another_type_is_refused_where_the_log_is_read(
         for command in (["doctor"], ["report", "-o", str(tmp_path / "report.html")]):
             assert main([command[0], str(log), *command[1:]]) == 2, value
             assert f"'{name}'" in capsys.readouterr().err
-        with pytest.raises(taut.UsageError, match=name):  # what nobody could read is not written either
+        with pytest.raises(taut.errors.UsageError, match=name):  # what nobody could read is not written either
             dataclasses.replace(plain(), info={**plain().info, name: value}).save(tmp_path / "other.mcap")
 
 
@@ -248,7 +248,7 @@ def test_an_outcome_of_other_types_is_none(tmp_path: Path) -> None:
 def test_a_run_without_a_rate_says_so() -> None:
     import dataclasses
 
-    with pytest.raises(taut.UsageError, match="rate"):
+    with pytest.raises(taut.errors.UsageError, match="rate"):
         taut.doctor(dataclasses.replace(plain(), info={}))
 
 
@@ -260,11 +260,11 @@ def test_a_table_is_bounded(tmp_path: Path) -> None:
     with file.open("wb") as stream:
         stream.write(b"t,q1\n0,1\n")
         stream.truncate(1 << 30)
-    with memory_below(10), pytest.raises(taut.FileError):
-        taut.Samples.from_csv(file)
+    with memory_below(10), pytest.raises(taut.errors.FileError):
+        taut.trajectories.Samples.from_csv(file)
     file.write_bytes(b"t,q1\n0,1\n1," + bytes(10 << 20))
-    with pytest.raises(taut.FileError) as refused:
-        taut.Samples.from_csv(file)
+    with pytest.raises(taut.errors.FileError) as refused:
+        taut.trajectories.Samples.from_csv(file)
     assert len(str(refused.value)) < 1000
 
 
@@ -287,12 +287,12 @@ def test_a_dotted_key_is_refused_before_it_is_read(
 
     monkeypatch.setattr(tomllib, "loads", never)
     (tmp_path / "case.toml").write_text(text)
-    with pytest.raises(taut.ScenarioError, match="tables in each other"):
+    with pytest.raises(taut.errors.ScenarioError, match="tables in each other"):
         load_scenario(str(tmp_path / "case.toml"))
 
 
 def test_dots_in_texts_comments_and_numbers_are_no_keys() -> None:
-    from taut.apps.toml import section_of
+    from taut.scenarios.toml import section_of
 
     words = "a." * 100
     text = f'a = "{words}" # {words}\nb = """{words}\n{words}"""\nc = [{"0.1, " * 100}]\nd = \'{words}\'\n'
@@ -302,7 +302,7 @@ def test_dots_in_texts_comments_and_numbers_are_no_keys() -> None:
 def test_the_cases_of_a_scenario_are_counted(tmp_path: Path) -> None:
     text = '[arm]\nmodel = "one_joint"\n[laws.PID]\nlaw = "PID"\nkp = 1\n[run]\nduration = 1\n'
     (tmp_path / "case.toml").write_text(text + "".join(f"[cases.c{i}.run]\n" for i in range(201)))
-    with pytest.raises(taut.ScenarioError, match="201"):
+    with pytest.raises(taut.errors.ScenarioError, match="201"):
         load_scenario(str(tmp_path / "case.toml"))
 
 
@@ -311,9 +311,9 @@ def test_a_part_is_named_by_a_word_of_its_own(name: str) -> None:
     law = taut.laws.GravityPID(kp=1.0, kd=1.0)
     parts: Any = {name: (law, ["joint1"])}
     if name != "self":
-        with pytest.raises(taut.UsageError):
+        with pytest.raises(taut.errors.UsageError):
             taut.together(**{name: taut.JointMotion(q=[0.0])})
-        with pytest.raises(taut.UsageError):
+        with pytest.raises(taut.errors.UsageError):
             taut.SideBySide(**parts)
     else:
         assert taut.SideBySide(**parts).parts == {"self": law}
@@ -340,7 +340,7 @@ def urdf(origin: str = "0 0 0", com: str = "0.1 0 0", mass: str = "1", moment: s
 )
 def test_lengths_and_masses_that_leave_no_mass_matrix_are_refused(change: dict[str, str], tmp_path: Path) -> None:
     (tmp_path / "arm.urdf").write_text(urdf(**change))
-    with pytest.raises(taut.ModelError):
+    with pytest.raises(taut.errors.ModelError):
         taut.load_arm(tmp_path / "arm.urdf")
 
 
@@ -386,7 +386,7 @@ def test_no_arm_of_the_catalogue_is_doubted() -> None:
 )
 def test_mjcf_that_no_arm_has_is_refused(old: str, new: str, tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(MJCF.replace(old, new))
-    with pytest.raises(taut.ModelError) as refused:
+    with pytest.raises(taut.errors.ModelError) as refused:
         taut.load_arm(tmp_path / "arm.xml")
     assert refused.value.problems[0].line is not None
 
@@ -411,17 +411,17 @@ def test_servos_of_odd_numbers_are_read(change: dict[str, float], tmp_path: Path
 @pytest.mark.parametrize("change", [{"": 3}, {"": None}, {"": []}, {"actuator": HIDDEN}, {"actuator": None}])
 def test_servos_of_odd_names_are_refused(change: dict[str, Any], tmp_path: Path) -> None:
     (tmp_path / "servo.json").write_text(json.dumps({**SERVOS[0], **change}))
-    with pytest.raises(taut.ModelError):
+    with pytest.raises(taut.errors.ModelError):
         taut.load_servo(tmp_path / "servo.json")
 
 
 # -------------------------------------------------------------------- motions
 
 
-@pytest.mark.parametrize("kind", [taut.Cubic, taut.Quintic])
+@pytest.mark.parametrize("kind", [taut.trajectories.Cubic, taut.trajectories.Quintic])
 def test_motions_over_extreme_times_are_finite_or_refused(kind: Any) -> None:
     for duration in (1e300, 1e-300, 1e-320, 1e-20):
-        with pytest.raises(taut.RangeError):
+        with pytest.raises(taut.errors.RangeError):
             kind(q0=[0.0], q1=[1.0], duration=duration)
     assert np.isfinite(kind(q0=[0.0], q1=[1.0], duration=1e20).at(1.0).a).all()
     assert np.isfinite(kind(q0=[0.0], q1=[1.0], duration=1e-9).at(1e300).q).all()
@@ -429,18 +429,21 @@ def test_motions_over_extreme_times_are_finite_or_refused(kind: Any) -> None:
 
 @pytest.mark.parametrize("limits", [(1e-320, 1.0), (1.0, 1e-320), (1e300, 1e300), (1e-300, 1e-300)])
 def test_trapezoids_of_extreme_limits_are_refused(limits: tuple[float, float]) -> None:
-    with pytest.raises(taut.RangeError):
-        taut.Trapezoidal(q0=[0.0], q1=[1.0], velocity=limits[0], acceleration=limits[1])
-    with pytest.raises(taut.RangeError):
-        taut.Line(
+    with pytest.raises(taut.errors.RangeError):
+        taut.trajectories.Trapezoidal(q0=[0.0], q1=[1.0], velocity=limits[0], acceleration=limits[1])
+    with pytest.raises(taut.errors.RangeError):
+        taut.trajectories.Line(
             T0=taut.Pose([0, 0, 0]), T1=taut.Pose([1, 0, 0]), velocity=(limits[0],) * 2, acceleration=(limits[1],) * 2
         )
 
 
 @pytest.mark.parametrize(("times", "points"), [([0.0, 1e-300], [[0.0], [1.0]]), ([0.0, 1.0], [[0.0], [1e300]])])
 def test_tables_without_finite_rates_are_refused(times: list[float], points: list[list[float]]) -> None:
-    for make in (lambda: taut.Spline(times=times, points=points), lambda: taut.Samples(times=times, q=points)):
-        with pytest.raises(taut.RangeError):
+    for make in (
+        lambda: taut.trajectories.Spline(times=times, points=points),
+        lambda: taut.trajectories.Samples(times=times, q=points),
+    ):
+        with pytest.raises(taut.errors.RangeError):
             make()
 
 
@@ -456,7 +459,7 @@ def test_without_file_descriptors_there_is_one_sentence(tmp_path: Path) -> None:
         lambda: taut.load_arm(tmp_path / "arm.xml"),
         lambda: taut.load_run(log),
         lambda: taut.load_servo(tmp_path / "servo.json"),
-        lambda: taut.Samples.from_csv(tmp_path / "table.csv"),
+        lambda: taut.trajectories.Samples.from_csv(tmp_path / "table.csv"),
         lambda: load_scenario("one_joint_pid"),
     ]
     for read in readers:
@@ -470,7 +473,7 @@ def test_without_file_descriptors_there_is_one_sentence(tmp_path: Path) -> None:
             while True:
                 taken.append(os.open(os.devnull, os.O_RDONLY))
         for read in readers:
-            with pytest.raises(taut.FileError):
+            with pytest.raises(taut.errors.FileError):
                 read()
         with pytest.warns(RuntimeWarning, match="cache"):
             ctrl = taut.compile(taut.laws.GravityPID(kp=33.0, kd=7.0, ki=0.5), arm)

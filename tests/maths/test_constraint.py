@@ -12,8 +12,8 @@ from maths_oracles import Array, Oracle, oracle_of
 import taut
 from taut import Constraint, Pose
 from taut import math as tm
-from taut.base.linalg import factor_spd
-from taut.maths.constrained import Constrained, force_projector
+from taut.maths.constraints.multipliers import Constrained, force_projector
+from taut.trace.linalg import factor_spd
 
 NEAR = 0.1
 ARMS = ["panda", "ur10", "xarm7"]
@@ -145,7 +145,7 @@ def test_projections_and_multipliers_are_those_of_the_formulas(
     assert worst["P tau"] < 1e-6
 
 
-def rows_at(constraint: Constraint, V: Array, T: Pose = T0) -> taut.ConstraintRows:
+def rows_at(constraint: Constraint, V: Array, T: Pose = T0) -> taut.dynamics.ConstraintRows:
     """The rows of a constraint for a free body that moves with a twist: an arm of six joints is put there."""
     arm = taut.load_arm("ur10")
     q = taut.inverse_kinematics(arm, T).q
@@ -204,7 +204,7 @@ def test_a_plane_that_sways_goes_where_it_says_and_comes_back() -> None:
         assert swaying.of_pose(Pose(T0.p + np.array([0.0, 0.0, way]), R=T0.R), t) == pytest.approx([0.0], abs=1e-12)
     assert swaying.of_twist(T0, 0.5)[1] == pytest.approx([-np.pi * 0.06 / 2.0])  # its fastest
     assert rows_at(swaying, np.zeros(6)).bias == pytest.approx([-0.5 * 0.06 * np.pi**2])
-    with pytest.raises(taut.RangeError, match=r"period must be > 0 \[s\]; got 0"):
+    with pytest.raises(taut.errors.RangeError, match=r"period must be > 0 \[s\]; got 0"):
         Constraint.plane(point=T0.p, normal=[0, 0, 1], sway=[0, 0, 0.1], period=0.0)
 
 
@@ -251,7 +251,7 @@ def test_the_tool_and_its_name_are_one_frame() -> None:
         assert both.of_pose(x.T()).tolist() == pytest.approx(list(rows.phi))
     elsewhere = CONSTRAINTS["plane"] + Constraint.line(point=CENTER, axis=U, frame="panda_link5")
     with pytest.raises(
-        taut.UsageError, match=r"the arm's tool, which is 'panda_hand_tcp', and another of 'panda_link5'; say"
+        taut.errors.UsageError, match=r"the arm's tool, which is 'panda_hand_tcp', and another of 'panda_link5'; say"
     ):
         elsewhere.at(taut.snapshot(arm, arm.home))
     several = Constraint.line(point=CENTER, axis=U, frame="panda_hand_tcp") + Constraint.line(
@@ -298,19 +298,35 @@ def test_a_constraint_of_joint_speeds_needs_no_phi() -> None:
 @pytest.mark.parametrize(
     ("make", "error", "sentence"),
     [
-        (lambda: Constraint.of_joints(lambda q: None), taut.ShapeError, "must give numbers; got NoneType"),
-        (lambda: Constraint.of_joints(lambda q: "a"), taut.ShapeError, "must give numbers; got str"),
-        (lambda: Constraint.of_joints(lambda q: np.eye(2)), taut.ShapeError, r"number or \(k,\) numbers; got shape"),
-        (lambda: Constraint.of_joints(lambda q: q[0], rows=0), taut.RangeError, "rows must be a whole number >= 1"),
-        (lambda: Constraint.of_joints(lambda q: q[0], rows=1.5), taut.RangeError, "rows must be .*; got 1.5"),  # type: ignore[arg-type]
-        (lambda: Constraint.of_joints(3), taut.UsageError, "must be a function"),  # type: ignore[arg-type]
-        (lambda: Constraint.pfaffian_of_joints(lambda q, t: q), taut.UsageError, "must take 1 argument; it takes 2"),
+        (lambda: Constraint.of_joints(lambda q: None), taut.errors.ShapeError, "must give numbers; got NoneType"),
+        (lambda: Constraint.of_joints(lambda q: "a"), taut.errors.ShapeError, "must give numbers; got str"),
+        (
+            lambda: Constraint.of_joints(lambda q: np.eye(2)),
+            taut.errors.ShapeError,
+            r"number or \(k,\) numbers; got shape",
+        ),
+        (
+            lambda: Constraint.of_joints(lambda q: q[0], rows=0),
+            taut.errors.RangeError,
+            "rows must be a whole number >= 1",
+        ),
+        (lambda: Constraint.of_joints(lambda q: q[0], rows=1.5), taut.errors.RangeError, "rows must be .*; got 1.5"),  # type: ignore[arg-type]
+        (lambda: Constraint.of_joints(3), taut.errors.UsageError, "must be a function"),  # type: ignore[arg-type]
+        (
+            lambda: Constraint.pfaffian_of_joints(lambda q, t: q),
+            taut.errors.UsageError,
+            "must take 1 argument; it takes 2",
+        ),
         (
             lambda: Constraint.pfaffian_of_joints(lambda q: [1.0]),
-            taut.ShapeError,
+            taut.errors.ShapeError,
             r"\(1, 2\) with rows=1; got \(1,\)",
         ),
-        (lambda: Constraint.pfaffian_of_joints(lambda q: None), taut.ShapeError, "must give numbers; got NoneType"),
+        (
+            lambda: Constraint.pfaffian_of_joints(lambda q: None),
+            taut.errors.ShapeError,
+            "must give numbers; got NoneType",
+        ),
     ],
 )
 def test_a_wrong_constraint_of_joints_is_one_sentence(
@@ -353,74 +369,108 @@ def test_a_knife_edge_goes_ahead_and_turns_and_does_not_slip_sideways() -> None:
     h = 1e-6  # turning while it goes ahead needs a force
     ahead, behind = (edge.at(taut.snapshot(arm, q + s * v, v)).A_q @ v for s in (h, -h))
     assert (ahead - behind) / (2.0 * h) == pytest.approx(rows.bias, abs=1e-6)
-    with pytest.raises(taut.RangeError, match="sideways must have a length"):
+    with pytest.raises(taut.errors.RangeError, match="sideways must have a length"):
         Constraint.knife_edge(sideways=[0.0, 0.0, 0.0])
 
 
 def test_onto_finds_the_nearest_state_and_says_when_there_is_none() -> None:
     arm = taut.load_arm("panda")
     for constraint in (CONSTRAINTS["sphere"], CONSTRAINTS["cylinder"], CONSTRAINTS["face"]):
-        q = taut.onto(constraint, arm, arm.home)
+        q = taut.dynamics.onto(constraint, arm, arm.home)
         assert np.abs(constraint.at(taut.snapshot(arm, q)).phi).max() < 1e-11
-    near = taut.onto(Constraint.plane(point=taut.snapshot(arm, arm.home).T().p, normal=[0, 0, 1]), arm, arm.home)
+    near = taut.dynamics.onto(
+        Constraint.plane(point=taut.snapshot(arm, arm.home).T().p, normal=[0, 0, 1]), arm, arm.home
+    )
     assert np.abs(near - arm.home).max() < 1e-12
-    with pytest.raises(taut.RangeError, match="no state of 'panda' near q keeps to the constraint"):
-        taut.onto(Constraint.plane(point=[0, 0, 9.0], normal=[0, 0, 1]), arm, arm.home)
-    with pytest.raises(taut.UsageError, match=r"onto takes a taut\.Constraint; got function"):
-        taut.onto(lambda T: T.p[2], arm, arm.home)  # type: ignore[arg-type]
-    with pytest.raises(taut.UsageError, match=r"onto takes an arm from taut\.load_arm; got str"):
-        taut.onto(CONSTRAINTS["plane"], "panda", arm.home)  # type: ignore[arg-type]
+    with pytest.raises(taut.errors.RangeError, match="no state of 'panda' near q keeps to the constraint"):
+        taut.dynamics.onto(Constraint.plane(point=[0, 0, 9.0], normal=[0, 0, 1]), arm, arm.home)
+    with pytest.raises(taut.errors.UsageError, match=r"onto takes a taut\.Constraint; got function"):
+        taut.dynamics.onto(lambda T: T.p[2], arm, arm.home)  # type: ignore[arg-type]
+    with pytest.raises(taut.errors.UsageError, match=r"onto takes an arm from taut\.load_arm; got str"):
+        taut.dynamics.onto(CONSTRAINTS["plane"], "panda", arm.home)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
     ("make", "error", "sentence"),
     [
-        (lambda: Constraint(0.3), taut.UsageError, "must be a function, such as lambda"),  # type: ignore[arg-type]
-        (lambda: Constraint(lambda T: 0.3), taut.UsageError, "must change with the pose, and this one is constant"),
-        (lambda: Constraint(lambda T: tm.array([T.p[2], 1.0])), taut.UsageError, "constant in its row 1"),
+        (lambda: Constraint(0.3), taut.errors.UsageError, "must be a function, such as lambda"),  # type: ignore[arg-type]
+        (
+            lambda: Constraint(lambda T: 0.3),
+            taut.errors.UsageError,
+            "must change with the pose, and this one is constant",
+        ),
+        (lambda: Constraint(lambda T: tm.array([T.p[2], 1.0])), taut.errors.UsageError, "constant in its row 1"),
         (
             lambda: Constraint(lambda T: T.p[2] > 0.4),
-            taut.UsageError,
+            taut.errors.UsageError,
             r"this one is a condition, True or False: for T\.p\[2\] > 0\.4 write lambda T: T\.p\[2\] - 0\.4",
         ),
-        (lambda: Constraint(lambda T: [T.p[2] > 0.4, T.p[0] > 0.1]), taut.UsageError, "this one is a condition"),
-        (lambda: Constraint(lambda T: None), taut.ShapeError, "must give a number or .*; got (None|NoneType)"),
-        (lambda: Constraint(lambda T: T), taut.ShapeError, "must give a number or .k,. numbers; got Pose"),
+        (
+            lambda: Constraint(lambda T: [T.p[2] > 0.4, T.p[0] > 0.1]),
+            taut.errors.UsageError,
+            "this one is a condition",
+        ),
+        (lambda: Constraint(lambda T: None), taut.errors.ShapeError, "must give a number or .*; got (None|NoneType)"),
+        (lambda: Constraint(lambda T: T), taut.errors.ShapeError, "must give a number or .k,. numbers; got Pose"),
         (
             lambda: Constraint(lambda T: T.R),
-            taut.ShapeError,
+            taut.errors.ShapeError,
             r"must give a number or up to 6 of them, \(k,\); got shape",
         ),
         (
             lambda: Constraint(lambda T, a, b: T.p[2]),
-            taut.UsageError,
+            taut.errors.UsageError,
             "must take 1 argument, and one more for the time",
         ),
-        (lambda: Constraint(lambda T: T.p[2], frames="hand"), taut.UsageError, "frames must be names of frames"),
-        (lambda: Constraint(lambda T: T.p, one_sided=[True]), taut.ShapeError, "one_sided must be True or False"),
-        (lambda: Constraint.plane(point=[0, 0, 0], normal=[0, 0, 0]), taut.RangeError, "normal must have a length"),
-        (lambda: Constraint.sphere(center=[0, 0, 0], radius=-1.0), taut.RangeError, "radius must be > 0"),
-        (lambda: Constraint.hinge(point=[0, 0, 0], axis=U, T=3), taut.UsageError, "T must be a taut.Pose"),  # type: ignore[arg-type]
-        (lambda: Constraint.pfaffian(lambda T: T.p), taut.ShapeError, r"must give A, \(6,\) or \(k, 6\)"),
-        (lambda: Constraint.pfaffian(lambda T: np.zeros(6)), taut.UsageError, "gives A = 0, which forbids nothing"),
-        (lambda: Constraint.pin("a", "b", directions=[1.0, 0.0]), taut.ShapeError, r"directions must be \(k, 3\)"),
-        (lambda: Constraint(max), taut.UsageError, "does not tell its arguments; write it as lambda T"),
+        (
+            lambda: Constraint(lambda T: T.p[2], frames="hand"),
+            taut.errors.UsageError,
+            "frames must be names of frames",
+        ),
+        (
+            lambda: Constraint(lambda T: T.p, one_sided=[True]),
+            taut.errors.ShapeError,
+            "one_sided must be True or False",
+        ),
+        (
+            lambda: Constraint.plane(point=[0, 0, 0], normal=[0, 0, 0]),
+            taut.errors.RangeError,
+            "normal must have a length",
+        ),
+        (lambda: Constraint.sphere(center=[0, 0, 0], radius=-1.0), taut.errors.RangeError, "radius must be > 0"),
+        (lambda: Constraint.hinge(point=[0, 0, 0], axis=U, T=3), taut.errors.UsageError, "T must be a taut.Pose"),  # type: ignore[arg-type]
+        (lambda: Constraint.pfaffian(lambda T: T.p), taut.errors.ShapeError, r"must give A, \(6,\) or \(k, 6\)"),
+        (
+            lambda: Constraint.pfaffian(lambda T: np.zeros(6)),
+            taut.errors.UsageError,
+            "gives A = 0, which forbids nothing",
+        ),
+        (
+            lambda: Constraint.pin("a", "b", directions=[1.0, 0.0]),
+            taut.errors.ShapeError,
+            r"directions must be \(k, 3\)",
+        ),
+        (lambda: Constraint(max), taut.errors.UsageError, "does not tell its arguments; write it as lambda T"),
         (
             lambda: Constraint(lambda T: {}["x"]),
-            taut.UsageError,
+            taut.errors.UsageError,
             r"raises KeyError: 'x' at .*test_constraint\.py:\d+",
         ),
         (
             lambda: Constraint.pfaffian(lambda T: {}["x"]),
-            taut.UsageError,
+            taut.errors.UsageError,
             "in every pose, and this one raises KeyError",
         ),
         (
             lambda: Constraint(lambda T: T.p[2], one_sided=np.True_),
-            taut.ShapeError,
+            taut.errors.ShapeError,
             "one_sided must be True or False",
         ),  # type: ignore[arg-type]
-        (lambda: Constraint.grasp("a", "b", T=3), taut.UsageError, "T must be a taut.Pose, of the second frame"),  # type: ignore[arg-type]
+        (
+            lambda: Constraint.grasp("a", "b", T=3),
+            taut.errors.UsageError,
+            "T must be a taut.Pose, of the second frame",
+        ),  # type: ignore[arg-type]
         (lambda: CONSTRAINTS["plane"] + 3, TypeError, "unsupported operand"),  # type: ignore[operator]
     ],
 )
@@ -433,7 +483,7 @@ def test_a_wrong_constraint_is_one_sentence(
 
 def test_rows_of_joints_that_are_not_as_many_as_said_are_told() -> None:
     constraint = Constraint.of_joints(lambda q: tm.array([q[0], q[1]]))
-    with pytest.raises(taut.ShapeError, match="gives 2 numbers, and it was made with rows=1; say rows=2"):
+    with pytest.raises(taut.errors.ShapeError, match="gives 2 numbers, and it was made with rows=1; say rows=2"):
         constraint.at(taut.snapshot(taut.load_arm("planar2"), [0.1, 0.2]))
 
 

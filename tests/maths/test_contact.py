@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from taut.base.types import Float64Array
-from taut.maths.contact import Touch, contact_impulses, held_impulses
+from taut.maths.constraints.impulses import Touch, contact_impulses, held_impulses
 
 Array = Float64Array
 

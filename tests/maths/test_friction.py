@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import taut
-from taut.base.linalg import factor_spd
 from taut.base.types import Float64Array
 from taut.maths.friction import SWEEPS, dry_friction
+from taut.trace.linalg import factor_spd
 
 DT = 1e-3
 EXACT = 1e-9  # what a thousand sweeps leave, relative to the largest speed

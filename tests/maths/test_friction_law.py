@@ -11,12 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taut import Friction, ShapeError
+from taut import Friction
 from taut import math as tm
-from taut.base.graph import Graph
-from taut.base.scalar import Scalar, tracing
 from taut.base.types import Float64Array
+from taut.errors import ShapeError
 from taut.maths.friction_law import FrictionValues, dry_limit, friction_torque, stribeck_share
+from taut.trace.graph import Graph
+from taut.trace.scalar import Scalar, tracing
 
 SAME = 1e-14  # the same formula in another order, relative
 TINY, HUGE = 5e-324, 1e150

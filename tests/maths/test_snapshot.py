@@ -157,7 +157,7 @@ class TestAdds:
 
     def test_a_payload_for_something_else_than_gravity_is_refused(self) -> None:
         with pytest.raises(
-            taut.UsageError, match=r"adds\['friction'\] must be None; only 'gravity' takes a taut.Payload"
+            taut.errors.UsageError, match=r"adds\['friction'\] must be None; only 'gravity' takes a taut.Payload"
         ):
             Adds.of({"friction": TOLD})
 
@@ -225,7 +225,7 @@ class TestMessages:
     )
     def test_what_is_not_measured(self, name: str, message: str) -> None:
         x = seen()
-        with pytest.raises(taut.MatchError) as caught:
+        with pytest.raises(taut.errors.MatchError) as caught:
             getattr(x, name)
         assert str(caught.value) == message
         assert caught.value.name == name

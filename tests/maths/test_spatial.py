@@ -8,8 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import taut
-from taut.base import math as tm
 from taut.maths import spatial
+from taut.trace import math as tm
 
 ANGLES = [0.0, 1e-12, 1e-8, 1e-5, 1e-3, 0.00999, 0.01001, 0.5, 2.0, 3.0]
 NEAR_PI = [np.pi - 1e-3, np.pi - 1e-7, np.pi - 1e-12, np.pi]

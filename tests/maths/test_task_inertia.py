@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import taut
-from taut.base.linalg import factor_spd
 from taut.maths.singularity import ResolvedMotion, resolve, sizes_of
 from taut.maths.task_inertia import TaskInertia, least_direction
+from taut.trace.linalg import factor_spd
 
 ARMS = ["panda", "ur10", "xarm7"]
 CANDLE = np.array([0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0])

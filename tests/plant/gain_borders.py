@@ -137,7 +137,7 @@ def delay_predicted(taps: int, *, differenced: bool = False) -> float:
 
 
 def delay_simulated(taps: int, *, differenced: bool = False) -> float:
-    plant = taut.RigidPlant(LINK, integrator="rk4", actuation=taut.Actuation(delay=taps / RATE))
+    plant = taut.RigidPlant(LINK, integrator="rk4", actuation=taut.drives.Actuation(delay=taps / RATE))
     guess = delay_formula(taps / RATE, differenced=differenced)
     unstable = after_a_kick(plant, critically_damped(M), 3.0, sensing=velocities(differenced))
     return border(unstable, 0.6 * guess, 1.3 * guess)
@@ -191,8 +191,10 @@ def elasticity_predicted(D: float, *, side: str = "link") -> float:
 
 
 def elasticity_simulated(D: float, *, side: str = "link") -> float:
-    spring = taut.Actuation(transmission=taut.Transmission(stiffness=STIFFNESS, damping=D))
-    sensors = taut.Sensors(position=taut.Encoder(side=side), velocity=taut.Tachometer(side=side))
+    spring = taut.drives.Actuation(transmission=taut.drives.Transmission(stiffness=STIFFNESS, damping=D))
+    sensors = taut.sensors.Sensors(
+        position=taut.sensors.Encoder(side=side), velocity=taut.sensors.Tachometer(side=side)
+    )
     plant = taut.RigidPlant(GEARED, actuation=spring, sensors=sensors, substeps=20)
     return border(after_a_kick(plant, critically_damped(M + B), 6.0), *elasticity_range(D, side))
 
@@ -224,7 +226,9 @@ def saturation_formula(step: float) -> float:
 
 def saturation_simulated(step: float) -> float:
     kp, kd = KP_KD_SATURATED
-    plant = taut.RigidPlant(LINK, integrator="rk4", actuation=taut.Actuation(motor=taut.Motor(peak=PEAK)))
+    plant = taut.RigidPlant(
+        LINK, integrator="rk4", actuation=taut.drives.Actuation(motor=taut.drives.Motor(peak=PEAK))
+    )
     ctrl = taut.compile(taut.laws.PID(kp=kp, kd=kd, ki=1.0, anti_windup="none"), LINK)
 
     def winds_up(ki: float) -> bool:
@@ -248,11 +252,11 @@ def resolution_formula(resolution: float, most: float = PEAK) -> float:
 
 def creeping(kd: float, resolution: float, speed: float = SPEED, duration: float = 2.0) -> taut.Run:
     """A joint that creeps, with velocities from differences of its encoder's steps."""
-    sensors = taut.Sensors(position=taut.Encoder(resolution=resolution), velocity=None)
+    sensors = taut.sensors.Sensors(position=taut.sensors.Encoder(resolution=resolution), velocity=None)
     plant = taut.RigidPlant(LINK, integrator="rk4", sensors=sensors)
     ctrl = taut.compile(taut.laws.PID(kp=KP_CREEP, kd=kd), LINK, sensing=taut.Sensing(velocity="difference"))
     times = np.array([0.0, duration])
-    ref = taut.Samples(times=times, q=np.array([[0.0], [speed * duration]]))
+    ref = taut.trajectories.Samples(times=times, q=np.array([[0.0], [speed * duration]]))
     return taut.run(ctrl, plant, ref, duration=duration, q0=[0.0], v0=[speed])
 
 
@@ -317,8 +321,8 @@ def backlash_formula(coulomb: float = COULOMB) -> float:
 def hunting(kp: float, coulomb: float = COULOMB, duration: float = 20.0) -> taut.Run:
     """A geared joint with play, held by its link's encoder and its motor's tachometer."""
     arm = GEARED.with_friction(taut.Friction(viscous=b, coulomb=coulomb))
-    drives = taut.Actuation(transmission=taut.Transmission(**TEETH))
-    sensors = taut.Sensors(velocity=taut.Tachometer(side="motor"))
+    drives = taut.drives.Actuation(transmission=taut.drives.Transmission(**TEETH))
+    sensors = taut.sensors.Sensors(velocity=taut.sensors.Tachometer(side="motor"))
     plant = taut.RigidPlant(arm, actuation=drives, sensors=sensors, substeps=4)
     return taut.run(taut.compile(taut.laws.PID(kp=kp, kd=KD_PLAY), arm), plant, HOME, duration=duration, q0=[0.05])
 

@@ -14,14 +14,14 @@ FREE = taut.load_arm("one_joint").with_gravity([0.0, 0.0, 0.0]).with_joints(visc
 
 def held(arm: taut.Arm, tau: float, duration: float = 0.2, v0: float = 0.0, **drives: Any) -> taut.Run:
     law = taut.compile(taut.laws.PID(kp=1e-9), arm)
-    plant = taut.RigidPlant(arm, actuation=taut.Actuation(**drives))
+    plant = taut.RigidPlant(arm, actuation=taut.drives.Actuation(**drives))
     return taut.run(law, plant, taut.JointMotion(q=[1e9 * tau]), duration=duration, q0=[0.0], v0=[v0])
 
 
 def test_a_torque_comes_in_steps_of_the_amplifier() -> None:
     law = taut.compile(taut.laws.PID(kp=1.0), FREE)
-    ramp = taut.Samples(times=[0.0, 1.0], q=[[-1.0], [1.0]])
-    plant = taut.RigidPlant(FREE, actuation=taut.Actuation(resolution=0.25))
+    ramp = taut.trajectories.Samples(times=[0.0, 1.0], q=[[-1.0], [1.0]])
+    plant = taut.RigidPlant(FREE, actuation=taut.drives.Actuation(resolution=0.25))
     run = taut.run(law, plant, ramp, duration=0.5, q0=[0.0])
     np.testing.assert_array_equal(run.tau, 0.25 * np.floor(run.command / 0.25 + 0.5))
     assert len(np.unique(run.tau)) >= 4
@@ -29,7 +29,7 @@ def test_a_torque_comes_in_steps_of_the_amplifier() -> None:
 
 def test_ripple_goes_with_the_turns_of_the_motor() -> None:
     arm = FREE.with_gears(ratio=7.0, motor_inertia=1e-5)
-    run = held(arm, 2.0, duration=0.5, ripple=taut.Ripple(amplitude=0.1, periods=4))
+    run = held(arm, 2.0, duration=0.5, ripple=taut.drives.Ripple(amplitude=0.1, periods=4))
     np.testing.assert_allclose(run.tau, 2.0 * (1.0 + 0.1 * np.sin(4.0 * 7.0 * run.q)), rtol=1e-7)
     assert run.tau.max() > 2.19
     assert run.tau.min() < 1.81
@@ -38,8 +38,8 @@ def test_ripple_goes_with_the_turns_of_the_motor() -> None:
 def test_an_electric_motor_has_its_ripple_too() -> None:
     """The amplifier gives the current that the motor's nominal constant asks for."""
     arm = FREE.with_gears(ratio=7.0, motor_inertia=1e-5)
-    motor = taut.ElectricMotor(torque_constant=0.1, resistance=1.0)
-    run = held(arm, 2.0, duration=0.5, motor=motor, ripple=taut.Ripple(amplitude=0.1, periods=4))
+    motor = taut.drives.ElectricMotor(torque_constant=0.1, resistance=1.0)
+    run = held(arm, 2.0, duration=0.5, motor=motor, ripple=taut.drives.Ripple(amplitude=0.1, periods=4))
     np.testing.assert_allclose(run.tau, 2.0 * (1.0 + 0.1 * np.sin(4.0 * 7.0 * run.q)), rtol=1e-7)
     assert run.tau.max() > 2.19
 
@@ -47,16 +47,16 @@ def test_an_electric_motor_has_its_ripple_too() -> None:
 @pytest.mark.parametrize("inductance", [None, 1e-3])
 def test_an_arm_that_is_too_heavy_for_its_amplifier_begins_with_no_more_than_its_current(inductance: Any) -> None:
     arm = taut.load_arm("one_joint")
-    motor = taut.ElectricMotor(torque_constant=0.1, resistance=1.0, inductance=inductance, current=2.0)
+    motor = taut.drives.ElectricMotor(torque_constant=0.1, resistance=1.0, inductance=inductance, current=2.0)
     law = taut.compile(taut.laws.GravityCompensation(), arm)
-    plant = taut.RigidPlant(arm, actuation=taut.Actuation(motor=motor, bandwidth=50.0))
+    plant = taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor, bandwidth=50.0))
     run = taut.run(law, plant, taut.JointMotion(q=[0.0]), duration=0.02, q0=[0.0])
     assert run.command[0, 0] == pytest.approx(0.981)
     np.testing.assert_allclose(run.tau, 0.2, rtol=1e-9)
 
 
 class TestSpeedTorqueCurve:
-    CURVE = taut.Motor(peak=0.5, stall=0.8, no_load=300.0)
+    CURVE = taut.drives.Motor(peak=0.5, stall=0.8, no_load=300.0)
     ARM = FREE.with_gears(ratio=10.0, motor_inertia=1e-6)
 
     @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ class TestSpeedTorqueCurve:
 
     def test_is_changed_in_a_run(self) -> None:
         law = taut.compile(taut.laws.PID(kp=1e-9), self.ARM)
-        plant = taut.RigidPlant(self.ARM, actuation=taut.Actuation(motor=self.CURVE))
+        plant = taut.RigidPlant(self.ARM, actuation=taut.drives.Actuation(motor=self.CURVE))
         weaker = [taut.Event(t=0.01, set={"actuation.motor.peak": 0.2})]
         run = taut.run(law, plant, taut.JointMotion(q=[1e11]), duration=0.02, q0=[0.0], events=weaker)
         assert run.tau[9, 0] == pytest.approx(5.0)
@@ -96,15 +96,15 @@ class TestTorqueLoop:
     """A geared joint with friction, held still behind the sensor by a stiff spring."""
 
     ARM = FREE.with_gears(ratio=100.0, motor_inertia=2e-5).with_friction(taut.Friction(coulomb=2.0, viscous=1.0))
-    STIFF = taut.Transmission(stiffness=5e3, damping=5.0)
+    STIFF = taut.drives.Transmission(stiffness=5e3, damping=5.0)
 
-    def error(self, loop: taut.TorqueLoop | None, tau: float = 5.0) -> float:
+    def error(self, loop: taut.drives.TorqueLoop | None, tau: float = 5.0) -> float:
         """What is missing of a torque that presses the link against a wall, a second after it grew there slowly."""
         wall = Wall()
-        drives = taut.Actuation(transmission=self.STIFF, torque_loop=loop, bandwidth=2000.0)
+        drives = taut.drives.Actuation(transmission=self.STIFF, torque_loop=loop, bandwidth=2000.0)
         plant = taut.RigidPlant(self.ARM, actuation=drives, environment=wall, substeps=10)
         law = taut.compile(taut.laws.PID(kp=1e-9), self.ARM)
-        slowly = taut.Samples(times=[0.0, 1.0, 2.0], q=[[0.0], [1e9 * tau], [1e9 * tau]])
+        slowly = taut.trajectories.Samples(times=[0.0, 1.0, 2.0], q=[[0.0], [1e9 * tau], [1e9 * tau]])
         run = taut.run(law, plant, slowly, duration=2.0, q0=[0.0])
         assert run.outcome.ok
         J = taut.snapshot(self.ARM, run.q[-1]).J()
@@ -115,15 +115,15 @@ class TestTorqueLoop:
 
     @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_its_integral_leaves_nothing(self) -> None:
-        assert abs(self.error(taut.TorqueLoop(kp=0.5, ki=100.0))) < 0.02
+        assert abs(self.error(taut.drives.TorqueLoop(kp=0.5, ki=100.0))) < 0.02
 
     def test_its_proportional_part_leaves_a_share(self) -> None:
-        assert abs(self.error(taut.TorqueLoop(kp=4.0))) < 0.5 * abs(self.error(None))
+        assert abs(self.error(taut.drives.TorqueLoop(kp=4.0))) < 0.5 * abs(self.error(None))
 
     def test_its_integral_does_not_wind_up_behind_a_motor_at_its_limit(self) -> None:
-        loop = taut.TorqueLoop(ki=50.0)
-        drives = taut.Actuation(
-            transmission=self.STIFF, torque_loop=loop, motor=taut.Motor(peak=0.04), bandwidth=2000.0
+        loop = taut.drives.TorqueLoop(ki=50.0)
+        drives = taut.drives.Actuation(
+            transmission=self.STIFF, torque_loop=loop, motor=taut.drives.Motor(peak=0.04), bandwidth=2000.0
         )
         plant = taut.RigidPlant(self.ARM, actuation=drives, environment=Wall(), substeps=10)
         p = {path: value.copy() if value.ndim else value[()] for path, value in plant.parameters.items()}
@@ -139,7 +139,7 @@ class TestTorqueLoop:
     def test_leaves_what_the_plant_adds_itself(self, plant: Any) -> None:
         """The sensor has the weight that the plant holds; the loop must not take it for friction's doing."""
         arm = taut.load_arm("one_joint").with_gears(ratio=100.0, motor_inertia=2e-5)
-        drives = taut.Actuation(torque_loop=taut.TorqueLoop(kp=0.5, ki=50.0))
+        drives = taut.drives.Actuation(torque_loop=taut.drives.TorqueLoop(kp=0.5, ki=50.0))
         floats = plant(arm, actuation=drives, adds=("gravity",))
         law = taut.compile(taut.laws.GravityCompensation(kd=0.1), arm, adds=floats.adds)
         run = taut.run(law, floats, taut.JointMotion(q=[0.5]), duration=0.5, q0=[0.5])
@@ -164,18 +164,18 @@ class Wall:
     "drives",
     [
         {"resolution": 0.01},
-        {"ripple": taut.Ripple(amplitude=[0.1, 0.2], periods=[2, 3])},
-        {"motor": taut.Motor(peak=[1.0, 0.5])},
-        {"motor": taut.ElectricMotor(torque_constant=0.5, resistance=1.0, inductance=1e-3, voltage=10.0, current=5.0)},
-        {"torque_loop": taut.TorqueLoop(kp=0.2, ki=5.0), "bandwidth": [300.0, 500.0]},
-        {"transmission": taut.Transmission(efficiency=0.7, stiffness=[300.0, np.inf], damping=[0.5, 0.0], backlash=[0.01, 0.0])},
+        {"ripple": taut.drives.Ripple(amplitude=[0.1, 0.2], periods=[2, 3])},
+        {"motor": taut.drives.Motor(peak=[1.0, 0.5])},
+        {"motor": taut.drives.ElectricMotor(torque_constant=0.5, resistance=1.0, inductance=1e-3, voltage=10.0, current=5.0)},
+        {"torque_loop": taut.drives.TorqueLoop(kp=0.2, ki=5.0), "bandwidth": [300.0, 500.0]},
+        {"transmission": taut.drives.Transmission(efficiency=0.7, stiffness=[300.0, np.inf], damping=[0.5, 0.0], backlash=[0.01, 0.0])},
     ],
     ids=lambda drives: "-".join(drives),
 )  # fmt: skip
 def test_every_part_runs_the_same_in_native_code_and_in_plain_python(drives: dict[str, Any]) -> None:
     arm = taut.load_arm("planar2").with_gears(ratio=10.0, motor_inertia=1e-4)
     arm = arm.with_friction(taut.Friction(viscous=0.2, coulomb=0.3, static=0.5, stribeck=0.1, load_motor=0.1))
-    plant = taut.RigidPlant(arm, actuation=taut.Actuation(**drives), substeps=3, energy=True)
+    plant = taut.RigidPlant(arm, actuation=taut.drives.Actuation(**drives), substeps=3, energy=True)
     law = taut.laws.PID(kp=[60.0, 30.0], kd=[6.0, 3.0])
     runs = []
     for engine in ("native", "float"):
@@ -190,18 +190,18 @@ def test_every_part_runs_the_same_in_native_code_and_in_plain_python(drives: dic
 @pytest.mark.parametrize(
     ("make", "kind", "message"),
     [
-        (lambda: taut.Motor(), taut.UsageError, "Motor needs peak=, or stall= and no_load=, or all three; without limits leave it out"),
-        (lambda: taut.Motor(stall=1.0), taut.UsageError, "a motor's curve needs both stall= [N m] and no_load= [rad/s], or neither"),
-        (lambda: taut.Motor(peak=-1.0), taut.RangeError, "actuation.motor.peak must be > 0 [N m]; got -1.0"),
-        (lambda: taut.ElectricMotor(torque_constant=0.1, resistance=0.0), taut.RangeError, "actuation.motor.resistance must be > 0 [ohm]; got 0.0"),
-        (lambda: taut.ElectricMotor(torque_constant=0.1, resistance=1.0, inductance=0.0), taut.RangeError, "actuation.motor.inductance must be > 0 [H]; got 0.0; leave it out where the current is there at once"),
-        (lambda: taut.TorqueLoop(), taut.UsageError, "TorqueLoop needs kp= or ki= above zero; without a loop leave it out"),
-        (lambda: taut.TorqueLoop(kp=-1.0), taut.RangeError, "actuation.torque_loop.kp must be >= 0 [1]; got -1.0"),
-        (lambda: taut.Ripple(amplitude=5.0, periods=6), taut.RangeError, "actuation.ripple.amplitude must be below 1, a share of the torque; got 5; 5 % is 0.05"),
-        (lambda: taut.Ripple(amplitude=0.05, periods=2.5), taut.RangeError, "actuation.ripple.periods must be a whole number: after one turn of the motor its torque is the same again; got 2.5"),
-        (lambda: taut.Actuation(resolution=0.0), taut.RangeError, "actuation.resolution must be > 0 [N m | N]; got 0.0; for an ideal amplifier leave it out"),
-        (lambda: taut.Actuation(motor=2.0), taut.UsageError, "actuation.motor must be taut.Motor(...) or taut.ElectricMotor(...); got float"),  # type: ignore[arg-type]
-        (lambda: taut.RigidPlant(FREE, actuation=taut.Actuation(motor=taut.Motor(peak=[1.0, 2.0]))), taut.ShapeError, "actuation.motor.peak must have shape (1,) (1 joint); got shape (2,)"),
+        (lambda: taut.drives.Motor(), taut.errors.UsageError, "Motor needs peak=, or stall= and no_load=, or all three; without limits leave it out"),
+        (lambda: taut.drives.Motor(stall=1.0), taut.errors.UsageError, "a motor's curve needs both stall= [N m] and no_load= [rad/s], or neither"),
+        (lambda: taut.drives.Motor(peak=-1.0), taut.errors.RangeError, "actuation.motor.peak must be > 0 [N m]; got -1.0"),
+        (lambda: taut.drives.ElectricMotor(torque_constant=0.1, resistance=0.0), taut.errors.RangeError, "actuation.motor.resistance must be > 0 [ohm]; got 0.0"),
+        (lambda: taut.drives.ElectricMotor(torque_constant=0.1, resistance=1.0, inductance=0.0), taut.errors.RangeError, "actuation.motor.inductance must be > 0 [H]; got 0.0; leave it out where the current is there at once"),
+        (lambda: taut.drives.TorqueLoop(), taut.errors.UsageError, "TorqueLoop needs kp= or ki= above zero; without a loop leave it out"),
+        (lambda: taut.drives.TorqueLoop(kp=-1.0), taut.errors.RangeError, "actuation.torque_loop.kp must be >= 0 [1]; got -1.0"),
+        (lambda: taut.drives.Ripple(amplitude=5.0, periods=6), taut.errors.RangeError, "actuation.ripple.amplitude must be below 1, a share of the torque; got 5; 5 % is 0.05"),
+        (lambda: taut.drives.Ripple(amplitude=0.05, periods=2.5), taut.errors.RangeError, "actuation.ripple.periods must be a whole number: after one turn of the motor its torque is the same again; got 2.5"),
+        (lambda: taut.drives.Actuation(resolution=0.0), taut.errors.RangeError, "actuation.resolution must be > 0 [N m | N]; got 0.0; for an ideal amplifier leave it out"),
+        (lambda: taut.drives.Actuation(motor=2.0), taut.errors.UsageError, "actuation.motor must be taut.drives.Motor(...) or taut.drives.ElectricMotor(...); got float"),  # type: ignore[arg-type]
+        (lambda: taut.RigidPlant(FREE, actuation=taut.drives.Actuation(motor=taut.drives.Motor(peak=[1.0, 2.0]))), taut.errors.ShapeError, "actuation.motor.peak must have shape (1,) (1 joint); got shape (2,)"),
     ],
 )  # fmt: skip
 def test_what_no_drive_is_is_refused_in_words(make: Any, kind: type[taut.TautError], message: str) -> None:
@@ -222,9 +222,11 @@ def test_what_no_drive_is_is_refused_in_words(make: Any, kind: type[taut.TautErr
 def test_a_new_value_is_checked_like_the_first_one(path: str, value: float, message: str) -> None:
     arm = FREE.with_gears(ratio=10.0, motor_inertia=1e-4)
     arm = arm.with_friction(taut.Friction(coulomb=0.1, static=0.2, stribeck=0.1, stribeck_shape=1.0))
-    drives = taut.Actuation(motor=taut.Motor(peak=1.0), transmission=taut.Transmission(efficiency=0.9))
+    drives = taut.drives.Actuation(
+        motor=taut.drives.Motor(peak=1.0), transmission=taut.drives.Transmission(efficiency=0.9)
+    )
     loop = taut.Loop(taut.compile(taut.laws.PID(kp=1.0), arm), taut.RigidPlant(arm, actuation=drives), duration=1.0)
-    with pytest.raises(taut.RangeError) as caught:
+    with pytest.raises(taut.errors.RangeError) as caught:
         loop.parameters[path] = value
     assert str(caught.value) == message
 
@@ -252,7 +254,7 @@ def test_a_new_value_is_checked_like_the_first_one(path: str, value: float, mess
 @pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
 def test_which_joints_give_way_does_not_change_in_a_run(plant: Any, path: str, value: float, message: str) -> None:
     arm = taut.load_arm("planar2").with_gears(ratio=50.0, motor_inertia=1e-4)
-    drives = taut.Actuation(transmission=taut.Transmission(stiffness=[np.inf, 1e3]))
+    drives = taut.drives.Actuation(transmission=taut.drives.Transmission(stiffness=[np.inf, 1e3]))
     made = plant(arm, actuation=drives)
     with pytest.raises(taut.TautError) as caught:
         made.checked_parameter(path, value)
@@ -262,14 +264,16 @@ def test_which_joints_give_way_does_not_change_in_a_run(plant: Any, path: str, v
 
 
 @pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
-@pytest.mark.parametrize(("sensor", "got"), [(None, "None"), (taut.TorqueSensor(side="motor"), "one at the motor")])
+@pytest.mark.parametrize(
+    ("sensor", "got"), [(None, "None"), (taut.sensors.TorqueSensor(side="motor"), "one at the motor")]
+)
 def test_an_inner_loop_needs_the_sensor_that_it_reads(plant: Any, sensor: Any, got: str) -> None:
-    drives = taut.Actuation(torque_loop=taut.TorqueLoop(ki=5.0))
-    with pytest.raises(taut.UsageError) as caught:
-        plant(FREE, actuation=drives, sensors=taut.Sensors(torque=sensor))
+    drives = taut.drives.Actuation(torque_loop=taut.drives.TorqueLoop(ki=5.0))
+    with pytest.raises(taut.errors.UsageError) as caught:
+        plant(FREE, actuation=drives, sensors=taut.sensors.Sensors(torque=sensor))
     assert str(caught.value) == (
         "actuation.torque_loop reads the torque sensor at the link, behind gear and friction; sensors.torque is "
-        f"{got}; give sensors=taut.Sensors(torque=taut.TorqueSensor()), or leave the loop out"
+        f"{got}; give sensors=taut.sensors.Sensors(torque=taut.sensors.TorqueSensor()), or leave the loop out"
     )
 
 
@@ -281,7 +285,7 @@ def test_rotors_make_the_arm_heavier_at_its_own_joint_alone() -> None:
     np.testing.assert_allclose(extra, np.diag([0.25, 1.0]), rtol=0.0, atol=1e-12)
     law = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), geared)
     plant = taut.RigidPlant(geared, friction=None)
-    ref = taut.Quintic(q0=arm.home, q1=arm.home + 0.3, duration=0.5)
+    ref = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + 0.3, duration=0.5)
     assert np.abs(taut.run(law, plant, ref, duration=0.5).metrics.peak_error).max() < 1e-3
     lighter = [taut.Event(t=0.0, set={"plant.rotor_inertia": 0.0})]
     assert np.abs(taut.run(law, plant, ref, duration=0.5, events=lighter).metrics.peak_error).max() > 5e-3
@@ -291,48 +295,52 @@ class TestStepsThatAreTooLong:
     """What answers within a step is refused before it swings up, with how many steps are enough."""
 
     def refused(self, plant: taut.RigidPlant) -> str:
-        with pytest.raises(taut.RangeError) as caught:
+        with pytest.raises(taut.errors.RangeError) as caught:
             taut.run(taut.compile(taut.laws.PID(kp=1.0), plant.arm), plant, duration=0.1)
         return str(caught.value)
 
     @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_for_the_steep_curve_of_a_motor_without_a_rotor(self) -> None:
         arm = FREE.with_joints(gear=200.0)
-        motor = taut.Motor(stall=0.5, no_load=30.0)
-        message = self.refused(taut.RigidPlant(arm, actuation=taut.Actuation(motor=motor)))
+        motor = taut.drives.Motor(stall=0.5, no_load=30.0)
+        message = self.refused(taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor)))
         assert message == (
             "the motor of joint 'joint1' loses torque with speed so steeply that its joint answers in 0.00075 s, too "
             "fast for steps of 0.001 s; give the plant substeps=2, or the joint its rotor's inertia: "
             "arm.with_gears(ratio=, motor_inertia=)"
         )
-        enough = taut.RigidPlant(arm, actuation=taut.Actuation(motor=motor), substeps=2)
+        enough = taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor), substeps=2)
         push = taut.compile(taut.laws.PID(kp=1.0), arm)
         run = taut.run(push, enough, taut.JointMotion(q=[1e4]), duration=1.0)
         assert run.v[-1, 0] == pytest.approx(30.0 / 200.0, rel=1e-3)
 
     def test_for_a_motor_under_a_voltage(self) -> None:
         arm = FREE.with_joints(gear=200.0)
-        motor = taut.ElectricMotor(torque_constant=0.1, resistance=0.5, voltage=24.0)
+        motor = taut.drives.ElectricMotor(torque_constant=0.1, resistance=0.5, voltage=24.0)
         assert "give the plant substeps=2," in self.refused(
-            taut.RigidPlant(arm, actuation=taut.Actuation(motor=motor))
+            taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor))
         )
-        free = taut.ElectricMotor(torque_constant=0.1, resistance=0.5)  # a supply without end holds any current
-        plant = taut.RigidPlant(arm, actuation=taut.Actuation(motor=free))
+        free = taut.drives.ElectricMotor(
+            torque_constant=0.1, resistance=0.5
+        )  # a supply without end holds any current
+        plant = taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=free))
         assert taut.run(taut.compile(taut.laws.PID(kp=1.0), arm), plant, duration=0.1).outcome.ok
 
     def test_for_an_inner_loop_that_reads_the_step_before(self) -> None:
-        loop = taut.TorqueLoop(kp=1.5)
-        message = self.refused(taut.RigidPlant(FREE, actuation=taut.Actuation(torque_loop=loop)))
+        loop = taut.drives.TorqueLoop(kp=1.5)
+        message = self.refused(taut.RigidPlant(FREE, actuation=taut.drives.Actuation(torque_loop=loop)))
         assert message == (
             "actuation.torque_loop.kp of joint 'joint1' must be below 1 for steps of 0.001 s, since the loop reads the "
             "torque of the step before; lower it, or give the drive a bandwidth"
         )
-        fast = taut.RigidPlant(FREE, actuation=taut.Actuation(torque_loop=taut.TorqueLoop(kp=3.0), bandwidth=3000.0))
+        fast = taut.RigidPlant(
+            FREE, actuation=taut.drives.Actuation(torque_loop=taut.drives.TorqueLoop(kp=3.0), bandwidth=3000.0)
+        )
         assert self.refused(fast).endswith("lower it, or give the plant substeps=2")
         left, mean = np.exp(-3.0), (1.0 - np.exp(-3.0)) / 3.0
         most = (1.0 + left) / (1.0 + left - 2.0 * mean)
         for kp, stable in ((0.97 * most, True), (1.03 * most, False)):
-            drives = taut.Actuation(torque_loop=taut.TorqueLoop(kp=kp), bandwidth=3000.0)
+            drives = taut.drives.Actuation(torque_loop=taut.drives.TorqueLoop(kp=kp), bandwidth=3000.0)
             plant = taut.RigidPlant(FREE, actuation=drives)
             p = {path: value.copy() if value.ndim else value[()] for path, value in plant.parameters.items()}
             mild = {**p, "actuation.torque_loop.kp": np.float64(0.1)}  # else the start is refused
@@ -343,9 +351,9 @@ class TestStepsThatAreTooLong:
 
     def test_a_rotor_that_takes_most_of_the_torque_lets_the_loop_be_steeper(self) -> None:
         arm = FREE.with_gears(ratio=100.0, motor_inertia=2e-4)  # 2 kg m^2 before a link of 0.5
-        loop = taut.TorqueLoop(kp=4.5)  # a fifth of the torque arrives at once
-        plant = taut.RigidPlant(arm, actuation=taut.Actuation(torque_loop=loop))
+        loop = taut.drives.TorqueLoop(kp=4.5)  # a fifth of the torque arrives at once
+        plant = taut.RigidPlant(arm, actuation=taut.drives.Actuation(torque_loop=loop))
         assert taut.run(taut.compile(taut.laws.PID(kp=1.0), arm), plant, duration=0.5).outcome.ok
         assert "must be below 5 for" in self.refused(
-            taut.RigidPlant(arm, actuation=taut.Actuation(torque_loop=taut.TorqueLoop(kp=5.5)))
+            taut.RigidPlant(arm, actuation=taut.drives.Actuation(torque_loop=taut.drives.TorqueLoop(kp=5.5)))
         )

@@ -23,7 +23,7 @@ class TestVelocityDrives:
         plant = taut.RigidPlant(
             taut.load_arm("planar2"),
             takes="velocity",
-            actuation=taut.Actuation(bandwidth=omega),
+            actuation=taut.drives.Actuation(bandwidth=omega),
             substeps=substeps,
         )
         out = run(plant, step_of(v=speed), duration=0.3, q0=[0.2, -0.1])
@@ -34,14 +34,16 @@ class TestVelocityDrives:
 
     def test_the_delay_comes_first(self) -> None:
         plant = taut.RigidPlant(
-            taut.load_arm("planar2"), takes="velocity", actuation=taut.Actuation(bandwidth=50.0, delay=0.004)
+            taut.load_arm("planar2"), takes="velocity", actuation=taut.drives.Actuation(bandwidth=50.0, delay=0.004)
         )
         out = run(plant, step_of(v=1.0), duration=0.1)
         late = np.maximum(out.t - 0.004, 0.0)[:, np.newaxis]
         np.testing.assert_allclose(out.v, 1.0 - np.exp(-50.0 * late) + 0.0 * out.v, rtol=0.0, atol=EXACT)
 
     def test_a_velocity_at_the_start_dies_out_under_no_command(self) -> None:
-        plant = taut.RigidPlant(taut.load_arm("planar2"), takes="velocity", actuation=taut.Actuation(bandwidth=30.0))
+        plant = taut.RigidPlant(
+            taut.load_arm("planar2"), takes="velocity", actuation=taut.drives.Actuation(bandwidth=30.0)
+        )
         out = run(plant, step_of(), duration=0.2, v0=[1.0, -2.0])
         np.testing.assert_allclose(out.v, np.exp(-30.0 * out.t)[:, np.newaxis] * [1.0, -2.0], rtol=0.0, atol=EXACT)
 
@@ -53,7 +55,7 @@ class TestPositionDrives:
         plant = taut.RigidPlant(
             taut.load_arm("planar2"),
             takes="position",
-            actuation=taut.Actuation(bandwidth=omega, delay=0.002),
+            actuation=taut.drives.Actuation(bandwidth=omega, delay=0.002),
             substeps=substeps,
         )
         out = run(plant, step_of(q=1.0), duration=0.4, q0=[0.0, 0.4])
@@ -64,7 +66,7 @@ class TestPositionDrives:
 
     def test_do_not_move_while_the_first_command_is_on_its_way(self) -> None:
         plant = taut.RigidPlant(
-            taut.load_arm("planar2"), takes="position", actuation=taut.Actuation(bandwidth=30.0, delay=0.05)
+            taut.load_arm("planar2"), takes="position", actuation=taut.drives.Actuation(bandwidth=30.0, delay=0.05)
         )
         out = run(plant, step_of(q=1.0), duration=0.05, q0=[0.3, 0.4])
         np.testing.assert_array_equal(out.q, np.broadcast_to([0.3, 0.4], out.q.shape))
@@ -76,9 +78,9 @@ class TestPositionDrives:
         A position command is a staircase, so that the speed has a ripple of (omega dt)^2 / 12.
         """
         arm = taut.load_arm("planar2").with_joints(viscous=[0.3, 0.2], coulomb=[0.5, 0.4]).with_payload(1.0)
-        plant = taut.RigidPlant(arm, takes=takes, actuation=taut.Actuation(bandwidth=50.0))
+        plant = taut.RigidPlant(arm, takes=takes, actuation=taut.drives.Actuation(bandwidth=50.0))
         speed = np.array([0.5, -0.4])
-        ramp = taut.Samples(times=[0.0, 1.0], q=[[0.0, 0.0], speed.tolist()])
+        ramp = taut.trajectories.Samples(times=[0.0, 1.0], q=[[0.0, 0.0], speed.tolist()])
         out = run(plant, ramp, duration=0.9, q0=[0.0, 0.0], v0=speed)
         x = taut.snapshot(arm, out.q[-2], out.v[-2])
         np.testing.assert_allclose(out.v[-2], speed, rtol=0.0, atol=ripple)
@@ -90,8 +92,10 @@ class TestPositionDrives:
         arm = arm.with_gears(ratio=100.0, motor_inertia=1e-5)
         read, v = {}, np.array([1.0, -1.0])
         for side in ("link", "motor"):
-            sensors = taut.Sensors(torque=taut.TorqueSensor(side=side))  # type: ignore[arg-type]
-            plant = taut.RigidPlant(arm, takes=takes, actuation=taut.Actuation(bandwidth=50.0), sensors=sensors)
+            sensors = taut.sensors.Sensors(torque=taut.sensors.TorqueSensor(side=side))  # type: ignore[arg-type]
+            plant = taut.RigidPlant(
+                arm, takes=takes, actuation=taut.drives.Actuation(bandwidth=50.0), sensors=sensors
+            )
             p = {path: np.asarray(value) for path, value in plant.parameters.items()}
             before = plant.start(arm.home, v, p, DT)
             after = plant.advance(plant.command(arm.home, before, 0.0), p, DT)
@@ -108,7 +112,7 @@ class TestPositionDrives:
 class TestTorqueDrives:
     def test_lag_a_step_exactly_at_the_ticks(self) -> None:
         omega = 200.0
-        plant = taut.RigidPlant(taut.load_arm("planar2"), actuation=taut.Actuation(bandwidth=omega))
+        plant = taut.RigidPlant(taut.load_arm("planar2"), actuation=taut.drives.Actuation(bandwidth=omega))
         out = run(plant, step_of(a=3.0), duration=0.05)
         # tau[k] acts in the period after tick k, and is the mean of the lag in it, from the arm's weight.
         fading = (np.exp(-omega * out.t) * (1.0 - np.exp(-omega * DT)) / (omega * DT))[:, np.newaxis]
@@ -119,7 +123,7 @@ class TestTorqueDrives:
         arm = taut.load_arm("kinova")
         start, goal = np.array(arm.home), np.array(arm.home)
         start[0], goal[0] = 3.1, -3.1
-        plant = taut.RigidPlant(arm, takes="position", actuation=taut.Actuation(bandwidth=30.0))
+        plant = taut.RigidPlant(arm, takes="position", actuation=taut.drives.Actuation(bandwidth=30.0))
         out = taut.run(taut.compile(PositionOf(), arm), plant, taut.JointMotion(q=goal), duration=1.0, q0=start)
         assert np.ptp(out.q[:, 0]) < 0.09
         np.testing.assert_allclose(out.q[-1, 0], 2.0 * np.pi - 3.1, atol=1e-6)
@@ -129,15 +133,17 @@ class TestTorqueDrives:
         """One free joint behind a slow drive: v(t) = (a / M) (t - (1 - exp(-omega t)) / omega), without gravity."""
         omega, dt = 100.0, 0.01
         arm = taut.load_arm("one_joint", gravity=[0.0, 0.0, 0.0])
-        plant = taut.RigidPlant(arm, friction=None, substeps=substeps, actuation=taut.Actuation(bandwidth=omega))
+        plant = taut.RigidPlant(
+            arm, friction=None, substeps=substeps, actuation=taut.drives.Actuation(bandwidth=omega)
+        )
         out = taut.run(taut.compile(TorqueOf(), arm, rate=1.0 / dt), plant, step_of(a=1.0, n=1), duration=0.1)
         expected = (out.t - (1.0 - np.exp(-omega * out.t)) / omega) / 0.5
         np.testing.assert_allclose(out.v[:, 0], expected, rtol=0.0, atol=1e-13)
 
     @pytest.mark.parametrize("taps", [0, 1, 3])
     def test_a_delay_is_a_whole_number_of_ticks(self, taps: int) -> None:
-        plant = taut.RigidPlant(taut.load_arm("planar2"), actuation=taut.Actuation(delay=taps * DT))
-        wave = taut.Sine(center=[0.0, 0.0], amplitude=1.0, frequency=5.0)
+        plant = taut.RigidPlant(taut.load_arm("planar2"), actuation=taut.drives.Actuation(delay=taps * DT))
+        wave = taut.trajectories.Sine(center=[0.0, 0.0], amplitude=1.0, frequency=5.0)
         out = run(plant, wave, duration=0.02)
         np.testing.assert_array_equal(out.tau[taps:], out.command[: len(out) - taps])
         weight = taut.snapshot(plant.arm, plant.arm.home).g
@@ -147,7 +153,7 @@ class TestTorqueDrives:
     def test_hold_the_arm_until_the_first_command_arrives(self, adds: tuple[str, ...]) -> None:
         """A compensated arm behind a lag and a delay stays where it is, with a payload that an event brings too."""
         arm = taut.load_arm("ur10")
-        plant = taut.RigidPlant(arm, adds=adds, actuation=taut.Actuation(bandwidth=50.0, delay=0.005))
+        plant = taut.RigidPlant(arm, adds=adds, actuation=taut.drives.Actuation(bandwidth=50.0, delay=0.005))
         load = [taut.Event(t=0.0, set={"plant.payload.mass": 3.0, "model.payload.mass": 3.0})]
         law = taut.laws.GravityPID(kp=0.0, kd=0.0)
         out = run(plant, taut.JointMotion(q=arm.home), law=law, duration=0.5, events=load)
@@ -156,9 +162,9 @@ class TestTorqueDrives:
 
     def test_sensors_on_the_motors_give_the_torque_of_the_last_period(self) -> None:
         plant = taut.RigidPlant(
-            taut.load_arm("planar2"), sensors=taut.Sensors(torque=taut.TorqueSensor(side="motor"))
+            taut.load_arm("planar2"), sensors=taut.sensors.Sensors(torque=taut.sensors.TorqueSensor(side="motor"))
         )
-        wave = taut.Sine(center=[0.0, 0.0], amplitude=1.0, frequency=5.0)
+        wave = taut.trajectories.Sine(center=[0.0, 0.0], amplitude=1.0, frequency=5.0)
         out = run(plant, wave, law=Seen(), duration=0.02)
         np.testing.assert_array_equal(seen(out, "tau")[1:], out.tau[:-1])
         np.testing.assert_allclose(seen(out, "tau")[0], taut.snapshot(plant.arm, plant.arm.home).g, rtol=1e-14)
@@ -166,7 +172,7 @@ class TestTorqueDrives:
     def test_sensors_behind_friction_and_rotor_give_what_arrives_there(self) -> None:
         arm = taut.load_arm("planar2").with_gears(ratio=50.0, motor_inertia=1e-4)
         arm = arm.with_friction(taut.Friction(viscous=0.3, coulomb=0.5))
-        wave = taut.Sine(center=[0.0, 0.0], amplitude=1.0, frequency=5.0)
+        wave = taut.trajectories.Sine(center=[0.0, 0.0], amplitude=1.0, frequency=5.0)
         out = run(taut.RigidPlant(arm), wave, law=Seen(), duration=0.02)
         np.testing.assert_allclose(seen(out, "tau")[0], taut.snapshot(arm, arm.home).g, rtol=1e-14)
         links = arm.with_joints(rotor_inertia=0.0)
@@ -181,7 +187,7 @@ class TestTorqueDrives:
                 return taut.Velocity(wanted=ref.v, tau=x.tau_meas * TINY)
 
         plant = taut.RigidPlant(
-            taut.load_arm("planar2"), takes="velocity", actuation=taut.Actuation(bandwidth=50.0), substeps=2
+            taut.load_arm("planar2"), takes="velocity", actuation=taut.drives.Actuation(bandwidth=50.0), substeps=2
         )
         out = run(plant, step_of(v=0.3), law=Feels(), duration=0.02)
         felt = seen(out, "tau")
@@ -191,7 +197,7 @@ class TestTorqueDrives:
         assert felt[1:, 0].min() > 1.0
 
     def test_bandwidth_is_a_parameter_that_events_change(self) -> None:
-        plant = taut.RigidPlant(taut.load_arm("planar2"), actuation=taut.Actuation(bandwidth=1.0))
+        plant = taut.RigidPlant(taut.load_arm("planar2"), actuation=taut.drives.Actuation(bandwidth=1.0))
         faster = [taut.Event(t=0.01, set={"actuation.bandwidth": 1e4})]
         out = run(plant, step_of(a=3.0), duration=0.02, events=faster)
         assert out.tau[9, 0] == pytest.approx(out.tau[0, 0], rel=0.02)
@@ -260,9 +266,9 @@ def test_a_plant_without_lag_or_delay_gives_the_command_at_once() -> None:
 def test_stiff_drives_need_more_torque_where_friction_grows_with_load() -> None:
     arm = taut.load_arm("planar2").with_joints(viscous=0.0)
     loaded = arm.with_friction(taut.Friction(coulomb=0.1, load_motor=0.05, load_external=0.02))
-    drives = taut.Actuation(bandwidth=200.0)
+    drives = taut.drives.Actuation(bandwidth=200.0)
     command = taut.compile(taut.laws.VelocityPI(kp=20.0), arm)
-    upwards = taut.Quintic(q0=arm.home, q1=arm.home + 0.3, duration=0.2)
+    upwards = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + 0.3, duration=0.2)
     plain, rough = (
         taut.run(command, taut.RigidPlant(a, takes="velocity", actuation=drives), upwards, duration=0.1)
         for a in (arm, loaded)

@@ -219,11 +219,11 @@ def test_an_environment_with_a_fault_is_told(fault: str, words: str) -> None:
         taut.run(ctrl, plant, HOLD, duration=0.01)
 
 
-class Bare(taut.Environment):
+class Bare(taut.environments.Environment):
     """Nothing but the names that the base class has."""
 
 
-class Half(taut.Environment):
+class Half(taut.environments.Environment):
     def wrench(self, *_: Any) -> Any:
         return np.zeros(6), {}
 
@@ -246,7 +246,7 @@ class Gives:
         return self.acted
 
 
-class Own(taut.Environment):
+class Own(taut.environments.Environment):
     """A spring of the user's, which inherits, and has no constructor and no fields."""
 
     def parameters(self) -> dict[str, Any]:
@@ -277,17 +277,19 @@ class TestEnvironmentsOfTheUser:
     @pytest.mark.parametrize("environment", ENVIRONMENTS.values(), ids=ENVIRONMENTS)
     def test_that_lack_something_are_refused(self, environment: Any, plant: Any, together: bool) -> None:
         def go() -> None:
-            given = taut.Environments(mine=environment) if together else environment
+            given = taut.environments.Environments(mine=environment) if together else environment
             made = plant(GANTRY, environment=given)
             taut.run(taut.compile(taut.laws.PID(kp=1.0), GANTRY), made, HOLD, duration=0.01)
 
-        with pytest.raises((taut.UsageError, taut.ShapeError)) as refused:
+        with pytest.raises((taut.errors.UsageError, taut.errors.ShapeError)) as refused:
             go()
         assert type(environment).__name__ in str(refused.value)
 
     def test_may_inherit_from_the_base_class(self, plant: Any, together: bool) -> None:
-        own: Any = taut.Environments(mine=Own()) if together else Own()
+        own: Any = taut.environments.Environments(mine=Own()) if together else Own()
         ctrl = taut.compile(taut.laws.PID(kp=1.0, kd=1.0), GANTRY)
         mine = taut.run(ctrl, plant(GANTRY, environment=own), HOLD, duration=0.05)
-        ready = taut.run(ctrl, plant(GANTRY, environment=taut.Spring(stiffness=30.0)), HOLD, duration=0.05)
+        ready = taut.run(
+            ctrl, plant(GANTRY, environment=taut.environments.Spring(stiffness=30.0)), HOLD, duration=0.05
+        )
         np.testing.assert_allclose(mine.q, ready.q, rtol=0.0, atol=1e-12)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.apps.scenario import load_scenario
+from taut.scenarios.scenario import load_scenario
 
 SEARCH = 1e-3  # what ten halvings leave of the border, and a run of some seconds of its growth
 
@@ -47,7 +47,7 @@ class TestElasticity:
 
     @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_what_grows_is_the_swing_of_motor_against_link(self) -> None:
-        spring = taut.Actuation(transmission=taut.Transmission(stiffness=bounds.STIFFNESS, damping=2.0))
+        spring = taut.drives.Actuation(transmission=taut.drives.Transmission(stiffness=bounds.STIFFNESS, damping=2.0))
         plant = taut.RigidPlant(bounds.GEARED, actuation=spring, substeps=20)
         kd = 1.2 * bounds.elasticity_predicted(2.0)
         law = taut.laws.PID(kp=kd * kd / 3.0, kd=kd)
@@ -76,7 +76,7 @@ def test_a_motor_at_its_limit_bounds_ki_by_what_it_leaves_of_the_damping(step: f
 
 
 def test_limits_that_know_the_motor_keep_the_integral_from_winding_up() -> None:
-    motor = taut.Actuation(motor=taut.Motor(peak=bounds.PEAK))
+    motor = taut.drives.Actuation(motor=taut.drives.Motor(peak=bounds.PEAK))
     plant = taut.RigidPlant(bounds.LINK, integrator="rk4", actuation=motor)
     law = taut.laws.PID(kp=bounds.KP_KD_SATURATED[0], kd=bounds.KP_KD_SATURATED[1], ki=800.0)
     for limits, settles in ((taut.Limits(tau=bounds.PEAK), True), (None, False)):
@@ -127,9 +127,11 @@ class TestBacklash:
 
     def test_without_play_the_same_gains_are_quiet(self) -> None:
         arm = bounds.GEARED.with_friction(taut.Friction(viscous=bounds.b, coulomb=bounds.COULOMB))
-        spring = taut.Transmission(**{**bounds.TEETH, "backlash": 0.0})
-        sensors = taut.Sensors(velocity=taut.Tachometer(side="motor"))
-        plant = taut.RigidPlant(arm, actuation=taut.Actuation(transmission=spring), sensors=sensors, substeps=4)
+        spring = taut.drives.Transmission(**{**bounds.TEETH, "backlash": 0.0})
+        sensors = taut.sensors.Sensors(velocity=taut.sensors.Tachometer(side="motor"))
+        plant = taut.RigidPlant(
+            arm, actuation=taut.drives.Actuation(transmission=spring), sensors=sensors, substeps=4
+        )
         ctrl = taut.compile(taut.laws.PID(kp=100.0, kd=bounds.KD_PLAY), arm)
         run = taut.run(ctrl, plant, bounds.HOME, duration=20.0, q0=[0.05])
         assert np.abs(run.v[-5000:]).max() < 1e-4

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import taut
-from taut.plant.actuation import Actuation
-from taut.plant.sensors import Sensors
+from taut.plant.drives.actuation import Actuation
+from taut.plant.sensors.sensors import Sensors
 
 ARM = taut.load_arm("planar2")
 DRY = ARM.with_joints(coulomb=[0.0, 0.3])
@@ -31,104 +31,116 @@ class Touch:
 CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
     (
         lambda: taut.RigidPlant("planar2"),  # type: ignore[arg-type]
-        taut.UsageError,
+        taut.errors.UsageError,
         "a plant takes an Arm from taut.load_arm; got str",
     ),
     (
         lambda: taut.RigidPlant(ARM, "none"),  # type: ignore[arg-type]
-        taut.UsageError,
+        taut.errors.UsageError,
         "friction must be 'arm' or None; got 'none'; another friction is the arm's: arm.with_friction(...)",
     ),
     (
         lambda: taut.RigidPlant(ARM, integrator="euler"),  # type: ignore[arg-type]
-        taut.UsageError,
+        taut.errors.UsageError,
         "integrator must be one of 'semi-implicit-euler', 'rk4'; got 'euler'",
     ),
     (
         lambda: taut.RigidPlant(ARM, takes="torques"),  # type: ignore[arg-type]
-        taut.UsageError,
+        taut.errors.UsageError,
         "takes must be one of 'torque', 'velocity', 'position'; got 'torques'",
     ),
-    (lambda: taut.RigidPlant(ARM, substeps=0), taut.RangeError, "substeps must be between 1 and 1000; got 0"),
-    (lambda: taut.RigidPlant(ARM, substeps=1001), taut.RangeError, "substeps must be between 1 and 1000; got 1001"),
+    (lambda: taut.RigidPlant(ARM, substeps=0), taut.errors.RangeError, "substeps must be between 1 and 1000; got 0"),
+    (
+        lambda: taut.RigidPlant(ARM, substeps=1001),
+        taut.errors.RangeError,
+        "substeps must be between 1 and 1000; got 1001",
+    ),
     (
         lambda: taut.RigidPlant(ARM, substeps=2.0),  # type: ignore[arg-type]
-        taut.UsageError,
+        taut.errors.UsageError,
         "substeps must be a whole number; got 2.0",
     ),
-    (lambda: taut.RigidPlant(ARM, substeps=True), taut.UsageError, "substeps must be a whole number; got True"),
+    (
+        lambda: taut.RigidPlant(ARM, substeps=True),
+        taut.errors.UsageError,
+        "substeps must be a whole number; got True",
+    ),
     (
         lambda: taut.RigidPlant(DRY, integrator="rk4"),
-        taut.UsageError,
+        taut.errors.UsageError,
         "rk4 needs smooth forces, and arm 'planar2' has dry friction; use semi-implicit-euler, or friction=None",
     ),
     (
         lambda: taut.RigidPlant(ARM, takes="position"),
-        taut.UsageError,
+        taut.errors.UsageError,
         "a plant that takes position needs the bandwidth of its drives: "
-        "actuation=taut.Actuation(bandwidth=50.0)  # rad/s",
+        "actuation=taut.drives.Actuation(bandwidth=50.0)  # rad/s",
     ),
     (
         lambda: taut.RigidPlant(ARM, takes="velocity", actuation=Actuation(bandwidth=9.0), adds=("gravity",)),
-        taut.UsageError,
+        taut.errors.UsageError,
         "adds is for torque commands; this plant takes velocity",
     ),
     (
         lambda: taut.RigidPlant(ARM, adds=("gravty",)),
-        taut.UnknownNameError,
+        taut.errors.UnknownNameError,
         "what a plant adds has no component 'gravty'; did you mean 'gravity'?",
     ),
     (
         lambda: taut.RigidPlant(ARM, adds="gravity"),
-        taut.UsageError,
+        taut.errors.UsageError,
         "adds must be a tuple of names; got 'gravity'; write ('gravity',)",
     ),
     (
         lambda: taut.RigidPlant(ARM, actuation=50.0),  # type: ignore[arg-type]
-        taut.UsageError,
-        "actuation must be taut.Actuation(...); got float",
+        taut.errors.UsageError,
+        "actuation must be taut.drives.Actuation(...); got float",
     ),
     (
         lambda: taut.RigidPlant(ARM, sensors=None),  # type: ignore[arg-type]
-        taut.UsageError,
-        "sensors must be taut.Sensors(...); got NoneType",
+        taut.errors.UsageError,
+        "sensors must be taut.sensors.Sensors(...); got NoneType",
     ),
     (
         lambda: taut.RigidPlant(ARM, environment=3.0),  # type: ignore[arg-type]
-        taut.UsageError,
-        "environment must have parameters(), start(T_WE) and wrench(...), see taut.Environment; got float",
+        taut.errors.UsageError,
+        "environment must have parameters(), start(T_WE) and wrench(...), see taut.environments.Environment; got float",
     ),
     (
-        lambda: taut.RigidPlant(ARM, sensors=Sensors(position=taut.Encoder(noise=[1e-3, 1e-3, 1e-3]))),
-        taut.ShapeError,
+        lambda: taut.RigidPlant(ARM, sensors=Sensors(position=taut.sensors.Encoder(noise=[1e-3, 1e-3, 1e-3]))),
+        taut.errors.ShapeError,
         "sensors.position.noise must have shape (2,) (2 joints); got shape (3,)",
     ),
     (
-        lambda: taut.RigidPlant(ARM, sensors=Sensors(position=taut.Encoder(resolution=np.ones((2, 2))))),
-        taut.ShapeError,
+        lambda: taut.RigidPlant(ARM, sensors=Sensors(position=taut.sensors.Encoder(resolution=np.ones((2, 2))))),
+        taut.errors.ShapeError,
         "encoder.resolution must be one number, or one for each; got shape (2, 2)",
     ),
     (
         lambda: Actuation(bandwidth=0.0),
-        taut.RangeError,
+        taut.errors.RangeError,
         "actuation.bandwidth must be > 0 [rad/s]; got 0.0; for an ideal torque drive leave it out",
     ),
     (
         lambda: Actuation(bandwidth="fast"),  # type: ignore[arg-type]
-        taut.ShapeError,
+        taut.errors.ShapeError,
         "actuation.bandwidth must be numbers [rad/s]; got 'fast'",
     ),
-    (lambda: Actuation(bandwidth=np.inf), taut.RangeError, "actuation.bandwidth must be finite [rad/s]; got inf"),
-    (lambda: Actuation(delay=-1e-3), taut.RangeError, "actuation.delay must be >= 0 [s]; got -0.001"),
+    (
+        lambda: Actuation(bandwidth=np.inf),
+        taut.errors.RangeError,
+        "actuation.bandwidth must be finite [rad/s]; got inf",
+    ),
+    (lambda: Actuation(delay=-1e-3), taut.errors.RangeError, "actuation.delay must be >= 0 [s]; got -0.001"),
     (
         lambda: Actuation(delay=0.0015).taps(1e-3),
-        taut.RangeError,
+        taut.errors.RangeError,
         "actuation.delay must be a whole number of control periods of 0.001 s, at most 1000; got 0.0015 s; a part of a "
-        "period needs a higher control rate, or taut.SampledLoop(delay=...), which takes any",
+        "period needs a higher control rate, or taut.analysis.SampledLoop(delay=...), which takes any",
     ),
     (
         lambda: Actuation(delay=2.0).taps(1e-3),
-        taut.RangeError,
+        taut.errors.RangeError,
         "actuation.delay must be a whole number of control periods of 0.001 s, at most 1000; got 2 s",
     ),
 ]
@@ -159,9 +171,9 @@ class TestAPlantDeclares:
             DRY,
             actuation=Actuation(bandwidth=9.0),
             sensors=Sensors(
-                position=taut.Encoder(resolution=1e-3, noise=1e-3, offset=0.1),
-                velocity=taut.Tachometer(noise=1e-3),
-                torque=taut.TorqueSensor(bias=[0.0, 1.0]),
+                position=taut.sensors.Encoder(resolution=1e-3, noise=1e-3, offset=0.1),
+                velocity=taut.sensors.Tachometer(noise=1e-3),
+                torque=taut.sensors.TorqueSensor(bias=[0.0, 1.0]),
             ),
         )
         assert set(full.parameters) == {
@@ -171,4 +183,6 @@ class TestAPlantDeclares:
 
     def test_the_noise_that_it_needs(self) -> None:
         assert taut.RigidPlant(ARM).noise == {}
-        assert taut.RigidPlant(ARM, sensors=Sensors(velocity=taut.Tachometer(noise=[0.0, 1.0]))).noise == {"v": (2,)}
+        assert taut.RigidPlant(ARM, sensors=Sensors(velocity=taut.sensors.Tachometer(noise=[0.0, 1.0]))).noise == {
+            "v": (2,)
+        }

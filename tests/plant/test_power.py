@@ -19,32 +19,36 @@ GEARED = taut.load_arm("panda").with_gears(ratio=[100.0] * 4 + [50.0] * 3, motor
 ROUGH = GEARED.with_friction(
     taut.Friction(viscous=0.5, coulomb=1.0, static=1.5, stribeck=0.05, load_motor=0.05, load_external=0.02)
 )
-ELECTRIC = taut.ElectricMotor(torque_constant=0.05, resistance=1.2, inductance=1e-3, voltage=48.0, current=15.0)
-PLAIN: dict[str, Any] = {"bandwidth": 2000.0, "ripple": taut.Ripple(amplitude=0.05, periods=6)}
-SOFT = taut.Transmission(stiffness=3e3, damping=2.0, efficiency=0.85)
-PLAY = taut.Transmission(stiffness=5e3, damping=1.0, backlash=0.002, efficiency=0.9)
-MIXED = taut.Transmission(stiffness=[np.inf, 3e3, np.inf, 3e3, 3e3, np.inf, 3e3], damping=[0, 1, 0, 1, 1, 0, 1])
+ELECTRIC = taut.drives.ElectricMotor(
+    torque_constant=0.05, resistance=1.2, inductance=1e-3, voltage=48.0, current=15.0
+)
+PLAIN: dict[str, Any] = {"bandwidth": 2000.0, "ripple": taut.drives.Ripple(amplitude=0.05, periods=6)}
+SOFT = taut.drives.Transmission(stiffness=3e3, damping=2.0, efficiency=0.85)
+PLAY = taut.drives.Transmission(stiffness=5e3, damping=1.0, backlash=0.002, efficiency=0.9)
+MIXED = taut.drives.Transmission(
+    stiffness=[np.inf, 3e3, np.inf, 3e3, 3e3, np.inf, 3e3], damping=[0, 1, 0, 1, 1, 0, 1]
+)
 
 CASES: dict[str, tuple[taut.Arm, dict[str, Any]]] = {
     "ideal": (taut.load_arm("panda"), {}),
     "rotors": (GEARED, {}),
     "friction": (ROUGH, {}),
-    "lossy gears": (ROUGH, {"transmission": taut.Transmission(efficiency=[0.8] * 4 + [0.5] * 3)}),
+    "lossy gears": (ROUGH, {"transmission": taut.drives.Transmission(efficiency=[0.8] * 4 + [0.5] * 3)}),
     "lag and ripple": (ROUGH, PLAIN),
-    "a motor's curve": (ROUGH, {"motor": taut.Motor(peak=1.0, stall=1.2, no_load=300.0), "bandwidth": 500.0}),
+    "a motor's curve": (ROUGH, {"motor": taut.drives.Motor(peak=1.0, stall=1.2, no_load=300.0), "bandwidth": 500.0}),
     "electric": (ROUGH, {"motor": ELECTRIC, **PLAIN}),
-    "electric without inductance": (ROUGH, {"motor": taut.ElectricMotor(torque_constant=0.05, resistance=1.2), **PLAIN}),
+    "electric without inductance": (ROUGH, {"motor": taut.drives.ElectricMotor(torque_constant=0.05, resistance=1.2), **PLAIN}),
     "elastic": (ROUGH, {"transmission": SOFT, "motor": ELECTRIC, "bandwidth": 3000.0}),
     "play": (ROUGH, {"transmission": PLAY}),
     "some joints elastic": (ROUGH, {"transmission": MIXED}),
-    "inner loop": (ROUGH, {"torque_loop": taut.TorqueLoop(kp=0.5, ki=50.0), "bandwidth": 2000.0}),
+    "inner loop": (ROUGH, {"torque_loop": taut.drives.TorqueLoop(kp=0.5, ki=50.0), "bandwidth": 2000.0}),
 }  # fmt: skip
 LOSSES = ("viscous", "dry", "gears", "copper")
 
 
 def plant_of(name: str, **options: Any) -> taut.RigidPlant:
     arm, drives = CASES[name]
-    return taut.RigidPlant(arm, actuation=taut.Actuation(**drives), energy=True, substeps=10, **options)
+    return taut.RigidPlant(arm, actuation=taut.drives.Actuation(**drives), energy=True, substeps=10, **options)
 
 
 def parameters_of(plant: taut.RigidPlant) -> dict[str, Any]:
@@ -111,7 +115,7 @@ def test_losses_only_take(name: str) -> None:
             assert (w[part] >= -1e-15).all(), part
             lost[part] += float(w[part].sum())
     _, drives = CASES[name]
-    assert (lost["copper"] > 0.0) is (type(drives.get("motor")) is taut.ElectricMotor)
+    assert (lost["copper"] > 0.0) is (type(drives.get("motor")) is taut.drives.ElectricMotor)
     assert (lost["gears"] > 0.0) is ("transmission" in drives and drives["transmission"].lossy)
 
 
@@ -133,8 +137,8 @@ class TestElectricMotor:
     def test_current_heat_and_mean_torque_are_those_of_the_winding(self, saturated: bool) -> None:
         """One step under a held voltage and speed, against SciPy on L di/dt = V - R i - k omega."""
         arm = taut.load_arm("one_joint").with_gravity([0.0, 0.0, 0.0]).with_gears(ratio=20.0, motor_inertia=1e-4)
-        motor = taut.ElectricMotor(torque_constant=0.05, resistance=1.2, inductance=2e-3, voltage=24.0)
-        plant = taut.RigidPlant(arm, actuation=taut.Actuation(motor=motor, bandwidth=800.0), energy=True)
+        motor = taut.drives.ElectricMotor(torque_constant=0.05, resistance=1.2, inductance=2e-3, voltage=24.0)
+        plant = taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor, bandwidth=800.0), energy=True)
         p, dt, k = parameters_of(plant), 1e-3, 0.05 * 20.0
         memory = plant.start(np.zeros(1), np.array([2.0]), p, dt)
         memory["current"] = np.array([1.5])
@@ -160,12 +164,12 @@ class TestElectricMotor:
     @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_under_full_voltage_it_runs_up_to_its_no_load_speed(self) -> None:
         arm = taut.load_arm("one_joint").with_gravity([0.0, 0.0, 0.0]).with_joints(viscous=0.0)
-        motor = taut.ElectricMotor(torque_constant=0.5, resistance=1.0, inductance=1e-3, voltage=12.0)
+        motor = taut.drives.ElectricMotor(torque_constant=0.5, resistance=1.0, inductance=1e-3, voltage=12.0)
         assert (motor.stall, motor.no_load) == (6.0, 24.0)
         push = taut.compile(taut.laws.PID(kp=1.0), arm)
         run = taut.run(
             push,
-            taut.RigidPlant(arm, actuation=taut.Actuation(motor=motor)),
+            taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor)),
             taut.JointMotion(q=[1e3]),
             duration=30.0,
         )
@@ -175,9 +179,9 @@ class TestElectricMotor:
     def test_a_motor_that_is_driven_gives_power_back(self) -> None:
         """Braking a load from speed: the supply is charged where copper leaves something."""
         arm = taut.load_arm("one_joint").with_gravity([0.0, 0.0, 0.0])
-        motor = taut.ElectricMotor(torque_constant=2.0, resistance=0.1)
+        motor = taut.drives.ElectricMotor(torque_constant=2.0, resistance=0.1)
         brake = taut.compile(taut.laws.GravityCompensation(kd=2.0), arm)
-        plant = taut.RigidPlant(arm, actuation=taut.Actuation(motor=motor), energy=True)
+        plant = taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor), energy=True)
         run = taut.run(brake, plant, duration=1.0, v0=[10.0])
         taken, heat = run.extra["work.electric"][-1, 0], run.extra["work.copper"][-1, 0]
         assert taken < -10.0
@@ -217,7 +221,10 @@ def test_keeping_account_changes_no_motion() -> None:
     ref = taut.JointMotion(q=arm.home + 0.2)
     one, other = (
         taut.run(
-            ctrl, taut.RigidPlant(arm, actuation=taut.Actuation(**drives), substeps=4, energy=e), ref, duration=0.2
+            ctrl,
+            taut.RigidPlant(arm, actuation=taut.drives.Actuation(**drives), substeps=4, energy=e),
+            ref,
+            duration=0.2,
         )
         for e in (False, True)
     )

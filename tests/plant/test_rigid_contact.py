@@ -252,14 +252,20 @@ def test_the_power_balance_of_the_drives_holds_in_contact() -> None:
 
 GEARED = MASS.with_joints(rotor_inertia=[4.0, 3.0, 2.0])
 SOFT = {"stiffness": 2e4, "damping": 50.0}
-DRIVES: dict[str, tuple[taut.Actuation, float, float]] = {  # with the force, least and largest, that is left of 20 N
-    "rigid": (taut.Actuation(), 20.0, 20.0),
-    "elastic": (taut.Actuation(transmission=taut.Transmission(**SOFT)), 20.0, 20.0),
-    "backlash": (taut.Actuation(transmission=taut.Transmission(**SOFT, backlash=0.002)), 20.0, 20.0),
-    "lossy": (taut.Actuation(transmission=taut.Transmission(efficiency=0.8)), 16.0, 16.0),
-    "lossy and elastic": (taut.Actuation(transmission=taut.Transmission(efficiency=0.8, **SOFT)), 16.0, 25.0),
-    "motor at its limit": (taut.Actuation(motor=taut.Motor(peak=12.0)), 12.0, 12.0),
-    "slow amplifier": (taut.Actuation(bandwidth=50.0, delay=0.002), 20.0, 20.0),
+DRIVES: dict[
+    str, tuple[taut.drives.Actuation, float, float]
+] = {  # with the force, least and largest, that is left of 20 N
+    "rigid": (taut.drives.Actuation(), 20.0, 20.0),
+    "elastic": (taut.drives.Actuation(transmission=taut.drives.Transmission(**SOFT)), 20.0, 20.0),
+    "backlash": (taut.drives.Actuation(transmission=taut.drives.Transmission(**SOFT, backlash=0.002)), 20.0, 20.0),
+    "lossy": (taut.drives.Actuation(transmission=taut.drives.Transmission(efficiency=0.8)), 16.0, 16.0),
+    "lossy and elastic": (
+        taut.drives.Actuation(transmission=taut.drives.Transmission(efficiency=0.8, **SOFT)),
+        16.0,
+        25.0,
+    ),
+    "motor at its limit": (taut.drives.Actuation(motor=taut.drives.Motor(peak=12.0)), 12.0, 12.0),
+    "slow amplifier": (taut.drives.Actuation(bandwidth=50.0, delay=0.002), 20.0, 20.0),
 }
 
 
@@ -296,7 +302,7 @@ def test_every_drive_presses_as_asked_and_its_torque_sensor_tells(name: str) -> 
 @pytest.mark.parametrize("backlash", [0.0, 0.002])
 def test_energy_does_not_grow_where_elastic_joints_bounce(backlash: float) -> None:
     """Restitution 1, springs without damping: the links, the rotors and the springs keep what they have, or less."""
-    drives = taut.Actuation(transmission=taut.Transmission(stiffness=2e4, backlash=backlash))
+    drives = taut.drives.Actuation(transmission=taut.drives.Transmission(stiffness=2e4, backlash=backlash))
     contact = taut.RigidContact(constraint=FLOOR, restitution=1.0)
     plant = {"actuation": drives, "energy": True, "substeps": 4}
     found = run(contact, arm=GEARED, q0=[0.0, 0.0, 0.05], v0=[0.3, 0.0, 0.0], duration=2.0, **plant)
@@ -363,7 +369,7 @@ def test_torsion_holds_just_inside_its_bound_and_not_outside() -> None:
 
 
 def test_contacts_and_environments_act_together() -> None:
-    spring = taut.Spring(stiffness=100.0, at=[0.1, 0.0, -0.2])
+    spring = taut.environments.Spring(stiffness=100.0, at=[0.1, 0.0, -0.2])
     found = run(taut.RigidContact(constraint=FLOOR, friction=MU), environment=spring, duration=0.1)
     np.testing.assert_allclose(found.extra["F_ext"][:, 2], WEIGHT, rtol=1e-9)
     np.testing.assert_allclose(found.extra["F_ext"][:, 0], 0.0, atol=1e-9)  # the spring pulls 10 N, friction holds
@@ -420,7 +426,7 @@ def five_bar() -> taut.Arm:
 def test_a_five_bar_stays_closed_and_keeps_its_energy() -> None:
     arm = five_bar()
     pin = taut.Constraint.pin("left", "right", directions=[[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    q0 = taut.onto(pin, arm, arm.home)
+    q0 = taut.dynamics.onto(pin, arm, arm.home)
     found = run(pin, arm=arm, q0=q0, duration=0.5, tau=np.zeros(4))
     assert found.extra["contact.drift"].max() < 1e-9
     assert np.ptp(found.q, axis=0).min() > 0.3

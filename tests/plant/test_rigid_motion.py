@@ -109,7 +109,9 @@ class TestEnergy:
 
     def test_grows_by_the_work_of_the_torque(self) -> None:
         arm = taut.load_arm("planar3")
-        push = taut.Sine(center=np.zeros(3), amplitude=[0.5, 0.2, 0.05], frequency=0.5)  # a in it is the torque
+        push = taut.trajectories.Sine(
+            center=np.zeros(3), amplitude=[0.5, 0.2, 0.05], frequency=0.5
+        )  # a in it is the torque
         out = run(taut.RigidPlant(arm, friction=None, integrator="rk4", substeps=8), push, duration=0.5)
         work = np.cumsum(out.tau[:-1] * np.diff(out.q, axis=0), axis=0).sum(axis=1)
         E = energy(arm, out.q[1::20], out.v[1::20])

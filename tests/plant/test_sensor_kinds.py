@@ -13,7 +13,7 @@ from plant_laws import TINY, Array, run
 
 import taut
 from taut.maths.model import model_of
-from taut.plant.sensors import Sensors
+from taut.plant.sensors.sensors import Sensors
 
 ARM = taut.load_arm("planar2")
 GEARED = ARM.with_gears(ratio=[100.0, 50.0], motor_inertia=1e-6)
@@ -77,30 +77,32 @@ class TestAnEncoder:
 
     def test_at_the_motor_has_its_steps_on_the_motors_shaft(self) -> None:
         step = 2.0 * np.pi / 4096
-        seen = read(Sensors(position=taut.Encoder(resolution=step, side="motor")), self.TRUE, GEARED)["q"]
+        seen = read(Sensors(position=taut.sensors.Encoder(resolution=step, side="motor")), self.TRUE, GEARED)["q"]
         shaft = GEARED.gear * self.TRUE["q"]
         np.testing.assert_allclose(seen, step * np.round(shaft / step) / GEARED.gear, rtol=1e-15)
         assert (np.abs(seen - self.TRUE["q"]) <= 0.5 * step / GEARED.gear + 1e-15).all()
         assert np.abs(seen - self.TRUE["q"]).max() > 0.0
 
     def test_at_the_link_has_its_steps_at_the_link_whatever_the_gear(self) -> None:
-        seen = read(Sensors(position=taut.Encoder(resolution=0.01, side="link")), self.TRUE, GEARED)["q"]
+        seen = read(Sensors(position=taut.sensors.Encoder(resolution=0.01, side="link")), self.TRUE, GEARED)["q"]
         np.testing.assert_allclose(seen, [0.71, -1.23], rtol=1e-12)
 
     def test_at_the_motor_reads_the_motor_where_it_is_elsewhere_than_the_link(self) -> None:
         true = {**self.TRUE, "q_motor": np.array([0.72, -1.25]), "v_motor": np.array([1.0, 2.0])}
-        at_motor = Sensors(position=taut.Encoder(side="motor"), velocity=taut.Tachometer(side="motor"))
+        at_motor = Sensors(
+            position=taut.sensors.Encoder(side="motor"), velocity=taut.sensors.Tachometer(side="motor")
+        )
         for sensors, q, v in ((at_motor, "q_motor", "v_motor"), (Sensors(), "q", "v")):
             seen = read(sensors, true, GEARED)
             np.testing.assert_array_equal(seen["q"], true[q])
             np.testing.assert_array_equal(seen["v"], true[v])
-        both = read(Sensors(motor=taut.Encoder(), motor_velocity=taut.Tachometer()), true, GEARED)
+        both = read(Sensors(motor=taut.sensors.Encoder(), motor_velocity=taut.sensors.Tachometer()), true, GEARED)
         for name in ("q", "v", "q_motor", "v_motor"):
             np.testing.assert_array_equal(both[name], true[name])
 
     def test_at_the_motor_has_offset_and_noise_of_the_shaft_too(self) -> None:
-        position = taut.Encoder(offset=0.5, noise=[0.1, 0.2], side="motor")
-        tacho = taut.Tachometer(offset=[1.0, 2.0], noise=0.3, side="motor")
+        position = taut.sensors.Encoder(offset=0.5, noise=[0.1, 0.2], side="motor")
+        tacho = taut.sensors.Tachometer(offset=[1.0, 2.0], noise=0.3, side="motor")
         normal = np.array([1.0, -2.0])
         seen = read(Sensors(position=position, velocity=tacho), self.TRUE, GEARED, q=normal, v=normal)
         np.testing.assert_allclose(seen["q"], self.TRUE["q"] + (0.5 + np.array([0.1, -0.4])) / GEARED.gear)
@@ -108,7 +110,7 @@ class TestAnEncoder:
 
     def test_is_a_potentiometer_with_noise_and_an_offset(self) -> None:
         plant = taut.RigidPlant(
-            ARM, adds=STILL, sensors=Sensors(position=taut.Encoder(noise=[1e-3, 4e-3], offset=0.02))
+            ARM, adds=STILL, sensors=Sensors(position=taut.sensors.Encoder(noise=[1e-3, 4e-3], offset=0.02))
         )
         ctrl = taut.compile(taut.laws.PID(kp=0.0, kd=0.0), ARM, adds=plant.adds)
         out = taut.run(ctrl, plant, HOLD, duration=10.0)
@@ -118,7 +120,9 @@ class TestAnEncoder:
 
     def test_of_the_motor_in_a_run(self) -> None:
         step = 2.0 * np.pi / 500
-        sensors = Sensors(motor=taut.Encoder(resolution=step), motor_velocity=taut.Tachometer(noise=5.0))
+        sensors = Sensors(
+            motor=taut.sensors.Encoder(resolution=step), motor_velocity=taut.sensors.Tachometer(noise=5.0)
+        )
         plant = taut.RigidPlant(GEARED, adds=STILL, sensors=sensors)
         out = run(plant, HOLD, law=SeesMotors(), v0=[0.4, -0.3], duration=5.0)
         shaft = out.extra["sensed.q_motor"] * GEARED.gear / step
@@ -132,16 +136,16 @@ class TestBehindAnElasticGear:
     K = np.array([300.0, 150.0])  # [N m/rad]
 
     def test_motor_and_link_are_seen_apart_and_the_spring_between_them_is_the_torque_at_the_link(self) -> None:
-        spring = taut.Actuation(transmission=taut.Transmission(stiffness=self.K))
+        spring = taut.drives.Actuation(transmission=taut.drives.Transmission(stiffness=self.K))
         steps = 2.0 * np.pi / 2**20
         sensors = Sensors(
-            position=taut.Encoder(resolution=steps, side="link"),
-            motor=taut.Encoder(resolution=steps),
-            motor_velocity=taut.Tachometer(),
+            position=taut.sensors.Encoder(resolution=steps, side="link"),
+            motor=taut.sensors.Encoder(resolution=steps),
+            motor_velocity=taut.sensors.Tachometer(),
         )
         arm = ARM.with_gears(ratio=100.0, motor_inertia=1e-5)
         plant = taut.RigidPlant(arm, friction=None, actuation=spring, sensors=sensors)
-        wave = taut.Sine(center=[0.0, 0.0], amplitude=[3.0, 1.0], frequency=2.0)
+        wave = taut.trajectories.Sine(center=[0.0, 0.0], amplitude=[3.0, 1.0], frequency=2.0)
         out = run(plant, wave, law=SeesMotors(), rate=1e4, duration=0.5)
         q_motor, wound = out.extra["sensed.q_motor"], out.extra["sensed.q_motor"] - out.extra["sensed.q"]
         assert (np.abs(wound).max(axis=0) > 0.002).all()
@@ -171,18 +175,18 @@ class TestATorqueSensor:
 
     def test_reads_the_link_or_the_motor(self) -> None:
         for side in ("link", "motor"):
-            seen = read(Sensors(torque=taut.TorqueSensor(side=side)), self.TRUE)["tau_meas"]
+            seen = read(Sensors(torque=taut.sensors.TorqueSensor(side=side)), self.TRUE)["tau_meas"]
             np.testing.assert_array_equal(seen, self.TRUE["tau_link" if side == "link" else "tau"])
         rigid = {name: value for name, value in self.TRUE.items() if name != "tau_link"}
         np.testing.assert_array_equal(read(Sensors(), rigid)["tau_meas"], rigid["tau"])
 
     def test_has_bias_noise_and_steps_in_this_order(self) -> None:
-        sensor = taut.TorqueSensor(bias=[0.2, 0.0], noise=0.3, resolution=0.5)
+        sensor = taut.sensors.TorqueSensor(bias=[0.2, 0.0], noise=0.3, resolution=0.5)
         seen = read(Sensors(torque=sensor), self.TRUE, tau_meas=np.array([1.0, -1.0]))["tau_meas"]
         np.testing.assert_allclose(seen, [3.0, -3.5])  # of 2.5 + 0.2 + 0.3 and -3.1 - 0.3
 
     def test_has_the_stated_spread_in_a_run(self) -> None:
-        sensors = Sensors(torque=taut.TorqueSensor(noise=[0.05, 0.2], bias=-0.1, side="motor"))
+        sensors = Sensors(torque=taut.sensors.TorqueSensor(noise=[0.05, 0.2], bias=-0.1, side="motor"))
         plant = taut.RigidPlant(ARM, adds=STILL, sensors=sensors, environment=Push(F=(0.0,) * 6))
         out = run(plant, HOLD, law=Feels(), duration=10.0)
         off = out.extra["sensed.tau_meas"][1:] - out.tau[:-1]
@@ -204,28 +208,28 @@ class TestAWrenchSensor:
     def in_tool(self, F_W: Array) -> Array:
         return np.concatenate([self.R_WE.T @ F_W[:3], self.R_WE.T @ F_W[3:]])
 
-    def seen(self, sensor: taut.WrenchSensor, **noise: Array) -> dict[str, Any]:
+    def seen(self, sensor: taut.sensors.WrenchSensor, **noise: Array) -> dict[str, Any]:
         return read(Sensors(wrench=sensor), {**self.POSE, "F_ext": F_PUSH}, self.PANDA, **noise)
 
     def test_has_bias_and_noise_in_the_axes_of_the_tool(self) -> None:
         bias, normal = np.array([1.0, 2.0, 3.0, 0.1, 0.2, 0.3]), np.arange(6.0)
-        seen = self.seen(taut.WrenchSensor(bias=bias, noise=(0.5, 0.01)), F_ext=normal)["F_ext"]
+        seen = self.seen(taut.sensors.WrenchSensor(bias=bias, noise=(0.5, 0.01)), F_ext=normal)["F_ext"]
         noise = np.array([0.5, 0.5, 0.5, 0.01, 0.01, 0.01]) * normal
         np.testing.assert_allclose(self.in_tool(seen - F_PUSH), bias + noise, atol=1e-14)
 
     def test_is_cut_at_its_range_axis_by_axis_and_says_so(self) -> None:
         limit = np.array([np.inf, 5.0, 4.0, 0.5, 0.5, np.inf])
-        seen = self.seen(taut.WrenchSensor(range=limit))
+        seen = self.seen(taut.sensors.WrenchSensor(range=limit))
         wanted = np.clip(self.in_tool(F_PUSH), -limit, limit)
         np.testing.assert_allclose(self.in_tool(seen["F_ext"]), wanted, atol=1e-14)
         assert np.abs(wanted - self.in_tool(F_PUSH)).max() > 1.0
         assert seen["saturated.F_ext"] == 1.0
-        wide = self.seen(taut.WrenchSensor(range=(100.0, 10.0)))
+        wide = self.seen(taut.sensors.WrenchSensor(range=(100.0, 10.0)))
         np.testing.assert_allclose(wide["F_ext"], F_PUSH, rtol=1e-12)
         assert wide["saturated.F_ext"] == 0.0
 
     def test_has_the_stated_spread_in_a_run(self) -> None:
-        sensors = Sensors(wrench=taut.WrenchSensor(noise=(0.5, 0.02), bias=[1.0, 0.0, 0.0, 0.0, 0.0, 0.1]))
+        sensors = Sensors(wrench=taut.sensors.WrenchSensor(noise=(0.5, 0.02), bias=[1.0, 0.0, 0.0, 0.0, 0.0, 0.1]))
         plant = taut.RigidPlant(ARM, adds=STILL, sensors=sensors, environment=Push(F=(0.0,) * 6))
         out = run(plant, HOLD, law=Feels(), q0=[0.5, 0.6], duration=10.0)
         R = taut.snapshot(ARM, [0.5, 0.6]).T().R
@@ -235,7 +239,7 @@ class TestAWrenchSensor:
         np.testing.assert_array_equal(out.extra["F_ext"], np.zeros((len(out), 6)))
 
     def test_at_its_range_is_told_at_the_end_of_a_run(self) -> None:
-        sensors = Sensors(wrench=taut.WrenchSensor(range=(10.0, 10.0)))
+        sensors = Sensors(wrench=taut.sensors.WrenchSensor(range=(10.0, 10.0)))
         plant = taut.RigidPlant(ARM, adds=STILL, sensors=sensors, environment=Push(F=(0.0,) * 6))
         push = [
             taut.Event(t=0.02, set={"environment.F": [0.0, 0.0, 20.0, 0.0, 0.0, 0.0]}),
@@ -271,12 +275,12 @@ class TestAnAccelerometer:
             data.qacc[order] = a
             mujoco.mj_rnePostConstraint(model, data)
             mujoco.mj_objectAcceleration(model, data, mujoco.mjtObj.mjOBJ_SITE, model.site(arm.tool).id, answer, 1)
-            seen = read(Sensors(tip=taut.Accelerometer()), {"q": q, "v": v, "a": a}, arm)["a_tip"]
+            seen = read(Sensors(tip=taut.sensors.Accelerometer()), {"q": q, "v": v, "a": a}, arm)["a_tip"]
             np.testing.assert_allclose(seen, answer[3:], atol=1e-9 * max(1.0, np.abs(answer).max()))
 
     def test_reads_the_weight_at_rest_and_nothing_in_free_fall(self) -> None:
         true = {"q": np.array([0.3, 0.4]), "v": np.zeros(2), "a": np.zeros(2)}
-        tip = Sensors(tip=taut.Accelerometer())
+        tip = Sensors(tip=taut.sensors.Accelerometer())
         R = taut.snapshot(ARM, true["q"]).T().R
         np.testing.assert_allclose(R @ read(tip, true)["a_tip"], -ARM.gravity, atol=1e-14)
         gantry = taut.load_arm("gantry3")
@@ -290,7 +294,11 @@ class TestAnAccelerometer:
     @pytest.mark.parametrize("integrator", ["semi-implicit-euler", "rk4"])
     def test_in_a_run_reads_the_second_derivative_of_the_tools_path(self, integrator: Any, substeps: int) -> None:
         plant = taut.RigidPlant(
-            ARM, friction=None, integrator=integrator, substeps=substeps, sensors=Sensors(tip=taut.Accelerometer())
+            ARM,
+            friction=None,
+            integrator=integrator,
+            substeps=substeps,
+            sensors=Sensors(tip=taut.sensors.Accelerometer()),
         )
         errors = []
         for rate in (5e3, 1e4):
@@ -306,8 +314,8 @@ class TestAnAccelerometer:
 
     @pytest.mark.parametrize("takes", ["velocity", "position"])
     def test_works_on_stiff_drives_too(self, takes: Any) -> None:
-        drives = taut.Actuation(bandwidth=20.0)
-        plant = taut.RigidPlant(ARM, takes=takes, actuation=drives, sensors=Sensors(tip=taut.Accelerometer()))
+        drives = taut.drives.Actuation(bandwidth=20.0)
+        plant = taut.RigidPlant(ARM, takes=takes, actuation=drives, sensors=Sensors(tip=taut.sensors.Accelerometer()))
         inputs = plant.parameters
         memory = plant.start(np.zeros(2), np.zeros(2), inputs, 1e-3)
         memory = plant.command(np.array([0.5, 0.1]), memory, 0.0)
@@ -317,12 +325,12 @@ class TestAnAccelerometer:
 
     def test_has_bias_noise_and_range(self) -> None:
         true = {"q": np.zeros(2), "v": np.zeros(2), "a": np.zeros(2)}
-        ideal = read(Sensors(tip=taut.Accelerometer()), true)["a_tip"]
+        ideal = read(Sensors(tip=taut.sensors.Accelerometer()), true)["a_tip"]
         bias, normal = np.array([0.1, 0.2, 0.3]), np.array([1.0, -1.0, 2.0])
-        faulty = taut.Accelerometer(bias=bias, noise=0.05, range=[9.0, 20.0, 9.0])
+        faulty = taut.sensors.Accelerometer(bias=bias, noise=0.05, range=[9.0, 20.0, 9.0])
         seen = read(Sensors(tip=faulty), true, a_tip=normal)
         np.testing.assert_allclose(seen["a_tip"], np.clip(ideal + bias + 0.05 * normal, [-9, -20, -9], [9, 20, 9]))
-        plant = taut.RigidPlant(ARM, sensors=Sensors(tip=taut.Accelerometer(noise=0.5)), adds=STILL)
+        plant = taut.RigidPlant(ARM, sensors=Sensors(tip=taut.sensors.Accelerometer(noise=0.5)), adds=STILL)
         out = run(plant, HOLD, law=FeelsTip(), duration=10.0)
         np.testing.assert_allclose((out.extra["sensed.a_tip"] - ideal).std(axis=0), 0.5, rtol=0.03)
 
@@ -334,19 +342,24 @@ class TestAPlantWithSensors:
     def test_measures_what_has_a_sensor(self) -> None:
         bare = Sensors(velocity=None, torque=None)
         assert taut.RigidPlant(ARM, sensors=bare).measures == frozenset()
-        full = Sensors(motor=taut.Encoder(), motor_velocity=taut.Tachometer(), tip=taut.Accelerometer(), wrench=None)
+        full = Sensors(
+            motor=taut.sensors.Encoder(),
+            motor_velocity=taut.sensors.Tachometer(),
+            tip=taut.sensors.Accelerometer(),
+            wrench=None,
+        )
         touched = taut.RigidPlant(ARM, sensors=full, environment=Push())
         assert touched.measures == {"v", "q_motor", "v_motor", "tau_meas", "a_tip"}
 
     def test_draws_noise_by_measurement_in_its_size(self) -> None:
         noisy = Sensors(
-            position=taut.Encoder(noise=1e-3),
-            velocity=taut.Tachometer(noise=1e-3),
-            motor=taut.Encoder(noise=1e-3),
-            motor_velocity=taut.Tachometer(noise=1e-3),
-            torque=taut.TorqueSensor(noise=1e-3),
-            wrench=taut.WrenchSensor(noise=(1.0, 0.1)),
-            tip=taut.Accelerometer(noise=0.1),
+            position=taut.sensors.Encoder(noise=1e-3),
+            velocity=taut.sensors.Tachometer(noise=1e-3),
+            motor=taut.sensors.Encoder(noise=1e-3),
+            motor_velocity=taut.sensors.Tachometer(noise=1e-3),
+            torque=taut.sensors.TorqueSensor(noise=1e-3),
+            wrench=taut.sensors.WrenchSensor(noise=(1.0, 0.1)),
+            tip=taut.sensors.Accelerometer(noise=0.1),
         )
         plant = taut.RigidPlant(ARM, sensors=noisy, environment=Push())
         assert plant.noise == {
@@ -356,10 +369,10 @@ class TestAPlantWithSensors:
 
     def test_has_parameters_of_what_is_there_alone(self) -> None:
         sensors = Sensors(
-            position=taut.Encoder(resolution=[0.0, 1e-3], noise=0.0),
-            torque=taut.TorqueSensor(bias=-0.5),
-            wrench=taut.WrenchSensor(range=(100.0, np.inf), bias=[0.0] * 6),
-            tip=taut.Accelerometer(range=np.inf),
+            position=taut.sensors.Encoder(resolution=[0.0, 1e-3], noise=0.0),
+            torque=taut.sensors.TorqueSensor(bias=-0.5),
+            wrench=taut.sensors.WrenchSensor(range=(100.0, np.inf), bias=[0.0] * 6),
+            tip=taut.sensors.Accelerometer(range=np.inf),
         )
         parameters = taut.RigidPlant(ARM, sensors=sensors, environment=Push()).parameters
         there = {path: value.tolist() for path, value in parameters.items() if path.startswith("sensors.")}
@@ -371,45 +384,48 @@ class TestAPlantWithSensors:
 
     def test_takes_new_numbers_like_the_first_ones(self) -> None:
         sensors = Sensors(
-            velocity=taut.Tachometer(offset=1.0),
-            wrench=taut.WrenchSensor(range=(100.0, 10.0), bias=(1.0, 1.0)),
-            tip=taut.Accelerometer(bias=[1.0, 2.0, 3.0]),
+            velocity=taut.sensors.Tachometer(offset=1.0),
+            wrench=taut.sensors.WrenchSensor(range=(100.0, 10.0), bias=(1.0, 1.0)),
+            tip=taut.sensors.Accelerometer(bias=[1.0, 2.0, 3.0]),
         )
         plant = taut.RigidPlant(taut.load_arm("planar3"), sensors=sensors, environment=Push())
         assert plant.checked_parameter("sensors.velocity.offset", -2.0) == -2.0
         assert plant.checked_parameter("sensors.wrench.range", (50.0, 5.0)).tolist() == [50.0] * 3 + [5.0] * 3
         assert plant.checked_parameter("sensors.tip.bias", -1.0).tolist() == [-1.0] * 3
-        with pytest.raises(taut.RangeError, match=r"^sensors\.tip\.bias\[1\] must be finite \[m/s\^2\]; got nan$"):
+        with pytest.raises(
+            taut.errors.RangeError, match=r"^sensors\.tip\.bias\[1\] must be finite \[m/s\^2\]; got nan$"
+        ):
             plant.checked_parameter("sensors.tip.bias", [0.0, np.nan, 0.0])
         with pytest.raises(
-            taut.RangeError, match=r"^sensors\.wrench\.range\[1\] must be > 0 \[N, N m\]; got 0\.0; leave it out"
+            taut.errors.RangeError,
+            match=r"^sensors\.wrench\.range\[1\] must be > 0 \[N, N m\]; got 0\.0; leave it out",
         ):
             plant.checked_parameter("sensors.wrench.range", (50.0, 0.0))
 
 
 CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
-    (lambda: taut.Encoder(resolution=0.0), taut.RangeError, "encoder.resolution must be > 0 [rad | m]; got 0.0; leave it out where there are no steps"),
-    (lambda: taut.Encoder(resolution=[0.0, 0.0]), taut.RangeError, "encoder.resolution must be > 0 for one entry at least [rad | m]; got [0.0, 0.0]; leave it out where there are no steps"),
-    (lambda: taut.Encoder(resolution=[0.1, -0.1]), taut.RangeError, "encoder.resolution[1] must be >= 0 [rad | m]; got -0.1"),
-    (lambda: taut.Encoder(resolution=np.nan), taut.RangeError, "encoder.resolution must be finite [rad | m]; got nan"),
-    (lambda: taut.Encoder(noise=-1.0), taut.RangeError, "encoder.noise must be >= 0 [rad | m]; got -1.0"),
-    (lambda: taut.Encoder(offset="left"), taut.ShapeError, "encoder.offset must be numbers [rad | m]; got 'left'"),
-    (lambda: taut.Encoder(side="both"), taut.UsageError, "side must be one of 'link', 'motor'; got 'both'"),  # type: ignore[arg-type]
-    (lambda: taut.Tachometer(noise=[0.0, -1e-3]), taut.RangeError, "tachometer.noise[1] must be >= 0 [rad/s | m/s]; got -0.001"),
-    (lambda: taut.TorqueSensor(resolution=0.0), taut.RangeError, "torque_sensor.resolution must be > 0 [N m | N]; got 0.0; leave it out where there are no steps"),
-    (lambda: taut.TorqueSensor(side=None), taut.UsageError, "side must be one of 'link', 'motor'; got None"),  # type: ignore[arg-type]
-    (lambda: taut.WrenchSensor(noise=0.5), taut.ShapeError, "wrench_sensor.noise must be (force, moment) or six numbers [N, N m]; got shape ()"),
-    (lambda: taut.WrenchSensor(bias=[1.0, 2.0, 3.0]), taut.ShapeError, "wrench_sensor.bias must be (force, moment) or six numbers [N, N m]; got shape (3,)"),
-    (lambda: taut.WrenchSensor(range=(100.0, 0.0)), taut.RangeError, "wrench_sensor.range[1] must be > 0 [N, N m]; got 0.0; leave it out for a sensor without end"),
-    (lambda: taut.Accelerometer(range=0.0), taut.RangeError, "accelerometer.range must be > 0 [m/s^2]; got 0.0; leave it out for a sensor without end"),
-    (lambda: taut.RigidPlant(ARM, sensors=Sensors(position=taut.Encoder(resolution=4096))), taut.RangeError, "sensors.position.resolution of joint 'joint1' must be at most a turn, 6.283 [rad]; got 4096; N counts in a turn are steps of 2*pi/N"),
-    (lambda: taut.RigidPlant(ARM, sensors=Sensors(motor=taut.Encoder(resolution=1e-3))).checked_parameter("sensors.motor.resolution", 7.0), taut.RangeError, "sensors.motor.resolution of joint 'joint1' must be at most a turn, 6.283 [rad]; got 7; N counts in a turn are steps of 2*pi/N"),
-    (lambda: Sensors(position=None), taut.UsageError, "sensors.position must be taut.Encoder(...); got NoneType"),  # type: ignore[arg-type]
-    (lambda: Sensors(velocity=taut.Encoder()), taut.UsageError, "sensors.velocity must be taut.Tachometer(...) or None; got Encoder"),  # type: ignore[arg-type]
-    (lambda: Sensors(motor=taut.Encoder(side="link")), taut.UsageError, "sensors.motor is at the motor; got side='link'; leave side out, or give it as position="),
-    (lambda: Sensors(motor_velocity=taut.Tachometer(side="link")), taut.UsageError, "sensors.motor_velocity is at the motor; got side='link'; leave side out, or give it as velocity="),
-    (lambda: taut.RigidPlant(ARM, sensors=Sensors(tip=taut.Accelerometer(noise=[1.0, 1.0]))), taut.ShapeError, "sensors.tip.noise must have shape (3,); got shape (2,)"),
-    (lambda: taut.RigidPlant(ARM, sensors=Sensors(wrench=taut.WrenchSensor(noise=(1.0, 0.1)))), taut.UsageError, "sensors.wrench is for a plant that something touches, or whose tool it weighs; give environment= or tool= too, or leave it out"),
+    (lambda: taut.sensors.Encoder(resolution=0.0), taut.errors.RangeError, "encoder.resolution must be > 0 [rad | m]; got 0.0; leave it out where there are no steps"),
+    (lambda: taut.sensors.Encoder(resolution=[0.0, 0.0]), taut.errors.RangeError, "encoder.resolution must be > 0 for one entry at least [rad | m]; got [0.0, 0.0]; leave it out where there are no steps"),
+    (lambda: taut.sensors.Encoder(resolution=[0.1, -0.1]), taut.errors.RangeError, "encoder.resolution[1] must be >= 0 [rad | m]; got -0.1"),
+    (lambda: taut.sensors.Encoder(resolution=np.nan), taut.errors.RangeError, "encoder.resolution must be finite [rad | m]; got nan"),
+    (lambda: taut.sensors.Encoder(noise=-1.0), taut.errors.RangeError, "encoder.noise must be >= 0 [rad | m]; got -1.0"),
+    (lambda: taut.sensors.Encoder(offset="left"), taut.errors.ShapeError, "encoder.offset must be numbers [rad | m]; got 'left'"),
+    (lambda: taut.sensors.Encoder(side="both"), taut.errors.UsageError, "side must be one of 'link', 'motor'; got 'both'"),  # type: ignore[arg-type]
+    (lambda: taut.sensors.Tachometer(noise=[0.0, -1e-3]), taut.errors.RangeError, "tachometer.noise[1] must be >= 0 [rad/s | m/s]; got -0.001"),
+    (lambda: taut.sensors.TorqueSensor(resolution=0.0), taut.errors.RangeError, "torque_sensor.resolution must be > 0 [N m | N]; got 0.0; leave it out where there are no steps"),
+    (lambda: taut.sensors.TorqueSensor(side=None), taut.errors.UsageError, "side must be one of 'link', 'motor'; got None"),  # type: ignore[arg-type]
+    (lambda: taut.sensors.WrenchSensor(noise=0.5), taut.errors.ShapeError, "wrench_sensor.noise must be (force, moment) or six numbers [N, N m]; got shape ()"),
+    (lambda: taut.sensors.WrenchSensor(bias=[1.0, 2.0, 3.0]), taut.errors.ShapeError, "wrench_sensor.bias must be (force, moment) or six numbers [N, N m]; got shape (3,)"),
+    (lambda: taut.sensors.WrenchSensor(range=(100.0, 0.0)), taut.errors.RangeError, "wrench_sensor.range[1] must be > 0 [N, N m]; got 0.0; leave it out for a sensor without end"),
+    (lambda: taut.sensors.Accelerometer(range=0.0), taut.errors.RangeError, "accelerometer.range must be > 0 [m/s^2]; got 0.0; leave it out for a sensor without end"),
+    (lambda: taut.RigidPlant(ARM, sensors=Sensors(position=taut.sensors.Encoder(resolution=4096))), taut.errors.RangeError, "sensors.position.resolution of joint 'joint1' must be at most a turn, 6.283 [rad]; got 4096; N counts in a turn are steps of 2*pi/N"),
+    (lambda: taut.RigidPlant(ARM, sensors=Sensors(motor=taut.sensors.Encoder(resolution=1e-3))).checked_parameter("sensors.motor.resolution", 7.0), taut.errors.RangeError, "sensors.motor.resolution of joint 'joint1' must be at most a turn, 6.283 [rad]; got 7; N counts in a turn are steps of 2*pi/N"),
+    (lambda: Sensors(position=None), taut.errors.UsageError, "sensors.position must be taut.sensors.Encoder(...); got NoneType"),  # type: ignore[arg-type]
+    (lambda: Sensors(velocity=taut.sensors.Encoder()), taut.errors.UsageError, "sensors.velocity must be taut.sensors.Tachometer(...) or None; got Encoder"),  # type: ignore[arg-type]
+    (lambda: Sensors(motor=taut.sensors.Encoder(side="link")), taut.errors.UsageError, "sensors.motor is at the motor; got side='link'; leave side out, or give it as position="),
+    (lambda: Sensors(motor_velocity=taut.sensors.Tachometer(side="link")), taut.errors.UsageError, "sensors.motor_velocity is at the motor; got side='link'; leave side out, or give it as velocity="),
+    (lambda: taut.RigidPlant(ARM, sensors=Sensors(tip=taut.sensors.Accelerometer(noise=[1.0, 1.0]))), taut.errors.ShapeError, "sensors.tip.noise must have shape (3,); got shape (2,)"),
+    (lambda: taut.RigidPlant(ARM, sensors=Sensors(wrench=taut.sensors.WrenchSensor(noise=(1.0, 0.1)))), taut.errors.UsageError, "sensors.wrench is for a plant that something touches, or whose tool it weighs; give environment= or tool= too, or leave it out"),
 ]  # fmt: skip
 
 

@@ -17,9 +17,9 @@ STILL = ("gravity",)  # so that the arm stays where it is, and only the sensors 
 
 def sensors(
     resolution: Any = None, noise_q: Any = 0.0, noise_v: Any = 0.0, offset: Any = 0.0, side: Any = None
-) -> taut.Sensors:
-    position = taut.Encoder(resolution=resolution, noise=noise_q, offset=offset, side=side)
-    return taut.Sensors(position=position, velocity=taut.Tachometer(noise=noise_v))
+) -> taut.sensors.Sensors:
+    position = taut.sensors.Encoder(resolution=resolution, noise=noise_q, offset=offset, side=side)
+    return taut.sensors.Sensors(position=position, velocity=taut.sensors.Tachometer(noise=noise_v))
 
 
 def measured(seed: int = 0, duration: float = 1.0, **options: Any) -> taut.Run:

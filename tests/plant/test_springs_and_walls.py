@@ -35,7 +35,7 @@ class TestASpring:
 
     @pytest.mark.parametrize("angle", [0.0, 1e-6, 0.02, 1.0, 2.5, 3.14])
     def test_pulls_down_its_potential(self, angle: float) -> None:
-        spring = taut.Spring(stiffness=self.K, at=self.PLACE)
+        spring = taut.environments.Spring(stiffness=self.K, at=self.PLACE)
         axis = np.array([1.0, -2.0, 0.5]) / np.sqrt(5.25)
         R = np.asarray(self.PLACE.R) @ Rotation.from_rotvec(angle * axis).as_matrix()
         p, h = np.array([0.15, -0.1, 0.25]), 1e-6
@@ -54,7 +54,7 @@ class TestASpring:
         place = taut.Pose(
             home.p + np.array([0.1, 0.1, -0.1]), R=home.R @ Rotation.from_rotvec([0.5, -0.6, 0.3]).as_matrix()
         )
-        spring = taut.Spring(stiffness=self.K, at=place)
+        spring = taut.environments.Spring(stiffness=self.K, at=place)
         out = free(rigid(spring, PANDA, integrator="rk4"), duration=0.6, rate=4000.0)
         model = model_of(PANDA)
         kinetic = np.array([dyn.kinetic_energy(model, q, v) for q, v in zip(out.q[::200], out.v[::200], strict=True)])
@@ -70,7 +70,7 @@ class TestASpring:
         np.testing.assert_allclose(total, total[0], rtol=1e-7)
 
     def test_neither_gains_nor_loses_in_many_semi_implicit_steps(self) -> None:
-        out = free(rigid(taut.Spring(stiffness=300.0)), duration=60.0, v0=[0.0, 0.0, 0.2])
+        out = free(rigid(taut.environments.Spring(stiffness=300.0)), duration=60.0, v0=[0.0, 0.0, 0.2])
         energy = 0.5 * 3.0 * out.v[:, 2] ** 2 + 150.0 * out.q[:, 2] ** 2
         swing = 0.5 * 10.0 * 1e-3  # omega dt / 2: by how much the energy of the scheme differs from this one
         assert np.abs(energy / energy[0] - 1.0).max() < swing / (1.0 - swing) * (1.0 + 1e-4)
@@ -87,7 +87,9 @@ class TestASpring:
         omega2, modes = np.linalg.eig(np.linalg.solve(x.M, K))
         mode, omega = modes[:, -1], np.sqrt(omega2[-1])
         out = free(
-            taut.RigidPlant(arm, environment=taut.Spring(stiffness=400.0), adds=("gravity",), integrator="rk4"),
+            taut.RigidPlant(
+                arm, environment=taut.environments.Spring(stiffness=400.0), adds=("gravity",), integrator="rk4"
+            ),
             duration=2.0,
             q0=q,
             v0=1e-6 * mode,
@@ -96,7 +98,9 @@ class TestASpring:
         np.testing.assert_allclose(out.q - q, expected, rtol=0.0, atol=1e-5 * np.abs(expected).max())
 
     def test_is_moved_by_its_parameters(self) -> None:
-        spring = taut.Spring(stiffness=(300.0, 0.0), at=[0.0, 0.0, -0.2]) + taut.Damper(damping=60.0)
+        spring = taut.environments.Spring(stiffness=(300.0, 0.0), at=[0.0, 0.0, -0.2]) + taut.environments.Damper(
+            damping=60.0
+        )
         change = {
             "environment.Spring.at.p": [0.1, 0.0, -0.2],
             "environment.Spring.stiffness": [600.0] * 3 + [0.0] * 3,
@@ -108,7 +112,7 @@ class TestASpring:
 
 
 class TestACord:
-    CORD = taut.Spring(stiffness=300.0, slack=0.1, at=[0.0, 0.0, 0.0])
+    CORD = taut.environments.Spring(stiffness=300.0, slack=0.1, at=[0.0, 0.0, 0.0])
 
     @pytest.mark.parametrize("way", [[0.0, 0.0, 0.0], [0.05, 0.0, 0.0], [0.0, 0.06, 0.08]])
     def test_is_slack_within_its_length(self, way: list[float]) -> None:
@@ -118,12 +122,12 @@ class TestACord:
         np.testing.assert_allclose(at(self.CORD, [0.0, 0.12, 0.16]), [0.0, -18.0, -24.0, 0.0, 0.0, 0.0], atol=1e-12)
 
     def test_without_a_length_is_a_spring(self) -> None:
-        cord, spring = taut.Spring(stiffness=300.0, slack=0.0), taut.Spring(stiffness=300.0)
+        cord, spring = taut.environments.Spring(stiffness=300.0, slack=0.0), taut.environments.Spring(stiffness=300.0)
         np.testing.assert_allclose(at(cord, [0.1, 0.2, 0.3]), at(spring, [0.1, 0.2, 0.3]), rtol=1e-15)
 
     def test_throws_the_tool_back_no_faster(self) -> None:
         for v in (0.3, 0.33):
-            out = free(rigid(taut.Spring(stiffness=3000.0, slack=0.05)), duration=2.0, v0=[0.0, 0.0, v])
+            out = free(rigid(taut.environments.Spring(stiffness=3000.0, slack=0.05)), duration=2.0, v0=[0.0, 0.0, v])
             speed = np.abs(out.v[:, 2])
             assert out.q[:, 2].min() < 0.0  # it came back
             assert speed.max() < v * 1.02
@@ -132,7 +136,7 @@ class TestACord:
 
 class TestADamper:
     def test_brakes_exponentially(self) -> None:
-        out = free(rigid(taut.Damper(damping=12.0), integrator="rk4"), v0=[0.1, 0.2, 0.3])
+        out = free(rigid(taut.environments.Damper(damping=12.0), integrator="rk4"), v0=[0.1, 0.2, 0.3])
         expected = np.exp(-np.outer(out.t, 12.0 / MASSES)) * [0.1, 0.2, 0.3]
         np.testing.assert_allclose(out.v, expected, rtol=0.0, atol=1e-10)
         np.testing.assert_allclose(work(out), 0.5 * (out.v**2 - out.v[0] ** 2) @ MASSES, rtol=0.0, atol=1e-10)
@@ -142,15 +146,15 @@ class TestADamper:
         B = np.array([1.0, 20.0, 300.0, 0.1, 0.2, 0.3])
         V = np.array([0.1, -0.2, 0.3, 1.0, 2.0, -3.0])
         six = np.block([[R, np.zeros((3, 3))], [np.zeros((3, 3)), R]])
-        got = at(taut.Damper(damping=B, frame="tool"), [0, 0, 0], V[:3], V[3:], R)
+        got = at(taut.environments.Damper(damping=B, frame="tool"), [0, 0, 0], V[:3], V[3:], R)
         np.testing.assert_allclose(got, -six @ np.diag(B) @ six.T @ V, rtol=1e-12)
         np.testing.assert_allclose(
-            at(taut.Damper(damping=np.diag(B)), [0, 0, 0], V[:3], V[3:], R), -B * V, rtol=1e-12
+            at(taut.environments.Damper(damping=np.diag(B)), [0, 0, 0], V[:3], V[3:], R), -B * V, rtol=1e-12
         )
 
 
 class TestAWall:
-    FLOOR = taut.StiffWall(point=[0.3, 0.1, -0.25], normal=[0.0, 0.0, 2.0], stiffness=1e4, damping=100.0)
+    FLOOR = taut.environments.StiffWall(point=[0.3, 0.1, -0.25], normal=[0.0, 0.0, 2.0], stiffness=1e4, damping=100.0)
 
     def test_never_pulls_and_begins_without_a_jump(self) -> None:
         rng = np.random.default_rng(0)
@@ -189,7 +193,9 @@ class TestAWall:
         """Any speed and any place in a step at which it is met; without damping, as much as its docstring says."""
         dt, gained = 1e-3, []
         for damping in (0.0, 0.5 * stiffness * dt, 2.0 * np.sqrt(3.0 * stiffness)):
-            wall = taut.StiffWall(point=[0, 0, -0.25], normal=[0, 0, 1], stiffness=stiffness, damping=damping)
+            wall = taut.environments.StiffWall(
+                point=[0, 0, -0.25], normal=[0, 0, 1], stiffness=stiffness, damping=damping
+            )
             plant = rigid(wall, substeps=2)
             most = -np.inf
             for speed in (0.05, 0.3):
@@ -204,7 +210,7 @@ class TestAWall:
         assert gained[2] < 0.0
 
     def test_brakes_what_slides_along_it_by_coulombs_law(self) -> None:
-        wall = taut.StiffWall(
+        wall = taut.environments.StiffWall(
             point=[0, 0, -0.2], normal=[0, 0, 1], stiffness=1e4, damping=300.0, friction=0.4, sliding_damping=1000.0
         )
         sunk = -3.0 * 9.81 / 1e4
@@ -212,10 +218,10 @@ class TestAWall:
         np.testing.assert_allclose(out.v[:, 0], 0.5 - 0.4 * 3.0 * 9.81 / 21.0 * out.t, rtol=0.0, atol=1e-9)
 
     def test_holds_by_friction_but_for_its_creep(self) -> None:
-        wall = taut.StiffWall(
+        wall = taut.environments.StiffWall(
             point=[0, 0, -0.2], normal=[0, 0, 1], stiffness=1e4, damping=300.0, friction=0.4, sliding_damping=1000.0
         )
-        push = taut.Push(peak=[5.0, 0.0, 0.0], t=0.0, duration=10.0, shape="rectangular")
+        push = taut.environments.Push(peak=[5.0, 0.0, 0.0], t=0.0, duration=10.0, shape="rectangular")
         sunk = -3.0 * 9.81 / 1e4
         out = free(taut.RigidPlant(GANTRY, environment=wall + push), duration=1.0, q0=[0, 0, sunk])
         assert out.v[-1, 0] == pytest.approx(5.0 / 1000.0, rel=1e-6)
@@ -223,8 +229,8 @@ class TestAWall:
 
 class TestStepsThatAreTooLong:
     def test_are_refused_with_how_many_are_enough(self) -> None:
-        wall = taut.StiffWall(point=[0, 0, -0.25], normal=[0, 0, 1], stiffness=6e6, damping=2000.0)
-        with pytest.raises(taut.RangeError) as caught:
+        wall = taut.environments.StiffWall(point=[0, 0, -0.25], normal=[0, 0, 1], stiffness=6e6, damping=2000.0)
+        with pytest.raises(taut.errors.RangeError) as caught:
             free(rigid(wall))
         assert str(caught.value) == (
             "environment: what touches the tool swings at 1.41e+03 rad/s and is braked at 667 1/s, too fast for "
@@ -236,11 +242,11 @@ class TestStepsThatAreTooLong:
     @pytest.mark.parametrize(
         ("environment", "rate"),
         [
-            (taut.Spring(stiffness=3.0), 1.0),
-            (taut.Spring(stiffness=3.0) + taut.Spring(stiffness=9.0), 2.0),
-            (taut.Spring(stiffness=np.diag([3.0, 3.0, 3.0, 0.0, 0.0, 0.0])), 1.0),
-            (taut.StiffWall(point=[0, 0, 0], normal=[0, 1, 0], stiffness=9.0), 1.0),
-            (taut.Handle(mass=3.0, grip=1.0), np.sqrt(2.0)),
+            (taut.environments.Spring(stiffness=3.0), 1.0),
+            (taut.environments.Spring(stiffness=3.0) + taut.environments.Spring(stiffness=9.0), 2.0),
+            (taut.environments.Spring(stiffness=np.diag([3.0, 3.0, 3.0, 0.0, 0.0, 0.0])), 1.0),
+            (taut.environments.StiffWall(point=[0, 0, 0], normal=[0, 1, 0], stiffness=9.0), 1.0),
+            (taut.environments.Handle(mass=3.0, grip=1.0), np.sqrt(2.0)),
         ],
     )
     def test_are_judged_by_how_fast_the_tool_swings(self, environment: Any, rate: float) -> None:
@@ -262,8 +268,10 @@ class TestStepsThatAreTooLong:
         assert (peak < 1e-3) == (share < 1.0)
 
     def test_none_are_too_long_for_what_rests_in_stiff_drives(self) -> None:
-        drives = taut.Actuation(bandwidth=50.0)
-        plant = taut.RigidPlant(GANTRY, takes="velocity", actuation=drives, environment=taut.Spring(stiffness=1e7))
+        drives = taut.drives.Actuation(bandwidth=50.0)
+        plant = taut.RigidPlant(
+            GANTRY, takes="velocity", actuation=drives, environment=taut.environments.Spring(stiffness=1e7)
+        )
         plant.start(np.zeros(3), np.zeros(3), plant.parameters, 1e-3)
 
 
@@ -274,9 +282,9 @@ def test_stiff_drives_feel_what_they_do_not_give_way_to() -> None:
         def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Velocity:
             return taut.Velocity(wanted=ref.v, felt=0.0 * x.F_ext[:3])
 
-    drives = taut.Actuation(bandwidth=50.0)
+    drives = taut.drives.Actuation(bandwidth=50.0)
     made = {"takes": "velocity", "actuation": drives}
-    spring = taut.Spring(stiffness=300.0) + taut.Damper(damping=7.0)
+    spring = taut.environments.Spring(stiffness=300.0) + taut.environments.Damper(damping=7.0)
     ctrl = taut.compile(Drives(), GANTRY)
     ref = taut.JointMotion(q=np.zeros(3), v=np.array([0.1, 0.2, -0.1]))
     out = taut.run(ctrl, taut.RigidPlant(GANTRY, environment=spring, **made), ref, duration=1.0)  # type: ignore[arg-type]

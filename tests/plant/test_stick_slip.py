@@ -30,7 +30,7 @@ def pulled(case: Pulled, rate: float, substeps: int) -> taut.Run:
     )  # fmt: skip
     arm = FREE.with_friction(friction)
     ctrl = taut.compile(taut.laws.PID(kp=case.kp, kd=case.kd), arm, rate=rate)
-    ramp = taut.Samples(times=[0.0, 20.0], q=[[0.0], [20.0 * case.speed]])
+    ramp = taut.trajectories.Samples(times=[0.0, 20.0], q=[[0.0], [20.0 * case.speed]])
     return taut.run(ctrl, taut.RigidPlant(arm, substeps=substeps), ramp, duration=UNTIL, q0=[0.0])
 
 
@@ -97,7 +97,7 @@ def test_a_joint_breaks_away_at_its_static_friction(direction: float) -> None:
     """The torque grows by 0.001 N m a tick; the joint moves in the tick in which it is more than 0.8 N m."""
     arm = FREE.with_friction(taut.Friction(coulomb=0.5, static=0.8))
     pull = taut.compile(taut.laws.PID(kp=1.0), arm)
-    ramp = taut.Samples(times=[0.0, 2.0], q=[[0.0], [2.0 * direction]])
+    ramp = taut.trajectories.Samples(times=[0.0, 2.0], q=[[0.0], [2.0 * direction]])
     run = taut.run(pull, taut.RigidPlant(arm), ramp, duration=1.0, q0=[0.0])
     first = int(np.argmax(np.abs(run.v[:, 0]) > 0.0))
     assert abs(run.tau[first - 1, 0]) == pytest.approx(0.8, rel=0.002)

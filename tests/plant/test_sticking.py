@@ -53,7 +53,9 @@ class TestALoadedLink:
 
     def test_does_not_chatter_under_a_push_that_turns_round_within_its_limit(self) -> None:
         arm = taut.load_arm("one_joint", gravity=[0.0, 0.0, 0.0]).with_joints(coulomb=1.0)
-        out = run(taut.RigidPlant(arm), taut.Sine(center=[0.0], amplitude=0.02, frequency=1.0), duration=2.0)
+        out = run(
+            taut.RigidPlant(arm), taut.trajectories.Sine(center=[0.0], amplitude=0.02, frequency=1.0), duration=2.0
+        )
         assert 0.7 < np.abs(out.tau).max() < 1.0
         assert not np.abs(out.q).max() > CREEP
 
@@ -76,7 +78,7 @@ class TestACoupledArm:
     def test_what_sticks_stays_while_another_joint_moves(self) -> None:
         """The torque that the moving joint puts on the stuck ones changes all the time; ten sweeps a tick follow it."""
         arm = taut.load_arm("planar3", gravity=[0.0, 0.0, 0.0]).with_joints(coulomb=[0.5, 200.0, 200.0])
-        push = taut.Sine(center=np.zeros(3), amplitude=[1.0, 0.0, 0.0], frequency=0.5)
+        push = taut.trajectories.Sine(center=np.zeros(3), amplitude=[1.0, 0.0, 0.0], frequency=0.5)
         out = run(taut.RigidPlant(arm), push, duration=3.0)
         moved = np.ptp(out.q, axis=0)
         assert moved[0] > 1.0
@@ -97,7 +99,9 @@ class TestACoupledArm:
     def test_a_lawful_push_starts_it_without_a_jump(self) -> None:
         """From stuck to slipping the acceleration starts at zero when the push passes the limit."""
         arm = taut.load_arm("planar2", gravity=[0.0, 0.0, 0.0]).with_joints(viscous=0.0, coulomb=[1.0, 100.0])
-        ramp = taut.Samples(times=[0.0, 1.0], q=np.zeros((2, 2)), v=np.zeros((2, 2)), a=[[0.0, 0.0], [2.0, 0.0]])
+        ramp = taut.trajectories.Samples(
+            times=[0.0, 1.0], q=np.zeros((2, 2)), v=np.zeros((2, 2)), a=[[0.0, 0.0], [2.0, 0.0]]
+        )
         out = run(taut.RigidPlant(arm), ramp, law=TorqueOf(), duration=1.0)
         assert np.abs(out.q[:500] - out.q[0]).max() < CREEP
         M = taut.snapshot(arm, arm.home).M[0, 0]

@@ -31,8 +31,8 @@ def held(arm: taut.Arm, tau: float, duration: float = 0.2, **options: Any) -> ta
 
 
 class TestEfficiency:
-    def gears(self, efficiency: float) -> taut.Actuation:
-        return taut.Actuation(transmission=taut.Transmission(efficiency=efficiency))
+    def gears(self, efficiency: float) -> taut.drives.Actuation:
+        return taut.drives.Actuation(transmission=taut.drives.Transmission(efficiency=efficiency))
 
     def test_a_motor_that_lifts_needs_more(self) -> None:
         """At 80 %, 0.981 N m of weight move up from 1.226 N m."""
@@ -104,10 +104,10 @@ class TestEfficiency:
         """Power into each gear, less that of its rotor; a step of stick-slip predicts which joints move."""
         arm = taut.load_arm("panda").with_gears(ratio=100.0, motor_inertia=2e-5)
         efficiency = np.array([0.8] * 4 + [0.5] * 3)
-        gears = taut.Actuation(transmission=taut.Transmission(efficiency=efficiency))
+        gears = taut.drives.Actuation(transmission=taut.drives.Transmission(efficiency=efficiency))
         plant = taut.RigidPlant(arm, friction=None, actuation=gears, energy=True)
         law = taut.compile(taut.laws.GravityPID(kp=200.0, kd=20.0), arm)
-        ref = taut.Sine(center=arm.home, amplitude=0.2, frequency=0.7)
+        ref = taut.trajectories.Sine(center=arm.home, amplitude=0.2, frequency=0.7)
         run = taut.run(law, plant, ref, duration=2.0)
         motor, rotor, lost, step = (np.diff(run.extra[f"work.{x}"], axis=0) for x in ("motor", "rotor", "gears", "integration"))  # fmt: skip
         reaching = motor - rotor - step
@@ -132,14 +132,14 @@ class TestElasticity:
     K, D = 800.0, 0.6
 
     def swing(self, substeps: int) -> taut.Run:
-        spring = taut.Transmission(stiffness=self.K, damping=self.D)
-        plant = taut.RigidPlant(GEARED, actuation=taut.Actuation(transmission=spring), substeps=substeps)
+        spring = taut.drives.Transmission(stiffness=self.K, damping=self.D)
+        plant = taut.RigidPlant(GEARED, actuation=taut.drives.Actuation(transmission=spring), substeps=substeps)
         return taut.run(idle(GEARED), plant, duration=0.6, q0=[0.0], v0=[1.0])
 
     def test_motor_and_link_swing_against_each_other_as_two_masses_on_a_spring_do(self) -> None:
         """The motor starts with the link's speed, then stops: no; here both start together, so a push sets them off."""
-        spring = taut.Transmission(stiffness=self.K, damping=self.D)
-        plant = taut.RigidPlant(GEARED, actuation=taut.Actuation(transmission=spring), substeps=20)
+        spring = taut.drives.Transmission(stiffness=self.K, damping=self.D)
+        plant = taut.RigidPlant(GEARED, actuation=taut.drives.Actuation(transmission=spring), substeps=20)
         law = taut.compile(taut.laws.PID(kp=1e-9), GEARED)
         run = taut.run(law, plant, taut.JointMotion(q=[1e9]), duration=0.5, q0=[0.0])
         B, M = 0.25, 0.5
@@ -159,8 +159,8 @@ class TestElasticity:
 
     def test_the_weight_of_the_link_winds_it_up_from_the_start(self) -> None:
         arm = HANGING.with_gears(ratio=50.0, motor_inertia=1e-4)
-        spring = taut.Transmission(stiffness=self.K)
-        plant = taut.RigidPlant(arm, actuation=taut.Actuation(transmission=spring), substeps=4)
+        spring = taut.drives.Transmission(stiffness=self.K)
+        plant = taut.RigidPlant(arm, actuation=taut.drives.Actuation(transmission=spring), substeps=4)
         law = taut.compile(taut.laws.GravityPID(kp=0.0, kd=0.0), arm)
         run = taut.run(law, plant, duration=1.0, q0=[0.0])
         assert np.abs(run.v).max() < 1e-9
@@ -169,10 +169,12 @@ class TestElasticity:
         """A motor that drives: 0.1 of the rotor on the spring, and so 10 times its K / B."""
         law, push = taut.compile(taut.laws.PID(kp=1e-9), GEARED), taut.JointMotion(q=[2e9])
         for efficiency, substeps, refused in ((1.0, 1, False), (0.1, 1, True), (0.1, 20, False)):
-            drives = taut.Actuation(transmission=taut.Transmission(efficiency=efficiency, stiffness=1.3e5))
+            drives = taut.drives.Actuation(
+                transmission=taut.drives.Transmission(efficiency=efficiency, stiffness=1.3e5)
+            )
             plant = taut.RigidPlant(GEARED, actuation=drives, substeps=substeps)
             if refused:
-                with pytest.raises(taut.RangeError, match="substeps=3"):
+                with pytest.raises(taut.errors.RangeError, match="substeps=3"):
                     taut.run(law, plant, push, duration=1.0, q0=[0.0], v0=[1.0])
                 continue
             run = taut.run(law, plant, push, duration=1.0, q0=[0.0], v0=[1.0])
@@ -180,10 +182,10 @@ class TestElasticity:
             assert run.v[-1, 0] == pytest.approx(1.0 + a, rel=0.01)
 
     def test_a_very_stiff_one_is_a_rigid_one(self) -> None:
-        stiff = taut.Transmission(stiffness=4e5, damping=50.0)
+        stiff = taut.drives.Transmission(stiffness=4e5, damping=50.0)
         law = taut.compile(taut.laws.PID(kp=20.0, kd=4.0), GEARED)
         ref, arm = taut.JointMotion(q=[0.5]), GEARED
-        soft = taut.RigidPlant(arm, actuation=taut.Actuation(transmission=stiff), substeps=20)
+        soft = taut.RigidPlant(arm, actuation=taut.drives.Actuation(transmission=stiff), substeps=20)
         a = taut.run(law, soft, ref, duration=1.0, q0=[0.0])
         b = taut.run(law, taut.RigidPlant(arm, substeps=20), ref, duration=1.0, q0=[0.0])
         np.testing.assert_allclose(a.q, b.q, rtol=0.0, atol=2e-4)
@@ -192,25 +194,25 @@ class TestElasticity:
         arm = taut.load_arm("planar2").with_gears(ratio=10.0, motor_inertia=1e-3)
         law = taut.compile(taut.laws.PID(kp=30.0, kd=5.0), arm)
 
-        def run_of(transmission: taut.Transmission | None) -> taut.Run:
-            drives = taut.Actuation(transmission=transmission)
+        def run_of(transmission: taut.drives.Transmission | None) -> taut.Run:
+            drives = taut.drives.Actuation(transmission=transmission)
             plant = taut.RigidPlant(arm, actuation=drives, substeps=10)
             return taut.run(law, plant, taut.JointMotion(q=arm.home + 0.1), duration=0.5)
 
-        rigid, one = run_of(None), run_of(taut.Transmission(stiffness=[np.inf, 200.0]))
+        rigid, one = run_of(None), run_of(taut.drives.Transmission(stiffness=[np.inf, 200.0]))
         assert np.abs(rigid.q - one.q).max() > 1e-3
-        np.testing.assert_array_equal(run_of(taut.Transmission(stiffness=[np.inf, np.inf])).q, rigid.q)
+        np.testing.assert_array_equal(run_of(taut.drives.Transmission(stiffness=[np.inf, np.inf])).q, rigid.q)
 
     def test_steps_that_are_too_long_for_it_are_refused_with_how_many_are_enough(self) -> None:
-        spring = taut.Transmission(stiffness=1e6)
-        plant = taut.RigidPlant(GEARED, actuation=taut.Actuation(transmission=spring))
-        with pytest.raises(taut.RangeError) as caught:
+        spring = taut.drives.Transmission(stiffness=1e6)
+        plant = taut.RigidPlant(GEARED, actuation=taut.drives.Actuation(transmission=spring))
+        with pytest.raises(taut.errors.RangeError) as caught:
             taut.run(idle(GEARED), plant, duration=0.1)
         assert str(caught.value) == (
             "the transmission of joint 'joint1' swings at 2.45e+03 rad/s, too fast for steps of 0.001 s; give the plant "
             "substeps=3, a softer spring or less damping"
         )
-        plenty = taut.RigidPlant(GEARED, actuation=taut.Actuation(transmission=spring), substeps=3)
+        plenty = taut.RigidPlant(GEARED, actuation=taut.drives.Actuation(transmission=spring), substeps=3)
         assert taut.run(idle(GEARED), plenty, duration=0.1).outcome.ok
 
 
@@ -218,10 +220,10 @@ class TestPlay:
     """Motor and link with a dead band between them."""
 
     K, D, PLAY = 2000.0, 0.5, 0.02
-    TEETH = taut.Transmission(stiffness=K, damping=D, backlash=PLAY)
+    TEETH = taut.drives.Transmission(stiffness=K, damping=D, backlash=PLAY)
 
     def cycle(self, kp: float, kd: float, rate: float = 5000.0) -> taut.Run:
-        plant = taut.RigidPlant(GEARED, actuation=taut.Actuation(transmission=self.TEETH), substeps=4)
+        plant = taut.RigidPlant(GEARED, actuation=taut.drives.Actuation(transmission=self.TEETH), substeps=4)
         law = taut.compile(taut.laws.PID(kp=kp, kd=kd), GEARED, rate=rate)
         return taut.run(law, plant, taut.JointMotion(q=[0.0]), duration=12.0, q0=[0.2])
 
@@ -243,7 +245,9 @@ class TestPlay:
         assert ours == pytest.approx(expected, rel=0.02)
 
     def test_a_link_between_its_teeth_moves_freely(self) -> None:
-        plant = taut.RigidPlant(GEARED, actuation=taut.Actuation(transmission=self.TEETH), substeps=4, energy=True)
+        plant = taut.RigidPlant(
+            GEARED, actuation=taut.drives.Actuation(transmission=self.TEETH), substeps=4, energy=True
+        )
         run = taut.run(idle(GEARED), plant, duration=0.05, q0=[0.0], v0=[0.0])
         assert not run.v.any()
         push = [0.01]  # slower than the play is wide
@@ -265,7 +269,7 @@ class TestPlay:
 
     def test_the_load_lies_on_one_side_of_its_teeth_from_the_start(self) -> None:
         arm = HANGING.with_gears(ratio=50.0, motor_inertia=1e-4)
-        plant = taut.RigidPlant(arm, actuation=taut.Actuation(transmission=self.TEETH), substeps=4)
+        plant = taut.RigidPlant(arm, actuation=taut.drives.Actuation(transmission=self.TEETH), substeps=4)
         law = taut.compile(taut.laws.GravityPID(kp=0.0, kd=0.0), arm)
         assert np.abs(taut.run(law, plant, duration=0.5, q0=[0.0]).v).max() < 1e-9
 
@@ -282,20 +286,20 @@ class TestMessages:
     @pytest.mark.parametrize(
         ("make", "kind", "message"),
         [
-            (lambda: taut.Transmission(efficiency=1.2), taut.RangeError, "actuation.transmission.efficiency must be above 0 and at most 1: gears give back no more than they get; got 1.2; 80 % is 0.8"),
-            (lambda: taut.Transmission(efficiency=[0.8, 0.0]), taut.RangeError, "actuation.transmission.efficiency[1] must be above 0 and at most 1: gears give back no more than they get; got 0; 80 % is 0.8"),
-            (lambda: taut.Transmission(stiffness=0.0), taut.RangeError, "actuation.transmission.stiffness must be > 0 [N m/rad | N/m]; got 0.0"),
-            (lambda: taut.Transmission(backlash=0.01), taut.UsageError, "actuation.transmission.backlash needs a stiffness, that of the teeth or of the elastic part: taut.Transmission(stiffness=1e4, ...)  # N m/rad"),
-            (lambda: taut.Transmission(stiffness=1e3, backlash=-0.01), taut.RangeError, "actuation.transmission.backlash must be >= 0 [rad | m]; got -0.01"),
-            (lambda: taut.RigidPlant(FREE, actuation=taut.Actuation(transmission=taut.Transmission(stiffness=1e3))), taut.UsageError, "joint 'joint1' has an elastic transmission or backlash, so its motor moves by itself and needs a rotor: arm.with_gears(ratio=, motor_inertia=), or with_joints(rotor_inertia=)"),
-            (lambda: taut.RigidPlant(GEARED, integrator="rk4", actuation=taut.Actuation(transmission=taut.Transmission(stiffness=1e3))), taut.UsageError, "rk4 moves the arm alone, and an elastic transmission or backlash moves the motors too; use semi-implicit-euler"),
-            (lambda: taut.RigidPlant(GEARED, integrator="rk4", actuation=taut.Actuation(transmission=taut.Transmission(efficiency=0.9))), taut.UsageError, "rk4 needs smooth forces, and arm 'one_joint' has gears that lose power; use semi-implicit-euler, or friction=None"),
-            (lambda: taut.RigidPlant(GEARED, integrator="rk4", energy=True), taut.UsageError, "energy is kept account of by semi-implicit-euler only"),
-            (lambda: taut.RigidPlant(GEARED, energy=1), taut.UsageError, "energy must be True or False; got 1"),  # type: ignore[arg-type]
-            (lambda: taut.RigidPlant(GEARED, sweeps=0), taut.RangeError, "sweeps must be between 1 and 1000; got 0"),
-            (lambda: taut.RigidPlant(GEARED, takes="velocity", actuation=taut.Actuation(bandwidth=50.0, transmission=taut.Transmission())), taut.UsageError, "actuation.transmission is for torque commands; this plant takes velocity, which its drives follow by themselves"),
-            (lambda: taut.Actuation(transmission=0.8), taut.UsageError, "actuation.transmission must be taut.Transmission(...); got float"),  # type: ignore[arg-type]
-            (lambda: FREE.with_gears(ratio=0.0, motor_inertia=1e-4), taut.RangeError, "ratio[0] (joint 'joint1') must be > 0; got 0.0"),
+            (lambda: taut.drives.Transmission(efficiency=1.2), taut.errors.RangeError, "actuation.transmission.efficiency must be above 0 and at most 1: gears give back no more than they get; got 1.2; 80 % is 0.8"),
+            (lambda: taut.drives.Transmission(efficiency=[0.8, 0.0]), taut.errors.RangeError, "actuation.transmission.efficiency[1] must be above 0 and at most 1: gears give back no more than they get; got 0; 80 % is 0.8"),
+            (lambda: taut.drives.Transmission(stiffness=0.0), taut.errors.RangeError, "actuation.transmission.stiffness must be > 0 [N m/rad | N/m]; got 0.0"),
+            (lambda: taut.drives.Transmission(backlash=0.01), taut.errors.UsageError, "actuation.transmission.backlash needs a stiffness, that of the teeth or of the elastic part: taut.drives.Transmission(stiffness=1e4, ...)  # N m/rad"),
+            (lambda: taut.drives.Transmission(stiffness=1e3, backlash=-0.01), taut.errors.RangeError, "actuation.transmission.backlash must be >= 0 [rad | m]; got -0.01"),
+            (lambda: taut.RigidPlant(FREE, actuation=taut.drives.Actuation(transmission=taut.drives.Transmission(stiffness=1e3))), taut.errors.UsageError, "joint 'joint1' has an elastic transmission or backlash, so its motor moves by itself and needs a rotor: arm.with_gears(ratio=, motor_inertia=), or with_joints(rotor_inertia=)"),
+            (lambda: taut.RigidPlant(GEARED, integrator="rk4", actuation=taut.drives.Actuation(transmission=taut.drives.Transmission(stiffness=1e3))), taut.errors.UsageError, "rk4 moves the arm alone, and an elastic transmission or backlash moves the motors too; use semi-implicit-euler"),
+            (lambda: taut.RigidPlant(GEARED, integrator="rk4", actuation=taut.drives.Actuation(transmission=taut.drives.Transmission(efficiency=0.9))), taut.errors.UsageError, "rk4 needs smooth forces, and arm 'one_joint' has gears that lose power; use semi-implicit-euler, or friction=None"),
+            (lambda: taut.RigidPlant(GEARED, integrator="rk4", energy=True), taut.errors.UsageError, "energy is kept account of by semi-implicit-euler only"),
+            (lambda: taut.RigidPlant(GEARED, energy=1), taut.errors.UsageError, "energy must be True or False; got 1"),  # type: ignore[arg-type]
+            (lambda: taut.RigidPlant(GEARED, sweeps=0), taut.errors.RangeError, "sweeps must be between 1 and 1000; got 0"),
+            (lambda: taut.RigidPlant(GEARED, takes="velocity", actuation=taut.drives.Actuation(bandwidth=50.0, transmission=taut.drives.Transmission())), taut.errors.UsageError, "actuation.transmission is for torque commands; this plant takes velocity, which its drives follow by themselves"),
+            (lambda: taut.drives.Actuation(transmission=0.8), taut.errors.UsageError, "actuation.transmission must be taut.drives.Transmission(...); got float"),  # type: ignore[arg-type]
+            (lambda: FREE.with_gears(ratio=0.0, motor_inertia=1e-4), taut.errors.RangeError, "ratio[0] (joint 'joint1') must be > 0; got 0.0"),
         ],
     )  # fmt: skip
     def test_what_no_gear_is_is_refused_in_words(self, make: Any, kind: type[taut.TautError], message: str) -> None:

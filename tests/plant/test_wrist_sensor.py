@@ -12,7 +12,7 @@ from plant_laws import Array, run
 from test_sensor_kinds import F_PUSH, Push, read
 
 import taut
-from taut.plant.sensors import Sensors
+from taut.plant.sensors.sensors import Sensors
 
 ARM = taut.load_arm("planar3")
 TOOL = taut.Payload(mass=0.7, com=(0.01, -0.02, 0.06), inertia=(2e-3, 3e-3, 2e-3, 1e-4, 2e-4, -3e-4))
@@ -54,7 +54,7 @@ def mujoco_wrench(arm: taut.Arm, q: Array, v: Array, a: Array) -> Array:
 @pytest.mark.parametrize("name", ["planar3", "panda", "ur5", "kinova", "xarm7"])
 def test_the_load_is_what_mujocos_force_and_torque_sensors_read(name: str) -> None:
     arm = taut.load_arm(name)
-    rng, sensor = np.random.default_rng(3), taut.WrenchSensor(tool=taut.Payload())
+    rng, sensor = np.random.default_rng(3), taut.sensors.WrenchSensor(tool=taut.Payload())
     loaded, payload = arm.with_payload(**HELD), {f"payload.{word}": np.array(value) for word, value in HELD.items()}
     for _ in range(3):
         q, v, a = arm.home + rng.standard_normal(arm.n), rng.standard_normal(arm.n), rng.standard_normal(arm.n)
@@ -64,7 +64,7 @@ def test_the_load_is_what_mujocos_force_and_torque_sensors_read(name: str) -> No
         in_tool = np.concatenate([R.T @ seen[:3], R.T @ seen[3:]])
         np.testing.assert_allclose(in_tool, wanted, rtol=0.0, atol=1e-9 * np.abs(wanted).max())
         # The same body as the sensor's own tool is the same load.
-        own = taut.WrenchSensor(tool=taut.Payload(**HELD))
+        own = taut.sensors.WrenchSensor(tool=taut.Payload(**HELD))
         true = {"q": q, "v": v, "a": a, **NO_PAYLOAD}
         np.testing.assert_allclose(read(Sensors(wrench=own), true, arm)["F_ext"], seen, rtol=0.0, atol=1e-12)
 
@@ -77,14 +77,14 @@ def test_at_another_frame_of_the_tools_body_it_reads_what_stands_beyond_that_fra
     payload = {f"payload.{word}": np.array(value) for word, value in HELD.items()}
     true = {"q": q, "v": v, "a": a, "F_ext": F_PUSH, **payload}
     at_flange, at_tip = (
-        read(Sensors(wrench=taut.WrenchSensor(tool=tool, frame=frame)), true, arm)["F_ext"]
+        read(Sensors(wrench=taut.sensors.WrenchSensor(tool=tool, frame=frame)), true, arm)["F_ext"]
         for tool, frame in ((TOOL, flange), (taut.Payload(), None))
     )
     # The tool in the tip's frame, by hand: what the two read differs by its load alone.
     R, p = T_TIP.R, T_TIP.p
     I = np.array([[2e-3, 1e-4, 2e-4], [1e-4, 3e-3, -3e-4], [2e-4, -3e-4, 2e-3]])
     moved = taut.Payload(mass=TOOL.mass, com=R.T @ (TOOL.com - p), inertia=R.T @ I @ R)
-    both = read(Sensors(wrench=taut.WrenchSensor(tool=moved)), true, arm)["F_ext"]
+    both = read(Sensors(wrench=taut.sensors.WrenchSensor(tool=moved)), true, arm)["F_ext"]
     np.testing.assert_allclose(at_flange, both, rtol=0.0, atol=1e-12)
     assert np.abs(at_flange - at_tip).max() > 1.0
 
@@ -96,7 +96,7 @@ def test_bias_noise_and_range_are_those_of_its_own_axes_and_origin() -> None:
     x = taut.snapshot(arm, arm.home)
     T_WE, T_WS = x.T(), x.T(flange)
     bias, limit = np.array([1.0, 2.0, 3.0, 0.1, 0.2, 0.3]), np.array([9.0, 3.0, 90.0, 0.4, 90.0, 0.2])
-    seen = read(Sensors(wrench=taut.WrenchSensor(bias=bias, range=limit, frame=flange)), true, arm)
+    seen = read(Sensors(wrench=taut.sensors.WrenchSensor(bias=bias, range=limit, frame=flange)), true, arm)
     f, r = F_PUSH[:3], T_WE.p - T_WS.p  # by hand: turned, and moved to the flange's origin
     in_sensor = np.concatenate([T_WS.R.T @ f, T_WS.R.T @ (F_PUSH[3:] + np.cross(r, f))])
     cut = np.clip(in_sensor + bias, -limit, limit)
@@ -108,9 +108,11 @@ def test_bias_noise_and_range_are_those_of_its_own_axes_and_origin() -> None:
 
 def test_a_wrong_encoder_turns_the_reading_wrongly() -> None:
     """So that a controller cannot take a weight out better than it knows its pose."""
-    sensors = Sensors(position=taut.Encoder(offset=0.1), wrench=taut.WrenchSensor(tool=TOOL))
+    sensors = Sensors(position=taut.sensors.Encoder(offset=0.1), wrench=taut.sensors.WrenchSensor(tool=TOOL))
     true = {"q": np.array([0.3, 0.4, 0.5]), "v": np.zeros(3), "a": np.zeros(3), **NO_PAYLOAD}
-    right, wrong = (read(s, true, ARM)["F_ext"][:3] for s in (Sensors(wrench=taut.WrenchSensor(tool=TOOL)), sensors))
+    right, wrong = (
+        read(s, true, ARM)["F_ext"][:3] for s in (Sensors(wrench=taut.sensors.WrenchSensor(tool=TOOL)), sensors)
+    )
     np.testing.assert_allclose(right, TOOL.mass * ARM.gravity, rtol=0.0, atol=1e-14)
     R = [taut.snapshot(ARM, true["q"] + off).T().R for off in (0.0, 0.1)]
     np.testing.assert_allclose(wrong, R[1] @ R[0].T @ right, rtol=0.0, atol=1e-14)
@@ -120,13 +122,13 @@ def test_a_wrong_encoder_turns_the_reading_wrongly() -> None:
 # -------------------------------------------------------------------- in runs
 
 
-def plants(arm: taut.Arm, sensors: taut.Sensors) -> dict[str, Any]:
+def plants(arm: taut.Arm, sensors: taut.sensors.Sensors) -> dict[str, Any]:
     return {"rigid": taut.RigidPlant(arm, sensors=sensors), "mujoco": taut.MujocoPlant(arm, sensors=sensors)}
 
 
 def test_a_swinging_arm_reads_the_same_in_both_plants() -> None:
     arm = ARM.with_payload(**HELD)
-    sensors = Sensors(wrench=taut.WrenchSensor(tool=TOOL, bias=(1.0, 0.1)))
+    sensors = Sensors(wrench=taut.sensors.WrenchSensor(tool=TOOL, bias=(1.0, 0.1)))
     runs = [
         run(plant, HOLD, law=Feels(), v0=[1.0, -2.0, 1.5], duration=0.3) for plant in plants(arm, sensors).values()
     ]
@@ -138,7 +140,7 @@ def test_a_swinging_arm_reads_the_same_in_both_plants() -> None:
 
 @pytest.mark.parametrize("kind", ["rigid", "mujoco"])
 def test_what_hangs_there_is_a_number_that_changes_in_a_run(kind: str) -> None:
-    plant = plants(ARM.with_payload(0.5), Sensors(wrench=taut.WrenchSensor(tool=TOOL)))[kind]
+    plant = plants(ARM.with_payload(0.5), Sensors(wrench=taut.sensors.WrenchSensor(tool=TOOL)))[kind]
     names = sorted(path for path in plant.parameters if path.startswith("sensors."))
     assert names == ["sensors.wrench.tool.com", "sensors.wrench.tool.inertia", "sensors.wrench.tool.mass"]
     events = [
@@ -156,8 +158,8 @@ def test_stiff_drives_have_a_wrist_that_weighs_too() -> None:
     plant = taut.RigidPlant(
         ur5.with_payload(2.0),
         takes="position",
-        actuation=taut.Actuation(bandwidth=30.0),
-        sensors=Sensors(wrench=taut.WrenchSensor(tool=TOOL)),
+        actuation=taut.drives.Actuation(bandwidth=30.0),
+        sensors=Sensors(wrench=taut.sensors.WrenchSensor(tool=TOOL)),
     )
     assert "F_ext" in plant.measures
     numbers = plant.parameters
@@ -172,15 +174,15 @@ def test_without_a_tool_a_payload_does_not_show() -> None:
     plant = taut.RigidPlant(ARM.with_payload(**HELD), environment=Push(F=(0.0,) * 6))
     assert not run(plant, HOLD, law=Feels(), duration=0.01).extra["F_ext"].any()
     assert "F_ext" not in taut.RigidPlant(ARM).measures
-    assert "F_ext" in taut.RigidPlant(ARM, sensors=Sensors(wrench=taut.WrenchSensor(tool=TOOL))).measures
+    assert "F_ext" in taut.RigidPlant(ARM, sensors=Sensors(wrench=taut.sensors.WrenchSensor(tool=TOOL))).measures
 
 
 CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
-    (lambda: taut.WrenchSensor(tool=0.7), taut.UsageError, "wrench_sensor.tool must be taut.Payload(mass=, com=, inertia=) or None; got float"),  # type: ignore[arg-type]
-    (lambda: taut.RigidPlant(ARM, sensors=Sensors(wrench=taut.WrenchSensor(tool=TOOL, frame="link9"))), taut.UnknownNameError, "the arm has no frame 'link9'; did you mean 'link3' or 'link2'? (5 frames: taut check MODEL lists them)"),
-    (lambda: taut.MujocoPlant(ARM, sensors=Sensors(wrench=taut.WrenchSensor(frame="link1"))), taut.UsageError, "sensors.wrench.frame must move with the tool 'tool'; got 'link1', which has a joint between it and the tool; name a frame of the last body"),
-    (lambda: taut.RigidPlant(ARM, sensors=Sensors(wrench=taut.WrenchSensor(tool=TOOL))).checked_parameter("sensors.wrench.tool.mass", -1.0), taut.RangeError, "sensors.wrench.tool.mass must be >= 0 [kg]; got -1.0"),
-    (lambda: taut.RigidPlant(ARM, sensors=Sensors(wrench=taut.WrenchSensor(tool=TOOL))).checked_parameter("sensors.wrench.tool.com", [0.0, 1.0]), taut.ShapeError, "sensors.wrench.tool.com must have shape (3,) [m]; got shape (2,)"),
+    (lambda: taut.sensors.WrenchSensor(tool=0.7), taut.errors.UsageError, "wrench_sensor.tool must be taut.Payload(mass=, com=, inertia=) or None; got float"),  # type: ignore[arg-type]
+    (lambda: taut.RigidPlant(ARM, sensors=Sensors(wrench=taut.sensors.WrenchSensor(tool=TOOL, frame="link9"))), taut.errors.UnknownNameError, "the arm has no frame 'link9'; did you mean 'link3' or 'link2'? (5 frames: taut check MODEL lists them)"),
+    (lambda: taut.MujocoPlant(ARM, sensors=Sensors(wrench=taut.sensors.WrenchSensor(frame="link1"))), taut.errors.UsageError, "sensors.wrench.frame must move with the tool 'tool'; got 'link1', which has a joint between it and the tool; name a frame of the last body"),
+    (lambda: taut.RigidPlant(ARM, sensors=Sensors(wrench=taut.sensors.WrenchSensor(tool=TOOL))).checked_parameter("sensors.wrench.tool.mass", -1.0), taut.errors.RangeError, "sensors.wrench.tool.mass must be >= 0 [kg]; got -1.0"),
+    (lambda: taut.RigidPlant(ARM, sensors=Sensors(wrench=taut.sensors.WrenchSensor(tool=TOOL))).checked_parameter("sensors.wrench.tool.com", [0.0, 1.0]), taut.errors.ShapeError, "sensors.wrench.tool.com must have shape (3,) [m]; got shape (2,)"),
 ]  # fmt: skip
 
 

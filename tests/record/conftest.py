@@ -72,7 +72,7 @@ def panda_run() -> taut.Run:
     arm = taut.load_arm("panda")
     law = taut.laws.ComputedTorque(kp=100.0, kd=20.0)
     ctrl = taut.compile(law, arm, limits=taut.Limits.of(arm))
-    path = taut.Quintic(q0=arm.home, q1=arm.home + 0.3, duration=0.4)
+    path = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + 0.3, duration=0.4)
     return taut.run(ctrl, taut.RigidPlant(arm.with_payload(1.0)), path, duration=0.5)
 
 
@@ -101,9 +101,9 @@ def pressing_task() -> taut.Run:
     task = [
         taut.Phase(
             move,
-            lambda x: taut.Steady(T0=x.T(), velocity=[0.0, 0.0, -0.02]),
+            lambda x: taut.trajectories.Steady(T0=x.T(), velocity=[0.0, 0.0, -0.02]),
             name="approach",
-            until=lambda x: taut.contact(x, 1.0),
+            until=lambda x: taut.guards.contact(x, 1.0),
         ),
         taut.Phase(hybrid, lambda x: taut.pressing(taut.TaskMotion(pose=x.T()), 4.0), name="press", contact=0.01),
     ]

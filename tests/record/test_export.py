@@ -13,7 +13,7 @@ import pytest
 from scipy.io import loadmat
 
 import taut
-from taut.record.topics import columns_of
+from taut.record.log.topics import columns_of
 
 
 def test_arrays_have_every_number_by_name(noisy_run: taut.Run) -> None:
@@ -63,7 +63,9 @@ def test_a_mat_file_reads_back_as_a_struct(noisy_run: taut.Run, tmp_path: Path) 
 
 def test_names_that_become_one_in_matlab_are_refused(make_run: Any, tmp_path: Path) -> None:
     run = make_run([0.0], [[0.0]], terms={"a-b": np.zeros((1, 1)), "a b": np.zeros((1, 1))})
-    with pytest.raises(taut.UsageError, match=r"'terms.a b' and another column both become 'terms.a_b' in MATLAB"):
+    with pytest.raises(
+        taut.errors.UsageError, match=r"'terms.a b' and another column both become 'terms.a_b' in MATLAB"
+    ):
         run.to_mat(tmp_path / "run.mat")
     assert not list(tmp_path.iterdir())
 
@@ -92,9 +94,9 @@ def test_joints_with_commas_in_their_names_stay_one_column(make_run: Any, tmp_pa
 @pytest.mark.parametrize("method", ["to_csv", "to_mat", "to_npz"])
 def test_a_wrong_suffix_or_folder_gets_one_sentence(noisy_run: taut.Run, method: str, tmp_path: Path) -> None:
     suffix = method.replace("to_", ".")
-    with pytest.raises(taut.FileError, match=rf"must end in {suffix}; got 'run.doc'"):
+    with pytest.raises(taut.errors.FileError, match=rf"must end in {suffix}; got 'run.doc'"):
         getattr(noisy_run, method)(tmp_path / "run.doc")
-    with pytest.raises(taut.FileError, match="which does not exist; create it first"):
+    with pytest.raises(taut.errors.FileError, match="which does not exist; create it first"):
         getattr(noisy_run, method)(tmp_path / "no" / f"run{suffix}")
 
 
@@ -108,7 +110,9 @@ def test_nothing_half_written_is_left_behind(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(np, "savez", full)
-    with pytest.raises(taut.FileError, match=r"archive '.*run.npz' cannot be written: No space left on device"):
+    with pytest.raises(
+        taut.errors.FileError, match=r"archive '.*run.npz' cannot be written: No space left on device"
+    ):
         noisy_run.to_npz(path)
     assert [file.name for file in tmp_path.iterdir()] == ["run.npz"]
     assert path.read_bytes() == b"old"
@@ -123,7 +127,7 @@ def test_a_missing_pandas_is_named_with_its_remedy(noisy_run: taut.Run, monkeypa
         return real(name, *others)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(taut.MissingExtraError) as refused:
+    with pytest.raises(taut.errors.MissingExtraError) as refused:
         noisy_run.to_pandas()
     assert str(refused.value) == (
         "run.to_pandas() needs the package 'pandas', which is not installed; pip install pandas installs it"

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import taut
-from taut.control.felt import FeltImpedance, felt_impedance
+from taut.control.laws.apparent import FeltImpedance, felt_impedance
 from taut.record.felt import deviation_promised
 
 PANDA = taut.load_arm("panda")
@@ -69,8 +69,8 @@ def led() -> taut.Run:
     law = taut.laws.Admittance(
         D=(8.0, 1.0), B=(20.0, 2.0), K=(50.0, 5.0), inner=taut.laws.TaskComputedTorque(kp=1600.0, kd=80.0)
     )
-    wave = taut.Oscillation(amplitude=[5.0, 3.0, 0.0], frequency=0.8)
-    hand = taut.Hand(mass=1.0, damping=5.0, stiffness=0.0, force=wave)
+    wave = taut.environments.Oscillation(amplitude=[5.0, 3.0, 0.0], frequency=0.8)
+    hand = taut.environments.Hand(mass=1.0, damping=5.0, stiffness=0.0, force=wave)
     plant = taut.RigidPlant(PANDA, friction=None, environment=hand)
     return taut.run(taut.compile(law, PANDA), plant, duration=2.0)
 

@@ -15,9 +15,9 @@ from PIL import Image
 from scipy.integrate import solve_ivp
 
 import taut
-from taut.record import scene, video
-from taut.record.around import AROUND, POSES, Around, Mesh, Shape, Thing, around_of, poses_of
-from taut.record.skeleton import Skeleton, upright
+from taut.record.film import scene, video
+from taut.record.film.skeleton import Skeleton, upright
+from taut.record.film.surroundings import AROUND, POSES, Around, Mesh, Shape, Thing, around_of, poses_of
 
 SIZE = (96, 72)
 PLACES = 1e-9  # [m]
@@ -166,7 +166,7 @@ def test_an_entry_that_another_wrote_is_refused_in_one_sentence(
     info = {"rate": 100.0, "arm": "one_joint", AROUND: wrong}
     run = make_run([0.0, 0.01], np.zeros((2, 1)), arm=arm, joint_names=arm.joint_names, info=info)
     with pytest.raises(
-        taut.UsageError, match=r"run.info\['around'\] and the column scene.poses must be what taut.run"
+        taut.errors.UsageError, match=r"run.info\['around'\] and the column scene.poses must be what taut.run"
     ):
         run.video(tmp_path / "run.gif", size=SIZE)
     assert not list(tmp_path.iterdir())

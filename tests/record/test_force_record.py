@@ -21,7 +21,9 @@ PRESS = taut.TaskForce(F_app=[3.0, 0.0, -6.0, 0.0, 0.4, 0.0], frame="tool")
 @pytest.fixture(scope="module")
 def run() -> taut.Run:
     law = L.ForceControl(kfp=0.2, kfi=4.0, kdamp=(60.0, 2.0))
-    held = taut.Environments(spring=taut.Spring(stiffness=(2e3, 60.0)), damper=taut.Damper(damping=(80.0, 2.0)))
+    held = taut.environments.Environments(
+        spring=taut.environments.Spring(stiffness=(2e3, 60.0)), damper=taut.environments.Damper(damping=(80.0, 2.0))
+    )
     plant = taut.RigidPlant(ARM, friction=None, environment=held)
     free = {"environment.spring.stiffness": [0.0] * 6, "environment.damper.damping": [0.0] * 6}
     return taut.run(taut.compile(law, ARM), plant, PRESS, duration=2.0, events=[taut.Event(t=1.8, set=free)])
@@ -93,7 +95,7 @@ def test_plots_show_what_was_wanted_and_comparisons_the_errors_of_force(run: tau
     assert "from 1 to 1.5 s" in figure
     of_motion = dataclasses.replace(run, reference=taut.JointMotion.of({"q": run.q, "v": run.v, "a": run.v}))
     with pytest.raises(
-        taut.UsageError, match="run 'a' has errors of force and run 'b' of motion; compare them apart"
+        taut.errors.UsageError, match="run 'a' has errors of force and run 'b' of motion; compare them apart"
     ):
         compare({"a": run, "b": of_motion})
 

@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 from test_plot import assert_legible
 
 import taut
-from taut import Friction, RangeError, ShapeError, UnknownNameError, UsageError
-from taut.record.friction_curves import plot_friction
+from taut import Friction
+from taut.errors import RangeError, ShapeError, UnknownNameError, UsageError
+from taut.record.plots.friction_curves import plot_friction
 
 LAWS = {
     "(a) viscous": Friction(viscous=0.8),

@@ -21,9 +21,9 @@ from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
 
 import taut
-from taut.record import log as log_module
-from taut.record.log import open_log
-from taut.record.topics import Description, TickLayout, columns_of
+from taut.record.log.topics import Description, TickLayout, columns_of
+from taut.record.log.writing import open_log
+from taut.record.log.writing import writing as log_module
 
 
 def assert_same(a: taut.Run, b: taut.Run) -> None:
@@ -242,7 +242,7 @@ def test_a_log_cut_anywhere_gives_the_chunks_that_are_whole(noisy_run: taut.Run,
     for length in cuts:
         cut.write_bytes(whole[:length])
         if length < first:
-            with pytest.raises(taut.FileError, match="nothing of the run can be read"):
+            with pytest.raises(taut.errors.FileError, match="nothing of the run can be read"):
                 taut.load_run(cut)
             kept.append(-1)
             continue
@@ -328,7 +328,7 @@ def test_a_killed_process_loses_only_what_it_had_not_handed_over(tmp_path: Path)
     code = f"""
 import os, signal
 import numpy as np, taut
-from taut.record.log import open_log
+from taut.record.log.writing import open_log
 def piece(first, last):
     t = np.arange(first, last) * 0.001
     q = np.sin(np.outer(t, [1.0, 2.0]))
@@ -354,7 +354,7 @@ with open_log({str(path)!r}) as file:
 def test_a_full_disk_is_told_and_what_was_written_stays(noisy_run: taut.Run) -> None:
     if not Path("/dev/full").exists():
         pytest.skip("this system has no /dev/full")
-    with pytest.raises(taut.FileError) as refused, log_module.Log(Path("/dev/full")) as file:
+    with pytest.raises(taut.errors.FileError) as refused, log_module.Log(Path("/dev/full")) as file:
         file.write(noisy_run)
     assert str(refused.value) == ("log '/dev/full' cannot be written: No space left on device; choose another place")
 
@@ -372,7 +372,7 @@ def test_every_wrong_file_to_read_gets_one_sentence(tmp_path: Path, noisy_run: t
         writer.finish()
     said = {}
     for name in ("none.mcap", "empty.mcap", "text.mcap", "folder.mcap", "foreign.mcap", "nul\0.mcap"):
-        with pytest.raises(taut.FileError) as refused:
+        with pytest.raises(taut.errors.FileError) as refused:
             taut.load_run(tmp_path / name)
         said[name] = str(refused.value).replace(f"{tmp_path}{os.sep}", "").replace(str(tmp_path), "HERE")
         assert isinstance(refused.value, OSError)
@@ -387,7 +387,7 @@ def test_every_wrong_file_to_read_gets_one_sentence(tmp_path: Path, noisy_run: t
         "nul\0.mcap": "log 'nul\\x00.mcap' does not exist; 'HERE' has 'empty.mcap', 'folder.mcap', 'foreign.mcap', "
         "'text.mcap'",
     }
-    with pytest.raises(taut.UsageError, match=r"load_run takes the path of a \.mcap file; got int"):
+    with pytest.raises(taut.errors.UsageError, match=r"load_run takes the path of a \.mcap file; got int"):
         taut.load_run(3)  # type: ignore[arg-type]
 
 
@@ -395,10 +395,10 @@ def test_every_wrong_place_to_write_gets_one_sentence(tmp_path: Path, noisy_run:
     (tmp_path / "folder.mcap").mkdir()
     said = {}
     for name in ("run.bag", "run", "folder.mcap", "no/run.mcap", "nul\0.mcap"):
-        with pytest.raises(taut.FileError) as refused:
+        with pytest.raises(taut.errors.FileError) as refused:
             noisy_run.save(tmp_path / name)
         said[name] = str(refused.value).replace(f"{tmp_path}{os.sep}", "")
-        with pytest.raises(taut.FileError):
+        with pytest.raises(taut.errors.FileError):
             open_log(tmp_path / name)
     assert said == {
         "run.bag": "the log's name must end in .mcap; got 'run.bag'",
@@ -407,13 +407,13 @@ def test_every_wrong_place_to_write_gets_one_sentence(tmp_path: Path, noisy_run:
         "no/run.mcap": "log 'no/run.mcap' needs the folder 'no', which does not exist; create it first",
         "nul\0.mcap": "log 'nul\\x00.mcap' is no name of a file; it holds a NUL character",
     }
-    with pytest.raises(taut.UsageError, match="the log needs the path of a file; got NoneType"):
+    with pytest.raises(taut.errors.UsageError, match="the log needs the path of a file; got NoneType"):
         noisy_run.save(None)  # type: ignore[arg-type]
 
 
 def test_info_that_is_no_plain_value_is_refused_and_leaves_no_file(make_run: Any, tmp_path: Path) -> None:
     run = make_run([0.0], [[0.0]], info={"rate": 1.0, "law": object()})
-    with pytest.raises(taut.UsageError, match=r"run.info must hold plain values .* got object"):
+    with pytest.raises(taut.errors.UsageError, match=r"run.info must hold plain values .* got object"):
         run.save(tmp_path / "run.mcap")
     assert not list(tmp_path.iterdir())
 
@@ -444,7 +444,7 @@ def test_a_hostile_description_is_refused(noisy_run: taut.Run, tmp_path: Path) -
             writer.start()
             writer.add_metadata("taut.run", sealed(values))
             writer.finish()
-        with pytest.raises(taut.FileError) as refused:
+        with pytest.raises(taut.errors.FileError) as refused:
             taut.load_run(path)
         said.append(str(refused.value))
     assert all(text.startswith("log '") and "\n" not in text for text in said)
@@ -458,6 +458,6 @@ def test_a_closed_log_takes_no_more_ticks(noisy_run: taut.Run, tmp_path: Path) -
     with open_log(tmp_path / "run.mcap") as file:
         file.write(noisy_run)
         file.finish(noisy_run.outcome)
-        with pytest.raises(taut.FileError, match=r"log '.*run.mcap' is closed; open another one"):
+        with pytest.raises(taut.errors.FileError, match=r"log '.*run.mcap' is closed; open another one"):
             file.write(noisy_run)
     assert_same(noisy_run, taut.load_run(tmp_path / "run.mcap"))

@@ -15,9 +15,9 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 import taut
-from taut.record.plot import compare
-from taut.record.style import thinned
-from taut.study.compare_plot import plot_runs
+from taut.analysis.compare.plot import plot_runs
+from taut.record.plots.plot import compare
+from taut.record.plots.style import thinned
 
 
 def axes_titled(figure: Figure, title: str) -> Any:
@@ -219,7 +219,7 @@ def test_wrong_joints_get_one_sentence(many: Any, make_run: Any) -> None:
         with pytest.raises(taut.TautError) as refused:
             run.plot(joints=joints)
         assert str(refused.value) == sentence
-    with pytest.raises(taut.UsageError, match="there is nothing to plot: the run has no ticks"):
+    with pytest.raises(taut.errors.UsageError, match="there is nothing to plot: the run has no ticks"):
         make_run([], np.zeros((0, 1))).plot()
 
 
@@ -357,11 +357,13 @@ def test_metrics_without_a_number_are_marked(make_run: Any) -> None:
 
 def test_wrong_comparisons_get_one_sentence(many: Any) -> None:
     run = many(2)
-    with pytest.raises(taut.UsageError, match="compare takes runs by name"):
+    with pytest.raises(taut.errors.UsageError, match="compare takes runs by name"):
         compare([run])  # type: ignore[arg-type]
-    with pytest.raises(taut.UsageError, match="compare draws 1 to 8 runs in one figure; got 0"):
+    with pytest.raises(taut.errors.UsageError, match="compare draws 1 to 8 runs in one figure; got 0"):
         compare({})
-    with pytest.raises(taut.UnknownNameError, match="a run has no metric 'rms_eror'; did you mean 'rms_error'"):
+    with pytest.raises(
+        taut.errors.UnknownNameError, match="a run has no metric 'rms_eror'; did you mean 'rms_error'"
+    ):
         compare({"a": run}, measures=["rms_eror"])
 
 
@@ -380,5 +382,5 @@ def test_one_joint_of_several_runs_is_compared_by_its_motion_error_and_numbers(m
 
 
 def test_a_joint_that_a_run_does_not_have_is_not_compared(many: Any) -> None:
-    with pytest.raises(taut.UnknownNameError, match="run 'a' has no joint 'elbow'"):
+    with pytest.raises(taut.errors.UnknownNameError, match="run 'a' has no joint 'elbow'"):
         compare({"a": many(2)}, joint="elbow")

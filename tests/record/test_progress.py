@@ -10,7 +10,10 @@ import numpy as np
 import pytest
 
 import taut
-from taut.record import export, log, progress, video
+from taut.record import progress
+from taut.record.film import video
+from taut.record.log.writing import export
+from taut.record.log.writing import writing as log
 
 
 class Terminal(io.StringIO):

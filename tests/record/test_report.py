@@ -19,13 +19,13 @@ import numpy as np
 import pytest
 
 import taut
-from taut.apps.cli import main
 from taut.base.errors import FileError, UsageError
+from taut.cli.main import main
 from taut.record.metrics import MEASURES
-from taut.record.report import page_of
-from taut.record.report_html import html_of
-from taut.record.report_page import Page, Picture, Table, without_folders
-from taut.record.report_run import law_in_python, law_of_text, meaning
+from taut.record.report.html import html_of
+from taut.record.report.page import Page, Picture, Table, without_folders
+from taut.record.report.report import page_of
+from taut.record.report.run_report import law_in_python, law_of_text, meaning
 
 HTML = "{http://www.w3.org/1999/xhtml}"
 MOST_BYTES = 3_000_000
@@ -36,7 +36,7 @@ def run() -> taut.Run:
     arm = taut.load_arm("planar2")
     law = taut.laws.FeedForward() + taut.laws.PID(kp=[80.0, 60.0], kd=[8.0, 6.0])
     ctrl = taut.compile(law, arm, limits=taut.Limits(tau=[30.0, 10.0]))
-    ref = taut.Sine(center=[0.3, 0.5], amplitude=[0.3, 0.2], frequency=[0.8, 1.1], phase=[0.0, 1.0])
+    ref = taut.trajectories.Sine(center=[0.3, 0.5], amplitude=[0.3, 0.2], frequency=[0.8, 1.1], phase=[0.0, 1.0])
     loop = taut.Loop(ctrl, taut.RigidPlant(arm), ref, duration=0.4)
     loop.parameters["plant.payload.mass"] = 0.7
     return taut.run(loop, q0=[0.2, 0.4], seed=5)
@@ -138,7 +138,7 @@ def test_the_lines_of_a_report_have_the_friction_of_the_plant(
             taut.compile(taut.laws.GravityPID(kp=9.0, kd=3.0), arm),
             taut.RigidPlant(arm.with_friction(friction)),
         )
-    ref = taut.Quintic(q0=arm.home, q1=arm.home + 0.2, duration=0.2)
+    ref = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + 0.2, duration=0.2)
     made = taut.run(ctrl, plant, ref, duration=0.25)
     monkeypatch.chdir(tmp_path)
     require_the_same_again(made)
@@ -260,10 +260,14 @@ LACKING: dict[str, tuple[Callable[[], taut.Run], list[str]]] = {
         ["Mine(kp=1.0)"],
     ),
     "phases": (of_phases, ["a: PID("]),
-    "what touches the arm": (lambda: on_planar(environment=taut.Spring(stiffness=10.0)), ["environment="]),
+    "what touches the arm": (
+        lambda: on_planar(environment=taut.environments.Spring(stiffness=10.0)),
+        ["environment="],
+    ),
     "drives and sensors": (
         lambda: on_planar(
-            actuation=taut.Actuation(delay=0.002), sensors=taut.Sensors(position=taut.Encoder(noise=1e-5))
+            actuation=taut.drives.Actuation(delay=0.002),
+            sensors=taut.sensors.Sensors(position=taut.sensors.Encoder(noise=1e-5)),
         ),
         ["actuation=", "sensors="],
     ),
@@ -318,10 +322,10 @@ def test_the_text_of_a_law_gives_the_law() -> None:
 
 
 def test_a_title_ends_with_a_clause_and_not_within_a_word() -> None:
-    d = taut.second_order(M=0.5, b=0.1, kp=2.205, kd=2.0)
+    d = taut.analysis.second_order(M=0.5, b=0.1, kp=2.205, kd=2.0)
     ctrl = taut.compile(taut.laws.GravityPID(kp=60.0, kd=9.0), taut.load_arm("planar2"))
     made = taut.run(ctrl, taut.RigidPlant(taut.load_arm("planar2")), taut.JointMotion(q=[0.3, 0.8]), duration=0.1)
-    title = page_of(taut.lyapunov(made)).title
+    title = page_of(taut.analysis.lyapunov(made)).title
     assert title.startswith("Lyapunov: V goes from ")
     assert title.endswith(" J and falls throughout")
     assert page_of(d).title.endswith("= 0")
@@ -398,7 +402,7 @@ def test_anything_that_prints_and_plots_has_a_report(tmp_path: Path) -> None:
         def tables(self) -> dict[str, list[list[object]]]:
             return {"gains": [["gain", "value"], ["kp", 100.0]]}
 
-    d = taut.second_order(M=0.5, b=0.1, kd=2.0, zeta=1.0)
+    d = taut.analysis.second_order(M=0.5, b=0.1, kd=2.0, zeta=1.0)
     for made in (Designed(), d):
         text = taut.report(made, tmp_path / "d.html").read_text(encoding="utf-8")
         check_alone(text)
@@ -628,20 +632,24 @@ def test_what_prints_has_a_report_whose_title_says_what_it_is(run: taut.Run, tmp
     arm = taut.load_arm("planar2")
     ctrl = taut.compile(taut.laws.GravityPID(kp=50.0, kd=10.0), arm)
     loop = taut.Loop(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=[0.3, 0.8]), duration=0.1)
-    d = taut.second_order(M=0.5, b=0.1, kp=2.205, kd=2.0)
-    found = taut.stability_map(
-        lambda kp, kd: taut.second_order(M=0.5, kp=kp, kd=kd).sampled(rate=100.0),
+    d = taut.analysis.second_order(M=0.5, b=0.1, kp=2.205, kd=2.0)
+    found = taut.analysis.stability_map(
+        lambda kp, kd: taut.analysis.second_order(M=0.5, kp=kp, kd=kd).sampled(rate=100.0),
         {"kp": [1.0, 2.0], "kd": [1.0, 400.0]},
         units=("N m/rad", "N m s/rad"),
     )
     told = taut.doctor(taut.run(taut.Loop(ctrl, taut.RigidPlant(arm.with_payload(1.0)), loop.ref, duration=1.0)))
     for made, title, words in (
-        (taut.coupling(loop, at=[0.3, 0.8]), "Coupling: decentralised control", "the inertia matrix is coupled by"),
+        (
+            taut.analysis.coupling(loop, at=[0.3, 0.8]),
+            "Coupling: decentralised control",
+            "the inertia matrix is coupled by",
+        ),
         (told, f"Diagnosis: {told.findings[0].name}", "remedy"),
-        (taut.locus("ki", [0.0, 12.0], of=d), "Root locus over ki from 0 to 12", "two poles meet"),
+        (taut.analysis.locus("ki", [0.0, 12.0], of=d), "Root locus over ki from 0 to 12", "two poles meet"),
         (found, "Stability map over kp from 1 to 2 N m/rad", "Where kd is stable"),
         (d.sampled(rate=100.0), "Sampled error dynamics: error dynamics 0.5 s^2", "poles in z"),
-        (taut.tip_impedance(loop, at=[0.3, 0.8], direction=[1.0, 0.0, 0.0]), "Tip response", "|Z| ["),
+        (taut.analysis.tip_impedance(loop, at=[0.3, 0.8], direction=[1.0, 0.0, 0.0]), "Tip response", "|Z| ["),
     ):
         text = taut.report(made, tmp_path / "x.html").read_text(encoding="utf-8")
         check_alone(text)
@@ -654,7 +662,8 @@ def test_what_prints_has_a_report_whose_title_says_what_it_is(run: taut.Run, tmp
 def test_what_has_no_report_is_told(run: taut.Run, tmp_path: Path) -> None:
     for x, name in ((3.0, "float"), (taut.Run, "Run"), (None, "NoneType")):
         with pytest.raises(
-            UsageError, match=f"a report is of a taut.Run, a taut.Comparison, a diagnosis, or what has .* got {name}"
+            UsageError,
+            match=f"a report is of a taut.Run, a taut.analysis.Comparison, a diagnosis, or what has .* got {name}",
         ):
             taut.report(x, tmp_path / "x.html")
     (tmp_path / "y.html").mkdir()

@@ -82,7 +82,7 @@ def test_dry_friction_holds_a_pd_joint_for_as_long_as_theory_says() -> None:
     mu, kp, kd, A, omega = 0.5, 20.0, 6.0, 0.5, 0.5
     arm = taut.load_arm("one_joint").with_gravity([0.0, 0.0, 0.0]).with_friction(taut.Friction(coulomb=mu))
     ctrl = taut.compile(taut.laws.PID(kp=kp, kd=kd), arm)
-    ref = taut.Sine(center=[0.0], amplitude=[A], frequency=omega / (2.0 * np.pi))
+    ref = taut.trajectories.Sine(center=[0.0], amplitude=[A], frequency=omega / (2.0 * np.pi))
     run = taut.run(ctrl, taut.RigidPlant(arm), ref, duration=2.0 * np.pi / omega).between(1.0, 12.0)
     each = brentq(
         lambda t: kp * A * (1.0 - np.cos(omega * t)) + kd * A * omega * np.sin(omega * t) - 2.0 * mu, 0.0, 2.0

@@ -15,7 +15,7 @@ import taut
 from taut.maths.chain import Chain
 from taut.maths.model import model_of
 from taut.record.metrics import MEASURES, OF_JOINT_MOTION, OF_TASK_MOTION
-from taut.record.task_plot import is_task_run
+from taut.record.plots.task_plot import is_task_run
 
 FIELDS = ("p", "R", "twist", "acceleration")
 
@@ -47,7 +47,7 @@ class Spring(taut.Law):
 
 
 T0 = taut.snapshot(ARM, np.zeros(6)).T()
-LINE = taut.Line(T0=T0, T1=taut.Pose([0.1, 0.05, -0.1], rpy=[0.1, -0.2, 0.3]), duration=0.3)
+LINE = taut.trajectories.Line(T0=T0, T1=taut.Pose([0.1, 0.05, -0.1], rpy=[0.1, -0.2, 0.3]), duration=0.3)
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +117,7 @@ class TestTaskSide:
     def test_a_run_that_was_made_by_hand_says_that_it_does_not_know(self, make_run: Any) -> None:
         made = make_run([0.0, 1.0], [[0.0], [0.0]])
         with pytest.raises(
-            taut.UsageError,
+            taut.errors.UsageError,
             match=r"^the run does not say which frame its law controls: run.info has no 'tool'; only runs of taut.run and their logs have a task side$",
         ):
             made.task  # noqa: B018
@@ -210,7 +210,7 @@ class TestKept:
         assert part.metrics.task_peak <= run.metrics.task_peak
 
     def test_a_film_has_the_wanted_way_of_the_tool(self, run: taut.Run) -> None:
-        from taut.record.video import _wanted
+        from taut.record.film.video import _wanted
 
         ticks = np.array([0, 100, 300])
         np.testing.assert_allclose(_wanted(run, ARM, ticks), LINE.rows(run.t[ticks]).p)
@@ -255,7 +255,7 @@ class TestDrawn:
             duration=0.01,
         )
         with pytest.raises(
-            taut.UsageError,
+            taut.errors.UsageError,
             match=r"^run 'stiff' has errors of the task and run 'joints' of joints; compare them apart$",
         ):
             compare({"stiff": run, "joints": joints})
@@ -264,7 +264,7 @@ class TestDrawn:
 def test_a_run_that_was_touched_shows_force_and_moment() -> None:
     arm = taut.load_arm("planar2")
     ctrl = taut.compile(taut.laws.GravityPID(kp=100.0, kd=10.0), arm)
-    push = taut.Push(peak=[5.0, 0.0, 0.0, 0.0, 0.0, 0.0], t=0.1, duration=0.1)
+    push = taut.environments.Push(peak=[5.0, 0.0, 0.0, 0.0, 0.0, 0.0], t=0.1, duration=0.1)
     pushed = taut.run(ctrl, taut.RigidPlant(arm, environment=push), duration=0.3).plot()
     free = taut.run(ctrl, taut.RigidPlant(arm), duration=0.3).plot()
     titles = [ax.get_title(loc="left") for ax in pushed.axes]

@@ -18,8 +18,8 @@ from PIL import Image
 import taut
 from taut.maths import dynamics
 from taut.maths.model import model_of
-from taut.record import render, scene
-from taut.record.skeleton import Skeleton, upright
+from taut.record.film import render, scene
+from taut.record.film.skeleton import Skeleton, upright
 
 SIZE = (96, 72)
 PLACES = 1e-9  # [m] between our kinematics and MuJoCo's
@@ -162,7 +162,7 @@ def test_a_renderer_that_dies_leaves_no_half_film(
             raise render.NoRendererError("killed")
 
     monkeypatch.setattr(render, "opened", lambda *_: Dying())
-    with pytest.raises(taut.FileError, match=r"video '.*run.gif' broke off: killed; try again"):
+    with pytest.raises(taut.errors.FileError, match=r"video '.*run.gif' broke off: killed; try again"):
         moving(taut.load_arm("one_joint")).video(tmp_path / "run.gif", size=(32, 32))
     assert not list(tmp_path.iterdir())
 
@@ -207,7 +207,7 @@ def test_an_ffmpeg_that_fails_is_quoted_and_an_old_film_kept(
     monkeypatch.setenv("PATH", str(programs))
     path = films / "run.mp4"
     path.write_bytes(b"old")
-    with pytest.raises(taut.FileError) as refused:
+    with pytest.raises(taut.errors.FileError) as refused:
         moving(taut.load_arm("one_joint"), 0.2).video(path, size=(32, 24))
     assert str(refused.value) == (f"video '{path}' cannot be written: ffmpeg says 'no encoder'; write a .gif instead")
     assert [file.name for file in films.iterdir()] == ["run.mp4"]
@@ -216,7 +216,7 @@ def test_an_ffmpeg_that_fails_is_quoted_and_an_old_film_kept(
 
 def test_an_mp4_without_ffmpeg_is_refused(moving: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(taut.FileError) as refused:
+    with pytest.raises(taut.errors.FileError) as refused:
         moving(taut.load_arm("one_joint")).video(tmp_path / "run.mp4")
     assert str(refused.value) == (
         f"video '{tmp_path / 'run.mp4'}' needs the program ffmpeg, which is not on the PATH; install it, or write a .gif"
@@ -342,12 +342,12 @@ def test_every_wrong_request_gets_one_sentence(moving: Any, tmp_path: Path) -> N
 
 
 def test_an_mp4_needs_even_sizes(moving: Any, tmp_path: Path) -> None:
-    with pytest.raises(taut.RangeError, match=r"size must be even numbers for .mp4; got \(641, 480\)"):
+    with pytest.raises(taut.errors.RangeError, match=r"size must be even numbers for .mp4; got \(641, 480\)"):
         moving(taut.load_arm("one_joint")).video(tmp_path / "run.mp4", size=(641, 480))
 
 
 def test_a_run_without_ticks_cannot_be_filmed(make_run: Any, tmp_path: Path) -> None:
     arm = taut.load_arm("one_joint")
     run = make_run([], np.zeros((0, 1)), arm=arm, joint_names=arm.joint_names)
-    with pytest.raises(taut.UsageError, match="there is nothing to film: the run has no ticks"):
+    with pytest.raises(taut.errors.UsageError, match="there is nothing to film: the run has no ticks"):
         run.video(tmp_path / "run.gif")

@@ -63,11 +63,11 @@ class Bench:
 
     @cached_property
     def _held(self) -> taut.Loop:
-        things = taut.Environments(
-            spring=taut.Spring(stiffness=(0.0, 0.0)),
-            damper=taut.Damper(damping=(0.0, 0.0)),
-            handle=taut.Handle(mass=1e-6),
-            wall=taut.StiffWall(point=[0.0, 0.0, -9.0], normal=[0.0, 0.0, 1.0], stiffness=1e4),
+        things = taut.environments.Environments(
+            spring=taut.environments.Spring(stiffness=(0.0, 0.0)),
+            damper=taut.environments.Damper(damping=(0.0, 0.0)),
+            handle=taut.environments.Handle(mass=1e-6),
+            wall=taut.environments.StiffWall(point=[0.0, 0.0, -9.0], normal=[0.0, 0.0, 1.0], stiffness=1e4),
         )
         plant = taut.RigidPlant(self.arm, substeps=STEPS, environment=things)
         return taut.Loop(self._damped, plant, taut.hold(), duration=DURATION)
@@ -114,7 +114,7 @@ class Bench:
             loop.parameters[f"environment.{path}"] = value
         for path, value in (("law.K", K), ("law.B", B)):
             loop.parameters[path] = ctrl.parameters[path] = value
-        check = taut.check_impedance(ctrl, q)
+        check = taut.analysis.check_impedance(ctrl, q)
         run = taut.run(loop, q0=q, v0=v, progress=False)
         stored = 0.5 * v @ x.M @ v
         speed = np.abs(run.v).max(axis=1)

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import taut
-from taut.base import math as tm
 from taut.base.types import Float64Array
+from taut.trace import math as tm
 
 Values = Mapping[str, Any]
 

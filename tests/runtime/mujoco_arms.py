@@ -9,7 +9,7 @@ import numpy as np
 import taut
 from taut.arm.description import BASE, Arm, Body, Frame, Joint
 from taut.arm.load import load_arm
-from taut.base.pose import Pose
+from taut.trace.pose import Pose
 
 
 def body(mass: float, com: tuple[float, float, float], size: tuple[float, float, float]) -> Body:

@@ -78,7 +78,7 @@ class Spring:
 class AtOnly:
     """A trajectory without rows: a simulation has to ask for each time on its own."""
 
-    def __init__(self, inner: taut.Sine) -> None:
+    def __init__(self, inner: taut.trajectories.Sine) -> None:
         self._inner = inner
         self.asked: list[float] = []
 
@@ -104,7 +104,7 @@ class HandPlant:
 
     def checked_parameter(self, path: str, value: Any) -> Array:
         if not float(value) > 0.0:
-            raise taut.RangeError(f"{path} must be > 0; got {value!r}")
+            raise taut.errors.RangeError(f"{path} must be > 0; got {value!r}")
         return np.asarray(float(value))
 
     def check_together(self, values: Mapping[str, Any]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.record.around import AROUND, POSES, Around, Thing
+from taut.record.film.surroundings import AROUND, POSES, Around, Thing
 from taut.runtime.around_info import around_info
 
 C = taut.Constraint
@@ -85,11 +85,11 @@ def test_a_surface_that_sways_goes_with_its_time() -> None:
 
 
 def test_walls_are_shown_and_what_has_no_surface_is_said() -> None:
-    wall = taut.StiffWall(point=P - [0.3, 0.0, 0.1], normal=[0.0, 0.0, 2.0], stiffness=1e3)
-    board = only(around(environment=wall + taut.Damper(damping=1.0)), "box")
+    wall = taut.environments.StiffWall(point=P - [0.3, 0.0, 0.1], normal=[0.0, 0.0, 2.0], stiffness=1e3)
+    board = only(around(environment=wall + taut.environments.Damper(damping=1.0)), "box")
     np.testing.assert_allclose(np.add(board.p, (0.0, 0.0, board.shapes[0].size[2])), P - [0.0, 0.0, 0.1])
     assert not around()
-    assert not around(environment=taut.Spring(stiffness=(1e3, 10.0)))
+    assert not around(environment=taut.environments.Spring(stiffness=(1e3, 10.0)))
     said = around(contact=(C.hinge(point=P - [0.0, -0.3, 0.0], axis=[0, 0, 1], T=T0),)).missing
     assert said == ("what holds the arm by Constraint(5 rows)",)
     moving = around(contact=C(lambda T, t: T.p[2] - P[2] - 0.1 * t + 0.3 * T.p[0] ** 2)).missing

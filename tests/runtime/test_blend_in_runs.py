@@ -19,7 +19,7 @@ PLANTS: dict[str, Callable[[], Any]] = {
     "fused": lambda: taut.RigidPlant(ARM, adds=("gravity", "coriolis")),
     "hosted": lambda: HandPlant(),
 }
-SHAKY = taut.Sensors(position=taut.Encoder(noise=1e-3), velocity=taut.Tachometer(noise=1e-2))
+SHAKY = taut.sensors.Sensors(position=taut.sensors.Encoder(noise=1e-3), velocity=taut.sensors.Tachometer(noise=1e-2))
 CHANGE = taut.Event(t=0.1, set={"law.kp": 60.0, "law.ki": 0.0})
 
 
@@ -97,7 +97,7 @@ def test_an_event_with_noisy_sensors_takes_up_the_change_and_not_the_noise() -> 
 def test_a_sensor_that_gets_worse_is_felt_at_once() -> None:
     """An event that changes the gains too: the blend takes up what the gains do, and not what the sensor does."""
     plant = taut.RigidPlant(
-        ARM, adds=("gravity", "coriolis"), sensors=taut.Sensors(position=taut.Encoder(noise=1e-4))
+        ARM, adds=("gravity", "coriolis"), sensors=taut.sensors.Sensors(position=taut.sensors.Encoder(noise=1e-4))
     )
     ctrl = taut.compile(LAW, ARM, limits=taut.Limits(blend=0.05), adds=plant.adds)
     worse = {"sensors.position.noise": 0.05}

@@ -79,7 +79,7 @@ class TestComputedTorqueOnThePanda:
         assert np.abs(np.delete(pid.error, 3, axis=1)).max() > 1e-3  # which PD and gravity alone do not
 
     def test_it_follows_a_fast_motion_as_well_as_a_set_point(self) -> None:
-        wave = taut.Sine(center=PANDA.home, amplitude=0.3, frequency=np.linspace(0.3, 1.0, 7))
+        wave = taut.trajectories.Sine(center=PANDA.home, amplitude=0.3, frequency=np.linspace(0.3, 1.0, 7))
         start = wave.at(0.0)
         out = run(taut.laws.ComputedTorque(kp=self.KP, kd=self.KD), PANDA, wave, rate=5000.0, q0=start.q, v0=start.v)
         assert np.abs(out.v).max() > 1.0

@@ -178,7 +178,7 @@ FEEDFORWARD = taut.laws.FeedForward() + taut.laws.FrictionCompensation()  # the 
 
 def follow(law: taut.Law, center: float, model: taut.Arm = WRONG, rate: float = 1000.0) -> taut.Run:
     """theta_d = center - cos(t) for 0 <= t <= pi, from the right start."""
-    ref = taut.Sine(center=[center], amplitude=1.0, frequency=0.5 / np.pi, phase=-0.5 * np.pi)
+    ref = taut.trajectories.Sine(center=[center], amplitude=1.0, frequency=0.5 / np.pi, phase=-0.5 * np.pi)
     ctrl = taut.compile(law, model, rate=rate)
     start = ref.at(0.0)
     return taut.run(ctrl, taut.RigidPlant(VERTICAL), ref, duration=np.pi, q0=start.q, v0=start.v)
@@ -269,7 +269,7 @@ class TestAntiWindup:
 def test_velocity_control_has_the_pole_of_its_gain() -> None:
     """e_dot + kp e = 0, held over a tick and behind a drive of 2000 rad/s: the exact map of both."""
     kp, omega, dt = 8.0, 2000.0, 1e-2
-    plant = taut.RigidPlant(FLAT, takes="velocity", actuation=taut.Actuation(bandwidth=omega))
+    plant = taut.RigidPlant(FLAT, takes="velocity", actuation=taut.drives.Actuation(bandwidth=omega))
     ctrl = taut.compile(taut.laws.VelocityPI(kp=kp), FLAT, rate=1.0 / dt)
     out = taut.run(ctrl, plant, ZERO, duration=1.0, q0=[0.5])
     E = np.exp(-omega * dt)
@@ -285,7 +285,7 @@ def test_velocity_control_has_the_pole_of_its_gain() -> None:
 
 def test_velocity_control_with_integral_removes_what_a_ramp_leaves() -> None:
     """Without feedforward a ramp leaves v / kp; the integral takes it away."""
-    plant = taut.RigidPlant(FLAT, takes="velocity", actuation=taut.Actuation(bandwidth=500.0))
+    plant = taut.RigidPlant(FLAT, takes="velocity", actuation=taut.drives.Actuation(bandwidth=500.0))
 
     class Ramp:
         def at(self, t: float) -> taut.JointMotion:

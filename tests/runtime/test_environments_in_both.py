@@ -29,19 +29,22 @@ def tool(arm: taut.Arm = PANDA) -> taut.Pose:
 
 
 ENVIRONMENTS: dict[str, Any] = {
-    "spring": taut.Spring(stiffness=(400.0, 20.0), at=taut.Pose(tool().p + 0.05, R=tool().R)),
-    "cord": taut.Spring(stiffness=500.0, slack=0.02, at=tool().p + 0.05),
-    "damper": taut.Damper(damping=(20.0, 0.5), frame="tool") + taut.Push(peak=[20.0, 5.0, 0.0], t=0.0),
-    "wall": taut.StiffWall(point=tool().p + 0.002, normal=[0, 0, 1], stiffness=2e4, damping=200.0, friction=0.3),
-    "handle": taut.Handle(mass=0.5, damping=5.0, stiffness=200.0, at=tool().p + 0.02),
-    "hand": taut.Hand(
+    "spring": taut.environments.Spring(stiffness=(400.0, 20.0), at=taut.Pose(tool().p + 0.05, R=tool().R)),
+    "cord": taut.environments.Spring(stiffness=500.0, slack=0.02, at=tool().p + 0.05),
+    "damper": taut.environments.Damper(damping=(20.0, 0.5), frame="tool")
+    + taut.environments.Push(peak=[20.0, 5.0, 0.0], t=0.0),
+    "wall": taut.environments.StiffWall(
+        point=tool().p + 0.002, normal=[0, 0, 1], stiffness=2e4, damping=200.0, friction=0.3
+    ),
+    "handle": taut.environments.Handle(mass=0.5, damping=5.0, stiffness=200.0, at=tool().p + 0.02),
+    "hand": taut.environments.Hand(
         mass=0.5,
         damping=10.0,
         stiffness=200.0,
-        motion=taut.Oscillation(amplitude=[0.02, 0.0, 0.01], frequency=3.0),
-        force=taut.BandNoise(rms=3.0, low=1.0, high=8.0),
+        motion=taut.environments.Oscillation(amplitude=[0.02, 0.0, 0.01], frequency=3.0),
+        force=taut.environments.BandNoise(rms=3.0, low=1.0, high=8.0),
     ),
-    "push": taut.Push(peak=[20.0, 0.0, -10.0, 0.0, 1.0, 0.0], t=0.1, duration=0.07),
+    "push": taut.environments.Push(peak=[20.0, 0.0, -10.0, 0.0, 1.0, 0.0], t=0.1, duration=0.07),
 }
 
 
@@ -61,7 +64,7 @@ class TestBothPlants:
         """Motors, gears that lose power, friction that grows with load: each step has the wrench of its own state."""
         arm = PANDA.with_gears(ratio=100.0, motor_inertia=1e-5)
         arm = arm.with_friction(taut.Friction(viscous=0.5, load_external=0.05))
-        drives = taut.Actuation(bandwidth=1000.0, transmission=taut.Transmission(efficiency=0.9))
+        drives = taut.drives.Actuation(bandwidth=1000.0, transmission=taut.drives.Transmission(efficiency=0.9))
         environment = ENVIRONMENTS["spring"] + ENVIRONMENTS["push"]
         ours = run(taut.RigidPlant(arm, actuation=drives, environment=environment, substeps=2), duration=0.3)
         theirs = run(taut.MujocoPlant(arm, actuation=drives, environment=environment, timestep=5e-4), duration=0.3)
@@ -83,9 +86,9 @@ class TestBothPlants:
         np.testing.assert_allclose(felt[1:], out.extra["F_ext"][:-1, :3], rtol=1e-12)
 
     def test_too_long_steps_are_refused_in_mujoco_with_its_word(self) -> None:
-        wall = taut.StiffWall(point=tool().p, normal=[0, 0, 1], stiffness=3e7)
+        wall = taut.environments.StiffWall(point=tool().p, normal=[0, 0, 1], stiffness=3e7)
         with pytest.raises(
-            taut.RangeError,
+            taut.errors.RangeError,
             match=r"too fast for steps of 0.001 s; give the plant timestep=0\.000\d+, or a softer environment",
         ):
             run(taut.MujocoPlant(PANDA, environment=wall))
@@ -94,7 +97,7 @@ class TestBothPlants:
         """A table in MuJoCo and a push into it: the wrench is that of both, and at rest they carry each other."""
         arm = taut.load_arm("gantry3").with_joints(viscous=20.0)
         scene = '<mujoco><worldbody><geom type="box" size="1 1 0.05" pos="0 0 -0.27"/></worldbody></mujoco>'
-        push = taut.Push(peak=[0.0, 0.0, -20.0], t=0.0, duration=10.0, shape="rectangular")
+        push = taut.environments.Push(peak=[0.0, 0.0, -20.0], t=0.0, duration=10.0, shape="rectangular")
         plant = taut.MujocoPlant(arm, scene=scene, environment=push, adds=("gravity",))
         out = run(plant, taut.laws.PID(kp=0.0, kd=0.0), duration=3.0)
         assert out.q[-1, 2] == pytest.approx(-0.01, abs=2e-3)
@@ -122,7 +125,7 @@ class TestEvents:
 
     def test_push_once_more_with_other_gains(self, plant: str) -> None:
         """The second push is as large as the first; the arm, four times as stiff by then, gives way less."""
-        made = PLANTS[plant](PANDA, environment=taut.Push(peak=[0.0, 15.0, 0.0], duration=0.5))
+        made = PLANTS[plant](PANDA, environment=taut.environments.Push(peak=[0.0, 15.0, 0.0], duration=0.5))
         events = [
             taut.Event.push(t=0.2),
             taut.Event(t=1.5, set={"law.kp": 1200.0, "law.kd": 60.0}),
@@ -138,11 +141,11 @@ class TestEvents:
 
     def test_change_what_touches_the_tool(self, plant: str) -> None:
         """The hand lets go: its stiffness and will fall to zero in the run, and its wrench with them."""
-        hand = taut.Hand(
+        hand = taut.environments.Hand(
             mass=0.3,
             damping=5.0,
             stiffness=200.0,
-            motion=taut.Oscillation(amplitude=[0.0, 0.05, 0.0], frequency=2.0),
+            motion=taut.environments.Oscillation(amplitude=[0.0, 0.05, 0.0], frequency=2.0),
         )
         let_go = taut.Event(t=1.0, set={"environment.stiffness": 0.0, "environment.motion.amplitude": 0.0})
         made = PLANTS[plant](PANDA, environment=hand)
@@ -153,8 +156,8 @@ class TestEvents:
         assert made.parameters["environment.stiffness"] == 200.0  # events last as long as the run
 
     def test_that_no_environment_knows_are_refused(self, plant: str) -> None:
-        made = PLANTS[plant](PANDA, environment=taut.Environments(push=taut.Push()))
-        with pytest.raises(taut.UnknownNameError, match=r"no parameter 'environment\.t'"):
+        made = PLANTS[plant](PANDA, environment=taut.environments.Environments(push=taut.environments.Push()))
+        with pytest.raises(taut.errors.UnknownNameError, match=r"no parameter 'environment\.t'"):
             run(made, duration=0.1, events=[taut.Event.push(t=0.05)])
         run(made, duration=0.1, events=[taut.Event.push(t=0.05, peak=[1.0, 0.0, 0.0], of="environment.push")])
 
@@ -187,5 +190,7 @@ def test_an_environment_that_goes_wrong_in_mujoco_is_told() -> None:
     ctrl = taut.compile(taut.laws.GravityPID(kp=1.0, kd=1.0), PANDA)
     out = taut.run(ctrl, taut.MujocoPlant(PANDA, environment=Wild()), duration=0.1)
     assert "what touches its tool gave numbers that are not finite" in out.outcome.message
-    with pytest.raises(taut.UsageError, match=r"environment must have parameters\(\), start\(T_WE\) and wrench"):
+    with pytest.raises(
+        taut.errors.UsageError, match=r"environment must have parameters\(\), start\(T_WE\) and wrench"
+    ):
         taut.MujocoPlant(PANDA, environment=3.0)  # type: ignore[arg-type]

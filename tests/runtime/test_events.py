@@ -144,12 +144,12 @@ def test_what_is_no_event_is_refused_in_words(make: Callable[[], object], messag
 
 
 BAD: list[tuple[taut.Event, type[taut.TautError], str]] = [
-    (taut.Event(t=0.005, set={"law.levl": 1.0}), taut.UnknownNameError, "has no parameter 'law.levl'; did you mean 'law.level'?"),
-    (taut.Event(t=0.005, set={"law.level": -1.0}), taut.RangeError, "law.level must be >= 0 [N m]; got -1.0"),
-    (taut.Event(t=0.005, set={"law.level": np.nan}), taut.RangeError, "law.level must be finite [N m]; got nan"),
-    (taut.Event(t=0.0101, set={"law.level": 1.0}), taut.RangeError, "an event at t = 0.0101 s would never act: the run ends at 0.01 s; leave it out, or make the run longer"),
-    (taut.Event(t=0.005, set={"law.level": 1.0, "plant.none": 1.0}), taut.UnknownNameError, "has no parameter 'plant.none'"),
-    (taut.Event.push(t=0.005, peak=[5.0, 0.0, 0.0]), taut.UsageError, "'environment.t' is of the plant's environment, and this plant has none; give it one, such as taut.RigidPlant(arm, environment=taut.Push(...)) for Event.push"),
+    (taut.Event(t=0.005, set={"law.levl": 1.0}), taut.errors.UnknownNameError, "has no parameter 'law.levl'; did you mean 'law.level'?"),
+    (taut.Event(t=0.005, set={"law.level": -1.0}), taut.errors.RangeError, "law.level must be >= 0 [N m]; got -1.0"),
+    (taut.Event(t=0.005, set={"law.level": np.nan}), taut.errors.RangeError, "law.level must be finite [N m]; got nan"),
+    (taut.Event(t=0.0101, set={"law.level": 1.0}), taut.errors.RangeError, "an event at t = 0.0101 s would never act: the run ends at 0.01 s; leave it out, or make the run longer"),
+    (taut.Event(t=0.005, set={"law.level": 1.0, "plant.none": 1.0}), taut.errors.UnknownNameError, "has no parameter 'plant.none'"),
+    (taut.Event.push(t=0.005, peak=[5.0, 0.0, 0.0]), taut.errors.UsageError, "'environment.t' is of the plant's environment, and this plant has none; give it one, such as taut.RigidPlant(arm, environment=taut.environments.Push(...)) for Event.push"),
 ]  # fmt: skip
 
 
@@ -173,6 +173,6 @@ def test_a_wrong_event_is_refused_before_anything_happens(
 def test_a_plants_own_parameter_is_checked_before_the_run_too() -> None:
     made = HandPlant()
     ctrl = taut.compile(Level(), ARM, adds=made.adds)
-    with pytest.raises(taut.RangeError, match=r"plant\.mass must be > 0; got 0\.0"):
+    with pytest.raises(taut.errors.RangeError, match=r"plant\.mass must be > 0; got 0\.0"):
         taut.run(ctrl, made, ONES, duration=0.01, events=[taut.Event(t=0.005, set={"plant.mass": 0.0})])
     assert not made.commands

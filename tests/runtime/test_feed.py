@@ -11,11 +11,11 @@ import pytest
 from runtime_laws import TINY, Array, AtOnly, HandPlant, Seen, Spring, TorqueOf, seen
 
 import taut
-from taut.control.reference import Sample, Stream
+from taut.control.trajectories.reference import Sample, Stream
 from taut.runtime import fused, hosted
 
 ARM = taut.load_arm("planar2")
-WAVE = taut.Sine(center=[0.1, 0.2], amplitude=0.3, frequency=2.0)
+WAVE = taut.trajectories.Sine(center=[0.1, 0.2], amplitude=0.3, frequency=2.0)
 
 
 PLANTS: dict[str, Callable[[], Any]] = {
@@ -86,7 +86,7 @@ class TestTrajectories:
         np.testing.assert_array_equal(kept.q, out.q)
 
     def test_that_run_out_rest_at_their_ends(self, plant: Callable[[], Any]) -> None:
-        out = run(plant(), taut.Quintic(q0=[0.0, 0.0], q1=[1.0, -1.0], duration=0.01))
+        out = run(plant(), taut.trajectories.Quintic(q0=[0.0, 0.0], q1=[1.0, -1.0], duration=0.01))
         np.testing.assert_array_equal(out.reference.q[10:], np.broadcast_to([1.0, -1.0], (11, 2)))
         assert not out.reference.v[11:].any()
 
@@ -192,7 +192,9 @@ class TestStreams:
 
 class TestTheSnapshotOfASource:
     def test_is_what_the_controller_sees_noise_and_all(self) -> None:
-        sensors = taut.Sensors(position=taut.Encoder(noise=0.1, resolution=0.01), velocity=taut.Tachometer(noise=0.2))
+        sensors = taut.sensors.Sensors(
+            position=taut.sensors.Encoder(noise=0.1, resolution=0.01), velocity=taut.sensors.Tachometer(noise=0.2)
+        )
         plant = taut.RigidPlant(ARM, sensors=sensors)
         asked: list[taut.Snapshot] = []
 
@@ -270,19 +272,19 @@ def broken(q: list[float]) -> taut.JointMotion:
 
 
 CASES: list[tuple[object, type[taut.TautError], str]] = [
-    (OtherSample(), taut.UsageError, "the law follows JointMotion; the reference is a OtherSample"),
-    (taut.hold(OtherSample()), taut.UsageError, "the law follows JointMotion; the reference is a OtherSample"),
-    (Gives(OtherSample()), taut.UsageError, "the law follows JointMotion; the reference gives OtherSample"),
-    (Gives(None), taut.UsageError, "the law follows JointMotion; the reference gives NoneType"),
-    (taut.JointMotion(q=[0.0]), taut.ShapeError, "ref.q must have shape (2,); the reference gives (1,)"),
-    (taut.Pose(), taut.UsageError, "a reference is a sample such as taut.JointMotion(q=...), taut.hold(), a trajectory with at(t), taut.stream(...) or taut.chunk(...); got Pose; a pose to go to is taut.TaskMotion(pose=...)"),
-    (taut.load_arm, taut.UsageError, "a reference is a sample such as taut.JointMotion(q=...), taut.hold(), a trajectory with at(t), taut.stream(...) or taut.chunk(...); got function"),
-    (Gives(broken([0.0, np.nan]), since=0.0095), taut.RangeError, "ref.q[1] must be finite; the reference gives nan at t = 0.01 s"),
-    (taut.stream(period=0.01), taut.UsageError, "a stream in a simulation needs source=, a function that gives the next sample"),
-    (taut.stream(period=0.01, source=lambda x: None), taut.UsageError, "the source of a stream must give a sample or a chunk; got NoneType at t = 0 s"),
-    (taut.stream(period=0.01, source=lambda x: x.q if x.t > 0.005 else taut.JointMotion(q=x.q)), taut.UsageError, "the source of a stream must give a sample or a chunk; got ndarray at t = 0.01 s"),
-    (taut.stream(period=0.01, source=lambda x: OtherSample()), taut.UsageError, "the law follows JointMotion; the reference gives OtherSample"),
-    (taut.Sine(center=[0.0, 0.0, 0.0], amplitude=1.0, frequency=1.0), taut.ShapeError, "ref.q must have shape (2,); the reference gives (3,)"),
+    (OtherSample(), taut.errors.UsageError, "the law follows JointMotion; the reference is a OtherSample"),
+    (taut.hold(OtherSample()), taut.errors.UsageError, "the law follows JointMotion; the reference is a OtherSample"),
+    (Gives(OtherSample()), taut.errors.UsageError, "the law follows JointMotion; the reference gives OtherSample"),
+    (Gives(None), taut.errors.UsageError, "the law follows JointMotion; the reference gives NoneType"),
+    (taut.JointMotion(q=[0.0]), taut.errors.ShapeError, "ref.q must have shape (2,); the reference gives (1,)"),
+    (taut.Pose(), taut.errors.UsageError, "a reference is a sample such as taut.JointMotion(q=...), taut.hold(), a trajectory with at(t), taut.stream(...) or taut.chunk(...); got Pose; a pose to go to is taut.TaskMotion(pose=...)"),
+    (taut.load_arm, taut.errors.UsageError, "a reference is a sample such as taut.JointMotion(q=...), taut.hold(), a trajectory with at(t), taut.stream(...) or taut.chunk(...); got function"),
+    (Gives(broken([0.0, np.nan]), since=0.0095), taut.errors.RangeError, "ref.q[1] must be finite; the reference gives nan at t = 0.01 s"),
+    (taut.stream(period=0.01), taut.errors.UsageError, "a stream in a simulation needs source=, a function that gives the next sample"),
+    (taut.stream(period=0.01, source=lambda x: None), taut.errors.UsageError, "the source of a stream must give a sample or a chunk; got NoneType at t = 0 s"),
+    (taut.stream(period=0.01, source=lambda x: x.q if x.t > 0.005 else taut.JointMotion(q=x.q)), taut.errors.UsageError, "the source of a stream must give a sample or a chunk; got ndarray at t = 0.01 s"),
+    (taut.stream(period=0.01, source=lambda x: OtherSample()), taut.errors.UsageError, "the law follows JointMotion; the reference gives OtherSample"),
+    (taut.trajectories.Sine(center=[0.0, 0.0, 0.0], amplitude=1.0, frequency=1.0), taut.errors.ShapeError, "ref.q must have shape (2,); the reference gives (3,)"),
 ]  # fmt: skip
 
 
@@ -295,7 +297,7 @@ class Rows(Gives):
 
 
 CASES += [
-    (Gives(taut.JointMotion(q=[0.0]), since=0.0095), taut.ShapeError, "ref.q must have shape (2,); the reference gives (1,)"),
+    (Gives(taut.JointMotion(q=[0.0]), since=0.0095), taut.errors.ShapeError, "ref.q must have shape (2,); the reference gives (1,)"),
 ]  # fmt: skip
 
 
@@ -315,14 +317,14 @@ def test_a_reference_that_does_not_fit_is_refused_in_words(
 
 
 def test_rows_that_are_not_as_many_as_the_times_are_refused_in_words() -> None:
-    with pytest.raises(taut.ShapeError) as caught:
+    with pytest.raises(taut.errors.ShapeError) as caught:
         run(HandPlant(), Rows(None))
     assert str(caught.value) == "rows(times) must give one row per time; it gives 3 of ref.q for 21 times"
 
 
 def test_a_chunk_of_samples_of_different_sizes_is_refused_when_it_is_made() -> None:
     samples = [taut.JointMotion(q=[0.0, 0.0]), taut.JointMotion(q=[0.0])]
-    with pytest.raises(taut.ShapeError) as caught:
+    with pytest.raises(taut.errors.ShapeError) as caught:
         taut.chunk([0.0, 1.0], samples)
     assert str(caught.value) == (
         "targets must be samples of one kind and size; targets[1].q has shape (1,) and targets[0].q (2,)"
@@ -365,6 +367,6 @@ def test_what_does_not_fit_later_on_is_refused_before_the_first_tick(
 ) -> None:
     """A trajectory in degrees, such as of one that leaves the radians after half a second: with a log and without."""
     log = tmp_path / "run.mcap" if logged else None
-    with pytest.raises(taut.RangeError):
+    with pytest.raises(taut.errors.RangeError):
         run(plant(), Gives(broken([0.0, np.nan]), since=0.5), duration=1.0, log=log)
     assert not (tmp_path / "run.mcap").exists()

@@ -10,8 +10,8 @@ import pytest
 import taut
 from taut.base.types import Float64Array
 from taut.control.command import Command, Terms, Torque
-from taut.control.hybrid_motion import hybrid_kind
 from taut.control.law import Law, MemoryView, call
+from taut.control.trajectories.hybrid_motion import hybrid_kind
 
 Array = Float64Array
 LINK = """<link name="{name}"><inertial><origin xyz="{com} 0 0"/><mass value="1"/>
@@ -41,14 +41,14 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> taut.Arm:
 @pytest.fixture(scope="module")
 def way(arm: taut.Arm) -> Any:
     """Both motors go to and fro; the loose joints are where the loop closes."""
-    q, rows, times = taut.onto(PIN, arm, arm.home), [], np.linspace(0.0, 1.0, 81)
+    q, rows, times = taut.dynamics.onto(PIN, arm, arm.home), [], np.linspace(0.0, 1.0, 81)
     start = q
     for t in times:
         swing = 0.5 * (1.0 - np.cos(2.0 * np.pi * t)) * np.array([0.3, -0.2])
         held = taut.Constraint.of_joints(lambda y, at=start[MOTORS] + swing: y[MOTORS] - at, rows=2)
-        q = taut.onto(PIN + held, arm, q)
+        q = taut.dynamics.onto(PIN + held, arm, q)
         rows.append(q)
-    return taut.Spline(times=times, points=rows)
+    return taut.trajectories.Spline(times=times, points=rows)
 
 
 class TwoMotors(Law):

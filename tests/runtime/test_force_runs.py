@@ -36,7 +36,9 @@ def controller(name: str, feedback: Any = "wrench") -> taut.Controller:
 
 @cache
 def loop(name: str, feedback: Any = "wrench", duration: float = 3.0) -> taut.Loop:
-    held = taut.Environments(spring=taut.Spring(stiffness=STIFF), damper=taut.Damper(damping=DAMPED))
+    held = taut.environments.Environments(
+        spring=taut.environments.Spring(stiffness=STIFF), damper=taut.environments.Damper(damping=DAMPED)
+    )
     plant = taut.RigidPlant(arm_of(name), friction=None, environment=held, substeps=4)
     return taut.Loop(controller(name, feedback), plant, taut.TaskForce(F_app=F_DES), duration=duration)
 
@@ -264,7 +266,9 @@ def test_on_a_springy_contact_the_lag_of_the_force_takes_kfp_k_lag_from_the_damp
     arm = arm_of("gantry3")
     ctrl = taut.compile(L.ForceControl(kfp=kfp, kdamp=(kdamp, 1.0), null=None), arm)
     border = (kdamp + (1.0 + kfp) * b) / (kfp * lag * 1e-3)
-    held = taut.Environments(spring=taut.Spring(stiffness=border), damper=taut.Damper(damping=b))
+    held = taut.environments.Environments(
+        spring=taut.environments.Spring(stiffness=border), damper=taut.environments.Damper(damping=b)
+    )
     plant = taut.RigidPlant(arm, friction=None, environment=held, substeps=substeps)
     press = taut.Loop(ctrl, plant, taut.TaskForce(F_app=[0, 0, -10.0, 0, 0, 0]), duration=4.0)
     for share, grows in ((0.9, False), (1.1, True)):
@@ -277,28 +281,30 @@ def test_on_a_springy_contact_the_lag_of_the_force_takes_kfp_k_lag_from_the_damp
 # -------------------------------------------------------------------- sensors that fail
 
 
-def pressing(wrench: taut.WrenchSensor, events: Any = (), **wrist: Any) -> taut.Run:
+def pressing(wrench: taut.sensors.WrenchSensor, events: Any = (), **wrist: Any) -> taut.Run:
     arm = arm_of("gantry3")
     law = L.ForceControl(kfp=0.2, kfi=3.0, kdamp=(100.0, 1.0))
-    sensing = taut.Sensing(wrist=taut.Wrist(**wrist)) if wrist else None
-    held = taut.Environments(spring=taut.Spring(stiffness=5000.0), damper=taut.Damper(damping=100.0))
-    plant = taut.RigidPlant(arm, friction=None, environment=held, sensors=taut.Sensors(wrench=wrench))
+    sensing = taut.Sensing(wrist=taut.sensors.Wrist(**wrist)) if wrist else None
+    held = taut.environments.Environments(
+        spring=taut.environments.Spring(stiffness=5000.0), damper=taut.environments.Damper(damping=100.0)
+    )
+    plant = taut.RigidPlant(arm, friction=None, environment=held, sensors=taut.sensors.Sensors(wrench=wrench))
     press = taut.TaskForce(F_app=[0, 0, -10.0, 0, 0, 0])
     return taut.run(taut.compile(law, arm, sensing=sensing), plant, press, duration=3.0, events=events)
 
 
 def test_a_sensor_that_is_unplugged_ends_the_run_in_words_and_keeps_what_was() -> None:
     unplugged = taut.Event(t=1.0, set={"environment.spring.stiffness": 0.0, "environment.damper.damping": 0.0})
-    out = pressing(taut.WrenchSensor(), [unplugged], repeats=30)  # zeros and nothing else from then on
+    out = pressing(taut.sensors.WrenchSensor(), [unplugged], repeats=30)  # zeros and nothing else from then on
     assert len(out) == 1030
     assert out.outcome.kind == "diverged"
     assert "F_ext must change from tick to tick" in out.outcome.message
     assert np.isfinite(out.tau).all()
-    assert pressing(taut.WrenchSensor(noise=(0.05, 0.001)), repeats=30).outcome.ok
+    assert pressing(taut.sensors.WrenchSensor(noise=(0.05, 0.001)), repeats=30).outcome.ok
 
 
 def test_a_sensor_at_the_end_of_its_range_is_told_and_the_integral_is_bounded() -> None:
-    out = pressing(taut.WrenchSensor(range=(6.0, 1.0)), range=(6.0, 1.0))
+    out = pressing(taut.sensors.WrenchSensor(range=(6.0, 1.0)), range=(6.0, 1.0))
     assert "the sensor of F_ext was at its range in" in out.outcome.message
     pushed = -out.extra["F_ext"][-1, 2]
     assert 10.0 < -pushed <= 10.0 + 0.2 * 4.0 + 3.0 * 20.0  # it presses on, as far as e_int_max lets it
@@ -306,8 +312,8 @@ def test_a_sensor_at_the_end_of_its_range_is_told_and_the_integral_is_bounded() 
 
 def test_the_weight_of_the_tool_is_an_error_of_force_until_sensing_takes_it_out() -> None:
     tool = taut.Payload(mass=0.5)
-    biased = pressing(taut.WrenchSensor(tool=tool))
-    known = pressing(taut.WrenchSensor(tool=tool), mass=0.5)
+    biased = pressing(taut.sensors.WrenchSensor(tool=tool))
+    known = pressing(taut.sensors.WrenchSensor(tool=tool), mass=0.5)
     assert biased.between(2.0, 3.0).metrics.force_error_rms == pytest.approx(0.5 * 9.81, rel=0.02)
     assert known.between(2.0, 3.0).metrics.force_error_rms < 0.05
 
@@ -321,7 +327,7 @@ def test_on_a_rigid_contact_a_force_that_swings_up_is_refused_and_one_that_settl
     arm = arm_of("panda")
     floor = taut.Constraint.plane(point=[0.0, 0.0, 0.4], normal=[0.0, 0.0, 1.0])
     plant = taut.RigidPlant(arm, friction=None, contact=taut.RigidContact(constraint=floor))
-    ref, q = taut.TaskForce(F_app=[0.0, 0.0, -10.0, 0.0, 0.0, 0.0]), taut.onto(floor, arm, arm.home)
+    ref, q = taut.TaskForce(F_app=[0.0, 0.0, -10.0, 0.0, 0.0, 0.0]), taut.dynamics.onto(floor, arm, arm.home)
 
     law = L.ForceControl(kfp=(0.9, 1.5), kfi=(1.0, 1.0), kdamp=(300.0, 10.0), frame=frame)
 
@@ -336,11 +342,13 @@ def test_on_a_rigid_contact_a_force_that_swings_up_is_refused_and_one_that_settl
     assert last(bare, 0.9, 1.0) < 0.1
     assert last(bare, 0.5, 900.0) < 0.1
     for kfp, kfi in ((1.05, 0.0), (0.5, 1100.0)):
-        with pytest.raises(taut.RangeError, match=r"must be under 1 on a rigid contact, .* law has 1\.05;") as caught:
+        with pytest.raises(
+            taut.errors.RangeError, match=r"must be under 1 on a rigid contact, .* law has 1\.05;"
+        ) as caught:
             last(bare, kfp, kfi)
         assert caught.value.name == "law.kfp"
     if frame == "world":
-        assert last(loop_of(sensing=taut.Sensing(F_ext=taut.LowPass(cutoff=20.0))), 1.05, 1.0) < 1.0
+        assert last(loop_of(sensing=taut.Sensing(F_ext=taut.sensors.LowPass(cutoff=20.0))), 1.05, 1.0) < 1.0
 
 
 # -------------------------------------------------------------------- 1000 seeded starts
@@ -352,7 +360,7 @@ def test_contact_and_retreat_leave_no_torque_jump_above_the_rate_limit(share: Ca
     most = np.array([300.0, 200.0, 100.0])  # [N m/s]
     law = L.ForceControl(kfp=0.3, kfi=8.0, kdamp=(60.0, 3.0), e_int_max=(3.0, 0.2))
     ctrl = taut.compile(law, arm, limits=taut.Limits(tau_dot=most))
-    wall = taut.StiffWall(point=[0.0, 0.0, 0.0], normal=[0.0, 0.0, 1.0], stiffness=5e3, damping=60.0)
+    wall = taut.environments.StiffWall(point=[0.0, 0.0, 0.0], normal=[0.0, 0.0, 1.0], stiffness=5e3, damping=60.0)
     down, up = [0, 0, -12.0, 0, 0, 0], [0, 0, 8.0, 0, 0, 0]
     ramp = taut.chunk([0.6, 0.601], [taut.TaskForce(F_app=down), taut.TaskForce(F_app=up)])
     one = taut.Loop(ctrl, taut.RigidPlant(arm, friction=None, environment=wall), ramp, duration=0.8)

@@ -21,8 +21,8 @@ PLANAR = taut.load_arm("planar2")
 PANDA = taut.load_arm("panda")
 
 
-def wave(arm: taut.Arm) -> taut.Sine:
-    return taut.Sine(center=arm.home, amplitude=0.1, frequency=np.linspace(0.5, 1.5, arm.n))
+def wave(arm: taut.Arm) -> taut.trajectories.Sine:
+    return taut.trajectories.Sine(center=arm.home, amplitude=0.1, frequency=np.linspace(0.5, 1.5, arm.n))
 
 
 def by_hand(
@@ -49,7 +49,7 @@ def by_hand(
 
 
 Case = tuple[taut.Law, taut.Arm, dict[str, Any], dict[str, Any]]
-DRIVES = taut.Actuation(bandwidth=60.0, delay=0.002)
+DRIVES = taut.drives.Actuation(bandwidth=60.0, delay=0.002)
 CASES: dict[str, Case] = {
     "PID with integral and limits": (
         taut.laws.PID(kp=300.0, kd=20.0, ki=50.0),
@@ -67,7 +67,7 @@ CASES: dict[str, Case] = {
         taut.laws.GravityPID(kp=[60.0] * 4 + [2.0] * 3, kd=[6.0] * 4 + [0.1] * 3) + taut.laws.FrictionCompensation(),
         PANDA.with_joints(coulomb=0.3),
         {},
-        {"actuation": taut.Actuation(bandwidth=500.0, delay=0.002), "substeps": 3},
+        {"actuation": taut.drives.Actuation(bandwidth=500.0, delay=0.002), "substeps": 3},
     ),
     "feedforward on rk4 with what the plant adds": (
         taut.laws.FeedForward() + taut.laws.PID(kp=50.0, kd=5.0),
@@ -132,9 +132,9 @@ class TestTheOrderOfATick:
 
     def test_in_a_run(self) -> None:
         arm = taut.load_arm("gantry3").with_joints(viscous=0.0)
-        push = taut.Sine(center=np.zeros(3), amplitude=[1.0, 2.0, 3.0], frequency=3.0)
+        push = taut.trajectories.Sine(center=np.zeros(3), amplitude=[1.0, 2.0, 3.0], frequency=3.0)
         ctrl = taut.compile(Seen(), arm, rate=100.0, adds=("gravity",))
-        at_motors = taut.Sensors(torque=taut.TorqueSensor(side="motor"))
+        at_motors = taut.sensors.Sensors(torque=taut.sensors.TorqueSensor(side="motor"))
         plant = taut.RigidPlant(arm, adds=("gravity",), sensors=at_motors)
         out = taut.run(ctrl, plant, push, duration=0.2, q0=[0.1, 0.2, 0.3])
         np.testing.assert_array_equal(out.t, np.arange(21) * 0.01)
@@ -385,7 +385,7 @@ def test_these_tests_see_a_tick_that_is_off_by_one(engine: str, monkeypatch: pyt
     """The comparison by hand must fail when the loop commands one tick late."""
     law, arm, control, options = CASES["PID with integral and limits"]
     ctrl = taut.compile(law, arm, rate=500.0, engine=engine, **control)
-    late = taut.RigidPlant(arm, actuation=taut.Actuation(delay=0.002), **options)
+    late = taut.RigidPlant(arm, actuation=taut.drives.Actuation(delay=0.002), **options)
     out = taut.run(ctrl, late, wave(arm), duration=0.1)
     hand = by_hand(ctrl, taut.RigidPlant(arm, **options), wave(arm), len(out), arm.home, np.zeros(arm.n))
     assert np.abs(out.q - hand["q"]).max() > 1e-4

@@ -166,7 +166,9 @@ def test_the_acceleration_of_the_tick_before_serves_below_twice_the_inertia_and_
         run = taut.run(taut.compile(law, arm), plant, ref, duration=4.0)
         assert run.outcome.ok
         assert np.abs(run.v[-1]).max() <= 0.02 * np.abs(run.v).max()
-    with pytest.raises(taut.RangeError, match=r"at this pose they are 2\.1\d* to 2\.\d+; D times 0\.\d+ would"):
+    with pytest.raises(
+        taut.errors.RangeError, match=r"at this pose they are 2\.1\d* to 2\.\d+; D times 0\.\d+ would"
+    ):
         taut.compile(impedance(K=(200.0, 2.0), D=2.1 * Lam, feedback="acceleration"), arm).needs  # noqa: B018
 
 
@@ -181,14 +183,16 @@ def test_a_new_inertia_that_the_loop_does_not_bear_is_refused_where_the_arm_is()
     ctrl.parameters["law.D"] = 3.0 * Lam  # nobody knows yet where the arm will be
     ctrl.parameters["law.D"] = Lam
     ctrl.step(arm.home, np.zeros(7), ref)
-    with pytest.raises(taut.RangeError, match=r"they are 3 to 3\.\d+; D and B times 0\.\d+ would do there") as told:
+    with pytest.raises(
+        taut.errors.RangeError, match=r"they are 3 to 3\.\d+; D and B times 0\.\d+ would do there"
+    ) as told:
         ctrl.parameters["law.D"] = 3.0 * Lam
     assert np.array_equal(ctrl.parameters["law.D"], Lam)
     share = float(str(told.value).partition("times ")[2].partition(" would")[0])
     assert 0.4 < share < 1.9 / 3.0
     ctrl.parameters["law.B"] = share * np.array([30.0] * 3 + [0.3] * 3)
     ctrl.parameters["law.D"] = share * 3.0 * Lam
-    with pytest.raises(taut.RangeError, match=r"eigenvalues of Lambda\^-1 \(D \+ B dt / 2\)"):
+    with pytest.raises(taut.errors.RangeError, match=r"eigenvalues of Lambda\^-1 \(D \+ B dt / 2\)"):
         ctrl.parameters["law.B"] = np.full(6, 2e4)
     ctrl.reset()
     ctrl.parameters["law.B"] = np.full(6, 2e4)
@@ -203,7 +207,7 @@ def test_an_event_that_asks_for_it_ends_the_run_before_it_and_keeps_what_was(pla
     run = taut.run(ctrl, plant(arm, friction=None), ref, duration=0.1, events=[taut.Event(t=0.05, set=change)])
     assert (run.outcome.kind, len(run), run.outcome.tick) == ("stopped", 50, 49)
     assert run.outcome.message.startswith("stopped at t = 0.05 s, before the event that sets law.D: feedback=")
-    with pytest.raises(taut.RangeError, match="would do there"):
+    with pytest.raises(taut.errors.RangeError, match="would do there"):
         taut.run(ctrl, plant(arm, friction=None), ref, duration=0.1, events=[taut.Event(t=0.0, set=change)])
     allowed = [taut.Event(t=0.05, set={"law.D": 1.5 * Lam})]
     assert taut.run(ctrl, plant(arm, friction=None), ref, duration=0.1, events=allowed).outcome.ok
@@ -379,7 +383,7 @@ def test_expm_is_what_a_free_mode_does() -> None:
 
 def test_a_run_keeps_the_energy_of_the_tank() -> None:
     arm = taut.load_arm("planar3")
-    position = taut.Coordinates(function=lambda T: taut.math.array([T.p[0], T.p[2]]))
+    position = taut.laws.Coordinates(function=lambda T: taut.math.array([T.p[0], T.p[2]]))
     law = taut.laws.Impedance(
         K=[100.0, 100.0], B=[10.0, 10.0], error="coordinates", coordinates=position, tank=0.5, null=None
     )

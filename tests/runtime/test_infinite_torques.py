@@ -38,7 +38,7 @@ class Infinite(taut.Law):
         return taut.Torque(P=self.kp @ (ref.q / x.v), gravity=x.g)
 
 
-def is_of(error: taut.NumericalError, term: str, joint: str) -> bool:
+def is_of(error: taut.errors.NumericalError, term: str, joint: str) -> bool:
     return (error.name, error.joint) == (f"terms.{term}", joint) and not np.isfinite(error.value)  # type: ignore[call-overload]
 
 
@@ -51,7 +51,7 @@ class TestTheControllerRefusesIt:
         before = ctrl.step(q, np.ones(2), ref)
         memory = dict(ctrl.memory)
         for v in ([1.0, 0.0], np.array([1.0, 0.0])):  # lists and arrays
-            with pytest.raises(taut.NumericalError) as refused:
+            with pytest.raises(taut.errors.NumericalError) as refused:
                 ctrl.step(q, v, ref)
             assert is_of(refused.value, "P", "joint2")
         assert ctrl.ticks == 1
@@ -62,7 +62,7 @@ class TestTheControllerRefusesIt:
 
     def test_in_the_first_tick(self, limits: taut.Limits, engine: Any) -> None:
         ctrl = taut.compile(Infinite(kp=1.0), PLANAR, limits=limits, engine=engine)
-        with pytest.raises(taut.NumericalError) as refused:
+        with pytest.raises(taut.errors.NumericalError) as refused:
             ctrl.step([0.5, 0.5], [0.0, 1.0], taut.JointMotion(q=[0.1, -0.1]))
         assert is_of(refused.value, "P", "joint1")
         assert ctrl.ticks == 0
@@ -72,7 +72,7 @@ class TestTheControllerRefusesIt:
         k.v[:], k.ref.q[:] = 1.0, 0.1
         k.tick()
         k.v[1] = 0.0
-        with pytest.raises(taut.NumericalError) as refused:
+        with pytest.raises(taut.errors.NumericalError) as refused:
             k.tick()
         assert is_of(refused.value, "P", "joint2")
 
@@ -89,7 +89,7 @@ class TestTheControllerRefusesIt:
 
 def test_overflow_is_an_infinity_too() -> None:
     ctrl = taut.compile(taut.laws.PID(kp=1e308), PLANAR, limits=LIMITS["magnitude"])
-    with pytest.raises(taut.NumericalError) as refused:
+    with pytest.raises(taut.errors.NumericalError) as refused:
         ctrl.step([3.0, 0.0], [0.0, 0.0], taut.JointMotion(q=[-3.0, 0.0]))
     assert is_of(refused.value, "P", "joint1")
 
@@ -104,7 +104,7 @@ class InfiniteSpeed(taut.Law):
 @pytest.mark.parametrize("engine", ["native", "float"])
 def test_an_infinite_velocity_is_not_cut_either(engine: Any) -> None:
     ctrl = taut.compile(InfiniteSpeed(), PLANAR, limits=taut.Limits(v=1.0), engine=engine)
-    with pytest.raises(taut.NumericalError) as refused:
+    with pytest.raises(taut.errors.NumericalError) as refused:
         ctrl.step([0.1, 0.5], ref=taut.JointMotion(q=[0.1, -0.1]))
     assert is_of(refused.value, "P", "joint2")
 
@@ -113,12 +113,12 @@ def test_an_infinite_velocity_is_not_cut_either(engine: Any) -> None:
 @pytest.mark.parametrize(
     "drive",
     [
-        taut.Actuation(motor=taut.Motor(peak=50.0)),
-        taut.Actuation(motor=taut.Motor(peak=50.0), delay=0.002),
+        taut.drives.Actuation(motor=taut.drives.Motor(peak=50.0)),
+        taut.drives.Actuation(motor=taut.drives.Motor(peak=50.0), delay=0.002),
     ],
     ids=["motor", "late motor"],
 )
-def test_a_drive_that_saturates_does_not_hide_it(drive: taut.Actuation, engine: Any) -> None:
+def test_a_drive_that_saturates_does_not_hide_it(drive: taut.drives.Actuation, engine: Any) -> None:
     """The motor's own limit would make 50 N m of infinity, and the run would complete."""
     for plant in (taut.RigidPlant(PLANAR, actuation=drive), taut.MujocoPlant(PLANAR, actuation=drive)):
         out = taut.run(taut.compile(Divides(kp=1.0), PLANAR, engine=engine), plant, duration=0.1)

@@ -69,7 +69,7 @@ class TestGainsThatAreTooLarge:
     @pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
     def test_are_warned_of_and_named_in_the_outcome(self, plant: Any) -> None:
         arm = taut.load_arm("ur10")
-        push = taut.Push(peak=[1.0, 1.0, 1.0, 0.1, 0.1, 0.1], t=0.0, duration=0.01)
+        push = taut.environments.Push(peak=[1.0, 1.0, 1.0, 0.1, 0.1, 0.1], t=0.0, duration=0.01)
         with pytest.warns(taut.StabilityWarning, match="wrist_3_joint"):
             run = taut.run(taut.compile(DAMPED, arm), plant(arm, environment=push), duration=0.3)
         assert run.outcome.kind == "diverged"
@@ -85,7 +85,7 @@ class TestGainsThatAreTooLarge:
             real = True
 
         arm = taut.load_arm("ur10")
-        with pytest.raises(taut.RangeError, match="real arm"):
+        with pytest.raises(taut.errors.RangeError, match="real arm"):
             taut.run(taut.compile(DAMPED, arm), RealUR10(arm), duration=0.1)
         calm = LAWS.Impedance(K=(800.0, 30.0), zeta=0.7)
         assert taut.run(taut.compile(calm, arm), RealUR10(arm), duration=0.05).outcome.ok
@@ -126,8 +126,12 @@ class TestAgreement:
                 LAWS.TaskComputedTorque(kp=100.0 * f, kd=100.0 * f),
             ]
         law, rate = laws[rng.integers(len(laws))], float(rng.choice([250.0, 1000.0]))
-        sensing = [None, taut.Sensing(velocity="difference"), taut.Sensing(velocity=taut.LowPass(cutoff=80.0))]
-        drives = taut.Actuation(delay=1.0 / rate) if rng.random() < 0.3 else taut.Actuation()
+        sensing = [
+            None,
+            taut.Sensing(velocity="difference"),
+            taut.Sensing(velocity=taut.sensors.LowPass(cutoff=80.0)),
+        ]
+        drives = taut.drives.Actuation(delay=1.0 / rate) if rng.random() < 0.3 else taut.drives.Actuation()
         q = arm.home + rng.uniform(-0.2, 0.2, arm.n)
         found, loop = verdict_of(
             law,
@@ -140,7 +144,7 @@ class TestAgreement:
         )
         try:
             lin = taut.linearise(loop, at=q)
-        except taut.RangeError:  # no equilibrium near
+        except taut.errors.RangeError:  # no equilibrium near
             assert isinstance(found, str)
             return
         assert isinstance(found, Judgement)
@@ -155,13 +159,13 @@ class TestAgreement:
 
     def test_steps_of_sensors_and_amplifiers_are_left_out(self) -> None:
         arm = without_friction("panda")
-        encoder = taut.Encoder(resolution=1e-4)
+        encoder = taut.sensors.Encoder(resolution=1e-4)
         found, _ = verdict_of(
             DAMPED, arm, sensing=taut.Sensing(velocity="difference"),
-            sensors=taut.Sensors(position=encoder, velocity=None), actuation=taut.Actuation(resolution=0.1),
+            sensors=taut.sensors.Sensors(position=encoder, velocity=None), actuation=taut.drives.Actuation(resolution=0.1),
         )  # fmt: skip
         smooth, _ = verdict_of(
-            DAMPED, arm, sensing=taut.Sensing(velocity="difference"), sensors=taut.Sensors(velocity=None)
+            DAMPED, arm, sensing=taut.Sensing(velocity="difference"), sensors=taut.sensors.Sensors(velocity=None)
         )
         assert isinstance(found, Judgement)
         assert isinstance(smooth, Judgement)
@@ -233,7 +237,9 @@ def test_a_changed_gain_and_payload_are_those_that_are_judged() -> None:
 
 def test_noise_and_the_phase_of_the_start_change_nothing() -> None:
     arm = without_friction("panda")
-    noisy = taut.Sensors(position=taut.Encoder(noise=1e-3), velocity=taut.Tachometer(noise=1e-2))
+    noisy = taut.sensors.Sensors(
+        position=taut.sensors.Encoder(noise=1e-3), velocity=taut.sensors.Tachometer(noise=1e-2)
+    )
     a, _ = verdict_of(DAMPED, arm, sensors=noisy)
     b, _ = verdict_of(DAMPED, arm)
     assert isinstance(a, Judgement)

@@ -35,95 +35,95 @@ def plant(arm: taut.Arm = ARM, **options: Any) -> taut.RigidPlant:
 
 
 LOAD = {"gravity": taut.Payload(mass=1.0)}
-DRIVES = taut.Actuation(bandwidth=50.0)
+DRIVES = taut.drives.Actuation(bandwidth=50.0)
 CASES: list[tuple[Callable[[], tuple[taut.Controller, Any]], type[taut.TautError], str]] = [
     (
         lambda: (compiled(), plant(taut.load_arm("planar3"))),
-        taut.ShapeError,
+        taut.errors.ShapeError,
         "plant 'RigidPlant(planar3)' has 3 joints and the controller's arm 'planar2' has 2; both must be the same arm, "
         "or the same subset of its joints",
     ),
     (
         lambda: (compiled(arm=taut.load_arm("planar3")), plant(taut.load_arm("gantry3"))),
-        taut.MatchError,
+        taut.errors.MatchError,
         "joint 0 of plant 'RigidPlant(gantry3)' ('x') moves in m and that of the controller's arm 'planar3' "
         "('joint1') in rad; the two must be the same kind of arm",
     ),
     (
         lambda: (compiled(), plant(swapped())),
-        taut.MatchError,
+        taut.errors.MatchError,
         "plant 'RigidPlant(planar2)' has its joints in another order than the controller's arm: joint2, joint1 against "
         "joint1, joint2",
     ),
     (
         lambda: (compiled(), plant(takes="velocity", actuation=DRIVES)),
-        taut.MatchError,
+        taut.errors.MatchError,
         "PID gives a torque and plant 'RigidPlant(planar2)' takes a velocity; choose a law for velocity commands, or a "
         "plant with takes='torque'",
     ),
     (
         lambda: (compiled(taut.laws.VelocityPI(kp=1.0)), plant()),
-        taut.MatchError,
+        taut.errors.MatchError,
         "VelocityPI gives a velocity and plant 'RigidPlant(planar2)' takes a torque; choose a law for torque commands, "
         "or a plant with takes='velocity'",
     ),
     (
         lambda: (compiled(Pushed(kp=1.0)), plant()),
-        taut.MatchError,
+        taut.errors.MatchError,
         "Pushed needs F_ext, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; "
         "give the plant environment= or contact=, or take a taut.MujocoPlant",
     ),
     (
         lambda: (compiled(), HandPlant(measures="")),
-        taut.MatchError,
+        taut.errors.MatchError,
         "PID needs v, which plant 'HandPlant' does not measure; it measures positions only; "
         "sensing=taut.Sensing(velocity='difference') needs positions only",
     ),
     (
         lambda: (compiled(GRAVITY), plant(adds=("gravity",))),
-        taut.MatchError,
+        taut.errors.MatchError,
         "plant 'RigidPlant(planar2)' adds gravity itself and the law GravityPID adds it too; compile with "
         "adds=plant.adds, use a law that does not add it, or a plant with adds=()",
     ),
     (
         lambda: (compiled(taut.laws.ComputedTorque(kp=1.0, kd=1.0)), plant(adds=("coriolis",))),
-        taut.MatchError,
+        taut.errors.MatchError,
         "plant 'RigidPlant(planar2)' adds coriolis itself and the law ComputedTorque adds it too; compile with "
         "adds=plant.adds, use a law that does not add it, or a plant with adds=()",
     ),
     (
         lambda: (compiled(GRAVITY, adds=("gravity",)), plant()),
-        taut.MatchError,
+        taut.errors.MatchError,
         "the controller was compiled to leave gravity to the plant, and plant 'RigidPlant(planar2)' does not add it; "
         "compile with adds=plant.adds",
     ),
     (
         lambda: (compiled(PID + taut.laws.FrictionCompensation()), plant(adds=("friction",))),
-        taut.MatchError,
+        taut.errors.MatchError,
         "plant 'RigidPlant(planar2)' adds friction itself and the law PID + FrictionCompensation adds it too; compile "
         "with adds=plant.adds, use a law that does not add it, or a plant with adds=()",
     ),
     (
         lambda: (compiled(GRAVITY, adds=LOAD), plant(adds={"gravity": taut.Payload(mass=1.5)})),
-        taut.MatchError,
+        taut.errors.MatchError,
         "plant 'RigidPlant(planar2)' compensates the gravity of another payload than the controller was told; compile "
         "with adds=plant.adds",
     ),
     (
         lambda: (compiled(GRAVITY, adds=("gravity",)), plant(adds=LOAD)),
-        taut.MatchError,
+        taut.errors.MatchError,
         "plant 'RigidPlant(planar2)' compensates the gravity of another payload than the controller was told; compile "
         "with adds=plant.adds",
     ),
     (
         lambda: (compiled(PID, limits=RATE), plant(adds=("gravity",))),
-        taut.MatchError,
+        taut.errors.MatchError,
         "plant 'RigidPlant(planar2)' adds gravity itself, and the torque that the controller starts from says "
         "otherwise; compile with adds=plant.adds",
     ),
     (
         lambda: (compiled(PID, limits=RATE, adds=("gravity",)), plant()),
-        taut.MatchError,
+        taut.errors.MatchError,
         "plant 'RigidPlant(planar2)' does not add gravity, and the torque that the controller starts from says "
         "otherwise; compile with adds=plant.adds",
     ),

@@ -13,7 +13,7 @@ import taut
 from taut.runtime import hosted
 
 ARM = taut.load_arm("planar2")
-PUSH = taut.Sine(center=[0.0, 0.0], amplitude=[1.0, 2.0], frequency=3.0)
+PUSH = taut.trajectories.Sine(center=[0.0, 0.0], amplitude=[1.0, 2.0], frequency=3.0)
 
 
 class Senses(HandPlant):

@@ -21,8 +21,8 @@ def loop_of(law: taut.Law | None = None, **plant: Any) -> taut.Loop:
 
 
 FULL: dict[str, Any] = {
-    "actuation": taut.Actuation(bandwidth=300.0),
-    "sensors": taut.Sensors(position=taut.Encoder(noise=[1e-3, 1e-3], resolution=1e-4)),
+    "actuation": taut.drives.Actuation(bandwidth=300.0),
+    "sensors": taut.sensors.Sensors(position=taut.sensors.Encoder(noise=[1e-3, 1e-3], resolution=1e-4)),
     "environment": Spring(),
 }
 
@@ -100,29 +100,29 @@ def test_a_number_that_is_kept_is_a_copy() -> None:
 
 
 CASES: list[tuple[str, Any, type[taut.TautError], str]] = [
-    ("law.kpp", 1.0, taut.UnknownNameError, "the loop has no parameter 'law.kpp'; did you mean 'law.kp' or 'law.ki'?"),
-    ("plant.payload.maas", 1.0, taut.UnknownNameError, "the loop has no parameter 'plant.payload.maas'; did you mean 'plant.payload.mass' or 'plant.payload.com'?"),
-    ("law.kp", [1.0, -1.0], taut.RangeError, "law.kp[1] must be >= 0 [N m/rad | N/m]; got -1.0"),
-    ("law.kp", np.nan, taut.RangeError, "law.kp must be finite [N m/rad | N/m]; got nan"),
-    ("law.kd", [1.0, 2.0], taut.ShapeError, "law.kd was compiled with shape (); got shape (2,); compile the law with a value of the new shape"),
-    ("law.ki", [[1.0, 0.5], [0.0, 1.0]], taut.RangeError, "law.ki must be a symmetric matrix [N m/(rad s) | N/(m s)]; it differs from its transpose by 0.5"),
-    ("limits.tau", 0.0, taut.RangeError, "limits.tau must be > 0 [N m | N]; got 0.0"),
-    ("plant.payload.mass", -1.0, taut.RangeError, "plant.payload.mass must be >= 0 [kg]; got -1.0"),
-    ("plant.payload.mass", [1.0, 2.0], taut.ShapeError, "plant.payload.mass must be one number [kg]; got [1.0, 2.0]"),
-    ("plant.payload.com", [0.1, 0.2], taut.ShapeError, "plant.payload.com must have shape (3,) [m]; got shape (2,)"),
-    ("plant.payload.inertia", 1.0, taut.ShapeError, "plant.payload.inertia must have shape (6,) [kg m^2]; got shape ()"),
-    ("plant.payload.inertia", [1.0, 0.1, 0.1, 0.0, 0.0, 0.0], taut.RangeError, "payload.inertia violates the triangle inequality: principal moments 1 > 0.1 + 0.1 [kg m^2]; it is about the centre of mass, in the order xx, yy, zz, xy, xz, yz"),
-    ("model.payload.inertia", [-1.0, -1.0, -1.0, 0.0, 0.0, 0.0], taut.RangeError, "payload.inertia must be positive semidefinite [kg m^2]; its smallest eigenvalue is -1"),
-    ("plant.friction.viscous", [0.1, -0.2], taut.RangeError, "plant.friction.viscous[1] (joint 'joint2') must be >= 0; got -0.2"),
-    ("plant.friction.coulomb", [1.0, 2.0, np.nan], taut.RangeError, "plant.friction.coulomb[2] must be finite; got nan"),
-    ("plant.friction.coulomb", [1.0, 2.0, 3.0], taut.ShapeError, "plant.friction.coulomb has shape (2,); got shape (3,); make the plant with a value of the new shape"),
-    ("actuation.bandwidth", 0.0, taut.RangeError, "actuation.bandwidth must be > 0 [rad/s]; got 0.0; for an ideal torque drive leave it out"),
-    ("sensors.position.resolution", -1e-3, taut.RangeError, "sensors.position.resolution must be > 0 [rad | m]; got -0.001"),
-    ("sensors.position.resolution", 0.0, taut.RangeError, "sensors.position.resolution must be > 0 [rad | m]; got 0.0; leave it out where there are no steps"),
-    ("sensors.position.noise", [0.0, -1.0], taut.RangeError, "sensors.position.noise[1] (joint 'joint2') must be >= 0 [rad | m]; got -1.0"),
-    ("sensors.position.resolution", [0.1, 0.1], taut.ShapeError, "sensors.position.resolution has shape (); got shape (2,); make the plant with a value of the new shape"),
-    ("environment.k", np.inf, taut.RangeError, "environment.k must be finite; got inf"),
-    ("environment.k", "stiff", taut.ShapeError, "environment.k must be numbers; got 'stiff'"),
+    ("law.kpp", 1.0, taut.errors.UnknownNameError, "the loop has no parameter 'law.kpp'; did you mean 'law.kp' or 'law.ki'?"),
+    ("plant.payload.maas", 1.0, taut.errors.UnknownNameError, "the loop has no parameter 'plant.payload.maas'; did you mean 'plant.payload.mass' or 'plant.payload.com'?"),
+    ("law.kp", [1.0, -1.0], taut.errors.RangeError, "law.kp[1] must be >= 0 [N m/rad | N/m]; got -1.0"),
+    ("law.kp", np.nan, taut.errors.RangeError, "law.kp must be finite [N m/rad | N/m]; got nan"),
+    ("law.kd", [1.0, 2.0], taut.errors.ShapeError, "law.kd was compiled with shape (); got shape (2,); compile the law with a value of the new shape"),
+    ("law.ki", [[1.0, 0.5], [0.0, 1.0]], taut.errors.RangeError, "law.ki must be a symmetric matrix [N m/(rad s) | N/(m s)]; it differs from its transpose by 0.5"),
+    ("limits.tau", 0.0, taut.errors.RangeError, "limits.tau must be > 0 [N m | N]; got 0.0"),
+    ("plant.payload.mass", -1.0, taut.errors.RangeError, "plant.payload.mass must be >= 0 [kg]; got -1.0"),
+    ("plant.payload.mass", [1.0, 2.0], taut.errors.ShapeError, "plant.payload.mass must be one number [kg]; got [1.0, 2.0]"),
+    ("plant.payload.com", [0.1, 0.2], taut.errors.ShapeError, "plant.payload.com must have shape (3,) [m]; got shape (2,)"),
+    ("plant.payload.inertia", 1.0, taut.errors.ShapeError, "plant.payload.inertia must have shape (6,) [kg m^2]; got shape ()"),
+    ("plant.payload.inertia", [1.0, 0.1, 0.1, 0.0, 0.0, 0.0], taut.errors.RangeError, "payload.inertia violates the triangle inequality: principal moments 1 > 0.1 + 0.1 [kg m^2]; it is about the centre of mass, in the order xx, yy, zz, xy, xz, yz"),
+    ("model.payload.inertia", [-1.0, -1.0, -1.0, 0.0, 0.0, 0.0], taut.errors.RangeError, "payload.inertia must be positive semidefinite [kg m^2]; its smallest eigenvalue is -1"),
+    ("plant.friction.viscous", [0.1, -0.2], taut.errors.RangeError, "plant.friction.viscous[1] (joint 'joint2') must be >= 0; got -0.2"),
+    ("plant.friction.coulomb", [1.0, 2.0, np.nan], taut.errors.RangeError, "plant.friction.coulomb[2] must be finite; got nan"),
+    ("plant.friction.coulomb", [1.0, 2.0, 3.0], taut.errors.ShapeError, "plant.friction.coulomb has shape (2,); got shape (3,); make the plant with a value of the new shape"),
+    ("actuation.bandwidth", 0.0, taut.errors.RangeError, "actuation.bandwidth must be > 0 [rad/s]; got 0.0; for an ideal torque drive leave it out"),
+    ("sensors.position.resolution", -1e-3, taut.errors.RangeError, "sensors.position.resolution must be > 0 [rad | m]; got -0.001"),
+    ("sensors.position.resolution", 0.0, taut.errors.RangeError, "sensors.position.resolution must be > 0 [rad | m]; got 0.0; leave it out where there are no steps"),
+    ("sensors.position.noise", [0.0, -1.0], taut.errors.RangeError, "sensors.position.noise[1] (joint 'joint2') must be >= 0 [rad | m]; got -1.0"),
+    ("sensors.position.resolution", [0.1, 0.1], taut.errors.ShapeError, "sensors.position.resolution has shape (); got shape (2,); make the plant with a value of the new shape"),
+    ("environment.k", np.inf, taut.errors.RangeError, "environment.k must be finite; got inf"),
+    ("environment.k", "stiff", taut.errors.ShapeError, "environment.k must be numbers; got 'stiff'"),
 ]  # fmt: skip
 
 
@@ -158,7 +158,7 @@ def test_a_path_can_be_asked_for_without_knowing_whether_it_is_there() -> None:
 def test_values_that_do_not_go_together_are_refused_and_nothing_changes() -> None:
     arm = taut.load_arm("planar2").with_friction(taut.Friction(coulomb=0.3, static=0.5))
     loop = taut.Loop(taut.compile(taut.laws.PID(kp=1.0), arm), taut.RigidPlant(arm), duration=0.1)
-    with pytest.raises(taut.RangeError) as caught:
+    with pytest.raises(taut.errors.RangeError) as caught:
         loop.parameters["plant.friction.coulomb"] = 0.6
     assert str(caught.value) == (
         "plant.friction.static[0] must be >= plant.friction.coulomb: friction at rest is no less than in motion; got "
@@ -168,26 +168,26 @@ def test_values_that_do_not_go_together_are_refused_and_nothing_changes() -> Non
     loop.parameters["plant.friction.coulomb"] = 0.6
     together = taut.Event(t=0.05, set={"plant.friction.coulomb": 1.6, "plant.friction.static": 1.8})
     assert taut.run(loop, events=[together]).outcome.ok
-    with pytest.raises(taut.RangeError, match="friction at rest is no less than in motion"):
+    with pytest.raises(taut.errors.RangeError, match="friction at rest is no less than in motion"):
         taut.run(loop, events=[taut.Event(t=0.05, set={"plant.friction.coulomb": 1.6})])
 
 
 def test_a_spring_that_a_parameter_makes_too_stiff_for_the_steps_is_refused_when_the_run_begins() -> None:
     arm = taut.load_arm("planar2").with_gears(ratio=10.0, motor_inertia=1e-3)
-    soft = taut.Actuation(transmission=taut.Transmission(stiffness=200.0))
+    soft = taut.drives.Actuation(transmission=taut.drives.Transmission(stiffness=200.0))
     loop = taut.Loop(
         taut.compile(taut.laws.PID(kp=1.0), arm), taut.RigidPlant(arm, actuation=soft, substeps=3), duration=0.1
     )
     assert taut.run(loop).outcome.ok
     loop.parameters["actuation.transmission.stiffness"] = 1e6
     with pytest.raises(
-        taut.RangeError, match=r"too fast for steps of 0\.000333333 s; give the plant substeps=\d+, a softer"
+        taut.errors.RangeError, match=r"too fast for steps of 0\.000333333 s; give the plant substeps=\d+, a softer"
     ):
         taut.run(loop)
 
 
 def test_a_parameter_cannot_be_removed() -> None:
-    with pytest.raises(taut.UsageError, match=r"parameter 'law.kp' cannot be removed; set it"):
+    with pytest.raises(taut.errors.UsageError, match=r"parameter 'law.kp' cannot be removed; set it"):
         del loop_of().parameters["law.kp"]
 
 
@@ -203,20 +203,20 @@ def test_a_loop_can_be_run_again_and_runs_the_same() -> None:
 
 
 EVERYTHING: dict[str, Any] = {
-    "actuation": taut.Actuation(
+    "actuation": taut.drives.Actuation(
         bandwidth=500.0,
         delay=0.002,
         resolution=0.01,
-        motor=taut.ElectricMotor(torque_constant=0.1, resistance=1.0, inductance=1e-3, voltage=24.0, current=9.0),
-        ripple=taut.Ripple(amplitude=0.02, periods=4),
-        transmission=taut.Transmission(efficiency=0.9, stiffness=[np.inf, 500.0], damping=[0.0, 0.5], backlash=[0.0, 0.01]),
-        torque_loop=taut.TorqueLoop(kp=0.2, ki=5.0),
+        motor=taut.drives.ElectricMotor(torque_constant=0.1, resistance=1.0, inductance=1e-3, voltage=24.0, current=9.0),
+        ripple=taut.drives.Ripple(amplitude=0.02, periods=4),
+        transmission=taut.drives.Transmission(efficiency=0.9, stiffness=[np.inf, 500.0], damping=[0.0, 0.5], backlash=[0.0, 0.01]),
+        torque_loop=taut.drives.TorqueLoop(kp=0.2, ki=5.0),
     ),
-    "sensors": taut.Sensors(
-        position=taut.Encoder(resolution=1e-3, noise=1e-4, offset=1e-3, side="motor"),
+    "sensors": taut.sensors.Sensors(
+        position=taut.sensors.Encoder(resolution=1e-3, noise=1e-4, offset=1e-3, side="motor"),
         velocity=None,
-        torque=taut.TorqueSensor(bias=0.01, noise=0.01),
-        tip=taut.Accelerometer(bias=0.1),
+        torque=taut.sensors.TorqueSensor(bias=0.01, noise=0.01),
+        tip=taut.sensors.Accelerometer(bias=0.1),
     ),
 }  # fmt: skip
 
@@ -234,10 +234,12 @@ def test_no_parameter_of_any_stage_needs_a_compile_and_each_has_an_effect(monkey
         law + taut.laws.Dither(amplitude=0.02, frequency=40.0),
         arm,
         rate=500.0,
-        sensing=taut.Sensing(velocity=taut.Difference(cutoff=60.0), notch=taut.Notch(frequency=80.0, width=20.0)),
+        sensing=taut.Sensing(
+            velocity=taut.sensors.Difference(cutoff=60.0), notch=taut.sensors.Notch(frequency=80.0, width=20.0)
+        ),
         limits=taut.Limits(tau=[8.0, 4.0], tau_dot=400.0, v=1.5, blend=0.02),
     )
-    swing = taut.Sine(center=arm.home, amplitude=0.5, frequency=1.3)
+    swing = taut.trajectories.Sine(center=arm.home, amplitude=0.5, frequency=1.3)
     loop = taut.Loop(ctrl, taut.RigidPlant(arm, substeps=4, **EVERYTHING), swing, duration=0.3)
     plain = taut.run(loop)
     assert plain.outcome.ok, plain.outcome

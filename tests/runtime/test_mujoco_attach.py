@@ -29,7 +29,7 @@ def attached(arm: taut.Arm, text: str, **options: object) -> taut.MujocoPlant:
 
 
 def reach(arm: taut.Arm, plant: taut.MujocoPlant | taut.RigidPlant, rate: float = 1000.0) -> taut.Run:
-    ref = taut.Quintic(q0=arm.home, q1=arm.home + np.array([0.4, -0.6]), duration=0.4)
+    ref = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + np.array([0.4, -0.6]), duration=0.4)
     return taut.run(taut.compile(LAW, arm, rate=rate), plant, ref, duration=0.5)
 
 
@@ -221,7 +221,7 @@ def test_a_model_with_gravcomp_is_a_plant_that_adds_gravity(tmp_path: Path) -> N
     theirs = taut.run(ctrl, plant, taut.JointMotion(q=arm.home + 0.2), duration=0.3)
     ours = taut.run(ctrl, taut.RigidPlant(arm, adds=("gravity",)), taut.JointMotion(q=arm.home + 0.2), duration=0.3)
     assert np.abs(theirs.q - ours.q).max() < SAME
-    with pytest.raises(taut.MatchError, match="adds gravity itself"):
+    with pytest.raises(taut.errors.MatchError, match="adds gravity itself"):
         taut.run(taut.compile(LAW, arm), plant, duration=0.1)
 
 
@@ -236,7 +236,7 @@ def test_another_arm_is_taken_as_the_plants_truth_when_asked(tmp_path: Path) -> 
 
 def test_a_payload_of_the_arm_counts_where_the_model_has_it_too(tmp_path: Path) -> None:
     arm = pair(tmp_path).with_payload(0.5, com=(0.0, 0.0, 0.1))
-    with pytest.raises(taut.MatchError, match=r"the mass of body 'left_fore' with 'left_hand' is 1.3 kg"):
+    with pytest.raises(taut.errors.MatchError, match=r"the mass of body 'left_fore' with 'left_hand' is 1.3 kg"):
         attached(arm, cell())
     cup = '<site name="left_tcp" pos="0.05 0 0" euler="0 30 0"/><body pos="0.05 0 0" euler="0 30 0"><inertial pos="0 0 0.1" mass="0.5" diaginertia="0 0 0"/></body>'
     left = PAIR.format("left_", 1).replace('<site name="left_tcp" pos="0.05 0 0" euler="0 30 0"/>', cup)
@@ -267,9 +267,9 @@ def test_the_arm_of_a_published_simulator_can_be_driven() -> None:
     data = mujoco.MjData(model)
     locked = {"finger_joint1": 0.0, "finger_joint2": 0.0}
     arm = taut.load_arm(str(file), tool="hand", locked=locked, home=[0.0, -0.8, 0.0, -2.2, 0.0, 1.6, 0.8])
-    with pytest.raises(taut.MatchError, match="is a servo, force = 4500 ctrl - 4500 length - 450 speed"):
+    with pytest.raises(taut.errors.MatchError, match="is a servo, force = 4500 ctrl - 4500 length - 450 speed"):
         taut.MujocoPlant.attach(model, data, arm)
-    with pytest.raises(taut.MatchError, match="the model has IMPLICITFAST"):
+    with pytest.raises(taut.errors.MatchError, match="the model has IMPLICITFAST"):
         taut.MujocoPlant.attach(model, data, arm, bridge=True)
     model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_EULER)
     plant = taut.MujocoPlant.attach(model, data, arm, bridge=True)
@@ -277,5 +277,5 @@ def test_the_arm_of_a_published_simulator_can_be_driven() -> None:
     out = taut.run(taut.compile(law, arm, rate=500.0), plant, taut.JointMotion(q=arm.home), duration=0.5)
     assert out.outcome.ok
     assert np.abs(out.q - arm.home).max() < 1e-3  # its own weight is carried to the gram
-    with pytest.raises(taut.MatchError, match="kg in the model and"):
+    with pytest.raises(taut.errors.MatchError, match="kg in the model and"):
         taut.MujocoPlant.attach(model, data, taut.load_arm("fr3"), bridge=True)

@@ -15,7 +15,7 @@ pytest.importorskip("mujoco")
 SAME = 1e-10  # [rad | rad/s]: one formula, two programs
 UR10 = taut.load_arm("ur10").with_joints(viscous=2.0, effort=np.inf)  # agreement is before the effort cuts anything
 GANTRY = taut.load_arm("gantry3").with_joints(effort=np.inf)
-DRIVES = taut.Actuation(bandwidth=60.0, delay=0.008)
+DRIVES = taut.drives.Actuation(bandwidth=60.0, delay=0.008)
 
 
 class VelocityOf(taut.Law):
@@ -40,7 +40,7 @@ def run(plant: Any, ref: Any = None, *, rate: float = 500.0, duration: float = 0
 
 def both(arm: taut.Arm, takes: str, **options: Any) -> tuple[taut.Run, taut.Run]:
     """The same swing by a rigid plant and by MuJoCo, in two steps of a control period."""
-    swing = taut.Sine(center=arm.home, amplitude=0.2, frequency=1.5)
+    swing = taut.trajectories.Sine(center=arm.home, amplitude=0.2, frequency=1.5)
     rigid = taut.RigidPlant(arm, takes=takes, substeps=2, **options)
     mujoco = taut.MujocoPlant(arm, takes=takes, limits=None, timestep=1e-3, **options)
     v0 = np.linspace(0.3, -0.2, arm.n)
@@ -74,7 +74,7 @@ def test_a_payload_and_a_bandwidth_change_in_a_run_by_the_same_paths(takes: str)
     paths = "actuation.bandwidth", "plant.friction.viscous", "plant.payload.mass"
     assert all(path in rigid.parameters and path in mujoco.parameters for path in paths)
     set_to = {"plant.payload.mass": 3.0, "actuation.bandwidth": 30.0}
-    swing = taut.Sine(center=UR10.home, amplitude=0.2, frequency=1.5)
+    swing = taut.trajectories.Sine(center=UR10.home, amplitude=0.2, frequency=1.5)
     out = run(mujoco, swing, events=[taut.Event(t=0.1, set=set_to)])
     same = run(taut.RigidPlant(UR10, takes=takes, actuation=DRIVES), swing, events=[taut.Event(t=0.1, set=set_to)])
     column = "v" if takes == "velocity" else "q"
@@ -86,7 +86,7 @@ def test_a_payload_and_a_bandwidth_change_in_a_run_by_the_same_paths(takes: str)
 @pytest.mark.parametrize("takes", ["velocity", "position"])
 def test_what_is_pushed_gives_way_by_the_inner_loops_stiffness(takes: str) -> None:
     """A slide, pushed: M kp of the loop against the force, with both poles where they were put."""
-    push = taut.Push(peak=[30.0, 0.0, 0.0], t=0.05, duration=10.0, shape="rectangular")
+    push = taut.environments.Push(peak=[30.0, 0.0, 0.0], t=0.05, duration=10.0, shape="rectangular")
     plant = taut.MujocoPlant(GANTRY, takes=takes, friction=None, actuation=DRIVES, environment=push, timestep=1e-3)
     out = run(plant, taut.JointMotion(q=GANTRY.home), duration=0.5)
     M = taut.snapshot(GANTRY, GANTRY.home).M[0, 0]
@@ -138,7 +138,7 @@ def test_the_same_by_the_float_engine(monkeypatch: pytest.MonkeyPatch) -> None:
     for native in (True, False):
         if not native:
             monkeypatch.setattr(taut.codegen.native, "available", lambda: False)
-        swing = taut.Sine(center=GANTRY.home, amplitude=0.1, frequency=2.0)
+        swing = taut.trajectories.Sine(center=GANTRY.home, amplitude=0.1, frequency=2.0)
         plant = taut.MujocoPlant(GANTRY, takes="position", actuation=DRIVES)
         ctrl = taut.compile(PositionOf(), GANTRY, rate=500.0, engine="native" if native else "float")
         runs.append(taut.run(ctrl, plant, swing, duration=0.1))
@@ -148,29 +148,31 @@ def test_the_same_by_the_float_engine(monkeypatch: pytest.MonkeyPatch) -> None:
 MESSAGES: dict[str, tuple[Callable[[], object], type[taut.TautError], str]] = {
     "no bandwidth": (
         lambda: taut.MujocoPlant(GANTRY, takes="velocity"),
-        taut.UsageError,
-        "a plant that takes velocity needs the bandwidth of its drives: actuation=taut.Actuation(bandwidth=50.0)  # rad/s",
+        taut.errors.UsageError,
+        "a plant that takes velocity needs the bandwidth of its drives: actuation=taut.drives.Actuation(bandwidth=50.0)  # rad/s",
     ),
     "another word": (
         lambda: taut.MujocoPlant(GANTRY, takes="power"),  # type: ignore[arg-type]
-        taut.UsageError,
+        taut.errors.UsageError,
         "takes must be one of 'torque', 'velocity', 'position'; got 'power'",
     ),
     "what is for torques": (
-        lambda: taut.MujocoPlant(GANTRY, takes="position", actuation=taut.Actuation(bandwidth=9.0, resolution=0.1)),
-        taut.UsageError,
+        lambda: taut.MujocoPlant(
+            GANTRY, takes="position", actuation=taut.drives.Actuation(bandwidth=9.0, resolution=0.1)
+        ),
+        taut.errors.UsageError,
         "actuation.resolution is for torque commands; this plant takes position, which its drives follow by themselves",
     ),
     "what is added": (
         lambda: taut.MujocoPlant(GANTRY, takes="position", actuation=DRIVES, adds=("gravity",)),
-        taut.UsageError,
+        taut.errors.UsageError,
         "adds is for torque commands; this plant takes position",
     ),
     "too fast": (
         lambda: run(
-            taut.MujocoPlant(GANTRY, takes="position", actuation=taut.Actuation(bandwidth=[9.0, 300.0, 9.0]))
+            taut.MujocoPlant(GANTRY, takes="position", actuation=taut.drives.Actuation(bandwidth=[9.0, 300.0, 9.0]))
         ),
-        taut.RangeError,
+        taut.errors.RangeError,
         "the inner loop of a drive of 300 rad/s is 10 times as fast, too fast for steps of 0.001 s (joint 'y'); give the "
         "plant timestep=0.000333333333, or slower drives",
     ),

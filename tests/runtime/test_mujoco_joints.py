@@ -21,20 +21,20 @@ CASES: dict[str, tuple[taut.Arm, dict[str, Any]]] = {
     "rotors": (PLANAR, {}),
     "Stribeck and load": (ROUGH, {}),
     "static and kinetic": (KINETIC, {}),
-    "lossy gears": (ROUGH, {"transmission": taut.Transmission(efficiency=[0.8, 0.6])}),
+    "lossy gears": (ROUGH, {"transmission": taut.drives.Transmission(efficiency=[0.8, 0.6])}),
     "delay": (PLANAR, {"delay": 0.01}),
     "lag, steps and ripple": (
-        ROUGH, {"bandwidth": 400.0, "resolution": 0.05, "ripple": taut.Ripple(amplitude=0.05, periods=3)},
+        ROUGH, {"bandwidth": 400.0, "resolution": 0.05, "ripple": taut.drives.Ripple(amplitude=0.05, periods=3)},
     ),
-    "a motor's curve": (ROUGH, {"motor": taut.Motor(peak=0.4, stall=0.5, no_load=100.0)}),
+    "a motor's curve": (ROUGH, {"motor": taut.drives.Motor(peak=0.4, stall=0.5, no_load=100.0)}),
     "electric": (
         ROUGH,
-        {"motor": taut.ElectricMotor(torque_constant=0.2, resistance=1.0, inductance=1e-3, voltage=24.0), "bandwidth": 900.0},
+        {"motor": taut.drives.ElectricMotor(torque_constant=0.2, resistance=1.0, inductance=1e-3, voltage=24.0), "bandwidth": 900.0},
     ),
-    "elastic": (ROUGH, {"transmission": taut.Transmission(stiffness=400.0, damping=0.5)}),
-    "play": (ROUGH, {"transmission": taut.Transmission(stiffness=800.0, damping=0.5, backlash=0.01)}),
-    "one elastic joint": (ROUGH, {"transmission": taut.Transmission(stiffness=[np.inf, 400.0], damping=[0.0, 0.5])}),
-    "inner loop": (ROUGH, {"torque_loop": taut.TorqueLoop(kp=0.3, ki=20.0), "bandwidth": 800.0}),
+    "elastic": (ROUGH, {"transmission": taut.drives.Transmission(stiffness=400.0, damping=0.5)}),
+    "play": (ROUGH, {"transmission": taut.drives.Transmission(stiffness=800.0, damping=0.5, backlash=0.01)}),
+    "one elastic joint": (ROUGH, {"transmission": taut.drives.Transmission(stiffness=[np.inf, 400.0], damping=[0.0, 0.5])}),
+    "inner loop": (ROUGH, {"torque_loop": taut.drives.TorqueLoop(kp=0.3, ki=20.0), "bandwidth": 800.0}),
 }  # fmt: skip
 
 
@@ -42,8 +42,8 @@ def both(arm: taut.Arm, drives: dict[str, Any], *, limits: Any = None, **options
     """The same loop around a rigid plant and around MuJoCo, five steps in a control period."""
     law = taut.laws.PID(kp=[60.0, 30.0], kd=[6.0, 3.0])
     ctrl = taut.compile(law, arm, rate=200.0, sensing=options.pop("sensing", None))
-    swing = taut.Sine(center=arm.home, amplitude=[0.4, 0.3], frequency=[1.0, 1.7])
-    common = {"actuation": taut.Actuation(**drives), **options}
+    swing = taut.trajectories.Sine(center=arm.home, amplitude=[0.4, 0.3], frequency=[1.0, 1.7])
+    common = {"actuation": taut.drives.Actuation(**drives), **options}
     rigid = taut.RigidPlant(arm, substeps=5, **common)
     mujoco = taut.MujocoPlant(arm, limits=limits, timestep=1e-3, **common)
     one, other = (taut.run(ctrl, plant, swing, duration=0.6, q0=arm.home + 0.1, seed=5) for plant in (rigid, mujoco))
@@ -64,10 +64,10 @@ def test_an_arm_moves_as_in_a_rigid_plant(name: str) -> None:
 
 
 def test_sensors_give_the_same_numbers_from_the_same_seed() -> None:
-    sensors = taut.Sensors(
-        position=taut.Encoder(resolution=1e-3, noise=2e-4, side="motor"),
+    sensors = taut.sensors.Sensors(
+        position=taut.sensors.Encoder(resolution=1e-3, noise=2e-4, side="motor"),
         velocity=None,
-        torque=taut.TorqueSensor(noise=0.01, bias=0.02),
+        torque=taut.sensors.TorqueSensor(noise=0.01, bias=0.02),
         wrench=None,
     )
     ours, theirs = both(ROUGH, {"bandwidth": 500.0}, sensors=sensors, sensing=taut.Sensing(velocity="difference"))
@@ -76,9 +76,11 @@ def test_sensors_give_the_same_numbers_from_the_same_seed() -> None:
 
 
 def test_a_sensor_at_its_range_is_said_in_a_run() -> None:
-    sensors = taut.Sensors(tip=taut.Accelerometer(range=6.0), wrench=taut.WrenchSensor(range=(100.0, 10.0)))
+    sensors = taut.sensors.Sensors(
+        tip=taut.sensors.Accelerometer(range=6.0), wrench=taut.sensors.WrenchSensor(range=(100.0, 10.0))
+    )
     ctrl = taut.compile(taut.laws.PID(kp=60.0, kd=6.0), PLANAR, rate=500.0)
-    swing = taut.Sine(center=PLANAR.home, amplitude=0.3, frequency=1.0)
+    swing = taut.trajectories.Sine(center=PLANAR.home, amplitude=0.3, frequency=1.0)
     out = taut.run(ctrl, taut.MujocoPlant(PLANAR, sensors=sensors), swing, duration=0.6)
     at_range = int(out.extra["saturated.a_tip"].sum())
     assert 0 < at_range < len(out)
@@ -101,10 +103,10 @@ class Felt(taut.Law):
 def test_torque_and_acceleration_are_measured_where_their_sensors_are(name: str) -> None:
     arm, drives = CASES[name]
     options: dict[str, Any] = {
-        "actuation": taut.Actuation(**drives), "sensors": taut.Sensors(tip=taut.Accelerometer(), wrench=None),
+        "actuation": taut.drives.Actuation(**drives), "sensors": taut.sensors.Sensors(tip=taut.sensors.Accelerometer(), wrench=None),
     }  # fmt: skip
     ctrl = taut.compile(Felt(kp=40.0), arm, rate=500.0)
-    swing = taut.Sine(center=arm.home, amplitude=0.3, frequency=1.0)
+    swing = taut.trajectories.Sine(center=arm.home, amplitude=0.3, frequency=1.0)
     plants = (
         taut.RigidPlant(arm, substeps=2, **options),
         taut.MujocoPlant(arm, limits=None, timestep=1e-3, **options),
@@ -144,8 +146,8 @@ def test_it_slips_at_its_break_away_torque(model: str) -> None:
 
 
 def test_parameters_of_every_part_change_in_a_run() -> None:
-    arm, drives = ROUGH, {"motor": taut.Motor(peak=5.0), "bandwidth": 500.0}
-    plant = taut.MujocoPlant(arm, limits=None, actuation=taut.Actuation(**drives))
+    arm, drives = ROUGH, {"motor": taut.drives.Motor(peak=5.0), "bandwidth": 500.0}
+    plant = taut.MujocoPlant(arm, limits=None, actuation=taut.drives.Actuation(**drives))
     ctrl = taut.compile(taut.laws.PID(kp=60.0, kd=6.0), arm)
     goal = taut.JointMotion(q=arm.home + 0.5)
     changes: dict[str, Any] = {
@@ -156,7 +158,7 @@ def test_parameters_of_every_part_change_in_a_run() -> None:
     for path, value in changes.items():
         changed = taut.run(ctrl, plant, goal, duration=0.1, events=[taut.Event(t=0.02, set={path: value})])
         assert np.abs(changed.q - plain.q).max() > 1e-6, path
-        twin = taut.RigidPlant(arm, actuation=taut.Actuation(**drives))
+        twin = taut.RigidPlant(arm, actuation=taut.drives.Actuation(**drives))
         rigid = taut.run(ctrl, twin, goal, duration=0.1, events=[taut.Event(t=0.02, set={path: value})])
         np.testing.assert_allclose(changed.q, rigid.q, rtol=0.0, atol=SAME, err_msg=path)
     again: Array = taut.run(ctrl, plant, goal, duration=0.1).q
@@ -165,9 +167,9 @@ def test_parameters_of_every_part_change_in_a_run() -> None:
 
 @pytest.mark.parametrize("stiffness", [1e5, 1e6, 3e6])
 def test_steps_that_are_too_long_for_a_spring_are_refused_with_what_is_enough(stiffness: float) -> None:
-    stiff = taut.Actuation(transmission=taut.Transmission(stiffness=stiffness))
+    stiff = taut.drives.Actuation(transmission=taut.drives.Transmission(stiffness=stiffness))
     ctrl = taut.compile(taut.laws.PID(kp=1.0), PLANAR)
-    with pytest.raises(taut.RangeError) as caught:
+    with pytest.raises(taut.errors.RangeError) as caught:
         taut.run(ctrl, taut.MujocoPlant(PLANAR, actuation=stiff), duration=0.01)
     words = str(caught.value)
     assert "too fast for steps of 0.001 s; give the plant timestep=" in words
@@ -177,26 +179,27 @@ def test_steps_that_are_too_long_for_a_spring_are_refused_with_what_is_enough(st
 
 def test_what_does_not_go_together_is_refused_in_words() -> None:
     plant = taut.MujocoPlant(ROUGH)
-    with pytest.raises(taut.RangeError) as caught:
+    with pytest.raises(taut.errors.RangeError) as caught:
         plant.set_parameter("plant.friction.static", 0.1)
     assert str(caught.value) == (
         "plant.friction.static[0] must be >= plant.friction.coulomb: friction at rest is no less than in motion; got "
         "0.1 < 0.3 [N m | N]"
     )
-    with pytest.raises(taut.UsageError, match=r"actuation must be taut\.Actuation\(\.\.\.\); got float"):
+    with pytest.raises(taut.errors.UsageError, match=r"actuation must be taut\.Actuation\(\.\.\.\); got float"):
         taut.MujocoPlant(ROUGH, actuation=2.0)  # type: ignore[arg-type]
-    with pytest.raises(taut.UsageError, match="and needs a rotor"):
+    with pytest.raises(taut.errors.UsageError, match="and needs a rotor"):
         taut.MujocoPlant(
-            taut.load_arm("planar2"), actuation=taut.Actuation(transmission=taut.Transmission(stiffness=1e3))
+            taut.load_arm("planar2"),
+            actuation=taut.drives.Actuation(transmission=taut.drives.Transmission(stiffness=1e3)),
         )
-    with pytest.raises(taut.UsageError, match="has gears that lose power"):
+    with pytest.raises(taut.errors.UsageError, match="has gears that lose power"):
         taut.MujocoPlant(
             taut.load_arm("planar2"), integrator="rk4",
-            actuation=taut.Actuation(transmission=taut.Transmission(efficiency=0.9)),
+            actuation=taut.drives.Actuation(transmission=taut.drives.Transmission(efficiency=0.9)),
         )  # fmt: skip
-    with pytest.raises(taut.UsageError) as caught_too:
+    with pytest.raises(taut.errors.UsageError) as caught_too:
         taut.MujocoPlant(
-            PLANAR, integrator="rk4", actuation=taut.Actuation(transmission=taut.Transmission(stiffness=1e3)),
+            PLANAR, integrator="rk4", actuation=taut.drives.Actuation(transmission=taut.drives.Transmission(stiffness=1e3)),
         )  # fmt: skip
     assert str(caught_too.value) == (
         "rk4 moves the arm alone, and an elastic transmission or backlash moves the motors too; use "

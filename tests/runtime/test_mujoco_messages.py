@@ -30,34 +30,34 @@ def said(act: Callable[[], object], kind: type[taut.TautError]) -> str:
 @pytest.mark.parametrize(
     ("options", "kind", "words"),
     [
-        ({"friction": "no"}, taut.UsageError, "friction must be 'arm' or None; got 'no'"),
-        ({"limits": True}, taut.UsageError, "limits must be 'arm' or None; got True"),
+        ({"friction": "no"}, taut.errors.UsageError, "friction must be 'arm' or None; got 'no'"),
+        ({"limits": True}, taut.errors.UsageError, "limits must be 'arm' or None; got True"),
         (
             {"integrator": "Euler"},
-            taut.UsageError,
+            taut.errors.UsageError,
             "integrator must be one of 'discrete', 'euler', 'implicitfast', 'implicit', 'rk4'; got 'Euler'",
         ),
-        ({"touch": "all"}, taut.UsageError, "touch must be one of 'tool', 'links'; got 'all'"),
-        ({"looks": ""}, taut.UsageError, "looks must be one of 'plain', 'meshes'; got ''"),
-        ({"timestep": 0.0}, taut.RangeError, "timestep must be > 0 [s]; got 0.0"),
-        ({"timestep": np.nan}, taut.RangeError, "timestep must be finite [s]; got nan"),
-        ({"tool_radius": -1.0}, taut.RangeError, "tool_radius must be > 0 [m]; got -1.0"),
-        ({"tool_length": 0.0}, taut.RangeError, "tool_length must be > 0 [m]; got 0.0"),
-        ({"scene_at": [0, 0, 0]}, taut.UsageError, "scene_at must be a taut.Pose; got list"),
+        ({"touch": "all"}, taut.errors.UsageError, "touch must be one of 'tool', 'links'; got 'all'"),
+        ({"looks": ""}, taut.errors.UsageError, "looks must be one of 'plain', 'meshes'; got ''"),
+        ({"timestep": 0.0}, taut.errors.RangeError, "timestep must be > 0 [s]; got 0.0"),
+        ({"timestep": np.nan}, taut.errors.RangeError, "timestep must be finite [s]; got nan"),
+        ({"tool_radius": -1.0}, taut.errors.RangeError, "tool_radius must be > 0 [m]; got -1.0"),
+        ({"tool_length": 0.0}, taut.errors.RangeError, "tool_length must be > 0 [m]; got 0.0"),
+        ({"scene_at": [0, 0, 0]}, taut.errors.UsageError, "scene_at must be a taut.Pose; got list"),
         (
             {"scene_at": taut.Pose.identity()},
-            taut.UsageError,
+            taut.errors.UsageError,
             "scene_at says where the scene stands, and there is none; give scene= too",
         ),
-        ({"link_radius": "a"}, taut.ShapeError, "link_radius must be one number [m]; got 'a'"),
+        ({"link_radius": "a"}, taut.errors.ShapeError, "link_radius must be one number [m]; got 'a'"),
         (
             {"adds": ("gravty",)},
-            taut.UnknownNameError,
+            taut.errors.UnknownNameError,
             "what a plant adds has no component 'gravty'; did you mean 'gravity'?",
         ),
         (
             {"scene": 3},
-            taut.UsageError,
+            taut.errors.UsageError,
             "scene must be an MJCF fragment as text, or the path of one; got int",
         ),
     ],
@@ -68,13 +68,13 @@ def test_options_are_checked(options: dict[str, object], kind: type[taut.TautErr
 
 def test_a_plant_takes_an_arm() -> None:
     words = "a plant takes an Arm from taut.load_arm; got str"
-    assert said(lambda: taut.MujocoPlant("panda"), taut.UsageError) == words
+    assert said(lambda: taut.MujocoPlant("panda"), taut.errors.UsageError) == words
 
 
 def test_rk4_refuses_dry_friction_and_takes_an_arm_without() -> None:
     arm = ARM.with_joints(coulomb=[0.1, 0.0])
     words = "rk4 needs smooth forces, and arm 'planar2' has dry friction; use integrator='discrete', or friction=None"
-    assert said(lambda: taut.MujocoPlant(arm, integrator="rk4"), taut.UsageError) == words
+    assert said(lambda: taut.MujocoPlant(arm, integrator="rk4"), taut.errors.UsageError) == words
     taut.MujocoPlant(arm, integrator="rk4", adds=("friction",))
 
 
@@ -84,10 +84,10 @@ def test_a_control_period_that_does_not_fit_is_refused() -> None:
         "0.0004 s; use timestep=0.000333333333, or another rate"
     )
     plant = taut.MujocoPlant(ARM, timestep=0.0004)
-    assert said(lambda: taut.run(idle(ARM), plant, duration=0.1), taut.MatchError) == words
+    assert said(lambda: taut.run(idle(ARM), plant, duration=0.1), taut.errors.MatchError) == words
     plant = taut.MujocoPlant(ARM, timestep=0.01)
     assert "0.001 s is 0.1 times 0.01 s; use timestep=0.001" in said(
-        lambda: taut.run(idle(ARM), plant, duration=0.1), taut.MatchError
+        lambda: taut.run(idle(ARM), plant, duration=0.1), taut.errors.MatchError
     )
 
 
@@ -97,29 +97,29 @@ def test_a_control_period_that_does_not_fit_is_refused() -> None:
         (
             "plant.payload.mas",
             1.0,
-            taut.UnknownNameError,
+            taut.errors.UnknownNameError,
             "plant 'MujocoPlant(planar2)' has no parameter 'plant.payload.mas'; did you mean 'plant.payload.mass' or "
             "'plant.payload.com'?",
         ),
-        ("plant.payload.mass", -1.0, taut.RangeError, "plant.payload.mass must be >= 0 [kg]; got -1.0"),
-        ("plant.payload.mass", np.nan, taut.RangeError, "plant.payload.mass must be finite [kg]; got nan"),
+        ("plant.payload.mass", -1.0, taut.errors.RangeError, "plant.payload.mass must be >= 0 [kg]; got -1.0"),
+        ("plant.payload.mass", np.nan, taut.errors.RangeError, "plant.payload.mass must be finite [kg]; got nan"),
         (
             "plant.payload.com",
             [0.0, np.inf, 0.0],
-            taut.RangeError,
+            taut.errors.RangeError,
             "plant.payload.com[1] must be finite [m]; got inf",
         ),
         (
             "plant.payload.inertia",
             [1.0, 1.0, 3.0, 0.0, 0.0, 0.0],
-            taut.RangeError,
+            taut.errors.RangeError,
             "payload.inertia violates the triangle inequality: principal moments 3 > 1 + 1 [kg m^2]; it is about the "
             "centre of mass, in the order xx, yy, zz, xy, xz, yz",
         ),
         (
             "plant.friction.viscous",
             [0.1, -0.1],
-            taut.RangeError,
+            taut.errors.RangeError,
             "plant.friction.viscous[1] (joint 'joint2') must be >= 0; got -0.1",
         ),
     ],
@@ -131,7 +131,7 @@ def test_parameters_are_checked_before_a_run_begins(
     before = dict(plant.parameters)
     assert said(lambda: plant.set_parameter(path, value), kind) == words
     assert plant.parameters == before
-    if kind is not taut.UnknownNameError:
+    if kind is not taut.errors.UnknownNameError:
         events = [taut.Event(t=1.0, set={path: value})]
         said(lambda: taut.run(idle(ARM), plant, duration=2.0, events=events), kind)
         assert plant.data.time == 0.0
@@ -209,7 +209,7 @@ def test_parameters_are_checked_before_a_run_begins(
     ],
 )
 def test_scenes_are_checked(scene: str, words: str) -> None:
-    got = said(lambda: taut.MujocoPlant(ARM, scene=scene), taut.ModelError)
+    got = said(lambda: taut.MujocoPlant(ARM, scene=scene), taut.errors.ModelError)
     assert got == words
 
 
@@ -228,17 +228,21 @@ def test_a_scene_file_cannot_reach_out_of_its_folder(tmp_path: Path) -> None:
         ("missing.stl", "is not there"),
     ):
         file.write_text(f'<mujoco>\n<asset>\n<mesh name="m" file="{name}"/></asset></mujoco>')
-        got = said(lambda: taut.MujocoPlant(ARM, scene=file), taut.ModelError)
+        got = said(lambda: taut.MujocoPlant(ARM, scene=file), taut.errors.ModelError)
         assert got == f"{file}: mesh 'm': the file '{name}' is not read: it {reason} (line 3)"
     file.write_text(
         f'<mujoco><compiler meshdir="{tmp_path}"/><asset><mesh name="m" file="secret.stl"/></asset></mujoco>'
     )
-    assert "leads out of the model's folder" in said(lambda: taut.MujocoPlant(ARM, scene=file), taut.ModelError)
+    assert "leads out of the model's folder" in said(
+        lambda: taut.MujocoPlant(ARM, scene=file), taut.errors.ModelError
+    )
 
 
 def test_a_scene_that_is_no_file_is_refused(tmp_path: Path) -> None:
-    assert "is a folder; name a file in it" in said(lambda: taut.MujocoPlant(ARM, scene=tmp_path), taut.FileError)
-    assert "does not exist" in said(lambda: taut.MujocoPlant(ARM, scene="nowhere.xml"), taut.FileError)
+    assert "is a folder; name a file in it" in said(
+        lambda: taut.MujocoPlant(ARM, scene=tmp_path), taut.errors.FileError
+    )
+    assert "does not exist" in said(lambda: taut.MujocoPlant(ARM, scene="nowhere.xml"), taut.errors.FileError)
 
 
 def test_a_mesh_that_is_gone_or_broken_is_named(tmp_path: Path) -> None:
@@ -246,10 +250,12 @@ def test_a_mesh_that_is_gone_or_broken_is_named(tmp_path: Path) -> None:
     shape = Visual(body=0, placement=taut.Pose(), shape="mesh", size=(1.0, 1.0, 1.0), file=str(file))
     arm = dataclasses.replace(ARM, visuals=(shape,))
     taut.MujocoPlant(arm)  # meshes are never needed
-    assert f"mesh '{file}' does not exist" in said(lambda: taut.MujocoPlant(arm, looks="meshes"), taut.FileError)
+    assert f"mesh '{file}' does not exist" in said(
+        lambda: taut.MujocoPlant(arm, looks="meshes"), taut.errors.FileError
+    )
     file.write_text("no mesh")
     assert "built in: MuJoCo refuses the model: " in said(
-        lambda: taut.MujocoPlant(arm, looks="meshes"), taut.ModelError
+        lambda: taut.MujocoPlant(arm, looks="meshes"), taut.errors.ModelError
     )
 
 
@@ -269,27 +275,27 @@ def attach(text: str, arm: taut.Arm, prefix: str = "left_", **options: object) -
 def test_attach_takes_a_model_its_data_and_an_arm(arm: taut.Arm) -> None:
     model, other = (mujoco.MjModel.from_xml_string(text) for text in (cell(), "<mujoco/>"))
     data, call = mujoco.MjData(model), taut.MujocoPlant.attach
-    assert said(lambda: call("m", data, arm), taut.UsageError) == "attach takes a mujoco.MjModel; got str"
+    assert said(lambda: call("m", data, arm), taut.errors.UsageError) == "attach takes a mujoco.MjModel; got str"
     words = "attach takes the mujoco.MjData of the model; got MjModel"
-    assert said(lambda: call(model, model, arm), taut.UsageError) == words
+    assert said(lambda: call(model, model, arm), taut.errors.UsageError) == words
     words = "data must be made from this very model: mujoco.MjData(model); it is another's"
-    assert said(lambda: call(other, data, arm), taut.MatchError) == words
+    assert said(lambda: call(other, data, arm), taut.errors.MatchError) == words
     assert (
-        said(lambda: call(model, data, None), taut.UsageError)
+        said(lambda: call(model, data, None), taut.errors.UsageError)
         == "attach takes an Arm from taut.load_arm; got NoneType"
     )
     words = "prefix must be text, such as 'left/'; got 1"
-    assert said(lambda: call(model, data, arm, 1), taut.UsageError) == words
+    assert said(lambda: call(model, data, arm, 1), taut.errors.UsageError) == words
     words = "inertias must be one of 'same', 'any'; got 'all'"
-    assert said(lambda: call(model, data, arm, "left_", inertias="all"), taut.UsageError) == words
+    assert said(lambda: call(model, data, arm, "left_", inertias="all"), taut.errors.UsageError) == words
 
 
 def test_joints_are_found_by_name_or_the_nearest_are_named(arm: taut.Arm) -> None:
     words = "the model has no joint whose name begins with 'lefft_'; it has the prefixes 'left_', 'right_'"
-    assert said(lambda: attach(cell(), arm, "lefft_"), taut.UnknownNameError) == words
+    assert said(lambda: attach(cell(), arm, "lefft_"), taut.errors.UnknownNameError) == words
     text = cell(left=PAIR.format("left_", 1).replace("left_elbow", "left_elbov"), actuators="")
     words = "the model has no joint 'left_elbow'; did you mean 'left_elbov' or 'right_elbow'? (arm 'pair' has it)"
-    assert said(lambda: attach(text, arm), taut.UnknownNameError) == words
+    assert said(lambda: attach(text, arm), taut.errors.UnknownNameError) == words
 
 
 @pytest.mark.parametrize(
@@ -298,49 +304,49 @@ def test_joints_are_found_by_name_or_the_nearest_are_named(arm: taut.Arm) -> Non
         (
             'name="left_elbow"',
             'name="left_elbow" type="slide"',
-            taut.MatchError,
+            taut.errors.MatchError,
             "joint 'left_elbow' is continuous in arm 'pair' and of type slide in the model; attach the arm that the "
             "model has",
         ),
         (
             '<joint name="left_elbow"',
             '<joint name="left_twist" axis="1 0 0"/><joint name="left_elbow"',
-            taut.MatchError,
+            taut.errors.MatchError,
             "joint 'left_twist' of the model moves joint 'elbow', and arm 'pair' has no such joint there; attach an arm "
             "that has it, or take the joint out of the model",
         ),
         (
             'mass="2"',
             'mass="2.1"',
-            taut.MatchError,
+            taut.errors.MatchError,
             "joint 'shoulder': the mass of body 'left_upper' is 2.1 kg in the model and 2 kg in arm 'pair'; load the Arm "
             "from the model's own file, or accept the difference with inertias='any'",
         ),
         (
             'mass="1" pos="0.1 0 0"',
             'mass="1" pos="0.12 0 0"',
-            taut.MatchError,
+            taut.errors.MatchError,
             "joint 'elbow': the centre of mass (world, home pose) of body 'left_fore' with 'left_hand' is [1.5079, "
             "0.100983, 0.457431] m in the model and [1.49718, 0.0916328, 0.463274] m in arm 'pair'",
         ),
         (
             "0.01 0.03 0.03 0.001",
             "0.01 0.03 0.034 0.001",
-            taut.MatchError,
+            taut.errors.MatchError,
             "joint 'shoulder': the inertia (xx, yy, zz, xy, xz, yz; world axes, home pose) of body 'left_upper' is "
             "[0.0109473, 0.03, 0.0330527, ",
         ),
         (
             'armature="0.02"',
             'armature="0.2"',
-            taut.MatchError,
+            taut.errors.MatchError,
             "joint 'shoulder' has armature 0.2 in the model and rotor inertia 0.02 in arm 'pair'; use "
             "arm.with_joints(rotor_inertia=...), or accept the difference with inertias='any'",
         ),
         (
             'axis="0 1 0"',
             'axis="0 -1 0"',
-            taut.MatchError,
+            taut.errors.MatchError,
             "joint 'shoulder' at the home pose has its axis at [1, 0, 0.6] along [0, -1, 0] in the model and at "
             "[1, 0, 0.6] along [0, 1, 0] in arm 'pair' (world, m): another arm, another zero of a joint, or another "
             "T_WB; load the Arm from the model's own file",
@@ -348,7 +354,7 @@ def test_joints_are_found_by_name_or_the_nearest_are_named(arm: taut.Arm) -> Non
         (
             'pos="1 0 0.6"',
             'pos="1 0.5 0.6" euler="0 0 90"',
-            taut.MatchError,
+            taut.errors.MatchError,
             "arm 'pair' stands elsewhere in the model: its base is at p=[1, 0.5, 0], rpy=[0, 0, 1.5708]; use "
             "arm.mounted(taut.Pose(p=[1, 0.5, 0], rpy=[0, 0, 1.5708]))",
         ),
@@ -369,7 +375,7 @@ def test_an_arm_on_something_that_moves_is_refused(arm: taut.Arm) -> None:
         "joint 'cart' of the model moves joint 'shoulder', and arm 'pair' has no such joint there; attach an arm that "
         "has it, or take the joint out of the model"
     )
-    assert said(lambda: attach(cell(left=cart), arm), taut.MatchError) == words
+    assert said(lambda: attach(cell(left=cart), arm), taut.errors.MatchError) == words
 
 
 def test_another_gravity_is_refused(arm: taut.Arm) -> None:
@@ -377,7 +383,7 @@ def test_another_gravity_is_refused(arm: taut.Arm) -> None:
         "gravity is [0, 0, -9.81] in the model and [0, 0, -1.62] m/s^2 for arm 'pair'; use "
         "arm.with_gravity(model.opt.gravity)"
     )
-    assert said(lambda: attach(cell(), arm.with_gravity((0, 0, -1.62))), taut.MatchError) == words
+    assert said(lambda: attach(cell(), arm.with_gravity((0, 0, -1.62))), taut.errors.MatchError) == words
 
 
 A = '<general name="a" joint="left_shoulder" gear="5" gainprm="3"/>'
@@ -414,7 +420,7 @@ A = '<general name="a" joint="left_shoulder" gear="5" gainprm="3"/>'
     ],
 )
 def test_actuators_that_take_no_torque_are_refused(arm: taut.Arm, actuator: str, words: str) -> None:
-    assert said(lambda: attach(cell(MOTORS.replace(A, actuator)), arm), taut.MatchError) == words
+    assert said(lambda: attach(cell(MOTORS.replace(A, actuator)), arm), taut.errors.MatchError) == words
 
 
 def test_a_bridge_needs_integrator_euler(arm: taut.Arm) -> None:
@@ -424,7 +430,7 @@ def test_a_bridge_needs_integrator_euler(arm: taut.Arm) -> None:
         "DISCRETE, which changes its force within the step: set model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER"
     )
     text = cell(MOTORS.replace(A, servo), integrator="discrete")
-    assert said(lambda: attach(text, arm, bridge=True), taut.MatchError) == words
+    assert said(lambda: attach(text, arm, bridge=True), taut.errors.MatchError) == words
 
 
 def test_a_disabled_actuator_is_refused_when_a_run_begins(arm: taut.Arm) -> None:
@@ -434,7 +440,7 @@ def test_a_disabled_actuator_is_refused_when_a_run_begins(arm: taut.Arm) -> None
         "actuator 'a' is disabled in the model, by actuator group 4, so that no torque would reach the arm; enable it "
         "in model.opt"
     )
-    assert said(lambda: taut.run(idle(arm), plant, duration=0.1), taut.MatchError) == words
+    assert said(lambda: taut.run(idle(arm), plant, duration=0.1), taut.errors.MatchError) == words
 
 
 def test_a_model_or_state_that_is_not_finite_is_refused(arm: taut.Arm) -> None:
@@ -442,11 +448,11 @@ def test_a_model_or_state_that_is_not_finite_is_refused(arm: taut.Arm) -> None:
     data = mujoco.MjData(model)
     data.qpos[3] = np.nan
     words = "data.qpos must be finite; got nan in entry 3; mujoco.mj_resetData(model, data) gives a clean start"
-    assert said(lambda: taut.MujocoPlant.attach(model, data, arm, "left_"), taut.RangeError) == words
+    assert said(lambda: taut.MujocoPlant.attach(model, data, arm, "left_"), taut.errors.RangeError) == words
     data.qpos[3] = 1.0
     model.body_mass[model.body("door").id] = np.inf
     words = "model.body_mass must be finite; got [inf] for body 'door'"
-    assert said(lambda: taut.MujocoPlant.attach(model, data, arm, "left_"), taut.RangeError) == words
+    assert said(lambda: taut.MujocoPlant.attach(model, data, arm, "left_"), taut.errors.RangeError) == words
 
 
 def test_gravcomp_on_a_part_of_the_arm_is_refused(arm: taut.Arm) -> None:
@@ -455,7 +461,7 @@ def test_gravcomp_on_a_part_of_the_arm_is_refused(arm: taut.Arm) -> None:
         "gravcomp must be 0 or 1, the same for all bodies of an arm; got [0.0, 1.0] (body 'left_fore' has 0); set all "
         "of model.body_gravcomp alike"
     )
-    assert said(lambda: attach(cell(left=text), arm), taut.MatchError) == words
+    assert said(lambda: attach(cell(left=text), arm), taut.errors.MatchError) == words
 
 
 def test_an_attached_arm_has_no_parameters(arm: taut.Arm) -> None:
@@ -464,8 +470,8 @@ def test_an_attached_arm_has_no_parameters(arm: taut.Arm) -> None:
         "none: change the model)"
     )
     plant = attach(cell(), arm)
-    assert said(lambda: plant.set_parameter("plant.payload.mass", 1.0), taut.UnknownNameError) == words
+    assert said(lambda: plant.set_parameter("plant.payload.mass", 1.0), taut.errors.UnknownNameError) == words
     events = [taut.Event(t=0.0, set={"plant.payload.mass": 1.0})]
     assert "no parameter 'plant.payload.mass'" in said(
-        lambda: taut.run(idle(arm), plant, duration=0.1, events=events), taut.UnknownNameError
+        lambda: taut.run(idle(arm), plant, duration=0.1, events=events), taut.errors.UnknownNameError
     )

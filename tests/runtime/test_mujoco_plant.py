@@ -128,7 +128,7 @@ def test_a_closed_loop_runs_the_same_on_both_plants() -> None:
     model = taut.load_arm("panda")
     truth = model.perturbed(seed=3, mass=0.1, com=0.005).with_payload(1.0, com=(0.0, 0.0, 0.05))
     ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), model)
-    ref = taut.Quintic(q0=model.home, q1=model.home + 0.3, duration=0.8)
+    ref = taut.trajectories.Quintic(q0=model.home, q1=model.home + 0.3, duration=0.8)
     ours = taut.run(ctrl, taut.RigidPlant(truth), ref, duration=1.0)
     theirs = taut.run(ctrl, taut.MujocoPlant(truth), ref, duration=1.0)
     assert largest(ours, theirs) < SAME
@@ -217,7 +217,7 @@ def test_what_the_plant_adds_is_what_rigid_plant_adds(load: taut.Payload | None)
 def test_a_law_that_compensates_what_the_plant_adds_is_refused() -> None:
     arm = taut.load_arm("planar2")
     ctrl = taut.compile(taut.laws.GravityPID(kp=10.0, kd=1.0), arm)
-    with pytest.raises(taut.MatchError, match="adds gravity itself"):
+    with pytest.raises(taut.errors.MatchError, match="adds gravity itself"):
         taut.run(ctrl, taut.MujocoPlant(arm, adds=("gravity",)), duration=0.1)
 
 

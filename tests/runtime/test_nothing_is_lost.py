@@ -17,7 +17,7 @@ import pytest
 from runtime_laws import HandPlant
 
 import taut
-from taut.record import log as log_module
+from taut.record.log.writing import writing as log_module
 from taut.runtime import fused, hosted
 
 ARM = taut.load_arm("planar2")
@@ -254,7 +254,7 @@ def test_a_log_is_a_tick_or_a_fifth_of_a_second_behind(
 
 
 def test_blocks_of_another_length_change_no_number(tmp_path: Path) -> None:
-    noisy = taut.RigidPlant(ARM, sensors=taut.Sensors(position=taut.Encoder(noise=1e-4)))
+    noisy = taut.RigidPlant(ARM, sensors=taut.sensors.Sensors(position=taut.sensors.Encoder(noise=1e-4)))
     ctrl = taut.compile(PID, ARM)
     free, logged = (taut.run(ctrl, noisy, duration=6.0, log=log) for log in (None, tmp_path / "run.mcap"))
     np.testing.assert_array_equal(free.q, logged.q)

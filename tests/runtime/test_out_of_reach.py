@@ -10,9 +10,9 @@ import pytest
 
 import taut
 from taut.base.types import Float64Array
+from taut.control.laws.targets import far_away
 from taut.control.side_by_side import together
-from taut.control.targets import far_away
-from taut.control.task_reference import TaskMotion
+from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.chain import Chain
 from taut.maths.model import model_of
 from taut.maths.out_of_reach import Beyond, distance_beyond, spheres
@@ -167,16 +167,16 @@ def test_what_a_law_asks_for_decides_what_is_told() -> None:
     x = taut.snapshot(arm, arm.home)
     rows = {"p": np.array([[0.9, 0.0, 0.5]]), "R": x.T().R[None]}
     gains = {"kp": 100.0, "kd": 20.0}
-    height = taut.Coordinates(function=lambda T: T.p[2:])
+    height = taut.laws.Coordinates(function=lambda T: T.p[2:])
     of = {
         "height": taut.laws.TaskComputedTorque(**gains, error="coordinates", coordinates=height),
         "position": taut.laws.TaskComputedTorque(
-            **gains, error="coordinates", coordinates=taut.Coordinates.position()
+            **gains, error="coordinates", coordinates=taut.laws.Coordinates.position()
         ),
         "led": taut.laws.Admittance(D=(5.0, 0.5), B=(50.0, 5.0), inner=LAWS["motion"]),
         "joints": taut.laws.ComputedTorque(**gains),
-        "whole": taut.via_joint_space(taut.laws.ComputedTorque(**gains)),
-        "point": taut.via_joint_space(taut.laws.ComputedTorque(**gains), directions="position"),
+        "whole": taut.laws.via_joint_space(taut.laws.ComputedTorque(**gains)),
+        "point": taut.laws.via_joint_space(taut.laws.ComputedTorque(**gains), directions="position"),
     }
     away = {name: far_away(law, x, rows) for name, law in of.items()}
     assert away["height"] is None

@@ -22,8 +22,8 @@ LIMITS = taut.Limits.of(PANDA, rate=True, blend=0.05)
 TOOL = taut.snapshot(PANDA, BOW).T()
 
 
-def down(x: taut.Snapshot) -> taut.Steady:
-    return taut.Steady(T0=x.T(), velocity=[0.0, 0.0, -0.02])
+def down(x: taut.Snapshot) -> taut.trajectories.Steady:
+    return taut.trajectories.Steady(T0=x.T(), velocity=[0.0, 0.0, -0.02])
 
 
 def deeper(x: taut.Snapshot) -> taut.TaskMotion:
@@ -31,15 +31,15 @@ def deeper(x: taut.Snapshot) -> taut.TaskMotion:
     return taut.TaskMotion(pose=taut.Pose(T.p - [0.0, 0.0, 0.02], R=T.R))
 
 
-def back(x: taut.Snapshot) -> taut.Line:
+def back(x: taut.Snapshot) -> taut.trajectories.Line:
     T = x.T()
-    return taut.Line(T0=T, T1=taut.Pose(T.p + np.array([0.0, 0.0, 0.05]), R=T.R), duration=0.8)
+    return taut.trajectories.Line(T0=T, T1=taut.Pose(T.p + np.array([0.0, 0.0, 0.05]), R=T.R), duration=0.8)
 
 
 def press() -> list[taut.Phase]:
     """Down at 20 mm/s until 2 N, softly on for half a second, up again; the arm then rests in its joints."""
     move = taut.laws.TaskComputedTorque(kp=400.0, kd=40.0)
-    touch = taut.lasting(lambda x: taut.contact(x, TOUCH, direction=[0, 0, 1]), ticks=3)
+    touch = taut.guards.lasting(lambda x: taut.guards.contact(x, TOUCH, direction=[0, 0, 1]), ticks=3)
     return [
         taut.Phase(move, down, name="approach", until=touch, timeout=3.0),
         taut.Phase(
@@ -47,9 +47,14 @@ def press() -> list[taut.Phase]:
             deeper,
             name="press",
             until=lambda x: x.elapsed > 0.5,
-            unless=taut.lasting(lambda x: taut.no_contact(x, 0.5), ticks=50),
+            unless=taut.guards.lasting(lambda x: taut.guards.no_contact(x, 0.5), ticks=50),
         ),
-        taut.Phase(move, back, name="retreat", until=lambda x: taut.moved(x, 0.049) & taut.settled(x, position=1e-3)),
+        taut.Phase(
+            move,
+            back,
+            name="retreat",
+            until=lambda x: taut.guards.moved(x, 0.049) & taut.guards.settled(x, position=1e-3),
+        ),
         taut.Phase(STIFF, name="rest"),
     ]
 
@@ -79,7 +84,7 @@ def check_pressed(run: taut.Run) -> None:
 
 
 def test_approach_press_and_retreat_in_a_fused_run_and_from_its_log(ctrl: taut.Controller, tmp_path: Path) -> None:
-    wall = taut.StiffWall(point=TOOL.p - [0, 0, GAP], normal=[0, 0, 1], stiffness=1e4, damping=50.0)
+    wall = taut.environments.StiffWall(point=TOOL.p - [0, 0, GAP], normal=[0, 0, 1], stiffness=1e4, damping=50.0)
     run = taut.run(ctrl, taut.RigidPlant(PANDA, environment=wall), duration=2.6, q0=BOW, log=tmp_path / "run.mcap")
     check_pressed(run)
     # The blend begins with the command of the tick before: at the switch itself there is no jump at all.
@@ -111,21 +116,21 @@ def test_approach_press_and_retreat_against_contact_in_mujoco(ctrl: taut.Control
 def test_where_nothing_is_touched_the_task_stops_and_says_so() -> None:
     arm = taut.load_arm("planar3")
     task = [
-        taut.Phase(taut.laws.ComputedTorque(kp=100.0, kd=20.0), name="approach", until=lambda x: taut.contact(x, 2.0), timeout=0.2)
+        taut.Phase(taut.laws.ComputedTorque(kp=100.0, kd=20.0), name="approach", until=lambda x: taut.guards.contact(x, 2.0), timeout=0.2)
     ]  # fmt: skip
-    plant = taut.RigidPlant(arm, environment=taut.Push(peak=[5.0, 0.0, 0.0]))
+    plant = taut.RigidPlant(arm, environment=taut.environments.Push(peak=[5.0, 0.0, 0.0]))
     run = taut.run(task, plant, duration=0.5)
     assert not run.outcome.ok
     assert str(run.outcome) == "stopped: 501 ticks, 0.5 s; phases: approach to 0.2 s (timeout), stopped at 0.2 s"
     with pytest.raises(
-        taut.RangeError,
+        taut.errors.RangeError,
         match="phase 'approach' acted 1 times in this run, so that there is no visit 1; what acted is approach, stop",
     ):
         run.phase("approach", 1)
-    with pytest.raises(taut.UnknownNameError, match="the run has no phase 'aproach'; did you mean 'approach'"):
+    with pytest.raises(taut.errors.UnknownNameError, match="the run has no phase 'aproach'; did you mean 'approach'"):
         run.phase("aproach")
     plain = taut.run(taut.compile(task[0].law, arm), taut.RigidPlant(arm), duration=0.01)
-    with pytest.raises(taut.UsageError, match="the run has no phases: its law is not a task"):
+    with pytest.raises(taut.errors.UsageError, match="the run has no phases: its law is not a task"):
         plain.phases  # noqa: B018
 
 
@@ -223,11 +228,11 @@ def test_what_a_later_phase_follows_is_looked_at_before_the_run_or_where_it_begi
     board = taut.Constraint.plane(point=T.p, normal=[0.0, 0.0, 1.0])
     move = taut.laws.TaskComputedTorque(kp=100.0, kd=20.0)
     hybrid = taut.laws.HybridMotionForce(constraint=board, motion=move)
-    plant = taut.RigidPlant(PANDA, environment=taut.Push(peak=[0.0, 0.0, 0.0]))
+    plant = taut.RigidPlant(PANDA, environment=taut.environments.Push(peak=[0.0, 0.0, 0.0]))
 
     def off(x: taut.Snapshot) -> Any:
         up = taut.Pose([*x.T().p[:2], height + 0.05], R=x.T().R)
-        return taut.pressing(taut.Line(T0=x.T(), T1=up, duration=0.5), 5.0)
+        return taut.pressing(taut.trajectories.Line(T0=x.T(), T1=up, duration=0.5), 5.0)
 
     def task(reference: Any, law: taut.Law = hybrid) -> list[taut.Phase]:
         first = taut.Phase(move, name="wait", until=lambda x: x.elapsed > 0.0015)
@@ -238,14 +243,16 @@ def test_what_a_later_phase_follows_is_looked_at_before_the_run_or_where_it_begi
 
     seen = taut.snapshot(PANDA, BOW)
     words = "phase 'slide': the motion must keep to the constraint, and at t = "
-    with pytest.raises(taut.RangeError, match=words):  # before anything moves: it does not depend on where it begins
+    with pytest.raises(
+        taut.errors.RangeError, match=words
+    ):  # before anything moves: it does not depend on where it begins
         run(off(seen))
-    with pytest.raises(taut.RangeError, match=words):  # also where friction is compensated beside
+    with pytest.raises(taut.errors.RangeError, match=words):  # also where friction is compensated beside
         run(off(seen), hybrid + taut.laws.FrictionCompensation(at="meas"))
-    with pytest.raises(taut.RangeError, match=r"phase 'slide': lam\[0\] must be <= 0 \[N\]"):
+    with pytest.raises(taut.errors.RangeError, match=r"phase 'slide': lam\[0\] must be <= 0 \[N\]"):
         run(taut.pressing(taut.TaskMotion(pose=T), lam=[3.0]))
     swaying = taut.Constraint.plane(point=T.p, normal=[0.0, 0.0, 1.0], sway=[0.0, 0.0, 0.05], period=2.0)
-    level = taut.Line(T0=T, T1=taut.Pose(T.p + np.array([0.05, 0.0, 0.0]), R=T.R), duration=0.5)
+    level = taut.trajectories.Line(T0=T, T1=taut.Pose(T.p + np.array([0.05, 0.0, 0.0]), R=T.R), duration=0.5)
     ended = run(taut.pressing(level, 5.0), taut.laws.HybridMotionForce(constraint=swaying, motion=move))
     assert (ended.outcome.kind, len(ended)) == ("stopped", 3)  # where the surface is then is known when it begins
     assert words in ended.outcome.message
@@ -279,14 +286,14 @@ def test_a_phase_that_begins_off_its_surface_states_the_distance_and_the_toleran
     task = [
         taut.Phase(
             taut.laws.Impedance(K=(800.0, 30.0), B=(60.0, 4.0)),
-            lambda x: taut.Steady(T0=x.T(), velocity=[0.0, 0.0, -0.05]),
+            lambda x: taut.trajectories.Steady(T0=x.T(), velocity=[0.0, 0.0, -0.05]),
             name="approach",
-            until=lambda x: taut.contact(x, 3.0),
+            until=lambda x: taut.guards.contact(x, 3.0),
             timeout=1.0,
         ),
         taut.Phase(hybrid, lambda x: taut.pressing(taut.TaskMotion(pose=x.T()), 5.0), name="press"),
     ]
-    floor = taut.StiffWall(point=touching, normal=[0.0, 0.0, 1.0], stiffness=1e4, damping=50.0)
+    floor = taut.environments.StiffWall(point=touching, normal=[0.0, 0.0, 1.0], stiffness=1e4, damping=50.0)
     plant = {"fused": taut.RigidPlant, "hosted": taut.MujocoPlant}[kind](PANDA, environment=floor)
     run = taut.run(task, plant, duration=1.0, q0=BOW)
     assert [window.ended for window in run.phases[:2]] == ["until", "no contact"]
@@ -361,7 +368,9 @@ def test_contact_that_was_lost_in_a_phase_is_not_lost_for_ever() -> None:
                    until=lambda x: x.elapsed > 0.0195),
         taut.Phase(STIFF, name="rest"),
     ]  # fmt: skip
-    run = taut.run(task, taut.RigidPlant(PANDA, environment=taut.Push(peak=[0.1, 0, 0])), duration=0.1, q0=BOW)
+    run = taut.run(
+        task, taut.RigidPlant(PANDA, environment=taut.environments.Push(peak=[0.1, 0, 0])), duration=0.1, q0=BOW
+    )
     assert run.extra["law.press.lost"][20] == 1.0
     assert run.metrics.contact_lost_time == pytest.approx(run.phase("press").metrics.contact_lost_time + 0.001)
 
@@ -370,8 +379,8 @@ def swing() -> list[taut.Phase]:
     """Three phases of two laws, one of them the same object twice, with a guard that counts and a timeout."""
     pid = taut.laws.PID(kp=80.0, kd=8.0, ki=300.0)
     return [
-        taut.Phase(pid, lambda x: taut.Quintic(q0=x.q, q1=x.q + 0.1, duration=0.04), name="one", timeout=0.0305, otherwise="two"),
-        taut.Phase(PD, taut.JointMotion(q=HERE), name="two", until=taut.lasting(lambda x: x.q[0] > 0.0, ticks=40)),
+        taut.Phase(pid, lambda x: taut.trajectories.Quintic(q0=x.q, q1=x.q + 0.1, duration=0.04), name="one", timeout=0.0305, otherwise="two"),
+        taut.Phase(PD, taut.JointMotion(q=HERE), name="two", until=taut.guards.lasting(lambda x: x.q[0] > 0.0, ticks=40)),
         taut.Phase(pid, name="three", until=lambda x: x.elapsed > 0.0195, then="one"),
     ]  # fmt: skip
 
@@ -412,7 +421,7 @@ def test_a_task_whose_velocity_is_made_from_positions_takes_positions_alone() ->
 def test_noise_does_not_depend_on_when_phases_begin() -> None:
     arm = taut.load_arm("planar3")
     law = taut.laws.ComputedTorque(kp=100.0, kd=20.0)
-    plant = taut.RigidPlant(arm, sensors=taut.Sensors(position=taut.Encoder(noise=1e-4)))
+    plant = taut.RigidPlant(arm, sensors=taut.sensors.Sensors(position=taut.sensors.Encoder(noise=1e-4)))
     q = taut.JointMotion(q=[0.5, 0.8, 0.6])
     split = [
         taut.Phase(law, q, until=lambda x: x.t > 0.0535),
@@ -435,12 +444,12 @@ def test_switching_leaves_no_torque_jump_above_the_rate_limit_and_no_integrator(
     here = np.array([0.5, 0.8, 0.6])
     pid = taut.laws.PID(kp=80.0, kd=8.0, ki=300.0)
     task = [
-        taut.Phase(pid, taut.JointMotion(q=here), name="wait", until=lambda x: taut.contact(x, 5.0)),
+        taut.Phase(pid, taut.JointMotion(q=here), name="wait", until=lambda x: taut.guards.contact(x, 5.0)),
         taut.Phase(pid, taut.JointMotion(q=here + 0.3), name="yield_", until=lambda x: x.elapsed > 0.1, then="away"),
         taut.Phase(taut.laws.ComputedTorque(kp=400.0, kd=40.0), taut.JointMotion(q=here - 0.3), name="away", until=lambda x: x.elapsed > 0.1, then="wait"),
     ]  # fmt: skip
     limits = taut.Limits(tau=60.0, tau_dot=400.0, blend=0.03)
-    plant = taut.RigidPlant(arm, environment=taut.Push(peak=[20.0, 0.0, 0.0], duration=0.02))
+    plant = taut.RigidPlant(arm, environment=taut.environments.Push(peak=[20.0, 0.0, 0.0], duration=0.02))
     loop = taut.Loop(taut.compile(task, arm, limits=limits), plant, duration=0.6)
     rng = np.random.default_rng(0)
     jump = rest = 0.0

@@ -15,19 +15,20 @@ from taut.loop import check_fit
 
 ARM = taut.load_arm("planar2")
 LOOSE = taut.laws.PID(kp=1.0, kd=0.01)
-SWAY = taut.Sine(center=[0.2, -0.1], amplitude=[1.0, 2.0], frequency=3.0)
+SWAY = taut.trajectories.Sine(center=[0.2, -0.1], amplitude=[1.0, 2.0], frequency=3.0)
 PD = taut.laws.PID(kp=[40.0, 20.0], kd=[8.0, 4.0])
-POOR = taut.Sensors(
-    position=taut.Encoder(resolution=1e-4, noise=2e-4, offset=0.01), velocity=taut.Tachometer(noise=0.01, offset=0.02)
+POOR = taut.sensors.Sensors(
+    position=taut.sensors.Encoder(resolution=1e-4, noise=2e-4, offset=0.01),
+    velocity=taut.sensors.Tachometer(noise=0.01, offset=0.02),
 )
 SENSINGS: dict[str, taut.Sensing] = {
     "measured": taut.Sensing(),
-    "low-pass": taut.Sensing(velocity=taut.LowPass(cutoff=[30.0, 40.0], order=2)),
+    "low-pass": taut.Sensing(velocity=taut.sensors.LowPass(cutoff=[30.0, 40.0], order=2)),
     "difference": taut.Sensing(velocity="difference"),
-    "difference and low-pass": taut.Sensing(velocity=taut.Difference(cutoff=30.0)),
-    "kalman": taut.Sensing(velocity=taut.Kalman(acceleration_noise=30.0, position_noise=[1e-3, 5e-4])),
+    "difference and low-pass": taut.Sensing(velocity=taut.sensors.Difference(cutoff=30.0)),
+    "kalman": taut.Sensing(velocity=taut.sensors.Kalman(acceleration_noise=30.0, position_noise=[1e-3, 5e-4])),
     "notch": taut.Sensing(
-        velocity=taut.Difference(cutoff=60.0, order=2), notch=taut.Notch(frequency=18.0, width=4.0)
+        velocity=taut.sensors.Difference(cutoff=60.0, order=2), notch=taut.sensors.Notch(frequency=18.0, width=4.0)
     ),
 }
 every = pytest.mark.parametrize("sensing", SENSINGS.values(), ids=SENSINGS)
@@ -148,12 +149,16 @@ def test_what_sensing_does_is_the_same_in_mujoco() -> None:
 class TestARecord:
     def test_has_what_the_law_saw_where_it_is_not_the_truth(self) -> None:
         for sensing, sensors, columns in (
-            (taut.Sensing(), taut.Sensors(), set()),
+            (taut.Sensing(), taut.sensors.Sensors(), set()),
             (taut.Sensing(), POOR, {"sensed.q", "sensed.v"}),
-            (SENSINGS["difference"], taut.Sensors(), {"sensed.v"}),
-            (SENSINGS["notch"], taut.Sensors(), {"sensed.q", "sensed.v"}),
-            (taut.Sensing(), taut.Sensors(torque=taut.TorqueSensor(bias=1.0)), set()),  # which this law does not use
-            (taut.Sensing(), taut.Sensors(position=taut.Encoder(side="motor")), {"sensed.q"}),
+            (SENSINGS["difference"], taut.sensors.Sensors(), {"sensed.v"}),
+            (SENSINGS["notch"], taut.sensors.Sensors(), {"sensed.q", "sensed.v"}),
+            (
+                taut.Sensing(),
+                taut.sensors.Sensors(torque=taut.sensors.TorqueSensor(bias=1.0)),
+                set(),
+            ),  # which this law does not use
+            (taut.Sensing(), taut.sensors.Sensors(position=taut.sensors.Encoder(side="motor")), {"sensed.q"}),
         ):
             ctrl = taut.compile(SeenV(), ARM, sensing=sensing)
             out = taut.run(ctrl, taut.RigidPlant(ARM, sensors=sensors), SWAY, duration=0.02)
@@ -161,7 +166,7 @@ class TestARecord:
             for name in columns:
                 np.testing.assert_array_equal(out.extra[name], seen(out, name.removeprefix("sensed.")))
         ctrl = taut.compile(Seen(), ARM)
-        biased = taut.Sensors(torque=taut.TorqueSensor(bias=1.0, side="motor"))
+        biased = taut.sensors.Sensors(torque=taut.sensors.TorqueSensor(bias=1.0, side="motor"))
         out = taut.run(ctrl, taut.RigidPlant(ARM, sensors=biased), SWAY, duration=0.02)
         np.testing.assert_allclose(out.extra["sensed.tau_meas"][1:], out.tau[:-1] + 1.0)
 
@@ -174,7 +179,9 @@ class TestARecord:
         np.testing.assert_array_equal(out.extra["sensed.v"], seen(out, "v"))
 
     def test_keeps_it_in_every_file(self, tmp_path: Path) -> None:
-        sensors = taut.Sensors(position=taut.Encoder(resolution=1e-3), tip=taut.Accelerometer(range=30.0))
+        sensors = taut.sensors.Sensors(
+            position=taut.sensors.Encoder(resolution=1e-3), tip=taut.sensors.Accelerometer(range=30.0)
+        )
         ctrl = taut.compile(Tip(), ARM)
         out = taut.run(ctrl, taut.RigidPlant(ARM, sensors=sensors), SWAY, duration=0.02)
         again = taut.load_run(out.save(tmp_path / "run.mcap"))
@@ -226,7 +233,7 @@ def test_what_they_cannot_be_is_refused_before_a_run() -> None:
             ),
             lambda p=path, x=value: taut.Loop(ctrl, plant, SWAY, duration=0.02).parameters.__setitem__(p, x),
         ):
-            with pytest.raises(taut.RangeError) as caught:
+            with pytest.raises(taut.errors.RangeError) as caught:
                 run()
             assert str(caught.value) == message
 
@@ -234,44 +241,44 @@ def test_what_they_cannot_be_is_refused_before_a_run() -> None:
 # -------------------------------------------------------------------- a plant that lacks a sensor
 
 
-LACKS: list[tuple[taut.Law, taut.Sensors, str]] = [
-    (PD, taut.Sensors(velocity=None), "PID needs v, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas; sensing=taut.Sensing(velocity='difference') needs positions only"),
-    (Seen(), taut.Sensors(torque=None), "Seen needs tau_meas, which plant 'RigidPlant(planar2)' does not measure; it measures v; give the plant sensors=taut.Sensors(torque=taut.TorqueSensor())"),
-    (Motors(), taut.Sensors(), "Motors needs q_motor, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant sensors=taut.Sensors(motor=taut.Encoder())"),
-    (Motors(), taut.Sensors(motor=taut.Encoder()), "Motors needs v_motor, which plant 'RigidPlant(planar2)' does not measure; it measures q_motor, tau_meas, v; give the plant sensors=taut.Sensors(motor_velocity=taut.Tachometer())"),
-    (Tip(), taut.Sensors(), "Tip needs a_tip, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant sensors=taut.Sensors(tip=taut.Accelerometer())"),
-    (Forces(), taut.Sensors(), "Forces needs F_ext, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant environment= or contact=, or take a taut.MujocoPlant"),
-    (Forces(), taut.Sensors(wrench=None), "Forces needs F_ext, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant sensors=taut.Sensors(wrench=taut.WrenchSensor())"),
+LACKS: list[tuple[taut.Law, taut.sensors.Sensors, str]] = [
+    (PD, taut.sensors.Sensors(velocity=None), "PID needs v, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas; sensing=taut.Sensing(velocity='difference') needs positions only"),
+    (Seen(), taut.sensors.Sensors(torque=None), "Seen needs tau_meas, which plant 'RigidPlant(planar2)' does not measure; it measures v; give the plant sensors=taut.sensors.Sensors(torque=taut.sensors.TorqueSensor())"),
+    (Motors(), taut.sensors.Sensors(), "Motors needs q_motor, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant sensors=taut.sensors.Sensors(motor=taut.sensors.Encoder())"),
+    (Motors(), taut.sensors.Sensors(motor=taut.sensors.Encoder()), "Motors needs v_motor, which plant 'RigidPlant(planar2)' does not measure; it measures q_motor, tau_meas, v; give the plant sensors=taut.sensors.Sensors(motor_velocity=taut.sensors.Tachometer())"),
+    (Tip(), taut.sensors.Sensors(), "Tip needs a_tip, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant sensors=taut.sensors.Sensors(tip=taut.sensors.Accelerometer())"),
+    (Forces(), taut.sensors.Sensors(), "Forces needs F_ext, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant environment= or contact=, or take a taut.MujocoPlant"),
+    (Forces(), taut.sensors.Sensors(wrench=None), "Forces needs F_ext, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant sensors=taut.sensors.Sensors(wrench=taut.sensors.WrenchSensor())"),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("law", "sensors", "message"), LACKS, ids=range(len(LACKS)))
 def test_a_sensor_that_is_missing_is_named_with_what_would_give_it(
-    law: taut.Law, sensors: taut.Sensors, message: str
+    law: taut.Law, sensors: taut.sensors.Sensors, message: str
 ) -> None:
-    with pytest.raises(taut.MatchError) as caught:
+    with pytest.raises(taut.errors.MatchError) as caught:
         check_fit(taut.compile(law, ARM, engine="float").side, taut.RigidPlant(ARM, sensors=sensors))
     assert str(caught.value) == message
 
 
 @every
 def test_an_arm_without_tachometers_runs_where_sensing_makes_velocities(sensing: taut.Sensing) -> None:
-    bare = taut.Sensors(velocity=None, torque=None)
+    bare = taut.sensors.Sensors(velocity=None, torque=None)
     ctrl = taut.compile(PD, ARM, sensing=sensing)
     if sensing.needs_velocity:
-        with pytest.raises(taut.MatchError, match="PID needs v"):
+        with pytest.raises(taut.errors.MatchError, match="PID needs v"):
             taut.run(ctrl, taut.RigidPlant(ARM, sensors=bare), SWAY, duration=0.02)
         return
     whole, without = (
         taut.run(ctrl, taut.RigidPlant(ARM, sensors=sensors), SWAY, duration=0.02)
-        for sensors in (taut.Sensors(), bare)
+        for sensors in (taut.sensors.Sensors(), bare)
     )
     np.testing.assert_array_equal(without.q, whole.q)
 
 
 @engines
 def test_a_law_that_uses_no_velocity_needs_no_tachometer(engine: Any) -> None:
-    bare = taut.RigidPlant(ARM, sensors=taut.Sensors(velocity=None))
+    bare = taut.RigidPlant(ARM, sensors=taut.sensors.Sensors(velocity=None))
     out = taut.run(taut.compile(TorqueOf(), ARM, engine=engine), bare, SWAY, duration=0.02)
     assert out.outcome.ok
 
@@ -305,7 +312,9 @@ class Loses(HandPlant):
         return out
 
 
-ALL = taut.Sensors(motor=taut.Encoder(), motor_velocity=taut.Tachometer(), tip=taut.Accelerometer())
+ALL = taut.sensors.Sensors(
+    motor=taut.sensors.Encoder(), motor_velocity=taut.sensors.Tachometer(), tip=taut.sensors.Accelerometer()
+)
 
 
 @engines
@@ -329,7 +338,7 @@ def test_a_sensor_that_gives_nan_ends_a_fused_run_by_its_name(
 
         law = Whole()
     plant: Any = Fails(name, sensors=ALL, adds=("gravity",), friction=None)
-    sensing = taut.Sensing() if name == "v" else taut.Sensing(velocity=taut.Difference(cutoff=30.0))
+    sensing = taut.Sensing() if name == "v" else taut.Sensing(velocity=taut.sensors.Difference(cutoff=30.0))
     ctrl = taut.compile(law, ARM, sensing=sensing, adds=plant.adds, engine=engine)
     out = taut.run(ctrl, plant, taut.JointMotion(q=[0.0, 0.0]), duration=0.5, q0=[0.0, 0.35], v0=[0.0, 20.0])
     k = len(out)

@@ -99,7 +99,7 @@ def test_samples_one_by_one_are_blended_too() -> None:
     plant = taut.RigidPlant(ARM, adds=("gravity", "coriolis"))
     ctrl = taut.compile(TorqueOf(), ARM, adds=plant.adds)
     out = taut.run(ctrl, plant, taut.stream(period=0.1, source=source, blend=0.1), duration=0.3)
-    quintic = taut.Quintic(q0=[0.0], q1=[1.0], duration=0.1)
+    quintic = taut.trajectories.Quintic(q0=[0.0], q1=[1.0], duration=0.1)
     for k in range(100, 200, 9):
         np.testing.assert_allclose(out.reference.q[k], quintic.at((k - 100) * 1e-3).q[0], atol=1e-12)
         np.testing.assert_allclose(out.reference.v[k], quintic.at((k - 100) * 1e-3).v[0], atol=1e-10)
@@ -107,6 +107,6 @@ def test_samples_one_by_one_are_blended_too() -> None:
 
 def test_a_blend_that_is_none_is_refused() -> None:
     for blend, words in ((0.0, "blend must be > 0 [s]; got 0.0"), (np.nan, "blend must be finite [s]; got nan")):
-        with pytest.raises(taut.RangeError) as caught:
+        with pytest.raises(taut.errors.RangeError) as caught:
             taut.stream(period=0.1, blend=blend)
         assert str(caught.value) == words

@@ -54,14 +54,14 @@ class Pull:
 
 
 def plant_of(kind: str, arm: taut.Arm, scene: str | None = None, **wrench: Any) -> Any:
-    sensors = taut.Sensors(wrench=taut.WrenchSensor(tool=TOOL, bias=BIAS, **wrench))
+    sensors = taut.sensors.Sensors(wrench=taut.sensors.WrenchSensor(tool=TOOL, bias=BIAS, **wrench))
     if kind == "rigid":
         return taut.RigidPlant(arm, sensors=sensors, environment=Pull())
     return taut.MujocoPlant(arm, sensors=sensors, scene=scene)
 
 
 def sensing(**more: Any) -> taut.Sensing:
-    return taut.Sensing(wrist=taut.Wrist(bias=BIAS, mass=TOOL.mass, com=TOOL.com, **more))
+    return taut.Sensing(wrist=taut.sensors.Wrist(bias=BIAS, mass=TOOL.mass, com=TOOL.com, **more))
 
 
 # -------------------------------------------------------------------- what the tool carries
@@ -147,9 +147,9 @@ def test_an_inertia_far_above_the_arms_own_makes_the_tools_inertia_a_loop_as_the
     D: tuple[float, float], holds: bool, kind: str
 ) -> None:
     panda, gripper = taut.load_arm("panda"), taut.Payload(mass=0.73, com=(0.01, 0.0, 0.06))
-    sensors = taut.Sensors(wrench=taut.WrenchSensor(noise=(0.1, 0.005), tool=gripper))
+    sensors = taut.sensors.Sensors(wrench=taut.sensors.WrenchSensor(noise=(0.1, 0.005), tool=gripper))
     plant: Any = (taut.RigidPlant if kind == "rigid" else taut.MujocoPlant)(panda, friction=None, sensors=sensors)
-    known = taut.Sensing(wrist=taut.Wrist(mass=gripper.mass, com=gripper.com))
+    known = taut.Sensing(wrist=taut.sensors.Wrist(mass=gripper.mass, com=gripper.com))
     law = taut.laws.Impedance(K=(400.0, 30.0), zeta=1.0, D=D)
     out = taut.run(taut.compile(law, panda, sensing=known), plant, duration=0.5)
     off = max(np.linalg.norm(taut.snapshot(panda, q).T().p - taut.snapshot(panda, panda.home).T().p) for q in out.q)
@@ -165,7 +165,7 @@ class Faulty:
     """A rigid plant whose wrist sensor fails after some time, as a pure function."""
 
     def __init__(self, fault: str, after: float) -> None:
-        sensors = taut.Sensors(wrench=taut.WrenchSensor(tool=TOOL, bias=BIAS, noise=(0.1, 0.01)))
+        sensors = taut.sensors.Sensors(wrench=taut.sensors.WrenchSensor(tool=TOOL, bias=BIAS, noise=(0.1, 0.01)))
         self._plant = taut.RigidPlant(ARM, sensors=sensors, environment=Pull())
         self._fault, self._after = fault, after
 
@@ -238,9 +238,9 @@ def test_a_sensor_that_fails_in_mid_run_ends_it_in_words_and_nothing_is_lost(
 ) -> None:
     plant: Any = FaultyHand(fault, after=20) if hosted else Faulty(fault, after=0.0205)
     whole: Any = FaultyHand("nan", after=1000) if hosted else Faulty("nan", after=1000.0)
-    filtered = taut.Sensing(wrist=sensing(repeats=10).wrist, F_ext=taut.LowPass(cutoff=30.0))
+    filtered = taut.Sensing(wrist=sensing(repeats=10).wrist, F_ext=taut.sensors.LowPass(cutoff=30.0))
     ctrl = taut.compile(Soft(), ARM, sensing=filtered, adds=plant.adds, engine=engine)
-    hold = taut.Sine(center=[0.2, 0.1, 0.0], amplitude=[0.3, 0.2, 0.1], frequency=2.0)
+    hold = taut.trajectories.Sine(center=[0.2, 0.1, 0.0], amplitude=[0.3, 0.2, 0.1], frequency=2.0)
     out = taut.run(ctrl, plant, hold, duration=0.08, v0=[1.0, 0.5, -0.3], log=tmp_path / "run.mcap")
     k = 21 if fault in ("nan", "inf") else 30  # the first bad reading; or the tenth of them
     words = WORDS[fault].format(k=k)
@@ -271,7 +271,7 @@ def test_a_sensor_that_is_dead_from_the_start_ends_the_run_before_its_first_tick
 @engines
 def test_the_end_of_the_range_is_told_where_the_controller_alone_knows_it(engine: Any) -> None:
     plant = FaultyHand("saturated", after=20)
-    wrist = taut.Wrist(range=(300.0, 20.0))
+    wrist = taut.sensors.Wrist(range=(300.0, 20.0))
     ctrl = taut.compile(Soft(), ARM, sensing=taut.Sensing(wrist=wrist), adds=plant.adds, engine=engine)
     out = taut.run(ctrl, plant, taut.JointMotion(q=[0.0] * 3), duration=0.05)
     told = out.extra["saturated.F_ext"]

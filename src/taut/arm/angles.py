@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from taut.base import math as tm
 from taut.base.errors import RangeError
 from taut.base.types import Array, Float64Array
+from taut.trace import math as tm
 
 if TYPE_CHECKING:
     from taut.arm.description import Arm

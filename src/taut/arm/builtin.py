@@ -13,11 +13,11 @@ from typing import Final
 import numpy as np
 
 from taut.arm.description import Arm, CommandKind
-from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeLink, TreeVisual, assemble
+from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeLink, TreeVisual, assemble
 from taut.base.checks import finite_scalar, positive_scalar, require_at_least
 from taut.base.errors import RangeError
-from taut.base.pose import Pose
 from taut.base.types import Float64Array
+from taut.trace.pose import Pose
 
 __all__ = ["BUILT_IN", "COMMANDS", "one_joint"]
 

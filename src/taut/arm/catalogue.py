@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Final
 
 from taut.arm.description import CommandKind
-from taut.arm.tree import Tree, TreeJoint, TreeLink
-from taut.arm.urdf import read_urdf
+from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink
+from taut.arm.loaders.urdf import read_urdf
 from taut.base.errors import missing_extra
-from taut.base.pose import Pose
+from taut.trace.pose import Pose
 
 __all__ = ["CATALOGUE", "Entry", "entry_tree", "is_installed"]
 

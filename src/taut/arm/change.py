@@ -12,8 +12,8 @@ import numpy as np
 from taut.arm.description import BASE, Arm, Body
 from taut.arm.friction import AT_REST, FRICTION_FIELDS
 from taut.arm.gears import doubt_rotors, reflected_inertia, rotor_doubts
+from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeLink, TreeVisual, assemble, require_within_limits
 from taut.arm.rules import check_inertia, value_problems
-from taut.arm.tree import LinkInertia, Tree, TreeJoint, TreeLink, TreeVisual, assemble, require_within_limits
 from taut.base.checks import entry_names, finite_array, finite_scalar, require_at_least, require_positive, vector
 from taut.base.errors import ModelError, Problem, RangeError, ShapeError, UsageError, quoted_list, unknown_name
 from taut.base.types import ArrayLike, Float64Array

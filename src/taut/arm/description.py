@@ -31,11 +31,11 @@ from taut.arm.parts import (
 )
 from taut.base.checks import finite_array, one_of, read_only, vector
 from taut.base.errors import UsageError, count_of, unknown_name
-from taut.base.pose import Pose
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
+from taut.trace.pose import Pose
 
 if TYPE_CHECKING:
-    from taut.arm.pinocchio import PinocchioModel
+    from taut.arm.loaders.pinocchio import PinocchioModel
     from taut.arm.servo import Servo
 
 __all__ = [
@@ -413,7 +413,7 @@ class Arm:
         References:
             Lynch and Park, Modern Robotics (2017), sections 3.3.2, 8.2 and 8.3.
         """
-        from taut.arm.screws import arm_from_screws
+        from taut.arm.loaders.screws import arm_from_screws
 
         return arm_from_screws(Mlist, Glist, Slist, gravity, name)
 
@@ -424,7 +424,7 @@ class Arm:
         Raises:
             ModelError: A joint that an Arm cannot have (floating, planar, ball, helical), bad inertias.
         """
-        from taut.arm.pinocchio import arm_from_pinocchio
+        from taut.arm.loaders.pinocchio import arm_from_pinocchio
 
         return arm_from_pinocchio(model, tool, gravity)
 

@@ -12,14 +12,14 @@ from taut.arm.builtin import BUILT_IN, COMMANDS
 from taut.arm.catalogue import CATALOGUE, entry_tree
 from taut.arm.description import Arm, CommandKind
 from taut.arm.descriptions import PATTERN, described
-from taut.arm.pinocchio import PinocchioModel, pinocchio_tree
-from taut.arm.tree import Tree, assemble, rest_position
-from taut.arm.urdf import urdf_tree
-from taut.arm.xml import read_xml
+from taut.arm.loaders.pinocchio import PinocchioModel, pinocchio_tree
+from taut.arm.loaders.tree import Tree, assemble, rest_position
+from taut.arm.loaders.urdf import urdf_tree
+from taut.arm.loaders.xml import read_xml
 from taut.base.checks import readable_file
 from taut.base.errors import FileError, ModelError, Problem, UsageError, unknown_name
-from taut.base.pose import Pose
 from taut.base.types import ArrayLike
+from taut.trace.pose import Pose
 
 __all__ = ["OpenedModel", "arm_of", "load_arm", "open_model"]
 
@@ -210,7 +210,7 @@ def _read(path: Path, packages: Mapping[str, Path]) -> Tree:
     if root.tag == "robot":
         return urdf_tree(root, file, packages)
     if root.tag == "mujoco":
-        from taut.arm.mjcf import mjcf_tree  # with what it needs, for those who have such a file
+        from taut.arm.loaders.mjcf import mjcf_tree  # with what it needs, for those who have such a file
 
         return mjcf_tree(root, file)
     way_out = "; convert it to URDF" if root.tag == "sdf" else ""

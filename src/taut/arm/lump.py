@@ -11,11 +11,11 @@ from taut.arm.description import BASE, Body, Frame, Joint, JointKind, Visual
 from taut.arm.friction import FRICTION_FIELDS
 from taut.arm.rules import check_inertia, wrong_mass
 from taut.base.errors import Problem, quoted_list
-from taut.base.pose import Pose, axis_angle
 from taut.base.types import Float64Array
+from taut.trace.pose import Pose, axis_angle
 
 if TYPE_CHECKING:
-    from taut.arm.tree import Tree, TreeJoint, TreeLink
+    from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink
 
 __all__ = ["Lumps"]
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from taut.base.checks import finite_array, finite_scalar, read_only, require_at_least, symmetric_psd, vector
 from taut.base.errors import RangeError
-from taut.base.inertia import inertia_entries, inertia_matrix
-from taut.base.pose import Pose
 from taut.base.types import Float64Array
+from taut.trace.inertia import inertia_entries, inertia_matrix
+from taut.trace.pose import Pose
 
 __all__ = [
     "BASE",

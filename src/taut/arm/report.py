@@ -14,8 +14,8 @@ from taut.arm.description import BASE, Arm, CommandKind, Joint
 from taut.arm.doubts import model_doubts
 from taut.arm.friction import FRICTION_FIELDS
 from taut.arm.load import OpenedModel, arm_of, open_model
+from taut.arm.loaders.tree import TreeJoint
 from taut.arm.reach import reach
-from taut.arm.tree import TreeJoint
 from taut.base.errors import ModelError, Problem, TautError, UsageError, count_of, quoted_list
 from taut.base.types import Float64Array
 

@@ -17,7 +17,7 @@ from taut.base.types import Float64Array
 
 if TYPE_CHECKING:
     from taut.arm.description import Joint
-    from taut.arm.tree import Tree, TreeJoint, TreeLink
+    from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink
 
 __all__ = ["check_inertia", "joint_problems", "mass_problems", "structure_problems", "value_problems", "wrong_mass"]
 

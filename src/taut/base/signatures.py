@@ -1,6 +1,6 @@
 """Arguments of public names: one that does not exist, or is missing, gets a sentence with the nearest that do.
 
-`taut.__getattr__` applies it to what it gives out. A call that succeeds costs one more Python frame; the signature is
+A front door applies it to what it gives out. A call that succeeds costs one more Python frame; the signature is
 read only where Python itself refuses the arguments of that very call.
 """
 
@@ -22,23 +22,25 @@ _NAMED = inspect.Parameter.VAR_KEYWORD
 _LISTED = inspect.Parameter.VAR_POSITIONAL
 
 
-def checked_arguments(thing: Any, name: str) -> Any:
+def checked_arguments(thing: Any, module: str, name: str) -> Any:
     """A public function that refuses arguments in words; a class, whose constructors and methods then do.
 
     Args:
-        thing: What `taut.NAME` gives; a class stays the object it is, a module of functions too.
+        thing: The value of the public name; a class stays the object it is, a module of functions too.
+        module: The front door that has the name, where pickle finds a function again.
         name: Its public name.
     """
     if isinstance(thing, FunctionType):
         function = _checked(thing)
-        function.__module__, function.__qualname__ = "taut", name  # where pickle finds it again
+        function.__module__, function.__qualname__ = module, name
         return function
     if isinstance(thing, ModuleType):
         for word in thing.__all__:
-            if isinstance(vars(thing)[word], FunctionType):
-                setattr(thing, word, _checked(vars(thing)[word]))
-            elif isinstance(vars(thing)[word], type):
-                checked_arguments(vars(thing)[word], word)
+            member = vars(thing).get(word)
+            if isinstance(member, FunctionType):
+                setattr(thing, word, _checked(member))
+            elif isinstance(member, type):
+                checked_arguments(member, module, word)
     if isinstance(thing, type) and not issubclass(thing, (Exception, enum.Enum)):
         for cls in thing.__mro__:
             if cls.__module__.startswith("taut.") and not vars(cls).get("_is_protocol"):

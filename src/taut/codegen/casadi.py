@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from taut.base.array import has_symbols, traced_array
 from taut.base.errors import TraceError, UsageError, missing_extra
-from taut.base.graph import Op
 from taut.base.types import Array
 from taut.codegen.program import Program
+from taut.trace.array import has_symbols, traced_array
+from taut.trace.graph import Op
 
 __all__ = ["from_casadi", "to_casadi"]
 
@@ -161,7 +161,7 @@ def _name(ca: Any, op: int) -> str:
 
 
 def _from_operations(ca: Any) -> dict[int, Callable[..., Any]]:
-    from taut.base import math as tm
+    from taut.trace import math as tm
 
     def truth(condition: Any) -> Any:
         return tm.where(condition, 1.0, 0.0)  # a CasADi condition is a number

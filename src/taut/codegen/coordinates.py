@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from taut.base import math as tm
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
 from taut.maths.spatial import rotation_exp
+from taut.trace import math as tm
 
 __all__ = ["BlockCoordinates", "small_turns"]
 

@@ -9,8 +9,8 @@ from collections import Counter
 from collections.abc import Callable, Sequence, Set
 from typing import Final
 
-from taut.base.graph import BOOLEAN_OPS, LARGEST, NONE, Op
 from taut.codegen.program import Program
+from taut.trace.graph import BOOLEAN_OPS, LARGEST, NONE, Op
 
 __all__ = ["LIBM", "declarations", "kernel"]
 

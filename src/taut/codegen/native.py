@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from taut import __version__
-from taut.base import graph
 from taut.base.errors import TautError, warn
 from taut.codegen import cache
 from taut.codegen.llvm import LIBM
+from taut.trace import graph
 
 __all__ = ["LEVEL", "QUICK", "NativeModule", "available", "compiled", "level_for", "warn_of_plain_python"]
 

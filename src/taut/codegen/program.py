@@ -11,11 +11,11 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from taut.base.array import traced_array
 from taut.base.errors import TautError, TraceError, raised_location
-from taut.base.graph import NONE, Graph, Op
-from taut.base.scalar import Condition, Scalar, to_node, tracing
 from taut.codegen.layout import Block
+from taut.trace.array import traced_array
+from taut.trace.graph import NONE, Graph, Op
+from taut.trace.scalar import Condition, Scalar, to_node, tracing
 
 __all__ = ["Function", "Program", "Values", "failure", "trace"]
 

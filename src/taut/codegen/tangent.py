@@ -12,16 +12,16 @@ from typing import Any, Final
 
 import numpy as np
 
-from taut.base.array import traced_array
-from taut.base.derivative import tangents
-from taut.base.graph import Op
-from taut.base.scalar import Condition, active_graph, to_node, to_symbol
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
 from taut.codegen.native import QUICK, available, compiled
 from taut.codegen.period import Period, write_period
 from taut.codegen.program import Function, Program, Values
 from taut.codegen.text import Writer
+from taut.trace.array import traced_array
+from taut.trace.derivative import tangents
+from taut.trace.graph import Op
+from taut.trace.scalar import Condition, active_graph, to_node, to_symbol
 
 __all__ = ["TANGENT", "StepTangent", "tangent_block", "with_tangent"]
 

@@ -8,7 +8,7 @@ from typing import Any
 from taut.base.errors import MatchError, UsageError
 from taut.control.command import Command
 from taut.control.law import Law, MemoryView, call
-from taut.control.reference import Sample
+from taut.control.trajectories.reference import Sample
 from taut.maths.snapshot import Snapshot
 
 __all__ = ["Sum", "added"]
@@ -93,7 +93,7 @@ def added(first: Law, second: Law) -> Sum:
         raise UsageError(
             f"{type(first).__name__} follows {first.reference.__name__} and {type(second).__name__} "
             f"{second.reference.__name__}; only laws that follow the same kind of reference add; "
-            f"taut.via_joint_space(law) makes one of joint motion follow a TaskMotion"
+            f"taut.laws.via_joint_space(law) makes one of joint motion follow a TaskMotion"
         )
     parts: dict[str, Law] = {}
     for law in (first, second):

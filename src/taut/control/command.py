@@ -7,9 +7,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from taut.base.array import has_symbols
 from taut.base.errors import UsageError, user_location
 from taut.base.types import Array
+from taut.trace.array import has_symbols
 
 __all__ = ["Command", "Position", "Terms", "Torque", "Velocity"]
 

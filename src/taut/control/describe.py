@@ -77,7 +77,7 @@ def gain_units(law: Law) -> dict[str, str]:
 
 def title(law: Law) -> str:
     """A law's name; of a sum, the names of its parts, and of a task those of its phases."""
-    from taut.control.phases import Phases
+    from taut.control.tasks.phases import Phases
 
     if isinstance(law, Phases):
         return f"the task of {', '.join(law.phases)}"

@@ -7,11 +7,11 @@ from typing import Any, ClassVar, Self, overload
 
 import numpy as np
 
-from taut.base.array import Traced, traced_array
 from taut.base.checks import finite_array, require_at_least, require_at_most, symmetric_psd
 from taut.base.errors import ShapeError, UsageError, user_location
-from taut.base.scalar import Symbol
 from taut.base.types import Array, ArrayLike, Float64Array
+from taut.trace.array import Traced, traced_array
+from taut.trace.scalar import Symbol
 
 __all__ = ["Gain", "GainValue", "Memory"]
 

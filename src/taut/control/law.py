@@ -17,13 +17,13 @@ from typing import Any, ClassVar, Final, NoReturn, dataclass_transform
 
 import numpy as np
 
-from taut.base.array import has_symbols, traced_array
 from taut.base.errors import ShapeError, TraceError, UsageError, count_of, unknown_name, user_location
 from taut.base.types import Float64Array
 from taut.control.command import Command
 from taut.control.gains import Gain, GainValue, Memory
-from taut.control.reference import JointMotion, Reference, Sample
+from taut.control.trajectories.reference import JointMotion, Reference, Sample
 from taut.maths.snapshot import Snapshot
+from taut.trace.array import has_symbols, traced_array
 
 __all__ = ["Law", "LawMemory", "call", "field_units", "initial_memory"]
 

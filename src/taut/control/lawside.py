@@ -13,10 +13,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from taut.arm.description import Arm, Payload
-from taut.base import math as tm
 from taut.base.checks import finite_array, finite_scalar, require_at_least, vector
 from taut.base.errors import MatchError, NumericalError, RangeError, ShapeError, UsageError, unknown_name
-from taut.base.graph import LARGEST
 from taut.base.paths import flatten, subtree, unflatten
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
 from taut.control.command import Command, Terms, Torque, Velocity
@@ -24,13 +22,15 @@ from taut.control.describe import all_laws
 from taut.control.law import Law, as_array, call, initial_memory
 from taut.control.limiting import anew, fresh_blend, limited, term_names
 from taut.control.limits import Limits
-from taut.control.phases import Phases
-from taut.control.reference import Reference, Sample
-from taut.control.sensing import Sensing
+from taut.control.sensing.sensing import Sensing
+from taut.control.tasks.phases import Phases
+from taut.control.trajectories.reference import Reference, Sample
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
 from taut.maths.model import Model, PayloadValues, model_of
 from taut.maths.snapshot import AT_TOOL, MEASUREMENTS, Snapshot, measurement_shapes
+from taut.trace import math as tm
+from taut.trace.graph import LARGEST
 
 __all__ = ["HELD", "TOLD", "LawSide", "Probe", "Tick", "WildTerm", "wild_term"]
 

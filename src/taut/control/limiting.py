@@ -7,9 +7,9 @@ from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from taut.base import math as tm
 from taut.base.types import Array, Float64Array, Vector
 from taut.maths.snapshot import Snapshot
+from taut.trace import math as tm
 
 __all__ = ["LIMIT_TERMS", "Limited", "anew", "fresh_blend", "limited", "room", "take_up", "term_names"]
 

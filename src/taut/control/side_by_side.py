@@ -7,14 +7,14 @@ from functools import cache
 from typing import Any, ClassVar, Final, Self
 
 from taut.arm.description import Arm
-from taut.base import math as tm
 from taut.base.errors import MatchError, UsageError, unknown_name
 from taut.base.types import Array, Float64Array
 from taut.control.command import Command, Terms
 from taut.control.law import Law, MemoryView, call
-from taut.control.reference import Hold, JointMotion, Sample, Trajectory
+from taut.control.trajectories.reference import Hold, JointMotion, Sample, Trajectory
 from taut.maths.model import model_of
 from taut.maths.snapshot import Snapshot
+from taut.trace import math as tm
 
 __all__ = ["SideBySide", "together"]
 

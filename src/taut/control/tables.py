@@ -72,7 +72,7 @@ def read_rows(
     if file.stat().st_size > MAX_BYTES:
         raise FileError(
             f"CSV file '{file}' is larger than {MAX_BYTES // 2**20} MB, the most that is read; give longer tables as "
-            "arrays: taut.Samples(...)",
+            "arrays: taut.trajectories.Samples(...)",
             name=str(file),
         )
     with file.open(encoding="utf-8-sig", errors="replace") as lines:

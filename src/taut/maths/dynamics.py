@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 
 from taut.arm.description import BASE
-from taut.base import math as tm
-from taut.base.math import cross
-from taut.base.pose import Pose
 from taut.base.types import Array, Matrix, Vector, Vector3
 from taut.maths.model import JointConstants, Model, PayloadValues, RigidBody
+from taut.trace import math as tm
+from taut.trace.math import cross
+from taut.trace.pose import Pose
 
 __all__ = [
     "bias",

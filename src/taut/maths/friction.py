@@ -8,9 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from taut.base import math as tm
-from taut.base.linalg import LTDL
 from taut.base.types import Vector
+from taut.trace import math as tm
+from taut.trace.linalg import LTDL
 
 __all__ = ["SWEEPS", "DryFriction", "dry_friction"]
 

@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 
 from taut.arm.friction import AT_REST, FRICTION_FIELDS, Friction
-from taut.base import math as tm
 from taut.base.types import ArrayLike, Vector
+from taut.trace import math as tm
 
 __all__ = ["FrictionValues", "dry_limit", "friction_torque", "stribeck_share"]
 

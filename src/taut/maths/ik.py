@@ -21,13 +21,13 @@ import numpy as np
 
 from taut.arm.description import BASE, Arm
 from taut.arm.reach import reach
-from taut.base import math as tm
-from taut.base.linalg import LTDL
-from taut.base.pose import Pose
 from taut.base.types import Array, Float64Array, Matrix, Vector
 from taut.maths import dynamics as dyn
 from taut.maths.model import Model, model_of
 from taut.maths.spatial import rotation_log
+from taut.trace import math as tm
+from taut.trace.linalg import LTDL
+from taut.trace.pose import Pose
 
 __all__ = [
     "DIRECTIONS",

@@ -6,12 +6,12 @@ from typing import Final
 
 import numpy as np
 
-from taut.base import math as tm
-from taut.base.pose import Pose
 from taut.base.types import Array, Float64Array
 from taut.maths import dynamics as dyn
 from taut.maths.ik import TINY, Resolved, Task, held_joints, shortened
 from taut.maths.model import Model
+from taut.trace import math as tm
+from taut.trace.pose import Pose
 
 __all__ = ["posture_step", "search_step"]
 

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from taut.arm.description import BASE, Arm
-from taut.base import math as tm
-from taut.base.inertia import inertia_matrix
-from taut.base.pose import snapped
 from taut.base.types import Array, Float64Array, Matrix, Vector3
+from taut.trace import math as tm
+from taut.trace.inertia import inertia_matrix
+from taut.trace.pose import snapped
 
 __all__ = ["Model", "PayloadValues", "RigidBody", "model_of"]
 

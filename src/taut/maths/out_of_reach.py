@@ -12,10 +12,10 @@ from typing import Any, Final, Literal, Self
 import numpy as np
 
 from taut.arm.reach import reach
-from taut.base import math as tm
 from taut.base.types import Array, Float64Array, Vector3
 from taut.maths.chain import Chain
 from taut.maths.model import Model
+from taut.trace import math as tm
 
 __all__ = ["Asked", "Beyond", "Sphere", "distance_beyond", "spheres"]
 

@@ -15,11 +15,11 @@ import numpy as np
 
 from taut.arm.description import Arm
 from taut.arm.reach import reach
-from taut.base import math as tm
-from taut.base.linalg import factor_spd
 from taut.base.types import Float64Array, Matrix, Vector
 from taut.maths.snapshot import Snapshot
 from taut.maths.task_inertia import least_direction
+from taut.trace import math as tm
+from taut.trace.linalg import factor_spd
 
 __all__ = ["TOP_SPEED", "ResolvedMotion", "Sizes", "resolve", "sizes_of"]
 

@@ -9,15 +9,15 @@ from typing import Any, Final, TypeVar
 import numpy as np
 
 from taut.arm.description import Arm, Friction, Payload
-from taut.base import math as tm
 from taut.base.checks import one_of, vector
 from taut.base.errors import MatchError, UsageError, unknown_name
-from taut.base.linalg import LTDL
-from taut.base.pose import Pose
 from taut.base.types import Array, ArrayLike, Matrix, Rotation, Twist, Vector, Wrench
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
 from taut.maths.model import Model, PayloadValues, model_of
+from taut.trace import math as tm
+from taut.trace.linalg import LTDL
+from taut.trace.pose import Pose
 
 __all__ = ["MEASUREMENTS", "PhaseView", "Snapshot", "measurement_shapes", "snapshot"]
 

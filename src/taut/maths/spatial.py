@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from taut.base import math as tm
-from taut.base.pose import Pose
 from taut.base.types import Matrix, Rotation, Twist, Vector3
+from taut.trace import math as tm
+from taut.trace.pose import Pose
 
 __all__ = [
     "adjoint",

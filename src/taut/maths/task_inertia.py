@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from taut.base import math as tm
-from taut.base.linalg import LTDL, factor_spd
 from taut.base.types import Matrix, Vector
+from taut.trace import math as tm
+from taut.trace.linalg import LTDL, factor_spd
 
 __all__ = ["TaskInertia", "least_direction"]
 

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base import math as tm
 from taut.base.errors import UsageError
-from taut.base.math import cross
-from taut.base.pose import snapped
 from taut.base.types import Array, Float64Array, Matrix, Vector3, Wrench
 from taut.maths import dynamics as dyn
 from taut.maths.model import Model, RigidBody
+from taut.trace import math as tm
+from taut.trace.math import cross
+from taut.trace.pose import snapped
 
 __all__ = ["SensorPlace", "load_wrench", "sensor_place"]
 

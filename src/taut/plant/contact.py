@@ -14,10 +14,10 @@ from taut.arm.description import Arm
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.quantity import Quantity, keep_quantities
 from taut.base.types import ArrayLike, Float64Array, Vector
-from taut.control.constraint_checks import check_constraint
-from taut.maths.constraint import Constraint
-from taut.maths.constraint_rows import Piece
-from taut.maths.contact import Touch
+from taut.control.laws.constraint_checks import check_constraint
+from taut.maths.constraints.constraint import Constraint
+from taut.maths.constraints.impulses import Touch
+from taut.maths.constraints.rows import Piece
 from taut.maths.model import model_of
 from taut.maths.snapshot import Snapshot
 
@@ -345,7 +345,7 @@ def _check_row(which: str, phi: float, speed: float, *, one_sided: bool) -> None
         rule = "phi >= 0" if one_sided else "phi = 0"
         raise RangeError(
             f"a run must start where contact= lets the arm be, and {which} has phi = {phi:.4g} there, not {rule}; "
-            "start from q0=taut.onto(constraint, arm, q), the nearest state that keeps to it",
+            "start from q0=taut.dynamics.onto(constraint, arm, q), the nearest state that keeps to it",
             name="q0",
             value=phi,
             rule=rule,

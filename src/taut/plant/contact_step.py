@@ -8,13 +8,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from taut.base import math as tm
-from taut.base.linalg import LTDL
 from taut.base.types import Array, Matrix, Vector
-from taut.maths.contact import Touch, both, choose, contact_impulses, held_impulses, opposite
+from taut.maths.constraints.impulses import Touch, both, choose, contact_impulses, held_impulses, opposite
 from taut.maths.model import Model
 from taut.maths.snapshot import Snapshot
 from taut.plant.contact import CLOSED, Contacts
+from taut.trace import math as tm
+from taut.trace.linalg import LTDL
 
 __all__ = ["TOLD", "ContactStep", "contact_start", "contact_step"]
 

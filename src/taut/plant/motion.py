@@ -10,7 +10,6 @@ from typing import Any, Final
 import numpy as np
 
 from taut.arm.description import Arm, CommandKind
-from taut.base import math as tm
 from taut.base.paths import subtree
 from taut.base.types import Array, Vector
 from taut.maths import dynamics as dyn
@@ -19,15 +18,16 @@ from taut.maths.compensation import compensation
 from taut.maths.friction import dry_friction
 from taut.maths.friction_law import friction_torque
 from taut.maths.model import Model, PayloadValues, model_of
-from taut.plant import drive
-from taut.plant.actuation import Actuation
 from taut.plant.contact import Contacts
 from taut.plant.contact_step import ContactStep, contact_step
 from taut.plant.disturbance import WRENCH, joint_forces
-from taut.plant.drivetrain import Drivetrain, FrictionLimits
-from taut.plant.environment import Environment, touch
-from taut.plant.stiff_drive import aim
+from taut.plant.drives import drive
+from taut.plant.drives.actuation import Actuation
+from taut.plant.drives.drivetrain import Drivetrain, FrictionLimits
+from taut.plant.drives.stiff_drive import aim
+from taut.plant.environments.environment import Environment, touch
 from taut.plant.work import work_of_step
+from taut.trace import math as tm
 
 __all__ = ["WORK_OF_IT", "Motion", "payload_of"]
 

@@ -15,12 +15,12 @@ from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.paths import flatten
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.lawside import checked_payload_entry
-from taut.plant.actuation import Actuation
 from taut.plant.contact import Contacts
-from taut.plant.drivetrain import Drivetrain
-from taut.plant.environment import Environment, checked_change
-from taut.plant.sensors import Sensors
-from taut.plant.transmission import require_rotors
+from taut.plant.drives.actuation import Actuation
+from taut.plant.drives.drivetrain import Drivetrain
+from taut.plant.drives.transmission import require_rotors
+from taut.plant.environments.environment import Environment, checked_change
+from taut.plant.sensors.sensors import Sensors
 
 __all__ = ["PlantNumbers", "require_torque_sensor"]
 
@@ -134,6 +134,6 @@ def require_torque_sensor(actuation: Actuation, sensors: Sensors) -> None:
     got = "None" if sensors.torque is None else "one at the motor"
     raise UsageError(
         "actuation.torque_loop reads the torque sensor at the link, behind gear and friction; sensors.torque is "
-        f"{got}; give sensors=taut.Sensors(torque=taut.TorqueSensor()), or leave the loop out",
+        f"{got}; give sensors=taut.sensors.Sensors(torque=taut.sensors.TorqueSensor()), or leave the loop out",
         name="torque_loop",
     )

@@ -14,30 +14,30 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from taut.arm.description import COMMANDS, Arm, CommandKind, Payload
-from taut.base import math as tm
 from taut.base.checks import one_of
 from taut.base.errors import RangeError, UsageError, unknown_name
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
-from taut.maths.constraint import Constraint
+from taut.maths.constraints.constraint import Constraint
 from taut.maths.friction import SWEEPS
 from taut.maths.model import Model, model_of
 from taut.maths.snapshot import Snapshot
-from taut.plant import drive
-from taut.plant.actuation import Actuation, delayed
 from taut.plant.contact import Contacts, RigidContact, each_contact
 from taut.plant.contact_step import TOLD, contact_start
-from taut.plant.drivetrain import Drivetrain
-from taut.plant.environment import Environment, require_environment, started
+from taut.plant.drives import drive
+from taut.plant.drives.actuation import Actuation, delayed
+from taut.plant.drives.drivetrain import Drivetrain
+from taut.plant.drives.stiff_drive import require_drives
+from taut.plant.drives.transmission import require_rotors
+from taut.plant.environments.environment import Environment, require_environment, started
 from taut.plant.motion import WORK_OF_IT, Motion, payload_of
 from taut.plant.numbers import PlantNumbers, require_torque_sensor
-from taut.plant.sensors import Sensors
+from taut.plant.sensors.sensors import Sensors
 from taut.plant.step_length import require_short_contact, require_short_steps
-from taut.plant.stiff_drive import require_drives
-from taut.plant.transmission import require_rotors
 from taut.plant.work import work_parts
+from taut.trace import math as tm
 
 __all__ = ["RigidPlant"]
 
@@ -57,7 +57,8 @@ class RigidPlant:
         semi-implicit Euler: v+ = v + dt a with b v taken at v+, q+ = q + dt v+; dry friction really sticks, and
         depends on speed and load as they are when a step begins.
         rk4: fourth order in smooth motion; dry friction and elastic transmissions are refused.
-        A joint with an elastic transmission or backlash has a motor that moves by itself: see taut.Transmission.
+        A joint with an elastic transmission or backlash has a motor that moves by itself: see
+        taut.drives.Transmission.
 
     Frames:
         F_ext is the wrench of the environment on the arm, force first, in world axes at the tool's origin. Like the
@@ -73,8 +74,10 @@ class RigidPlant:
             `actuation=Actuation(bandwidth=...)`.
         actuation: The drives: delay, amplifier, motor, gear; ideal if left out.
         sensors: What is measured, and how well; ideal sensors if left out.
-        environment: What touches the tool, if anything: a taut.Spring, a taut.StiffWall, ..., or a class of your own,
-            see `taut.Environment`. Then the wrench is measured too, and the run's column work.environment [J] is what
+        environment: What touches the tool, if anything: a taut.environments.Spring, a taut.environments.StiffWall,
+        ..., or a class of your own,
+            see `taut.environments.Environment`. Then the wrench is measured too, and the run's column
+            work.environment [J] is what
             it did on the arm until the tick. Stiff drives do not give way to it, and give the torque that it takes.
         contact: What holds the arm rigidly, or stops it: a taut.RigidContact, a bare taut.Constraint, or several in a
             tuple. See `taut.RigidContact` for the physics and the columns.
@@ -149,7 +152,7 @@ class RigidPlant:
         if self.takes != "torque":
             raise UsageError(
                 f"contact is for torque commands, for stiff drives do not give way to it; this plant takes "
-                f"{self.takes}; give environment=taut.StiffWall(...), or takes='torque'",
+                f"{self.takes}; give environment=taut.environments.StiffWall(...), or takes='torque'",
                 name="contact",
             )
         if self.integrator == "rk4":

@@ -13,9 +13,9 @@ from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.maths.dynamics import jacobian, mass_matrix
 from taut.maths.model import PayloadValues, model_of
-from taut.plant.actuation import Actuation
-from taut.plant.drivetrain import Drivetrain
-from taut.plant.environment import Environment, ReadyEnvironment
+from taut.plant.drives.actuation import Actuation
+from taut.plant.drives.drivetrain import Drivetrain
+from taut.plant.environments.environment import Environment, ReadyEnvironment
 
 __all__ = ["require_short_contact", "require_short_steps"]
 

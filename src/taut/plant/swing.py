@@ -11,12 +11,12 @@ from taut.base.errors import RangeError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.control.describe import all_laws
-from taut.control.force import ForceControl
-from taut.control.hybrid import HybridMotionForce
+from taut.control.laws.force import ForceControl
+from taut.control.laws.hybrid import HybridMotionForce
 from taut.control.lawside import LawSide
 from taut.maths.snapshot import Snapshot, snapshot
-from taut.plant.actuation import Actuation
 from taut.plant.contact import Contacts
+from taut.plant.drives.actuation import Actuation
 
 __all__ = ["check_swing"]
 

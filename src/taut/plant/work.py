@@ -12,11 +12,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-from taut.base import math as tm
 from taut.base.paths import subtree
 from taut.base.types import Vector
-from taut.plant.drivetrain import Drivetrain, FrictionLimits
-from taut.plant.motor import ElectricMotor
+from taut.plant.drives.drivetrain import Drivetrain, FrictionLimits
+from taut.plant.drives.motor import ElectricMotor
+from taut.trace import math as tm
 
 __all__ = ["WORK", "work_of_step", "work_parts"]
 

@@ -13,9 +13,20 @@ from taut.base.types import Float64Array
 from taut.record.felt import deviation_promised
 from taut.record.force import force_error
 from taut.record.metrics import MEASURES
+from taut.record.plots.style import (
+    DASHED,
+    INK,
+    SMALL,
+    WIDTH,
+    colour,
+    legend_above,
+    line,
+    prepared,
+    short_name,
+    wrapped,
+)
+from taut.record.plots.task_plot import is_task_run
 from taut.record.run import Run
-from taut.record.style import DASHED, INK, SMALL, WIDTH, colour, legend_above, line, prepared, short_name, wrapped
-from taut.record.task_plot import is_task_run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,9 +12,9 @@ import numpy as np
 
 from taut.base.errors import UsageError
 from taut.base.words import printable
+from taut.record.log.topics import PLACE, Description
 from taut.record.outcome import Kind, Outcome
 from taut.record.run import Run
-from taut.record.topics import PLACE, Description
 
 __all__ = ["described", "description_from", "outcome_from", "sealed", "unsealed"]
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from taut.base.types import Float64Array
-from taut.control.felt import FeltImpedance
-from taut.control.task_reference import TaskMotion
+from taut.control.laws.apparent import FeltImpedance
+from taut.control.trajectories.task_reference import TaskMotion
 
 if TYPE_CHECKING:
     from taut.record.run import Run

@@ -11,9 +11,9 @@ import numpy as np
 
 from taut.base.errors import RangeError, UsageError, unknown_name
 from taut.base.types import Float64Array
-from taut.control.phase import STOP
-from taut.control.phase_sample import PhaseSample
-from taut.control.phases import ENDED, NO_CONTACT
+from taut.control.tasks.phase import STOP
+from taut.control.tasks.phase_sample import PhaseSample
+from taut.control.tasks.phases import ENDED, NO_CONTACT
 from taut.record.felt import FELT
 from taut.record.outcome import Outcome
 

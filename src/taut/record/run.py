@@ -18,7 +18,7 @@ from taut.base.checks import finite_scalar
 from taut.base.errors import RangeError, UsageError, count_of
 from taut.base.named import Named
 from taut.base.types import Float64Array
-from taut.control.reference import Sample
+from taut.control.trajectories.reference import Sample
 from taut.record.outcome import Outcome
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ class Run:
         Raises:
             UsageError: The run was not made by `taut.run`, or its log holds none.
         """
-        from taut.record.arm_numbers import DYNAMICS, arm_from_json
+        from taut.record.report.arm_numbers import DYNAMICS, arm_from_json
 
         known = self.info.get(DYNAMICS, {})
         both = [arm_from_json(known[name]) for name in ("controller", "plant") if name in known]
@@ -218,7 +218,7 @@ class Run:
         Raises:
             UnknownNameError: The run has no such joint.
         """
-        from taut.record.plot import plot
+        from taut.record.plots.plot import plot
 
         return plot(self, joints=joints)
 
@@ -252,7 +252,7 @@ class Run:
             FileError: Another suffix, no such folder, no ffmpeg.
             UsageError: The run does not know its arm.
         """
-        from taut.record.video import film
+        from taut.record.film.video import film
 
         return film(self, path, fps=fps, size=size, speed=speed, arm=arm, progress=progress)
 
@@ -260,7 +260,7 @@ class Run:
 
     def arrays(self) -> dict[str, Float64Array]:
         """Everything by name: t, q, v, tau, command, terms.P, reference.q, F_ext, ...; one row per tick."""
-        from taut.record.export import arrays
+        from taut.record.log.export import arrays
 
         return arrays(self)
 
@@ -270,7 +270,7 @@ class Run:
         Raises:
             MissingExtraError: pandas is not installed.
         """
-        from taut.record.export import to_pandas
+        from taut.record.log.export import to_pandas
 
         return to_pandas(self)
 
@@ -281,19 +281,19 @@ class Run:
             path: Where to.
             progress: Show progress; by default on a terminal when it takes a while.
         """
-        from taut.record.export import to_csv
+        from taut.record.log.export import to_csv
 
         return to_csv(self, path, progress=progress)
 
     def to_mat(self, path: str | os.PathLike[str]) -> Path:
         """Write a MATLAB file (.mat) with the struct `run`: t, q, ..., terms.P, reference.q, joint_names, units."""
-        from taut.record.export import to_mat
+        from taut.record.log.export import to_mat
 
         return to_mat(self, path)
 
     def to_npz(self, path: str | os.PathLike[str]) -> Path:
         """Write a NumPy archive (.npz) with the arrays of `arrays()`, joint_names and units."""
-        from taut.record.export import to_npz
+        from taut.record.log.export import to_npz
 
         return to_npz(self, path)
 
@@ -304,7 +304,7 @@ class Run:
             path: Where to.
             progress: Show progress; by default on a terminal when it takes a while.
         """
-        from taut.record.log import save
+        from taut.record.log.writing import save
 
         return save(self, path, progress=progress)
 

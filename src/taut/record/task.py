@@ -10,7 +10,7 @@ import numpy as np
 
 from taut.base.errors import UsageError
 from taut.base.types import Float64Array
-from taut.control.task_reference import TaskMotion
+from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.chain import Chain
 from taut.maths.rotation_rows import log_rows
 

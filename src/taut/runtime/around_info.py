@@ -7,14 +7,14 @@ from typing import Any, Final, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
-from taut.base.pose import Pose
 from taut.base.types import Array, Float64Array
 from taut.loop import AnyPlant
-from taut.maths.constraint import Constraint
+from taut.maths.constraints.constraint import Constraint
 from taut.maths.snapshot import Snapshot
 from taut.plant.contact import each_contact
 from taut.plant.rigid import RigidPlant
-from taut.record.around import AROUND, Around, Mesh, Shape, Thing
+from taut.record.film.surroundings import AROUND, Around, Mesh, Shape, Thing
+from taut.trace.pose import Pose
 
 __all__ = ["around_info"]
 

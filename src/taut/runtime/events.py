@@ -10,7 +10,7 @@ from typing import Any
 from taut.base.checks import finite_scalar
 from taut.base.errors import RangeError, UsageError
 from taut.base.types import ArrayLike
-from taut.plant.environment_push import wrench_at_peak
+from taut.plant.environments.push import wrench_at_peak
 
 __all__ = ["Event", "sorted_events"]
 
@@ -41,7 +41,7 @@ class Event:
     def push(
         cls, *, t: float, peak: ArrayLike | None = None, duration: float | None = None, of: str = "environment"
     ) -> Event:
-        """A push that begins at time t, given by the `taut.Push` of the plant's environment.
+        """A push that begins at time t, given by the `taut.environments.Push` of the plant's environment.
 
         Args:
             t: [s].

@@ -18,11 +18,11 @@ from taut.base.types import Float64Array
 from taut.codegen.coordinates import BlockCoordinates
 from taut.codegen.layout import Block
 from taut.codegen.loop import FloatLoop, NativeLoop
-from taut.control.feed import ReferenceFeed, plain_snapshot
 from taut.control.limiting import take_up
-from taut.control.phase_feed import PhaseFeed
-from taut.control.phases import Phases
-from taut.control.reference import Hold
+from taut.control.tasks.phase_feed import PhaseFeed
+from taut.control.tasks.phases import Phases
+from taut.control.trajectories.feed import ReferenceFeed, plain_snapshot
+from taut.control.trajectories.reference import Hold
 from taut.loop import DT, Loop
 from taut.maths.snapshot import Snapshot
 from taut.plant.swing import check_swing

@@ -12,10 +12,10 @@ from taut.base.errors import NumericalError, RangeError, unknown_name
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.layout import Block
-from taut.control.feed import ReferenceFeed, plain_snapshot
-from taut.control.phase_feed import PhaseFeed
-from taut.control.phases import Phases
-from taut.control.reference import Reference
+from taut.control.tasks.phase_feed import PhaseFeed
+from taut.control.tasks.phases import Phases
+from taut.control.trajectories.feed import ReferenceFeed, plain_snapshot
+from taut.control.trajectories.reference import Reference
 from taut.controller import Controller, take_up_change
 from taut.loop import sensed_of, without_environment
 from taut.maths.snapshot import Snapshot

@@ -19,7 +19,7 @@ from taut.base.errors import TautError
 from taut.base.types import Float64Array
 from taut.codegen.coordinates import BlockCoordinates
 from taut.control.describe import all_laws
-from taut.control.friction import FrictionCompensation
+from taut.control.laws.friction import FrictionCompensation
 from taut.control.lawside import LawSide
 from taut.loop import AnyPlant, HasLawSide, Loop
 from taut.maths.snapshot import snapshot

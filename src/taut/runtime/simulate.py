@@ -11,14 +11,14 @@ import numpy as np
 from taut.base.errors import RangeError, StabilityWarning, UsageError, warn
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike
-from taut.control.phase import Phase
-from taut.control.reference import Hold, Reference, as_reference
+from taut.control.tasks.phase import Phase
+from taut.control.trajectories.reference import Hold, Reference, as_reference
 from taut.controller import Controller, compile
 from taut.loop import Loop, ModelPlant, check_fit, duration_of_ticks, require_no_reference, state_at_start
-from taut.record.arm_numbers import DYNAMICS, arm_json
-from taut.record.plant_options import OPTIONS, plant_options
 from taut.record.progress import Progress
-from taut.record.report_page import VERSIONS, stated, versions
+from taut.record.report.arm_numbers import DYNAMICS, arm_json
+from taut.record.report.page import VERSIONS, stated, versions
+from taut.record.report.plant_options import OPTIONS, plant_options
 from taut.record.run import Run
 from taut.runtime.around_info import around_info
 from taut.runtime.events import Event, sorted_events
@@ -166,7 +166,7 @@ def _of_task(task: Sequence[Phase], plant: Plant | None) -> Controller:
 
 def _recorded(going: FusedRun | HostedRun, log: str | os.PathLike[str] | None, progress: bool | None) -> Run:
     """Run to the end, with a log file and a bar where they are asked for."""
-    from taut.record.log import RunLog, open_log
+    from taut.record.log.writing import RunLog, open_log
 
     tape = going.tape
     with Progress(len(tape.inputs["t"]), progress) as bar:

@@ -10,10 +10,10 @@ import numpy as np
 
 from taut.arm.description import CommandKind
 from taut.loop import AnyPlant, ModelPlant
-from taut.plant.actuation import Actuation
-from taut.plant.environment_push import Push
+from taut.plant.drives.actuation import Actuation
+from taut.plant.environments.push import Push
 from taut.plant.rigid import RigidPlant
-from taut.plant.sensors import Sensors
+from taut.plant.sensors.sensors import Sensors
 
 __all__ = ["has_steps", "stand_in"]
 

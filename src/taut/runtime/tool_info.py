@@ -10,11 +10,11 @@ import numpy as np
 from taut.arm.description import Arm
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
-from taut.control.felt import felt_impedance
 from taut.control.law import Law
+from taut.control.laws.apparent import felt_impedance
 from taut.control.lawside import LawSide
-from taut.control.phases import Phases
 from taut.control.side_by_side import SideBySide
+from taut.control.tasks.phases import Phases
 from taut.maths.chain import Chain
 from taut.maths.model import Model, PayloadValues
 from taut.maths.snapshot import Snapshot

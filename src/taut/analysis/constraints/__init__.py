@@ -1,0 +1,1 @@
+"""Natural and artificial constraints, and which forces a contact admits."""

@@ -1,0 +1,1 @@
+"""The doctor: why a run is as it is."""

@@ -1,1 +1,0 @@
-"""The book: the chapter's equations and figures computed with this library's laws, arms and plants."""

@@ -1,0 +1,251 @@
+"""MJCF to links and joints, through MuJoCo's own compiler: defaults, angles and frames are its business.
+
+No mesh, texture or other file is ever opened. The root link is MuJoCo's world; a link's frame is MuJoCo's body
+frame. A joint whose anchor is not the body's origin has a frame of its own, under the joint's name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from taut.arm.loaders.mjcf_actuators import Efforts, Rotors
+from taut.arm.loaders.mjcf_compile import Compiled, compiled
+from taut.arm.loaders.mjcf_source import prepare
+from taut.arm.loaders.mjcf_visuals import visuals_of
+from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink, Words
+from taut.arm.loaders.xml import Element
+from taut.arm.meshes import MeshPaths
+from taut.base.errors import ModelError, Problem, quoted_list
+from taut.base.types import Float64Array
+from taut.trace.pose import Pose, axis_angle
+
+if TYPE_CHECKING:
+    import mujoco
+
+__all__ = ["mjcf_tree"]
+
+WORLD: Final = "world"
+WORDS: Final = Words(
+    link="body", no_mass="give it an <inertial>, or geoms with mass", wrong_inertia="fix its <inertial>"
+)
+
+
+def mjcf_tree(root: Element, path: Path) -> Tree:
+    """The links and joints of an MJCF document whose root element has been read already.
+
+    Raises:
+        ModelError: What is wrong with its text, or what MuJoCo refuses; the rest is raised by `assemble`.
+    """
+    source = prepare(root, path)
+    if source.problems:
+        raise ModelError(str(path), source.problems)
+    result = compiled(source, path)
+    tree = Tree(name=root.get("model") or path.stem, source=str(path), line=root.line, words=WORDS)
+    links = _Builder(tree, result, str(path)).build()
+    meshes = MeshPaths(path.parent)
+    for body, visual in visuals_of(result, source.meshes, meshes):
+        links[body].visuals.append(visual)
+    tree.notes.extend(meshes.notes())
+    return tree
+
+
+class _Builder:
+    """Turns a compiled model into links, joints and frames."""
+
+    def __init__(self, tree: Tree, result: Compiled, main: str) -> None:
+        self._tree = tree
+        self._result = result
+        self._model = result.model
+        self._main = main
+        self._taken: set[str] = set()
+        self._links: list[str] = []  # by body id
+        self._efforts = Efforts(result.model)
+        self._rotors = Rotors(result.model)
+
+    def build(self) -> list[TreeLink]:
+        """Fill the tree; the link of each body, by id."""
+        m = self._model
+        self._refuse_loops()
+        for i in range(m.nbody):
+            name = WORLD if i == 0 else m.body(i).name or f"body{i}"
+            self._links.append(self._unique(name))
+        bodies = [self._body(i) for i in range(m.nbody)]
+        for i in range(m.nsite):
+            name = self._unique(m.site(i).name or f"site{i}")
+            pose = _pose(m.site_pos[i], m.site_quat[i])
+            self._tree.frames.append((name, self._links[m.site_bodyid[i]], pose))
+        self._tree.gravity = _gravity(m)
+        self._home()
+        self._tree.notes.extend(_left_out(m))
+        self._tree.notes.extend(self._rotors.notes())
+        self._tree.notes.extend(self._efforts.notes())
+        return bodies
+
+    def _unique(self, name: str) -> str:
+        """Frames share one set of names; in MuJoCo a body, a joint and a site may have the same one."""
+        while name in self._taken:
+            name = f"{name}_"
+        self._taken.add(name)
+        return name
+
+    def _line(self, element: Element | None) -> int | None:
+        return element.line if element is not None and element.file == self._main else None
+
+    def _body(self, i: int) -> TreeLink:
+        m, name = self._model, self._links[i]
+        line = self._line(self._result.bodies[i])
+        link = TreeLink(name=name, line=line)
+        if m.body_mass[i] > 0.0 or m.body_inertia[i].any():
+            pose = _pose(m.body_ipos[i], m.body_iquat[i])
+            I = pose.R @ np.diag(m.body_inertia[i]) @ pose.R.T
+            link.inertia = LinkInertia(mass=float(m.body_mass[i]), com=pose.p, inertia=I)
+        self._tree.links.append(link)
+        if i > 0:
+            self._hang(i, name, line)
+        return link
+
+    def _hang(self, i: int, name: str, line: int | None) -> None:
+        """Join a body to its parent, through its joints where it has any."""
+        m = self._model
+        parent = self._links[m.body_parentid[i]]
+        T_parent_body = _pose(m.body_pos[i], m.body_quat[i])
+        first, count = int(m.body_jntadr[i]), int(m.body_jntnum[i])
+        if count == 0:
+            self._fix(parent, name, T_parent_body)
+            return
+        # T(q) = T_parent_body * [shift to the anchor, turn by q - ref, shift back] for each joint in turn
+        T_parent_joint = T_parent_body
+        for k, j in enumerate(range(first, first + count)):
+            anchor = np.array(m.jnt_pos[j], dtype=np.float64)
+            shift = Pose(anchor)
+            last = k == count - 1
+            child = name if last and not anchor.any() else self._between(j, name, line, last=last)
+            self._joint(j, parent, child, T_parent_joint @ shift)
+            if child == name:
+                return
+            parent, T_parent_joint = child, shift.inverse()
+        self._fix(parent, name, T_parent_joint)
+
+    def _between(self, j: int, body: str, line: int | None, *, last: bool) -> str:
+        """A link without mass at the anchor of a joint: before another joint, or off the body's origin."""
+        joint = self._joint_name(j)
+        link = TreeLink(name=self._unique(joint), line=line, is_frame=last)
+        if not last:
+            way_out = (
+                "write one body for each joint, inside one another, each with its own <inertial>, or hold all but "
+                f"one of them still: load_arm(..., locked={{'{joint}': 0.0}})"
+            )
+            text = f"body '{body}' has several joints that move, and taut has a body for each joint: {way_out}"
+            link.if_massless = Problem(object=body, attribute="joint", message=text, line=line)
+        self._tree.links.append(link)
+        return link.name
+
+    def _fix(self, parent: str, child: str, pose: Pose) -> None:
+        self._tree.joints.append(TreeJoint(name=f"<{child}>", kind="fixed", parent=parent, child=child, origin=pose))
+
+    def _joint(self, j: int, parent: str, child: str, T_parent_joint: Pose) -> None:
+        import mujoco
+
+        m = self._model
+        kinds: dict[int, TreeKind] = {
+            int(mujoco.mjtJoint.mjJNT_FREE): "floating",
+            int(mujoco.mjtJoint.mjJNT_BALL): "ball",
+            int(mujoco.mjtJoint.mjJNT_SLIDE): "prismatic",
+            int(mujoco.mjtJoint.mjJNT_HINGE): "revolute" if m.jnt_limited[j] else "continuous",
+        }
+        kind = kinds[int(m.jnt_type[j])]
+        line = self._line(self._result.joints[j] or self._result.bodies[m.jnt_bodyid[j]])
+        joint = TreeJoint(name=self._joint_name(j), kind=kind, parent=parent, child=child, line=line)
+        joint.origin = T_parent_joint
+        if kind not in ("floating", "ball"):
+            dof, axis = int(m.jnt_dofadr[j]), np.array(m.jnt_axis[j], dtype=np.float64)
+            ref = float(m.qpos0[m.jnt_qposadr[j]])
+            joint.origin = T_parent_joint @ _motion(kind, axis, -ref)
+            joint.axis = axis
+            joint.viscous = float(m.dof_damping[dof]) + self._rotors.damping(j)
+            joint.coulomb = float(m.dof_frictionloss[dof])
+            joint.rotor_inertia = float(m.dof_armature[dof]) + self._rotors.inertia(j)
+            joint.gear = self._rotors.gear(j)
+            joint.effort = self._efforts.of(j)
+            joint.mimic = self._coupled(j)
+            if m.jnt_limited[j]:
+                joint.lower, joint.upper = (float(x) for x in m.jnt_range[j])
+        self._tree.joints.append(joint)
+
+    def _joint_name(self, j: int) -> str:
+        return self._model.jnt(j).name or f"joint{j}"
+
+    def _coupled(self, j: int) -> str | None:
+        """The joint that an equality ties this one to; "" for a constant."""
+        import mujoco
+
+        m = self._model
+        for e in range(m.neq):
+            tied = int(m.eq_type[e]) == int(mujoco.mjtEq.mjEQ_JOINT) and bool(m.eq_active0[e])
+            if tied and int(m.eq_obj1id[e]) == j:
+                other = int(m.eq_obj2id[e])
+                return "" if other < 0 else self._joint_name(other)
+        return None
+
+    def _refuse_loops(self) -> None:
+        import mujoco
+
+        m = self._model
+        for e in range(m.neq):
+            if int(m.eq_type[e]) == int(mujoco.mjtEq.mjEQ_JOINT) or not m.eq_active0[e]:
+                continue
+            kind = mujoco.mjtEq(int(m.eq_type[e])).name.removeprefix("mjEQ_").lower()
+            name = m.eq(e).name
+            called = f"equality '{name}'" if name else "an equality"
+            way_out = "take it out and state the closure as a constraint"
+            text = f"{called} of type {kind} closes a loop, and an arm is a tree: {way_out}"
+            self._tree.problem(name or "equality", kind, text, self._line(self._result.equalities[e]))
+
+    def _home(self) -> None:
+        """The key frame 'home', where the file has one."""
+        m = self._model
+        for joint in self._tree.joints:
+            if m.nkey == 0 or joint.kind not in ("revolute", "continuous", "prismatic"):
+                continue
+            j = next(j for j in range(m.njnt) if self._joint_name(j) == joint.name)
+            value = float(m.key_qpos[0, m.jnt_qposadr[j]])
+            if joint.lower <= value <= joint.upper:
+                self._tree.home[joint.name] = value
+            else:
+                self._tree.notes.append(f"the key frame 'home' puts joint '{joint.name}' out of its limits")
+
+
+def _motion(kind: TreeKind, axis: Float64Array, q: float) -> Pose:
+    return Pose(axis * q) if kind == "prismatic" else Pose(R=axis_angle(axis, q))
+
+
+def _pose(p: Float64Array, wxyz: Float64Array) -> Pose:
+    return Pose(np.array(p, dtype=np.float64), wxyz=np.array(wxyz, dtype=np.float64))
+
+
+def _gravity(m: mujoco.MjModel) -> Float64Array:
+    import mujoco
+
+    off = int(m.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    return np.zeros(3) if off else np.array(m.opt.gravity, dtype=np.float64)
+
+
+def _left_out(m: mujoco.MjModel) -> Iterator[str]:
+    """What a MuJoCo model can have and an Arm has not."""
+    for what, joints in (
+        ("springs", {j for j in range(m.njnt) if m.jnt_stiffness[j] != 0.0 or m.jnt_stiffnesspoly[j].any()}),
+        ("damping that is not linear", {int(m.dof_jntid[d]) for d in range(m.nv) if m.dof_dampingpoly[d].any()}),
+    ):
+        if joints:
+            yield f"{what} left out, on {quoted_list(m.jnt(j).name or f'joint{j}' for j in sorted(joints))}"
+    bodies = [m.body(i).name or f"body{i}" for i in range(m.nbody) if m.body_gravcomp[i] != 0.0]
+    if bodies:
+        yield f"gravcomp left out, on {quoted_list(bodies)}; a law compensates gravity"
+    if m.ntendon:
+        yield f"{m.ntendon} tendons left out" if m.ntendon > 1 else "1 tendon left out"
+    if m.opt.density or m.opt.viscosity:
+        yield "the drag of the medium is left out (density and viscosity of <option>)"

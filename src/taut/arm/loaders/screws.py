@@ -1,0 +1,122 @@
+"""An arm in the textbook's own notation: link frames at the zero pose, spatial inertias, screw axes in space.
+
+The angular part comes first in the textbook's twists and inertias; this is the only place where that order is
+read.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from taut.arm.description import Arm
+from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink, Words, assemble
+from taut.base.checks import SYMMETRY_TOLERANCE, finite_array
+from taut.base.errors import RangeError, ShapeError
+from taut.base.types import ArrayLike, Float64Array
+from taut.trace import math as tm
+from taut.trace.pose import Pose
+
+__all__ = ["arm_from_screws"]
+
+UNIT: Final = 1e-6  # how far a screw axis may be from unit length and from zero pitch
+BASE: Final = "base"
+TOOL: Final = "tool"
+WORDS: Final = Words(no_mass="fix its entry of Glist", wrong_inertia="fix its entry of Glist")
+
+
+def arm_from_screws(Mlist: ArrayLike, Glist: ArrayLike, Slist: ArrayLike, gravity: ArrayLike, name: str) -> Arm:
+    """The arm of the textbook's lists; see `Arm.from_screws`.
+
+    Frames:
+        Joint i has the axes of link frame i; it stands where its axis passes that frame's origin most closely,
+        or at the origin itself if it is prismatic. The frames `link1` ... `linkn` are the textbook's.
+    """
+    S = finite_array("Slist", Slist)
+    if S.ndim != 2 or S.shape[0] != 6 or S.shape[1] == 0:
+        raise ShapeError(
+            f"Slist must have shape (6, n), one screw axis (omega, v) in each column; got shape {S.shape}",
+            name="Slist",
+        )
+    n = S.shape[1]
+    M = finite_array("Mlist", Mlist, shape=(n + 1, 4, 4))
+    G = finite_array("Glist", Glist, shape=(n, 6, 6))
+    tree = Tree(name=name, source="screw axes", words=WORDS)
+    tree.links.append(TreeLink(name=BASE))
+    T_0_link, parent = Pose.identity(), BASE
+    for i in range(n):
+        T_0_before = T_0_link
+        T_0_link = T_0_link @ _pose(f"Mlist[{i}]", M[i])
+        kind, axis, point = _axis(tree, i, S[:, i], T_0_link.p)
+        T_0_joint = Pose.of(T_0_link.R, point)
+        moved, link = f"<joint{i + 1}>", f"link{i + 1}"
+        tree.links.append(TreeLink(name=moved, is_frame=False))
+        tree.links.append(TreeLink(name=link, inertia=_inertia(f"Glist[{i}]", G[i])))
+        joint = TreeJoint(name=f"joint{i + 1}", kind=kind, parent=parent, child=moved, axis=T_0_link.R.T @ axis)
+        joint.origin = T_0_before.inverse() @ T_0_joint
+        tree.joints.append(joint)
+        tree.joints.append(_fixed(moved, link, T_0_joint.inverse() @ T_0_link))
+        parent = link
+    tree.links.append(TreeLink(name=TOOL))
+    tree.joints.append(_fixed(parent, TOOL, _pose(f"Mlist[{n}]", M[n])))
+    return assemble(tree, tool=TOOL, gravity=gravity)
+
+
+def _fixed(parent: str, child: str, origin: Pose) -> TreeJoint:
+    return TreeJoint(name=f"<{child}>", kind="fixed", parent=parent, child=child, origin=origin)
+
+
+def _pose(name: str, T: Float64Array) -> Pose:
+    try:
+        return Pose.from_matrix(T)
+    except RangeError as wrong:
+        raise RangeError(f"{name} must be a pose: {wrong}", name=name, rule="a pose") from wrong
+
+
+def _axis(tree: Tree, i: int, S: Float64Array, near: Float64Array) -> tuple[TreeKind, Float64Array, Float64Array]:
+    """Kind of joint, unit axis, and the point of the axis nearest to `near`, all in the space frame."""
+    omega, v = S[:3], S[3:]
+    turn, slide = float(np.linalg.norm(omega)), float(np.linalg.norm(v))
+    if abs(turn - 1.0) <= UNIT:
+        pitch = float(omega @ v) / turn**2
+        if abs(pitch) > UNIT * max(1.0, slide):
+            _problem(tree, i, f"its pitch omega . v must be 0, for an arm has no helical joints; got {pitch:.6g} m")
+        on_axis = np.cross(omega, v)
+        return "revolute", omega, on_axis + omega * float(omega @ (near - on_axis))
+    if turn > UNIT:
+        way_out = f"divide the column by {turn:.6g}: its positions grow by that factor, its torques shrink by it"
+        _problem(tree, i, f"|omega| must be 1 (revolute) or 0 (prismatic); got {turn:.6g}; {way_out}")
+    elif abs(slide - 1.0) > UNIT:
+        _problem(tree, i, f"|v| must be 1 where omega is 0 (prismatic); got {slide:.6g}")
+    return "prismatic", v, near
+
+
+def _problem(tree: Tree, i: int, text: str) -> None:
+    tree.problem(f"joint{i + 1}", f"Slist[:, {i}]", f"joint 'joint{i + 1}': Slist[:, {i}]: {text}")
+
+
+def _inertia(name: str, G: Float64Array) -> LinkInertia:
+    """Mass properties from a spatial inertia, angular first, in the link's frame.
+
+    G = [[I_com - m [c][c], m [c]], [-m [c], m 1]] with the centre of mass at c; most often c = 0.
+    """
+    scale = max(float(np.abs(G).max()), np.finfo(float).tiny)
+    m = float(np.trace(G[3:, 3:])) / 3.0
+    mc = np.array([G[2, 4], G[0, 5], G[1, 3]])
+    mc_skew = tm.skew(mc)
+    expected = np.block([[G[:3, :3], mc_skew], [mc_skew.T, m * np.eye(3)]])
+    if np.abs(G - expected).max() > SYMMETRY_TOLERANCE * scale or not np.allclose(
+        G, G.T, rtol=0.0, atol=SYMMETRY_TOLERANCE * scale
+    ):
+        raise RangeError(
+            f"{name} must be a spatial inertia, angular part first: [[I, m [c]], [-m [c], m 1]] with I "
+            "symmetric and c the centre of mass, most often diag(Ixx, Iyy, Izz, m, m, m); "
+            "a matrix with the linear part first has its blocks the other way round",
+            name=name,
+            rule="a spatial inertia",
+        )
+    c = mc / m if m > 0.0 else mc
+    S = tm.skew(c)
+    I = G[:3, :3] + m * S @ S
+    return LinkInertia(mass=m, com=c, inertia=0.5 * (I + I.T))

@@ -1,0 +1,271 @@
+"""URDF to links and joints. Every number that matters to motion is checked, and every problem is kept."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink, Words
+from taut.arm.loaders.urdf_transmissions import read_transmissions
+from taut.arm.loaders.urdf_visuals import colours_of, visuals_of
+from taut.arm.loaders.urdf_words import INERTIA, slips
+from taut.arm.loaders.xml import BadNumberError, Element, numbers, read_xml
+from taut.arm.meshes import MeshPaths
+from taut.arm.rules import MAX_LINKS
+from taut.base.errors import ModelError, Problem, quoted_list, unknown_name
+from taut.trace.inertia import inertia_matrix
+from taut.trace.pose import Pose
+
+__all__ = ["read_urdf", "urdf_tree"]
+
+WORDS: Final = Words(no_mass="give it an <inertial> with mass and inertia", wrong_inertia="fix its <inertial>")
+KINDS: Final[tuple[TreeKind, ...]] = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+SIZES: Final[Mapping[str, Mapping[str, int]]] = {
+    "box": {"size": 3},
+    "cylinder": {"radius": 1, "length": 1},
+    "sphere": {"radius": 1},
+}
+
+
+def read_urdf(path: Path, packages: Mapping[str, Path] | None = None) -> Tree:
+    """The links and joints of a URDF file.
+
+    Args:
+        path: The file.
+        packages: Folders that stand for `package://NAME` in the names of meshes.
+
+    Raises:
+        FileError: The file cannot be read.
+        ModelError: It is no URDF. All other problems are kept in the tree; `assemble` raises them together.
+    """
+    return urdf_tree(read_xml(path), path, packages)
+
+
+def urdf_tree(robot: Element, path: Path, packages: Mapping[str, Path] | None = None) -> Tree:
+    """The links and joints of a URDF document whose root element has been read already."""
+    if robot.tag != "robot":
+        text = f"its root element is <{robot.tag}>; a URDF begins with <robot>"
+        raise ModelError(str(path), [Problem(object=path.name, attribute=robot.tag, message=text, line=robot.line)])
+    name = robot.get("name") or path.stem
+    tree = Tree(name=name, source=str(path), line=robot.line, words=WORDS)
+    if name != robot.get("name"):
+        tree.notes.append(f"the robot has no name; it is called '{name}' after its file")
+    for tag in ("link", "joint"):
+        if len(robot.all(tag)) > MAX_LINKS:  # before any of them is read
+            text = f"the model has {len(robot.all(tag))} {tag}s; an arm has {MAX_LINKS} at most"
+            raise ModelError(str(path), [Problem(object=name, attribute=tag, message=text, line=robot.line)])
+    meshes = MeshPaths(path.parent, packages)
+    _Reader(tree).read(robot, meshes)
+    tree.notes.extend(meshes.notes())
+    return tree
+
+
+class _Reader:
+    """Fills one tree; what is wrong goes into `tree.problems`, and reading goes on."""
+
+    def __init__(self, tree: Tree) -> None:
+        self._tree = tree
+        self._wrapping: list[str] = []  # continuous joints that give position limits
+
+    def read(self, robot: Element, meshes: MeshPaths) -> None:
+        self._refuse_macros(robot)
+        self._check_words(f"robot '{self._tree.name}'", robot)
+        colours = colours_of(robot)
+        for element in robot.all("link"):
+            link = self._link(element)
+            link.visuals = visuals_of(element, meshes, colours)
+            self._tree.links.append(link)
+        for element in robot.all("joint"):
+            joint = self._joint(element)
+            if joint is None:
+                self._tree.structure_unknown = True
+            else:
+                self._tree.joints.append(joint)
+        read_transmissions(robot, self._tree)
+        if self._wrapping:
+            text = "continuous, so the position limits in the file are left out"
+            self._tree.notes.append(f"{quoted_list(self._wrapping)}: {text}")
+
+    # ---------------------------------------------------------------- links
+
+    def _link(self, element: Element) -> TreeLink:
+        link = TreeLink(name=element.get("name") or "", line=element.line)
+        owner = f"link '{link.name}'"
+        self._check_words(owner, element)
+        self._check_sizes(owner, element)
+        inertial = self._only(owner, element, "inertial")
+        if inertial is None:
+            return link
+        before = len(self._tree.problems)
+        origin = self._origin(owner, inertial)
+        mass, inertia = self._only(owner, inertial, "mass"), self._only(owner, inertial, "inertia")
+        for tag, found in (("mass", mass), ("inertia", inertia)):
+            if found is None:
+                self._problem(owner, tag, f"its <inertial> has no <{tag}>; give it one", inertial.line)
+            else:
+                link.lines[tag] = found.line
+        m = self._number(owner, mass, "value", 0.0, required=True) if mass is not None else 0.0
+        six = [self._number(owner, inertia, name, 0.0, required=True) for name in INERTIA] if inertia else [0.0] * 6
+        if len(self._tree.problems) > before:
+            link.unreadable = True
+            return link
+        I = inertia_matrix(six)
+        link.inertia = LinkInertia(mass=m, com=origin.p, inertia=origin.R @ I @ origin.R.T)
+        return link
+
+    # ---------------------------------------------------------------- joints
+
+    def _joint(self, element: Element) -> TreeJoint | None:
+        name = element.get("name") or ""
+        owner = f"joint '{name}'"
+        self._check_words(owner, element)
+        kind = self._kind(owner, element)
+        ends = [self._end(owner, element, role) for role in ("parent", "child")]
+        joint = TreeJoint(name=name, kind=kind, parent=ends[0] or "", child=ends[1] or "", line=element.line)
+        joint.lines.update({end.tag: end.line for end in element.children if end.tag in ("parent", "child")})
+        joint.origin = self._origin(owner, element)
+        axis = self._only(owner, element, "axis")
+        if axis is not None:
+            joint.lines["axis"] = axis.line
+            joint.axis = np.array(self._numbers(owner, axis, "xyz", (1.0, 0.0, 0.0), required=True))
+        self._limits(owner, joint, self._only(owner, element, "limit"))
+        dynamics = self._only(owner, element, "dynamics")
+        if dynamics is not None:
+            joint.lines["damping"] = joint.lines["friction"] = dynamics.line
+            joint.viscous = self._number(owner, dynamics, "damping", 0.0)
+            joint.coulomb = self._number(owner, dynamics, "friction", 0.0)
+        mimic = self._only(owner, element, "mimic")
+        if mimic is not None:
+            joint.lines["mimic"] = mimic.line
+            joint.mimic = mimic.get("joint") or ""
+            self._number(owner, mimic, "multiplier", 1.0)
+            self._number(owner, mimic, "offset", 0.0)
+        return joint if all(ends) else None
+
+    def _kind(self, owner: str, element: Element) -> TreeKind:
+        given = element.get("type")
+        for kind in KINDS:
+            if given == kind:
+                return kind
+        if given is None:
+            text = f"it has no type; give it one of {', '.join(KINDS)}"
+        else:
+            text = str(unknown_name("URDF", "joint type", given, KINDS))
+        self._problem(owner, "type", text, element.line)
+        return "fixed"
+
+    def _end(self, owner: str, element: Element, role: str) -> str | None:
+        end = self._only(owner, element, role)
+        link = None if end is None else end.get("link")
+        if not link:
+            what = f"<{role} link=...>"
+            text = f"it has no {what}; a joint joins a parent link to a child link"
+            self._problem(owner, role, text, element.line if end is None else end.line)
+        return link or None
+
+    def _limits(self, owner: str, joint: TreeJoint, limit: Element | None) -> None:
+        """Position, speed and effort limits; NaN where the joint should have one and the file gives none."""
+        needed = math.nan if joint.kind in ("revolute", "prismatic") else math.inf
+        read: dict[str, float] = {}
+        for name in ("lower", "upper", "velocity", "effort"):
+            default = -needed if name == "lower" else needed
+            read[name] = default
+            if limit is not None:
+                joint.lines[name] = limit.line
+                read[name] = self._number(owner, limit, name, default, bounded=False)
+        if limit is not None:
+            joint.lines["limit"] = limit.line
+        if joint.kind == "continuous":
+            if limit is not None and ("lower" in limit.attributes or "upper" in limit.attributes):
+                self._wrapping.append(joint.name)
+            read["lower"], read["upper"] = -math.inf, math.inf
+        joint.lower, joint.upper = read["lower"], read["upper"]
+        joint.velocity, joint.effort = read["velocity"], read["effort"]
+
+    # ---------------------------------------------------------------- pieces
+
+    def _problem(self, owner: str, attribute: str, text: str, line: int) -> None:
+        name = owner.partition("'")[2].removesuffix("'") or owner.partition(" ")[0]
+        self._tree.problem(name, attribute, f"{owner}: {text}", line)
+
+    def _refuse_macros(self, robot: Element) -> None:
+        for element in (robot, *robot.children):
+            if element.tag.startswith("xacro:"):
+                text = f"<{element.tag}> is a macro; expand the file first: xacro MODEL.xacro > MODEL.urdf"
+                self._problem(f"robot '{self._tree.name}'", element.tag, text, element.line)
+                return
+
+    def _check_words(self, owner: str, element: Element) -> None:
+        for word, text, line in slips(element):
+            self._problem(owner, word, text, line)
+
+    def _check_sizes(self, owner: str, element: Element) -> None:
+        """Shapes are never needed to control an arm, but one of a negative size is a slip."""
+        for shape in (child for tag in ("visual", "collision") for child in element.all(tag)):
+            for body in (body for geometry in shape.all("geometry") for body in geometry.children):
+                for name, count in SIZES.get(body.tag, {}).items():
+                    with suppress(BadNumberError):  # which is left out of what is drawn
+                        if min(numbers(body.get(name) or "", count)) < 0.0:
+                            text = f"{name} of <{body.tag}> must be >= 0 [m]; got {body.get(name)}"
+                            self._problem(owner, name, text, body.line)
+
+    def _only(self, owner: str, element: Element, tag: str) -> Element | None:
+        """The one child of that tag; a second one is a problem."""
+        found = element.all(tag)
+        for second in found[1:]:
+            text = f"<{element.tag}> has two <{tag}> (the first in line {found[0].line}); delete one"
+            self._problem(owner, tag, text, second.line)
+        if not found:
+            return None
+        self._check_words(owner, found[0])
+        return found[0]
+
+    def _origin(self, owner: str, element: Element) -> Pose:
+        origin = self._only(owner, element, "origin")
+        if origin is None:
+            return Pose.identity()
+        zero = (0.0, 0.0, 0.0)
+        return Pose(
+            self._numbers(owner, origin, "xyz", zero),
+            rpy=self._numbers(owner, origin, "rpy", zero),
+        )
+
+    def _number(
+        self,
+        owner: str,
+        element: Element,
+        attribute: str,
+        default: float,
+        *,
+        required: bool = False,
+        bounded: bool = True,
+    ) -> float:
+        return self._numbers(owner, element, attribute, (default,), required=required, bounded=bounded)[0]
+
+    def _numbers(
+        self,
+        owner: str,
+        element: Element,
+        attribute: str,
+        default: tuple[float, ...],
+        *,
+        required: bool = False,
+        bounded: bool = True,
+    ) -> tuple[float, ...]:
+        text = element.get(attribute)
+        where = f"{attribute} of <{element.tag}>"
+        if text is None:
+            if required:
+                self._problem(owner, attribute, f"<{element.tag}> has no {attribute}; give it one", element.line)
+            return default
+        try:
+            return numbers(text, len(default), bounded=bounded)
+        except BadNumberError as wrong:
+            self._problem(owner, attribute, f"{where} {wrong}", element.line)
+            # NaN stands for "missing"; what is there and wrong is reported once
+            return tuple(math.copysign(math.inf, d) if math.isnan(d) else d for d in default)

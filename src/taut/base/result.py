@@ -1,0 +1,138 @@
+"""Results of analyses: one description of each, from which text, JSON, HTML and plots are made.
+
+An analysis gives a frozen dataclass with its numbers as fields. It inherits `Result` and describes itself once, in
+`content()`; how that looks as text, as data or as a page is decided here and in `taut.record.report`.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taut.base.errors import UsageError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Cell", "Content", "Result", "Table", "cell_text"]
+
+Cell = str | float | int | bool | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """Numbers and words in rows.
+
+    Args:
+        title: What the rows are.
+        columns: Heads, with units: "settling [s]".
+        rows: A cell for each column. Numbers stay numbers; NaN and None have no meaning in their row.
+        note: A sentence below it.
+    """
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+    title: str = ""
+    note: str = ""
+
+    def __str__(self) -> str:
+        texts = [[cell_text(cell) for cell in row] for row in self.rows]
+        widths = [max(map(len, column)) for column in zip(self.columns, *texts, strict=True)]
+        words = [all(isinstance(cell, str) for cell in column) for column in zip(*self.rows, strict=True)] or [
+            True
+        ] * len(self.columns)
+        lines = [
+            "  ".join(
+                cell.ljust(width) if word else cell.rjust(width)
+                for cell, width, word in zip(line, widths, words, strict=True)
+            ).rstrip()
+            for line in (list(self.columns), *texts)
+        ]
+        return "\n".join(([self.title] if self.title else []) + lines + ([self.note] if self.note else []))
+
+    def json(self) -> list[dict[str, Any]]:
+        """The rows as mappings from the heads; NaN and infinite numbers as texts."""
+        return [{head: plain(cell) for head, cell in zip(self.columns, row, strict=True)} for row in self.rows]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Content:
+    """The description of a result.
+
+    Args:
+        title: What was analysed, in a few words.
+        summary: Sentences that say what was found.
+        faults: Sentences on what was missed or went wrong; they stand first.
+        tables: Numbers.
+        notes: Sentences on what the numbers rely on.
+        figures: Functions that draw, by title.
+        settings: What the analysis was done with, as text by name.
+        texts: Longer texts by title, such as a scenario.
+        repeat: How to do it again: a command, or lines of Python.
+    """
+
+    title: str
+    summary: Sequence[str] = ()
+    faults: Sequence[str] = ()
+    tables: Sequence[Table] = ()
+    notes: Sequence[str] = ()
+    figures: Mapping[str, Callable[[], Figure]] = field(default_factory=dict)
+    settings: Mapping[str, str] = field(default_factory=dict)
+    texts: Mapping[str, str] = field(default_factory=dict)
+    repeat: str = ""
+
+
+class Result(ABC):
+    """What an analysis gives. A subclass is a frozen dataclass with the numbers as fields."""
+
+    @abstractmethod
+    def content(self) -> Content:
+        """The description of the result."""
+
+    def __str__(self) -> str:
+        content = self.content()
+        parts = [content.title, *content.faults, *content.summary, *map(str, content.tables), *content.notes]
+        return "\n".join(part for part in parts if part)
+
+    def json(self) -> dict[str, Any]:
+        """The result as plain data, for `--json` and for programs."""
+        content = self.content()
+        return {
+            "title": content.title,
+            "faults": list(content.faults),
+            "summary": list(content.summary),
+            "tables": {table.title: table.json() for table in content.tables},
+            "notes": list(content.notes),
+        }
+
+    def plot(self) -> Figure:
+        """The first figure of the result.
+
+        Raises:
+            UsageError: The result has no figure.
+        """
+        figures = self.content().figures
+        if not figures:
+            raise UsageError(f"{type(self).__name__} has nothing to plot; print it")
+        return next(iter(figures.values()))()
+
+
+def cell_text(cell: Cell) -> str:
+    """A cell in a printed table: four digits of a number, a dash where it has no meaning."""
+    if cell is None or (isinstance(cell, float) and math.isnan(cell)):
+        return "-"
+    if isinstance(cell, bool | np.bool_):
+        return "yes" if cell else "no"
+    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
+
+
+def plain(cell: Cell) -> Cell:
+    """A cell in JSON, which has no NaN and no infinity."""
+    if isinstance(cell, float):
+        return None if math.isnan(cell) else str(cell) if math.isinf(cell) else float(cell)
+    return bool(cell) if isinstance(cell, np.bool_) else cell

@@ -1,0 +1,1 @@
+"""The chapter's equations and figures, computed with this library's laws, arms and plants."""

@@ -1,0 +1,324 @@
+"""Section 10.5: impedance and admittance control, and what a sampled display can be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Final
+
+import numpy as np
+from scipy.linalg import expm
+
+from taut.analysis.tool.response import TipResponse, tip_impedance
+from taut.arm.description import Arm
+from taut.arm.load import load_arm
+from taut.base.errors import RangeError
+from taut.base.types import Float64Array
+from taut.book.drawing import legend, panels
+from taut.book.link import M, link
+from taut.book.multi_joint import Q, V
+from taut.book.oracle import engine, panda
+from taut.book.page import MUJOCO, Entry, Page, Row, compared, row
+from taut.book.simulation import looped, simulated, ticked, total
+from taut.control.command import Torque
+from taut.control.gains import Gain, Memory
+from taut.control.law import Law, MemoryView
+from taut.control.laws.admittance import Admittance
+from taut.control.laws.impedance import Impedance
+from taut.control.laws.task import TaskComputedTorque
+from taut.control.trajectories.reference import Sample
+from taut.control.trajectories.task_reference import TaskMotion
+from taut.controller import compile
+from taut.maths.snapshot import Snapshot, snapshot
+from taut.record.plots.style import DASHED, INK, colour, prepared
+from taut.trace import math as tm
+from taut.trace.pose import Pose
+
+__all__ = ["ENTRIES", "FAST", "B", "K", "Pushed", "along_x", "slides", "still"]
+
+D, B, K = 2.0, 20.0, 400.0  # [kg], [N s/m], [N/m] chosen
+ANGULAR: Final = (0.05, 0.5, 10.0)  # [kg m^2], [N m s/rad], [N m/rad]
+POLYNOMIAL: Final = "m s^2 + b s + k"
+CLOSED_FORM: Final = "scipy.linalg.expm of 10.46"
+Values = Mapping[str, Any]
+FAST: Final = 10000.0  # [Hz]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pushed:
+    """A constant force on the tool's origin along one axis of the world.
+
+    Args:
+        axis: 0, 1 or 2.
+        force: Its size [N].
+    """
+
+    axis: int = 0
+    force: float = 10.0
+
+    def parameters(self) -> dict[str, Float64Array]:
+        return {"force": np.array(self.force)}
+
+    def start(self, T_WE: Pose) -> dict[str, Any]:  # noqa: ARG002
+        return {}
+
+    def wrench(
+        self, T_WE: Pose, twist: Any, t: Any, memory: Values, parameters: Values, dt: Any  # noqa: ARG002
+    ) -> tuple[Any, dict[str, Any]]:  # fmt: skip
+        return tm.array([parameters["force"] if k == self.axis else 0.0 for k in range(6)]), {}
+
+
+@cache
+def slides() -> Arm:
+    """The gantry without friction: its three directions stand for one each."""
+    return load_arm("gantry3").with_joints(viscous=0.0)
+
+
+VIRTUAL: Final = Impedance(D=(D, ANGULAR[0]), B=(B, ANGULAR[1]), K=(K, ANGULAR[2]))
+"""A mass, a damper and a spring that an arm shows at its tool."""
+
+
+def still(arm: Arm) -> TaskMotion:
+    """Where the tool is at home."""
+    return TaskMotion(pose=snapshot(arm, arm.home).T())
+
+
+def answer(m: float, b: float, k: float, force: float, t: float) -> float:
+    """x(t) of m x'' + b x' + k x = f, from rest [m]."""
+    A = np.array([[0.0, 1.0, 0.0], [-k / m, -b / m, force / m], [0.0, 0.0, 0.0]])
+    return float((expm(A * t) @ np.array([0.0, 0.0, 1.0]))[0])
+
+
+def eq_10_46() -> Page:
+    arm = slides()
+    out = simulated(VIRTUAL, arm, still(arm), rate=FAST, duration=0.5, environment=Pushed())
+    rows = [
+        row(
+            f"where the tool is {t:g} s after a push of 10 N",
+            "m",
+            out.q[round(t * FAST), 0] - arm.home[0],
+            answer(D, B, K, 10.0, t),
+            CLOSED_FORM,
+            rel=5e-3,
+        )
+        for t in (0.1, 0.2, 0.4)
+    ]
+    return Page(
+        rows=tuple(rows),
+        note="Chosen: m = 2 kg, b = 20 N s/m, k = 400 N/m; a gantry of 21 kg along x, a wrist sensor, 10 kHz.",
+    )
+
+
+def asked(w: Any) -> Any:
+    """m s^2 + b s + k at s = j w [N/m]."""
+    return D * (1j * w) ** 2 + B * 1j * w + K
+
+
+def along_x(law: Law, ref: Sample, rate: float = FAST) -> TipResponse:
+    """How the gantry's tool answers a force along x."""
+    wrist = Pushed(force=0.0)
+    return tip_impedance(looped(law, slides(), ref, rate=rate, environment=wrist), direction=[1.0, 0.0, 0.0])
+
+
+def eq_10_47() -> Page:
+    ws = np.geomspace(1.5, 90.0, 5)
+    tip = along_x(VIRTUAL, still(slides()))
+    measured, wanted = tip.measure(ws), asked(ws)
+    claims = {0: "dominated by the spring", 4: "dominated by the mass"}
+    rows: list[Row] = []
+    for way, told in (("linearised", tip.Z(ws)), ("by a sweep of runs", measured.Z)):
+        for k in (0, 2, 4):
+            name = f"Z at {ws[k]:.3g} rad/s, {way}"
+            size, turn = (abs(told[k]), abs(wanted[k])), (np.angle(told[k]), np.angle(wanted[k]))
+            rows += [
+                row(f"|{name.replace(' at', '| at')}", "N/m", *size, POLYNOMIAL, rel=0.01, states=claims.get(k, "")),
+                row(f"phase of {name}", "rad", *turn, POLYNOMIAL, rel=0.01),
+            ]
+    for name, k, part in (("|Z| at 1.5 rad/s over k", 0, K), ("|Z| at 90 rad/s over m w^2", 4, D * ws[4] ** 2)):
+        told, want = abs(measured.Z[k]) / part, abs(wanted[k]) / part
+        rows.append(row(name, "", told, want, POLYNOMIAL, rel=0.01, states="near 1"))
+    figure, (ax,) = panels(1, 2.5)
+    prepared(ax, "impedance at the tool", "|F / X| [N/m]", "w [rad/s]")
+    fine = np.geomspace(1.0, 120.0, 200)
+    ax.loglog(fine, np.abs(asked(fine)), color=INK, linewidth=0.9, label="|m s² + b s + k|")
+    ax.loglog(ws, np.abs(measured.Z), "o", color=colour(0), markersize=4.5, label="runs")
+    ax.axhline(K, color=colour(2), linewidth=0.9, linestyle=DASHED, label="k")
+    ax.loglog(fine, D * fine**2, color=colour(1), linewidth=0.9, linestyle=DASHED, label="m w²")
+    ax.set_ylim(50.0, 4e4)
+    legend(ax)
+    note = (
+        "Numbers of equation 10.46. taut.analysis.tip_impedance has both: the linearised loop, and a sweep of pushes."
+    )
+    return Page(rows=tuple(rows), figure=figure, note=note)
+
+
+def eq_10_48() -> Page:
+    arm = panda()
+    p = still(arm).p
+    out = simulated(VIRTUAL, arm, still(arm), duration=2.0, environment=Pushed(axis=1, force=8.0))
+    moved = out.task.p[:, 1] - p[1]
+    rows = [
+        row(
+            f"tool of a Panda {t:g} s after a push of 8 N along y",
+            "m",
+            moved[round(1000 * t)],
+            answer(D, B, K, 8.0, t),
+            CLOSED_FORM,
+            rel=0.03,
+        )
+        for t in (0.1, 0.3)
+    ]
+    rows += [
+        row("where it comes to rest", "m", moved[-1], 8.0 / K, "K^-1 F_ext", rel=5e-3),
+        row(
+            "what it moves across, in the end",
+            "m",
+            np.abs(out.task.p[-1, [0, 2]] - p[[0, 2]]).max(),
+            0.0,
+            "10.48: nothing",
+            near=2e-4,
+        ),
+    ]
+    return Page(
+        rows=tuple(rows), note="D, B and K of equation 10.46 in all directions, (0.05, 0.5, 10) for turning; 1 kHz."
+    )
+
+
+def eq_10_49() -> Page:
+    m = engine().at(Q, V)
+    ref = TaskMotion(pose=Pose(m.p + np.array([0.02, -0.01, 0.03]), R=m.R), twist=[0.1, 0.2, -0.1, 0.0, 0.0, 0.0])
+    ctrl = ticked(Impedance(B=(B, ANGULAR[1]), K=(K, ANGULAR[2]), null=None), panda(), Q, V, ref)
+    told = total(ctrl.terms)
+    X = np.array([0.02, -0.01, 0.03, 0.0, 0.0, 0.0])
+    gains = [np.array([each[0]] * 3 + [each[1]] * 3) for each in ((K, ANGULAR[2]), (B, ANGULAR[1]))]
+    spring = gains[0] * X + gains[1] * (ref.twist - m.J @ V)
+    wanted = m.J.T @ (spring - m.Lambda @ m.Jdot_v) + m.h
+    rows = compared(told, wanted, "N m", MUJOCO, "torque of the Panda, D left out", 1e-6)
+    for factor in (0.1, 1.9, 2.1):
+        rows.append(
+            row(
+                f"D = {factor:g} of the arm's inertia: accepted",
+                "0 or 1",
+                accepted(factor),
+                abs(1.0 - factor) < 1.0,
+                "|1 - Lambda^-1 D| < 1",
+                states="slip: D V-dot with the measured V-dot" if factor > 2.0 else "",
+            )
+        )
+    for factor in (1.9, 2.1):
+        rows.append(
+            row(
+                f"error of the acceleration, one tick over the last, D = {factor:g} of M",
+                "",
+                echoed(factor),
+                1.0 - factor,
+                "1 - M^-1 D",
+                rel=1e-6,
+            )
+        )
+    note = (
+        "With a measured acceleration D V-dot is an algebraic loop; a tick old it is stable only for 0 < "
+        "eig(Lambda^-1 D) < 2, and refused elsewhere. Common practice, as the chapter says, leaves "
+        "the inertia out: the first rows."
+    )
+    return Page(rows=tuple(rows), note=note)
+
+
+class MeasuredInertia(Law):
+    """Inertia by the acceleration of the tick before, as equation 10.49 has it, and nothing else.
+
+    Law:          tau = (M - D) a, with a differenced velocities
+    Closed loop:  a_next = (1 - M^-1 D) a, tick by tick
+    """
+
+    ignores_reference = True
+    D: Gain  # [kg m^2]
+    before: Memory = Memory(0.0)  # [rad/s]
+
+    def command(
+        self, x: Snapshot, ref: Sample, memory: MemoryView, dt: float  # noqa: ARG002
+    ) -> tuple[Torque, dict[str, object]]:  # fmt: skip
+        a = (x.v - memory.before) / dt
+        return Torque(compensation=x.M @ a, inertia=-(self.D @ a)), {"before": x.v}
+
+
+def echoed(factor: float) -> float:
+    """By how much the acceleration changes from one tick to the next, with D a multiple of M."""
+    arm = link(gravity=False, b=0.0)
+    out = simulated(MeasuredInertia(D=factor * M), arm, duration=0.02, q0=[0.0], v0=[1e-3])
+    a = np.diff(out.v[:, 0])
+    return float(a[10] / a[9])
+
+
+def accepted(factor: float) -> bool:
+    """Whether a gantry's x axis may show a multiple of its inertia by its own measured acceleration."""
+    arm = slides().subset(["x"])
+    mass = float(snapshot(arm, [0.0]).M[0, 0])
+    law = Impedance(D=(factor * mass, 1.0), B=(10.0, 1.0), K=(10.0, 1.0), feedback="acceleration")
+    try:
+        simulated(law, arm, still(arm), duration=0.01)
+    except RangeError:
+        return False
+    return True
+
+
+def eq_10_50() -> Page:
+    law = Admittance(
+        inner=TaskComputedTorque(kp=2500.0, kd=100.0, singularity="plain"),
+        D=(D, ANGULAR[0]), B=(B, ANGULAR[1]), K=(K, ANGULAR[2]),
+    )  # fmt: skip
+    arm = panda()
+    rest = still(arm)
+    F_ext = np.array([0.0, 8.0, 0.0, 0.0, 0.0, 0.0])
+    first = {}
+    for dt in (1e-3, 1e-6):
+        ctrl = compile(law, arm, rate=1.0 / dt, engine="float")
+        ctrl.step(arm.home, np.zeros(7), rest, F_ext=F_ext)
+        first[dt] = float(ctrl.memory["law.twist"][1]) / dt
+    out = simulated(law, arm, rest, duration=2.0, environment=Pushed(axis=1, force=8.0))
+    moved = out.task.p[:, 1] - rest.p[1]
+    rows = [
+        row(
+            "acceleration of the model in the first tick, 1 ms",
+            "m/s^2",
+            first[1e-3],
+            8.0 / (D + 0.5 * B * 1e-3 + 0.25 * K * 1e-6),
+            "D^-1 F_ext, implicit midpoint rule",
+            rel=1e-9,
+        ),
+        row(
+            "the same in a tick of 1 us",
+            "m/s^2",
+            first[1e-6],
+            8.0 / D,
+            "D^-1 F_ext",
+            rel=1e-5,
+            states="D^-1 (F_ext - B V - K X)",
+        ),
+    ]
+    rows += [
+        row(
+            f"tool of a Panda {t:g} s after a push of 8 N along y",
+            "m",
+            moved[round(1000 * t)],
+            answer(D, B, K, 8.0, t),
+            CLOSED_FORM,
+            rel=0.03,
+        )
+        for t in (0.1, 0.3)
+    ]
+    rows.append(row("where it comes to rest", "m", moved[-1], 8.0 / K, "K^-1 F_ext", rel=5e-3))
+    return Page(
+        rows=tuple(rows),
+        note="D, B and K of equation 10.48; the model's own motion is followed with kp = 2500, kd = 100.",
+    )
+
+
+ENTRIES: Final = (
+    Entry(id="eq-10.46", title="an environment of one direction", make=eq_10_46),
+    Entry(id="eq-10.47", title="its impedance", make=eq_10_47),
+    Entry(id="eq-10.48", title="the behaviour that is asked of an arm", make=eq_10_48),
+    Entry(id="eq-10.49", title="impedance control", make=eq_10_49),
+    Entry(id="eq-10.50", title="admittance control", make=eq_10_50),
+)

@@ -1,0 +1,279 @@
+"""Section 10.2.1.1, continued: gravity, the integral, and its bound."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.optimize import brentq
+
+from taut.analysis.root_locus import locus
+from taut.analysis.stability_plots import draw_locus
+from taut.arm.load import load_arm
+from taut.book.drawing import arrow, legend, panels, words
+from taut.book.link import KD, KI, KP, SAMPLED, B, M, R, controller, link, on_link, solved, weight
+from taut.book.page import ODE, ROOTS, Entry, Page, Row, row
+from taut.book.simulation import looped, two_poles
+from taut.control.laws.joint import PID
+from taut.control.trajectories.reference import JointMotion
+from taut.linear.linear_loop import LinearLoop
+from taut.linear.linearise import linearise
+from taut.linear.second_order import second_order
+from taut.record.plots.style import DASHED, INK, SMALL, colour, prepared
+from taut.record.run import Run
+
+__all__ = ["ENTRIES"]
+
+HOME: Final = -math.pi / 2.0  # [rad] where figure 10.6 starts
+LONG: Final = 12.0  # [s]
+BOUND: Final = (B + KD) * KP / M  # [N m/(rad s)] of Ki
+
+
+def figure_10_6(ki: float, kp: float = KP) -> Run:
+    """A run of figure 10.6."""
+    return on_link(PID(kp=kp, kd=KD, ki=ki), ref=JointMotion(q=[0.0]), duration=LONG, q0=[HOME])
+
+
+def written_10_6(ki: float, times: np.ndarray) -> np.ndarray:
+    """(k,) the error of the same by SciPy."""
+
+    def tau(_: float, theta: float, v: float, e_int: float) -> float:
+        return -KP * theta + ki * e_int - KD * v
+
+    return solved(tau, np.zeros_like, times=times, q0=HOME).e
+
+
+def eq_10_11() -> Page:
+    rows = []
+    for kp, name, states in (
+        (KP, "error at rest of PD control", ""),
+        (10.0 * KP, "with Kp ten times as large", "small"),
+    ):
+        wanted = brentq(lambda e, kp=kp: kp * e - weight(-e), 0.0, 1.0)
+        rested = -figure_10_6(0.0, kp).q[-1, 0]
+        rows.append(row(name, "rad", rested, wanted, "root of Kp e = m g r cos(theta)", rel=1e-6, states=states))
+    return Page(rows=tuple(rows), note="The goal is theta = 0; gains of figure 10.6.")
+
+
+def constant_disturbance(ki: float) -> Run:
+    """The weight of a slide of 3 kg, which is the same everywhere; critically damped."""
+    slide = load_arm("gantry3").subset(["z"]).with_joints(viscous=0.0)
+    return on_link(
+        PID(kp=300.0, kd=60.0, ki=ki), plant=slide, ref=JointMotion(q=[0.1]), duration=10.0, q0=[0.0]
+    )  # fmt: skip
+
+
+def eq_10_12() -> Page:
+    mass, kp, kd, ki, push, at = 3.0, 300.0, 60.0, 400.0, 3.0 * 9.81, 0.5
+    run = constant_disturbance(ki)
+    A = np.array(
+        [[0.0, 1.0, 0.0, 0.0], [-kp / mass, -kd / mass, -ki / mass, push / mass], [1.0, 0, 0, 0], [0, 0, 0, 0]]
+    )
+    wanted = (expm(A * at) @ np.array([0.1, 0.0, 0.0, 1.0]))[0]
+    k = int(np.searchsorted(run.t, at - 1e-9))
+    rows = (
+        row(
+            "error 0.5 s after a step, with a constant disturbance",
+            "m",
+            0.1 - run.q[k, 0],
+            wanted,
+            "scipy.linalg.expm",
+            rel=2e-3,
+        ),
+    )
+    return Page(
+        rows=rows, note="Chosen: a slide of 3 kg under its weight, Kp = 300 N/m, Kd = 60 N s/m, Ki = 400 N/(m s)."
+    )
+
+
+def eq_10_13() -> Page:
+    with_i, without = constant_disturbance(400.0), constant_disturbance(0.0)
+    rows = (
+        row("error in the end, Ki = 0", "m", 0.1 - without.q[-1, 0], 3.0 * 9.81 / 300.0, "tau_dist / Kp", rel=1e-6),
+        row("error in the end, Ki > 0", "m", 0.1 - with_i.q[-1, 0], 0.0, "equation 10.13", near=1e-6),
+    )
+    return Page(rows=rows, note="An integral removes what a constant disturbance leaves. Numbers of equation 10.12.")
+
+
+def eq_10_14() -> Page:
+    pd = second_order(M=M, b=B, kp=KP, kd=KD)
+    rows: list[Row] = [row("bound of Ki", "N m/(rad s)", pd.largest_ki, BOUND, "(b + Kd) Kp / M")]
+    plane = link(gravity=False)
+    ctrl = controller(PID(kp=KP, kd=KD, ki=KI), plane)
+    loop = looped(ctrl, plane, JointMotion(q=[0.0]), friction="arm", integrator="rk4")
+
+    def compiled(ki: float) -> LinearLoop:
+        loop.parameters["law.ki"] = ki
+        return linearise(loop, at=[0.0])
+
+    (border,) = locus(compiled, [0.8 * BOUND, 1.2 * BOUND]).borders
+    rows.append(
+        row(
+            "Ki at which taut.laws.PID loses stability",
+            "N m/(rad s)",
+            border.value,
+            BOUND,
+            "(b + Kd) Kp / M",
+            rel=2e-4,
+        )
+    )
+    for factor in (0.9, 1.1):
+        ki = factor * BOUND
+        wanted = np.roots([M, B + KD, KP, ki])
+        pole = wanted[wanted.real.argmax()]
+        ctrl.parameters["law.ki"] = ki
+        run = on_link(ctrl, plant=link(gravity=False), ref=JointMotion(q=[0.0]), duration=30.0, q0=[0.01])
+        got = max(two_poles(run.between(6.0, 30.0).q[::100, 0], 0.01).real)
+        rows.append(
+            row(
+                f"growth of a swing, Ki = {factor:g} of the bound",
+                "1/s",
+                got,
+                pole.real,
+                f"{ROOTS} of 10.14",
+                rel=0.01,
+            )
+        )
+    return Page(rows=tuple(rows), note="Gains of figure 10.6 but for Ki; runs of 30 s in a horizontal plane.")
+
+
+def fig_10_6() -> Page:
+    runs = {"PD": figure_10_6(0.0), "PID": figure_10_6(KI)}
+    times = runs["PD"].t[::10]
+    written = {"PD": written_10_6(0.0, times), "PID": written_10_6(KI, times)}
+    e = {name: -run.q[:, 0] for name, run in runs.items()}
+    start = -HOME
+    rows = [
+        row(
+            "damping ratio of the PD design",
+            "",
+            second_order(M=M, b=B, kp=KP, kd=KD).zeta,
+            1.0,
+            "the chapter: critical damping",
+            states="1",
+        )
+    ]
+    for name in runs:
+        rows.append(
+            row(f"{name}: error in the end", "rad", e[name][-1], written[name][-1], ODE, rel=SAMPLED, near=1e-6)
+        )
+        rows.append(
+            row(f"{name}: least error", "rad", e[name].min(), written[name].min(), ODE, rel=SAMPLED, near=1e-5)
+        )
+        rows.append(
+            row(
+                f"{name}: RMS error",
+                "rad",
+                math.sqrt(np.mean(e[name] ** 2)),
+                math.sqrt(np.mean(written[name] ** 2)),
+                ODE,
+                rel=SAMPLED,
+            )
+        )
+    wanted = -100.0 * written["PID"].min() / start
+    rows += [
+        row(
+            "PID: overshoot",
+            "%",
+            -100.0 * e["PID"].min() / start,
+            wanted,
+            ODE,
+            rel=SAMPLED,
+            states="significant overshoot",
+        ),
+        row(
+            "PD: torque of Kp in the end",
+            "N m",
+            runs["PD"].terms["P"][-1, 0],
+            weight(-written["PD"][-1]),
+            "m g r cos(theta)",
+            rel=SAMPLED,
+        ),
+        row("PID: torque of Ki in the end", "N m", runs["PID"].terms["I"][-1, 0], weight(0.0), "m g r", rel=5e-3),
+    ]
+    figure, axes = panels(3, 2.6, width_ratios=[1.2, 1.5, 0.9])
+    prepared(axes[0], "error", "error [rad]", "t [s]")
+    prepared(axes[1], "terms", "torque [N m]", "t [s]")
+    for k, (name, run) in enumerate(runs.items()):
+        axes[0].plot(run.t[::50], e[name][::50], color=colour(k), linewidth=1.5, label=name)
+    axes[0].axhline(0.0, color=INK, linewidth=0.6)
+    styles = {"P": colour(2), "I": colour(3), "D": colour(4)}
+    for name, run in runs.items():
+        for term, values in run.terms.items():
+            if name == "PID" or term != "I":
+                whole = name == "PID"
+                axes[1].plot(
+                    run.t[::50], values[::50, 0], color=styles[term], label=f"{name} {term}",
+                    linestyle="-" if whole else DASHED, linewidth=1.3 if whole else 1.0,
+                )  # fmt: skip
+    for ax in axes[:2]:
+        legend(ax, ncols=1 if ax is axes[0] else 2)
+        ax.set_xlim(0.0, LONG)
+    axes[1].set_ylim(-3.0, 5.0)
+    ax = axes[2]
+    ax.set_title("start and goal", fontsize=SMALL + 0.5, color=INK, loc="left")
+    ax.axis("off")
+    ax.set_aspect("equal")
+    for theta, face, label in ((HOME, "#E4EBF2", "start"), (0.0, "#C9D8E6", "goal")):
+        end = 2.2 * R * np.array([math.cos(theta), math.sin(theta)])
+        ax.plot([0.0, end[0]], [0.0, end[1]], color=face, linewidth=9.0, solid_capstyle="round")
+        words(ax, 0.62 * float(end[0]), 0.62 * float(end[1]), label)
+    ax.plot(0.0, 0.0, "o", color=INK, markersize=5.0)
+    arrow(ax, (0.2, -0.08), (0.2, -0.2), width=1.4)
+    words(ax, 0.225, -0.14, "g")
+    ax.set_xlim(-0.05, 0.26)
+    ax.set_ylim(-0.27, 0.06)
+    return Page(rows=tuple(rows), figure=figure, note="All numbers are the chapter's; ticks of 0.1 ms, 12 s.")
+
+
+def fig_10_7() -> Page:
+    found = locus("ki", [0.0, 1.5 * BOUND], of=second_order(M=M, b=B, kp=KP, kd=KD))
+    border = found.borders[0]
+    breakaway = found.meetings[-1]
+    half = 0.5 * (B + KD) / M  # the two collocated roots are at -half, with Ki = 0 beside a third at the origin
+    s = -half * 2.0 / 3.0 + math.sqrt((half * 2.0 / 3.0) ** 2 - KP / M / 3.0)  # where d Ki / d s = 0
+    rows = (
+        row(
+            "Ki at which the roots cross",
+            "N m/(rad s)",
+            border.value,
+            BOUND,
+            "(b + Kd) Kp / M",
+            rel=1e-6,
+            states="(b + Kd) Kp / M",
+        ),
+        row("imaginary part there", "1/s", abs(border.pole.imag), math.sqrt(KP / M), "sqrt(Kp / M)", rel=1e-6),
+        row(
+            "Ki at which two roots break away",
+            "N m/(rad s)",
+            breakaway.value,
+            -s * (M * s * s + (B + KD) * s + KP),
+            "d Ki / d s = 0",
+            rel=1e-6,
+        ),
+        row("where they do", "1/s", breakaway.pole.real, s, "d Ki / d s = 0", rel=1e-4),
+        row(
+            "the third root there",
+            "1/s",
+            min(found.at(breakaway.value).real),
+            -(B + KD) / M - 2.0 * s,
+            "-(b + Kd) / M, less the two",
+            rel=1e-6,
+        ),
+    )
+    figure, (ax,) = panels(1, 3.1)
+    draw_locus(ax, found, np.array([KI]), "N m/(rad s)")
+    note = 'Gains of figure 10.6: both roots of PD control at -2.1 1/s. "1" marks Ki = 1, that of figure 10.6.'
+    return Page(rows=rows, figure=figure, note=note)
+
+
+ENTRIES: Final = (
+    Entry(id="eq-10.11", title="the link in gravity under PD control", make=eq_10_11),
+    Entry(id="fig-10.6", title="PD and PID control in gravity", make=fig_10_6),
+    Entry(id="eq-10.12", title="a constant disturbance, with an integral", make=eq_10_12),
+    Entry(id="eq-10.13", title="third-order error dynamics", make=eq_10_13),
+    Entry(id="eq-10.14", title="their characteristic equation, and the bound of Ki", make=eq_10_14),
+    Entry(id="fig-10.7", title="root locus over Ki", make=fig_10_7),
+)

@@ -1,0 +1,197 @@
+"""Section 10.1: the parts of a robot control system, and how fast its servo needs to be."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.signal import butter, lfilter
+
+from taut.book.drawing import arrow, block, box, canvas, legend, panels, words
+from taut.book.link import WRONG_R, B, M, controller, link, on_link, weight
+from taut.book.page import Entry, Page, Row, row
+from taut.book.simulation import rms, ticked, total
+from taut.control.laws.friction import FrictionCompensation
+from taut.control.laws.joint import PID, ComputedTorque
+from taut.control.sensing.sensing import Sensing
+from taut.control.sensing.velocity import Difference
+from taut.control.trajectories.joint import Sine
+from taut.control.trajectories.reference import JointMotion
+from taut.controller import compile
+from taut.record.plots.style import COLOURS, INK, SMALL, colour, prepared
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["ENTRIES"]
+
+RATES: Final = (100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0)  # [Hz]
+KP, KD = 400.0, 40.0  # [1/s^2], [1/s]
+SIZE, PACE, LONG = 0.8, 4.0, math.pi  # [rad], [rad/s], [s] of the sine that is followed
+
+
+def fig_10_1() -> Page:
+    ctrl = ticked(ComputedTorque(kp=KP, kd=KD, ki=1.0), link(), [0.1], [0.2], JointMotion(q=[0.3]))
+    figure, ax = canvas(9.6, 4.3, 0.78)
+    words(ax, 0.1, 4.15, "(a) a robot control system", ha="left")
+    _whole(ax, 3.2, list(ctrl.terms))
+    words(ax, 0.1, 1.75, "(b) simplified: ideal sensors, and a controller that directly gives torques", ha="left")
+    _simplified(ax, 1.0)
+    tau = total(ctrl.terms)[0]
+    a = KP * 0.2 - KD * 0.2 + 0.2 * 1e-3
+    rows = (
+        row(
+            "torque of the controller drawn, all terms together",
+            "N m",
+            tau,
+            M * a + weight(0.1),
+            "equation 10.19, written out",
+        ),
+    )
+    return Page(rows=rows, figure=figure, note="In the controller stand the terms of taut.laws.ComputedTorque.")
+
+
+def _whole(ax: Axes, y: float, terms: list[str]) -> None:
+    names = ("amplifiers", "actuators and\ntransmissions", "arm and\nenvironment")
+    box(ax, 2.35, y, 2.3, 1.3)
+    words(ax, 2.35, y + 0.48, "controller", zorder=3)
+    for k, name in enumerate(terms):
+        words(ax, 1.8 + 1.1 * (k % 2), y + 0.22 - 0.27 * (k // 2), name, size=SMALL - 1.0, zorder=3, color=COLOURS[0])
+    arrow(ax, (0.2, y), (1.2, y))
+    words(ax, 0.68, y + 0.25, "desired\nmotion", size=SMALL - 1.0)
+    for k, name in enumerate(names):
+        x = 4.75 + 1.9 * k
+        block(ax, x, y, name, width=1.35, height=0.8)
+        arrow(ax, (3.5 if not k else x - 1.225, y), (x - 0.675, y))
+    words(ax, 3.78, y + 0.25, "low\npower", size=SMALL - 1.0)
+    words(ax, 5.7, y - 0.25, "high\npower", size=SMALL - 1.0)
+    words(ax, 7.6, y + 0.25, "torque", size=SMALL - 1.0)
+    arrow(ax, (9.22, y), (9.55, y))
+    arrow(ax, (6.65, y + 0.4), (6.65, y + 0.72), (4.75, y + 0.72), (4.75, y + 0.4))
+    words(ax, 5.7, y + 0.84, "local feedback: current, torque", size=SMALL - 1.0)
+    block(ax, 5.7, y - 0.9, "sensors", width=1.2, height=0.4)
+    arrow(ax, (9.38, y), (9.38, y - 0.9), (6.3, y - 0.9))
+    arrow(ax, (5.1, y - 0.9), (2.35, y - 0.9), (2.35, y - 0.65))
+    words(ax, 7.9, y - 0.76, "motions and forces", size=SMALL - 1.0)
+
+
+def _simplified(ax: Axes, y: float) -> None:
+    block(ax, 2.35, y, "controller", width=2.3, height=0.7)
+    block(ax, 7.0, y, "dynamics of arm and environment", width=2.9, height=0.7)
+    arrow(ax, (0.2, y), (1.2, y))
+    words(ax, 0.68, y + 0.25, "desired\nmotion", size=SMALL - 1.0)
+    arrow(ax, (3.5, y), (5.55, y))
+    words(ax, 4.5, y + 0.15, "forces and torques", size=SMALL - 1.0)
+    arrow(ax, (8.45, y), (9.55, y))
+    arrow(ax, (9.2, y), (9.2, y - 0.6), (2.35, y - 0.6), (2.35, y - 0.35))
+    words(ax, 5.7, y - 0.48, "motions and forces", size=SMALL - 1.0)
+
+
+# -------------------------------------------------------------------- servo rates
+
+
+def written(rate: float) -> float:
+    """RMS error of the loop tick by tick, with the link integrated by RK4 of four steps a tick."""
+    dt, steps = 1.0 / rate, 4
+    h = dt / steps
+    theta, v, previous, errors = 0.0, SIZE * PACE, 0.0, []
+
+    def acceleration(theta: float, v: float, tau: float) -> float:
+        return (tau - B * v - float(weight(theta))) / M
+
+    for k in range(round(LONG * rate) + 1):
+        t = k * dt
+        q, qdot, a = SIZE * math.sin(PACE * t), SIZE * PACE * math.cos(PACE * t), -SIZE * PACE**2 * math.sin(PACE * t)
+        measured = (theta - previous) / dt if k else 0.0
+        previous = theta
+        errors.append(q - theta)
+        tau = M * (a + KP * (q - theta) + KD * (qdot - measured)) + float(weight(theta, WRONG_R)) + B * measured
+        for _ in range(steps):
+            k1v, k1a = v, acceleration(theta, v, tau)
+            k2v, k2a = v + 0.5 * h * k1a, acceleration(theta + 0.5 * h * k1v, v + 0.5 * h * k1a, tau)
+            k3v, k3a = v + 0.5 * h * k2a, acceleration(theta + 0.5 * h * k2v, v + 0.5 * h * k2a, tau)
+            k4v, k4a = v + h * k3a, acceleration(theta + h * k3v, v + h * k3a, tau)
+            theta += h / 6.0 * (k1v + 2.0 * k2v + 2.0 * k3v + k4v)
+            v += h / 6.0 * (k1a + 2.0 * k2a + 2.0 * k3a + k4a)
+    return rms(np.array(errors))
+
+
+def sec_10_1() -> Page:
+    sine = Sine(center=[0.0], amplitude=SIZE, frequency=PACE / (2.0 * math.pi))
+    got, wanted = [], []
+    for rate in RATES:
+        law = ComputedTorque(kp=KP, kd=KD) + FrictionCompensation(at="meas")
+        ctrl = controller(law, link(r=WRONG_R), rate=rate, differenced=True)
+        run = on_link(ctrl, plant=link(), ref=sine, duration=LONG, q0=[0.0], v0=[SIZE * PACE], substeps=4)
+        assert run.error is not None
+        got.append(rms(run.error[:, 0]))
+        wanted.append(written(rate))
+    tick_by_tick = "the loop tick by tick, the link by RK4"
+    rows: list[Row] = [
+        row(f"RMS error at {rate:g} Hz", "rad", mine, theirs, tick_by_tick, rel=1e-6)
+        for rate, mine, theirs in zip(RATES, got, wanted, strict=True)
+    ]
+    for (low, high), states in (
+        ((0, 3), "hundreds to a few thousands of Hz"),
+        ((3, 5), "of limited benefit"),
+        ((4, 5), "of limited benefit"),
+    ):
+        name = f"error at {RATES[high]:g} Hz over that at {RATES[low]:g} Hz"
+        rows.append(
+            row(name, "", got[high] / got[low], wanted[high] / wanted[low], tick_by_tick, rel=1e-6, states=states)
+        )
+    figure, (ax,) = panels(1, 2.5)
+    prepared(ax, "following a sine with a model that is 20 % off", "RMS error [mrad]", "servo rate [Hz]")
+    ax.plot(RATES, 1e3 * np.array(wanted), color=INK, linewidth=0.9, label="tick by tick, written out")
+    ax.plot(RATES, 1e3 * np.array(got), "o", color=colour(0), markersize=4.5, label="runs")
+    ax.set_xscale("log")
+    ax.set_ylim(0.0, None)
+    ax.set_xticks(RATES, [f"{rate:g}" for rate in RATES])
+    ax.minorticks_off()
+    legend(ax)
+    note = (
+        "The chapter: higher update rates are of limited benefit. What is left at high rates is the error of the "
+        "model. Chosen: feedback linearisation and FrictionCompensation, Kp = 400, Kd = 40, differenced positions, "
+        "r = 0.08 m in the model, 0.8 rad at 4 rad/s."
+    )
+    return Page(rows=tuple(rows), figure=figure, note=note)
+
+
+# -------------------------------------------------------------------- velocity by differences
+
+STEP, PACE_SLOW, CUTOFF, TICKS = 1e-3, 0.05, 20.0, 2000  # [rad] of an encoder, [rad/s], [Hz], of 1 ms
+
+
+def jitter() -> Page:
+    """A joint that turns slowly, seen by a coarse encoder, differenced with and without a low-pass."""
+    seen = STEP * np.round(PACE_SLOW * 1e-3 * np.arange(TICKS) / STEP)
+    rest, half = JointMotion(q=[0.0]), TICKS // 2
+    differenced = np.diff(seen, prepend=seen[0]) * 1e3
+    wanted = {"differenced": differenced, "with a low-pass": lfilter(*butter(1, CUTOFF, fs=1e3), differenced)}
+    rows: list[Row] = []
+    figure, (ax,) = panels(1, 2.3)
+    prepared(ax, "velocity by differences, from an encoder of 1 mrad", "velocity [rad/s]", "t [s]")
+    ways = (
+        ("differenced", Difference(), "NumPy's diff", "high frequency jitter due to quantization"),
+        ("with a low-pass", Difference(cutoff=CUTOFF), "SciPy's butter and lfilter", "to reduce it"),
+    )
+    for k, (name, velocity, source, claim) in enumerate(ways):
+        ctrl = compile(PID(kp=0.0, kd=1.0), link(), rate=1e3, sensing=Sensing(velocity=velocity))
+        told = -np.array([ctrl.step([q], ref=rest)[0] for q in seen])
+        what, want = f"RMS of the velocity's jitter, {name}", wanted[name][half:].std()
+        rows.append(row(what, "rad/s", told[half:].std(), want, source, rel=1e-6, states=claim))
+        t = 1e-3 * np.arange(half, half + 200)
+        ax.plot(t, told[half : half + 200], color=colour(k), linewidth=0.8 + 0.8 * k, label=name)
+    ax.axhline(PACE_SLOW, color=INK, linewidth=0.9, label="true")
+    ax.set_ylim(-0.1, 1.4)
+    legend(ax, ncols=3)
+    note = "Chosen: 0.05 rad/s, an encoder of 1 mrad, 1 kHz, a low-pass of 20 Hz."
+    return Page(rows=tuple(rows), figure=figure, note=note)
+
+
+ENTRIES: Final = (
+    Entry(id="fig-10.1", title="a robot control system", make=fig_10_1),
+    Entry(id="sec-10.1", title="higher servo rates stop paying", make=sec_10_1, part="rates"),
+    Entry(id="sec-10.1", title="jitter of differenced positions", make=jitter, part="jitter"),
+)

@@ -1,0 +1,126 @@
+"""The table of laws: what each computes, yields and needs, from its docstring and from a run of it."""
+
+from __future__ import annotations
+
+import functools
+import re
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Final
+
+import numpy as np
+
+from taut import laws
+from taut.arm.description import Arm, Friction
+from taut.control.describe import held_laws, statements, summary
+from taut.control.gains import Gain
+from taut.control.law import Law, field_units
+from taut.control.lawside import LawSide
+from taut.control.sensing.sensing import Sensing
+from taut.control.trajectories.hybrid_motion import HybridMotion
+from taut.control.trajectories.task_reference import TaskMotion
+from taut.maths.adds import Adds
+from taut.maths.constraints.constraint import Constraint
+
+__all__ = ["LawRow", "law_rows"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LawRow:
+    """One law."""
+
+    name: str
+    summary: str
+    law: list[str]
+    closed_loop: list[str]
+    gains: dict[str, str]  # with units
+    command: str
+    reference: str
+    needs: tuple[str, ...]
+
+    def json(self) -> dict[str, Any]:
+        """As plain values."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def text(self, width: int) -> str:
+        """For people: the equation, then what is said of it as running text, in lines of at most `width` letters."""
+        parts = {
+            "law": _equation_first(self.law),
+            "closed loop": _equation_first(self.closed_loop),
+            "gains": [", ".join(f"{name} [{unit}]" if unit else name for name, unit in self.gains.items()) or "none"],
+            "follows": [f"{self.reference}; gives a {self.command}; needs {', '.join(self.needs)}"],
+        }
+        lines = textwrap.wrap(f"{self.name}: {self.summary}", width)
+        for head, paragraphs in parts.items():
+            for i, paragraph in enumerate(paragraphs):
+                start = f"  {'' if i else head:11}  "
+                lines += textwrap.wrap(
+                    paragraph, width, initial_indent=start, subsequent_indent=" " * len(start), break_on_hyphens=False
+                )
+        return "\n".join(lines)
+
+
+def _equation_first(lines: Sequence[str]) -> list[str]:
+    """The lines of a docstring as paragraphs: the equation with its source in brackets, then the rest."""
+    told = [re.sub(r"   (.+)$", r" (\1)", line) for line in lines]
+    return [told[0], *(["; ".join(told[1:])] if told[1:] else [])]
+
+
+def law_rows() -> list[LawRow]:
+    """Every law of taut.laws that stands on its own."""
+    return [_row(getattr(laws, name)) for name in laws.__all__ if name not in OF_OTHERS]
+
+
+OF_OTHERS: Final = ("Sum", "SideBySide", "NormalEstimate")  # which are made of other laws, or held by one
+
+
+def _row(cls: type[Law]) -> LawRow:
+    fields_of = {field.name: cls.__dict__.get(field.name) for field in fields(cls)}  # type: ignore[arg-type]
+    every = {name: field for name, field in fields_of.items() if isinstance(field, Gain)}
+    gains = [name for name, field in every.items() if field.where is None]
+    given = {"constraint": Constraint(lambda T: T.p[2])} if "constraint" in fields_of else {}
+    law = cls(**_numbers(cls, gains), **given, **{name: _held(cls) for name in held_laws(cls)})
+    side = LawSide(law=law, arm=_six_axes(), rate=1000.0, sensing=Sensing(), limits=None, adds=Adds())
+    units = field_units(cls)
+    return LawRow(
+        name=cls.__name__,
+        summary=summary(cls),
+        law=statements(cls, "Law"),
+        closed_loop=statements(cls, "Closed loop"),
+        gains={name: units.get(name, "") for name, field in every.items() if field.has_meaning(law)},
+        command=side.probe.kind,
+        reference="none" if cls.ignores_reference else cls.reference.__name__,
+        needs=("q", *side.needs),
+    )
+
+
+def _numbers(cls: type[Law], gains: Sequence[str]) -> dict[str, Any]:
+    """Ones for every gain that a law must have; of damping and damping ratio, the damping."""
+    numbers: dict[str, Any] = {}
+    for name in gains:
+        field: Gain = cls.__dict__[name]
+        if not field.optional or name == "B":
+            numbers[name] = (1.0, 1.0) if field.pairs and not field.scalar else 1.0
+        if field.size == 3:
+            numbers[name] = (1.0, 1.0, 1.0)
+    return numbers
+
+
+def _held(cls: type[Law]) -> Law:
+    """A law for one that holds another."""
+    of_task = cls.reference in (TaskMotion, HybridMotion) and cls is not laws.ViaJointSpace
+    return laws.TaskComputedTorque(kp=1.0, kd=1.0) if of_task else laws.PID(kp=1.0)
+
+
+@functools.cache
+def _six_axes() -> Arm:
+    """An arm of six joints, with friction and nowhere near a singularity, to try a law on."""
+    axes = np.array([[0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=np.float64)
+    places = np.array([[0, 0, 0], [0, 0, 0.4], [0.4, 0, 0.6], [0.5, 0, 0.5], [0.6, 0, 0.4], [0.7, 0.1, 0.4]])
+    screws = np.vstack([axes.T, -np.cross(axes, places).T])
+    steps = np.diff(np.vstack([np.zeros(3), places, places[-1:]]), axis=0)
+    links = [np.vstack([np.column_stack([np.eye(3), step]), [0.0, 0.0, 0.0, 1.0]]) for step in steps]
+    inertia = np.diag([0.1, 0.1, 0.1, 1.0, 1.0, 1.0])
+    arm = Arm.from_screws(links, [inertia] * 6, screws, np.array([0.0, 0.0, -9.81]))
+    return arm.with_friction(Friction(viscous=1.0))

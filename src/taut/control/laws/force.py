@@ -1,0 +1,298 @@
+"""Force control: section 10.3 of the chapter, equations 10.34, 10.35 and 10.38."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Final, Literal
+
+import numpy as np
+
+from taut.base.checks import one_of, positive_scalar, require_positive, vector
+from taut.base.errors import ShapeError
+from taut.base.types import ArrayLike, Float64Array, Matrix, Rotation, Vector, Wrench
+from taut.control.command import Command, Terms, Torque
+from taut.control.gains import Gain, GainValue, Memory
+from taut.control.law import Law, MemoryView
+from taut.control.laws.compliance import check_sensor, wrench_at
+from taut.control.laws.contact_loss import CONTACT, E_INT_MAX, PATIENCE, counted, misses
+from taut.control.laws.damping import damping_force
+from taut.control.laws.integral import ANTI_WINDUP, AntiWindup, check_force_pole, check_tracking, integrated
+from taut.control.laws.null_space import Posture
+from taut.control.laws.task import check_null, null_torque
+from taut.control.trajectories.task_force import FRAMES, ForceFrame, TaskForce
+from taut.maths import dynamics as dyn
+from taut.maths.snapshot import Snapshot
+from taut.maths.spatial import rotated, rotated_matrix
+from taut.maths.task_inertia import TaskInertia
+from taut.trace import math as tm
+
+__all__ = ["ForceControl", "wrench_of_torques"]
+
+Feedback = Literal["wrench", "joint_torque", "none"]
+FEEDBACKS: Final[tuple[Feedback, ...]] = ("wrench", "joint_torque", "none")
+MEASURED: Final = ("feedback", ("wrench", "joint_torque"))
+STILL: Final = 1e-12  # [m, 1] of a Jacobian's entry: below it that is rounding
+HEAVY: Final = 10.0  # times the arm's mass, which no direction of its tool is made heavier than
+
+
+class ForceControl(Law):
+    """Force control: feedforward of the desired wrench, PI of its error, velocity damping; forces and moments.
+
+    Law:          tau = g(q) + J^T (F_des + kfp F_e + kfi int(F_e) - kdamp V)           eq. 10.34, 10.35, 10.38
+                  F_e = F_des - F_app, with F_app = -F_ext of a wrist sensor, or from joint torque sensors
+                  feedback="none" is eq. 10.34; kfp and kfi make eq. 10.35, kdamp eq. 10.38
+                  kdamp V is that of the arm alone when the tick ends, (I + kdamp Lambda^-1 dt)^-1 kdamp V, which is
+                    stable for any kdamp at any pose
+                  which is D V with D = (kdamp^-1 + dt Lambda^-1)^-1: kdamp in series with Lambda / dt, the strongest
+                    damper that a torque held over a tick can be
+    Closed loop:  (I + kfp) F_e + kfi int(F_e) = D V + what g does not know: at rest F_e decays with the pole
+                    -kfi / (1 + kfp), to nothing whatever is wrong with g              eq. 10.36, 10.37 corrected
+                  on a contact of stiffness k and damping b the arm swings as m s^2 + c s + (1 + kfp) k with
+                    c = D + (1 + kfp) b - kfp k lag, which needs c > 0 and kfi < (1 + kfp) c / m; the lag is
+                    dt / 2 of the hold and the age of the measured force
+                  on a rigid contact, with a force that is a tick old, stable where kfp + kfi dt / 2 < 1
+                  with nothing to press on V tends to D^-1 ((I + kfp) F_des + kfi int(F_e)): what kdamp asks for and
+                    dt Lambda^-1 on top, which is most of it in directions that are light for the rate; `speed_bound`
+
+    What F_app is, feedback="joint_torque": J_bar^T (tau_meas - C v - g) with J_bar = M^-1 J^T Lambda, the least
+    squares of the joints' residuals weighted with M^-1. For six joints it is J^-T of them; of more joints this is
+    the one pseudoinverse in which the free motion's own accelerations do not show as a force: J_bar^T M a is
+    Lambda J a. It is right at rest, a tick old, and as good as g: a payload that the model does not know is taken
+    for contact, and only a wrist sensor lets the integral take it out. Friction of gears does not show in it.
+
+    Contact is lost when less than `contact` is measured along F_des while more is asked for, longer than
+    `patience`: memory `lost` is 1, a column of a run; the metric contact_lost_time and the outcome tell.
+
+    Loss of contact, why the speed is bounded: let w = (I + kfp) F_des + kfi int(F_e), E = v . M v / 2, g exact, and a
+    null law that feeds no energy in. A tick under the wrench f = w - D V adds dt (V . f + f . dt Lambda^-1 f / 2) to
+    E, which is at most dt (w . D^-1 w - V . D V) / 2, as dt Lambda^-1 <= D^-1. So E falls whenever V . D V > w . D^-1
+    w, and over any time T the mean of V . D V is at most max w . D^-1 w + 2 E(0) / T, for any arm and any motion.
+    Where Lambda hardly changes, as about a pose, y = D^1/2 V goes to (I - S) y + S y_w, with y_w = D^-1/2 w and S =
+    D^1/2 dt Lambda^-1 D^1/2 symmetric, its eigenvalues in [0, 1): a start from rest keeps V . D V <= max w . D^-1 w
+    at every instant, for w along one line. The part dt Lambda^-1 w is in the speed of any law that presses with w:
+    so fast is the tool a tick after contact is lost. The integral is cut at e_int_max, so that w is bounded.
+
+    With joint torques the law takes its own force, a tick old, for F_app, also where the tool is free. There it is
+    stable where kfp + kfi dt / 2 + d / 2 < 1, d the largest eigenvalue of D dt Lambda^-1: 1/2 for what kfp and kfi
+    have serves any kdamp. With a wrist sensor any kdamp is stable off contact.
+
+    Frames:
+        frame= names the axes of the gains and the integral, "world" or "tool"; F_des has a frame of its own. All at
+        the origin of the tool that is controlled.
+
+    Args:
+        kfp: Proportional gain: one number, (linear, angular), (6,) or (6, 6).
+        kfi: Integral gain, likewise.
+        kdamp: Damping of the tool: (linear, angular), (6,) or (6, 6); none if left out, and then nothing bounds the
+            speed when contact is lost.
+        e_int_max: (linear, angular) the largest length of each part of the integral.
+        feedback: "wrench", "joint_torque" or "none".
+        frame: "world" or "tool".
+        contact: (force, moment) that count as contact.
+        patience: Time without it after which contact is lost.
+        null: A law for the motion that the task leaves free, `Posture()` if not said, None for none.
+        anti_windup: What the integral does where limits cut torques: "clamping", "back-calculation" or "none".
+        tracking: With "back-calculation", how fast it is driven back.
+        tool: The frame that is controlled; the arm's tool if left out.
+
+    Raises:
+        ShapeError: One number for N and N m.
+        RangeError: An integral that is unstable at this rate.
+
+    Example:
+        >>> import taut
+        >>> law = ForceControl(kfp=0.5, kfi=5.0, kdamp=(100.0, 5.0))
+        >>> ctrl = taut.compile(law, taut.load_arm("panda"))
+        >>> ctrl.needs
+        ('v', 'F_ext')
+        >>> x = taut.snapshot(ctrl.arm, ctrl.arm.home)
+        >>> v, omega = law.speed_bound(F_app=[0, 0, -10.0, 0, 0, 0], x=x, rate=1000.0)
+        >>> round(v, 3)  # [m/s]: (1.5 * 10 N + 5 / s * 20 N s) / (100 N s/m), the moment's integral, dt Lambda^-1
+        1.895
+
+    References:
+        Section 10.3 force control. Khatib (1987), IEEE Journal of Robotics and Automation 3 (1), on J_bar.
+    """
+
+    reference = TaskForce
+    needs_contact: ClassVar[bool] = True
+    recorded: ClassVar[tuple[str, ...]] = ("e_int", "lost", "bounded")
+    notices: ClassVar[tuple[tuple[str, str], ...]] = (
+        ("lost", "the tool met less than was asked for, contact was lost"),
+        ("bounded", "the integral of the force error was at its bound e_int_max"),
+    )
+    kfp: Gain = Gain(0.0, size=6, pairs=True, where=MEASURED)  # [1]
+    kfi: Gain = Gain(0.0, size=6, pairs=True, where=MEASURED)  # [1/s]
+    kdamp: Gain = Gain(size=6, pairs=True, scalar=False, optional=True)  # [N s/m, N m s/rad]
+    e_int_max: Gain = Gain(E_INT_MAX, size=2, scalar=False, minimum=1e-9, where=MEASURED)  # [N s, N m s]
+    feedback: Feedback = "wrench"
+    frame: ForceFrame = "world"
+    contact: Gain = Gain(CONTACT, size=2, scalar=False, minimum=1e-9, where=MEASURED)  # [N, N m]
+    patience: Gain = Gain(PATIENCE, size=0, where=MEASURED)  # [s]
+    null: Law | None = Posture()
+    anti_windup: AntiWindup = "clamping"
+    tracking: Gain = Gain(10.0, size=0, where=("anti_windup", "back-calculation"))  # [1/s]
+    tool: str | None = None
+    e_int: Memory = Memory(0.0)  # [N s, N m s]
+    alone: Memory = Memory(0.0)  # [s] since there was contact
+    lost: Memory = Memory(0.0)  # 1 where contact is lost
+    bounded: Memory = Memory(0.0)  # 1 where the integral is at its bound
+
+    def __post_init__(self) -> None:
+        one_of("feedback", self.feedback, FEEDBACKS)
+        one_of("frame", self.frame, FRAMES)
+        one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
+        check_null(self.null)
+        for name, unit in (("e_int_max", "N s, N m s"), ("contact", "N, N m")):
+            _check_pair(getattr(self, name), unit)
+
+    @property
+    def measures(self) -> bool:
+        """Whether there is feedback."""
+        return self.feedback != "none"
+
+    def check_rate(self, rate: float) -> None:
+        """The slow mode of the closed loop, -kfi / (1 + kfp), must be slower than the rate on any contact."""
+        check_tracking(self.anti_windup, self.tracking, rate)
+        if not self.measures:
+            return
+        check_force_pole(self.kfp.matrix(6), self.kfi.matrix(6), rate)
+
+    def swing(self, dt: float, x: Snapshot, pressing: Float64Array) -> float:
+        """The largest eigenvalue of (kfp + kfi dt / 2) P: from 1 on, a force a tick old swings up on a rigid contact.
+
+        Args:
+            dt: Control period [s].
+            x: The arm where it presses.
+            pressing: (6, 6) P, what of a wrench at the tool presses against the contact, world axes.
+        """
+        if not self.measures:
+            return 0.0
+        gain = _numbers(self.kfp) + 0.5 * dt * _numbers(self.kfi)
+        if self.frame == "tool":
+            gain = np.asarray(rotated_matrix(x.T(self.tool).R, gain), dtype=np.float64)
+        return float(np.max(np.abs(np.linalg.eigvals(gain @ pressing))))
+
+    def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
+        """The wrist sensor must be on the link that is controlled."""
+        if self.feedback == "wrench":
+            check_sensor(x, self.tool)
+
+    def speed_bound(self, *, F_app: ArrayLike, x: Snapshot, rate: float) -> tuple[float, float]:
+        """Bounds of the tool's speed and angular speed in the sampled loop when contact is lost [m/s, rad/s].
+
+        V . D V <= w . D^-1 w, of which each part has its share, with w = (I + kfp) F_des + kfi e_int_max, each part
+        of the integral along what it adds to most. It holds about the pose x at every instant, from rest; of a
+        motion through other poses in the mean square, with the D of each: see the law.
+
+        Infinite where kdamp damps less than all six directions, and for kfp of joint torques, for which no bound is
+        known.
+
+        Args:
+            F_app: (6,) the desired wrench in the axes of the gains [N, N m].
+            x: The arm at the pose, such as taut.snapshot(arm, q).
+            rate: Of the control loop [Hz].
+        """
+        F = vector("F_app", F_app, 6, unit="N, N m")
+        rate = positive_scalar("rate", rate, unit="Hz")
+        kfp, kdamp = _numbers(self.kfp) if self.measures else np.zeros((6, 6)), np.zeros((6, 6))
+        if self.gives("kdamp"):
+            kdamp = _numbers(self.kdamp)
+        if np.linalg.matrix_rank(kdamp) < 6 or (self.feedback == "joint_torque" and kfp.any()):
+            return np.inf, np.inf
+        T, J = x.T(self.tool), x.J(self.tool)
+        mobility = J @ x.M_factors.solve(J.T)
+        if self.frame == "tool":
+            mobility = rotated_matrix(T.R.T, mobility)
+        inverse = np.linalg.inv(kdamp) + np.asarray(mobility, dtype=np.float64) / rate
+        root = np.linalg.cholesky(inverse).T  # |root w|^2 = w . D^-1 w
+        size = float(np.linalg.norm(root @ (F + kfp @ F)))
+        if self.measures:
+            most = np.asarray(self.e_int_max.as_array(), dtype=np.float64)
+            added = root @ _numbers(self.kfi)
+            size += sum(m * float(np.linalg.norm(added[:, k : k + 3], 2)) for m, k in zip(most, (0, 3), strict=True))
+        linear, angular = (float(np.linalg.norm(inverse[k : k + 3, k : k + 3], 2)) ** 0.5 for k in (0, 3))
+        return float(linear * size), float(angular * size)
+
+    def command(
+        self, x: Snapshot, ref: TaskForce, memory: MemoryView, dt: float
+    ) -> tuple[Command, dict[str, object]]:
+        T, J = x.T(self.tool), x.J(self.tool)
+        R = T.R if self.frame == "tool" else None
+        inertia = TaskInertia.bounded(J, x.M_factors, HEAVY * sum(body.mass for body in x.arm.bodies))
+        F_des = ref.in_world(T.R)
+        w = Terms(feedforward=_inwards(R, F_des))
+        after: dict[str, object] = {name: getattr(memory, name) for name in ("e_int", "alone", "lost", "bounded")}
+        if self.measures:
+            F_app = -wrench_at(x, self.tool) if self.feedback == "wrench" else wrench_of_torques(x, inertia)
+            F_e = _inwards(R, _felt(x, self.tool, F_des - F_app))
+            e_int, after["bounded"] = self._integral(x, memory.e_int, F_e, R, inertia, dt)
+            after |= {"e_int": e_int} | self._contact(F_des, F_app, memory.alone, dt)
+            w = w + Terms(P=self.kfp @ F_e, I=self.kfi @ e_int)
+        if self.gives("kdamp"):
+            mobility = inertia.mobility if R is None else rotated_matrix(R.T, inertia.mobility)
+            w = w + Terms(D=-damping_force(self.kdamp.matrix(6), mobility, _inwards(R, J @ x.v), dt))
+        tau = J.T @ w.mapped(lambda F: F if R is None else rotated(R, F)) + Terms(gravity=x.g)
+        if self.null is not None:
+            after["null"] = memory["null"]
+        if self.null is not None and x.n > 6:  # else there is no free motion
+            free, after["null"] = null_torque(self.null, x, ref, memory["null"], dt, inertia)
+            tau = tau + free
+        return Torque(tau), after
+
+    def _integral(
+        self, x: Snapshot, e_int: Vector, F_e: Wrench, R: Rotation | None, inertia: TaskInertia, dt: Any
+    ) -> tuple[Vector, Any]:
+        """The integral after this tick, and 1 where its bound cut it."""
+        cut = None
+        if self.anti_windup != "none":
+            cut = _inwards(R, inertia.wrench(x.tau_cut))
+        grown = integrated(e_int, F_e, x, dt, self.anti_windup, self.kfi, self.tracking, cut=cut)
+        parts, least = [], 1.0
+        for k in (0, 1):
+            part = grown[3 * k : 3 * k + 3]
+            share = tm.minimum(self.e_int_max[k] / tm.maximum(tm.norm(part), 1e-12), 1.0)
+            least = tm.minimum(least, share)
+            parts.extend(share * part)
+        return tm.array(parts), tm.where(least < 1.0, 1.0, 0.0)
+
+    def _contact(self, F_des: Wrench, F_app: Wrench, alone: Any, dt: Any) -> dict[str, object]:
+        """How long there has been less than `contact` along what is asked for, and whether that is too long."""
+        missing: Any = 0.0
+        for k in (0, 1):
+            wanted, there = F_des[3 * k : 3 * k + 3], F_app[3 * k : 3 * k + 3]
+            missing = tm.maximum(missing, misses(tm.norm(wanted), wanted @ there, self.contact[k]))
+        return counted(alone, missing, self.patience.as_array(), dt)
+
+
+def wrench_of_torques(x: Snapshot, inertia: TaskInertia) -> Wrench:
+    """(6,) F_app at the tool from measured joint torques: J_bar^T (tau_meas - C v - g), world axes [N, N m].
+
+    The sensors have all that acts on the links, so that what a plant adds itself is in it, and friction is not.
+    """
+    return inertia.wrench(x.tau_meas - x.inverse_dynamics(np.zeros(x.n)))
+
+
+def _felt(x: Snapshot, tool: str | None, F: Wrench) -> Wrench:
+    """A wrench without the directions in which the arm never moves, as a planar one: its bearings carry them."""
+    anywhere = dyn.jacobian(x.model, np.cos(1.7 * np.arange(x.n) + 0.3), tool)  # what is zero here is so in any pose
+    return tm.array([F[i] if np.any(np.abs(row) > STILL) else 0.0 for i, row in enumerate(anywhere)])
+
+
+def _inwards(R: Rotation | None, six: Vector) -> Vector:
+    """What stands in world axes, in those of the gains."""
+    return six if R is None else rotated(R.T, six)
+
+
+def _numbers(gain: GainValue) -> Matrix:
+    return np.asarray(gain.matrix(6), dtype=np.float64)
+
+
+def _check_pair(gain: GainValue, unit: str) -> None:
+    """A number for the linear part and one for the angular part.
+
+    Raises:
+        ShapeError: Something else.
+    """
+    if gain.shape != (2,):
+        raise ShapeError(f"{gain.name} must be (linear, angular) [{unit}]; got shape {gain.shape}", name=gain.name)
+    require_positive(gain.name, np.asarray(gain.as_array()), unit=unit)

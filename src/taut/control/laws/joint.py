@@ -1,0 +1,199 @@
+"""Laws of joint motion: sections 10.2.1 and 10.2.2 of the chapter.
+
+A closed loop is stated in continuous time, as the chapter states it; a sampled one tends to it as dt falls. `e` is
+desired minus actual, f(v) the friction of the plant: b v for viscous, mu sign(v) for dry friction.
+"""
+
+from __future__ import annotations
+
+from taut.base.checks import one_of
+from taut.control.command import Command, Terms, Torque, Velocity
+from taut.control.gains import Gain, Memory
+from taut.control.law import Law, MemoryView
+from taut.control.laws.integral import ANTI_WINDUP, AntiWindup, check_tracking, integrated
+from taut.control.trajectories.reference import JointMotion, Sample
+from taut.maths.snapshot import Snapshot
+
+__all__ = [
+    "PID",
+    "ComputedTorque",
+    "FeedForward",
+    "GravityCompensation",
+    "GravityPID",
+    "VelocityPI",
+]
+
+
+class PID(Law):
+    """PID control, each joint on its own: the decentralised controller. P, PI and PD by the gains.
+
+    Law:          tau = kp e + ki int(e) + kd e_dot                                     eq. 10.6, figure 10.8
+    Closed loop:  M e_ddot + (b + kd) e_dot + kp e + ki int(e) = tau_dist, one joint at a set-point    eq. 10.12
+                  tau_dist is what it takes to hold the joint, such as gravity; a motion adds M a_des + b v_des
+                  stable for 0 <= ki < (b + kd) kp / M
+                  a constant disturbance then leaves no error with ki > 0, and the error tau_dist / kp without
+
+    The integral includes this tick's error, as in the chapter's pseudocode. Where limits cut the torque it is kept
+    from winding up: anti_windup is "clamping", "back-calculation" (with the rate `tracking`) or "none".
+
+    References:
+        Section 10.2.1.1 PID control; section 10.2.2.1 decentralised multi-joint control.
+    """
+
+    kp: Gain  # [N m/rad | N/m]
+    kd: Gain = Gain(0.0)  # [N m s/rad | N s/m]
+    ki: Gain = Gain(0.0)  # [N m/(rad s) | N/(m s)]
+    e_int: Memory = Memory(0.0)  # [rad s | m s]
+    anti_windup: AntiWindup = "clamping"
+    tracking: Gain = Gain(10.0, where=("anti_windup", "back-calculation"))  # [1/s]
+
+    def __post_init__(self) -> None:
+        one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
+
+    def check_rate(self, rate: float) -> None:
+        check_tracking(self.anti_windup, self.tracking, rate)
+
+    def command(
+        self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
+    ) -> tuple[Command, dict[str, object]]:
+        e, e_dot = x.difference(ref.q), ref.v - x.v
+        e_int = integrated(memory.e_int, e, x, dt, self.anti_windup, self.ki, self.tracking)
+        return Torque(P=self.kp @ e, I=self.ki @ e_int, D=self.kd @ e_dot), {"e_int": e_int}
+
+
+class FeedForward(Law):
+    """Feedforward control: the model's torques along the desired motion. Use it with feedback: + PID(...).
+
+    Law:          tau = M(q_des) a_des + h(q_des, v_des)                                eq. 10.16, figure 10.9
+    Closed loop:  M(q) e_ddot = (M(q) - M(q_des)) a_des + h(q, v) - h(q_des, v_des) + f(v), with an exact model
+                  near the motion M e_ddot + (dh/dv) e_dot + d(M a_des + h)/dq e = f(v)
+                  from an exact start it follows exactly, but for friction
+                  an error swings where the arm hangs, and grows where it stands upright
+
+    References:
+        Section 10.2.1.2 feedforward control.
+    """
+
+    def command(self, x: Snapshot, ref: JointMotion) -> Command:
+        desired = x.at(ref.q, ref.v)
+        return Torque(desired.M @ Terms(feedforward=ref.a) + Terms(nonlinear=desired.h))
+
+
+class ComputedTorque(Law):
+    """Joint-space feedback linearisation (computed torque).
+
+    Law:          tau = M(q) (a_des + kp e + ki int(e) + kd e_dot) + h(q, v)            eq. 10.19, 10.21
+    Closed loop:  e_ddot + kd e_dot + kp e + ki int(e) = 0, with an exact model and no friction    eq. 10.17
+                  omega_n = sqrt(kp), zeta = kd / (2 sqrt(kp)) for ki = 0; stable for 0 <= ki < kd kp
+                  friction, which h has none of, puts M(q)^-1 f(v) on the right
+                  + FrictionCompensation(at="meas") takes it away, but for dry friction at rest
+                  a sampled loop tends to this as dt falls
+
+    References:
+        Section 10.2.1.3 feedforward plus feedback linearisation; section 10.2.2.2 centralised control.
+    """
+
+    kp: Gain  # [1/s^2]
+    kd: Gain  # [1/s]
+    ki: Gain = Gain(0.0)  # [1/s^3]
+    e_int: Memory = Memory(0.0)  # [rad s | m s]
+    anti_windup: AntiWindup = "clamping"
+    tracking: Gain = Gain(10.0, where=("anti_windup", "back-calculation"))  # [1/s]
+
+    def __post_init__(self) -> None:
+        one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
+
+    def check_rate(self, rate: float) -> None:
+        check_tracking(self.anti_windup, self.tracking, rate)
+
+    def command(
+        self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
+    ) -> tuple[Command, dict[str, object]]:
+        e, e_dot = x.difference(ref.q), ref.v - x.v
+        scheme, tracking = self.anti_windup, self.tracking
+        e_int = integrated(memory.e_int, e, x, dt, scheme, self.ki, tracking, acceleration=True)
+        a = Terms(feedforward=ref.a, P=self.kp @ e, I=self.ki @ e_int, D=self.kd @ e_dot)
+        return Torque(x.M @ a + Terms(nonlinear=x.h)), {"e_int": e_int}
+
+
+class GravityPID(Law):
+    """PID control with gravity compensation (known elsewhere as joint impedance control).
+
+    Law:          tau = kp e + ki int(e) + kd e_dot + g(q)                              eq. 10.22
+    Closed loop:  M a + C v = kp e - kd v, for a set-point, ki = 0, an exact g and no friction    eq. 10.23
+                  V = e . kp e / 2 + v . M v / 2 falls at the rate v . kd v                        eq. 10.25, 10.27
+                  globally asymptotically stable for kp > 0 and kd > 0, where no joint wraps, in continuous time;
+                    held over a tick, kd diverges where M^-1 kd dt has an eigenvalue above 2
+                  viscous friction adds to kd; dry friction leaves an error of up to mu / kp
+
+    References:
+        Section 10.2.2.2 centralised multi-joint control, equations 10.22 to 10.27.
+    """
+
+    kp: Gain  # [N m/rad | N/m]
+    kd: Gain  # [N m s/rad | N s/m]
+    ki: Gain = Gain(0.0)  # [N m/(rad s) | N/(m s)]
+    e_int: Memory = Memory(0.0)  # [rad s | m s]
+    anti_windup: AntiWindup = "clamping"
+    tracking: Gain = Gain(10.0, where=("anti_windup", "back-calculation"))  # [1/s]
+
+    def __post_init__(self) -> None:
+        one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
+
+    def check_rate(self, rate: float) -> None:
+        check_tracking(self.anti_windup, self.tracking, rate)
+
+    def command(
+        self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
+    ) -> tuple[Command, dict[str, object]]:
+        e, e_dot = x.difference(ref.q), ref.v - x.v
+        e_int = integrated(memory.e_int, e, x, dt, self.anti_windup, self.ki, self.tracking)
+        tau = Torque(P=self.kp @ e, I=self.ki @ e_int, D=self.kd @ e_dot, gravity=x.g)
+        return tau, {"e_int": e_int}
+
+
+class GravityCompensation(Law):
+    """Gravity compensation with joint damping: hand guiding.
+
+    Law:          tau = g(q) - kd v                              eq. 10.22 with kp = ki = 0 and v_des = 0
+    Closed loop:  M a + C v + kd v + f(v) = tau_ext, with an exact g: the arm floats, and follows a hand
+
+    References:
+        Section 10.2.2.2 centralised multi-joint control.
+    """
+
+    ignores_reference = True
+    kd: Gain = Gain(0.0)  # [N m s/rad | N s/m]
+
+    def command(self, x: Snapshot, ref: Sample) -> Command:  # noqa: ARG002
+        return Torque(gravity=x.g, D=-(self.kd @ x.v))
+
+
+class VelocityPI(Law):
+    """Velocity-input control: feedforward plus PI, for arms whose drives close the velocity loop.
+
+    Law:          v_cmd = v_des + kp e + ki int(e)                    published edition, section 11.3
+    Closed loop:  e_dot + kp e + ki int(e) = 0, where the drives follow v_cmd exactly
+
+    References:
+        Lynch and Park, Modern Robotics (2017), section 11.3 motion control with velocity inputs.
+    """
+
+    kp: Gain  # [1/s]
+    ki: Gain = Gain(0.0)  # [1/s^2]
+    e_int: Memory = Memory(0.0)  # [rad s | m s]
+    anti_windup: AntiWindup = "clamping"
+    tracking: Gain = Gain(10.0, where=("anti_windup", "back-calculation"))  # [1/s]
+
+    def __post_init__(self) -> None:
+        one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
+
+    def check_rate(self, rate: float) -> None:
+        check_tracking(self.anti_windup, self.tracking, rate)
+
+    def command(
+        self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
+    ) -> tuple[Command, dict[str, object]]:
+        e = x.difference(ref.q)
+        e_int = integrated(memory.e_int, e, x, dt, self.anti_windup, self.ki, self.tracking)
+        return Velocity(feedforward=ref.v, P=self.kp @ e, I=self.ki @ e_int), {"e_int": e_int}

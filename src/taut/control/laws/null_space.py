@@ -1,0 +1,148 @@
+"""Laws for the motion that a task leaves free: posture, joint limits, manipulability.
+
+They are laws of joint accelerations, tau = M a, that ask for no reference. Held in the field `null` of a task law
+they act through its dynamically consistent projector; alone, or added to others, they act in full.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from taut.arm.angles import require_radians
+from taut.base.checks import vector
+from taut.base.errors import ShapeError, UsageError
+from taut.base.types import ArrayLike, Vector
+from taut.control.command import Command, Terms, Torque
+from taut.control.gains import Gain, GainValue
+from taut.control.law import Law, MemoryView
+from taut.control.trajectories.reference import Sample
+from taut.maths import dynamics as dyn
+from taut.maths.snapshot import Snapshot
+from taut.trace import math as tm
+
+__all__ = ["LimitAvoidance", "Manipulability", "Posture"]
+
+
+class Posture(Law):
+    """Keep a posture: each joint is drawn to its place, as far as a task leaves it free.
+
+    Law:          tau = M(q) (kp (q_rest - q) - kd v)
+    Closed loop:  e_ddot + kd e_dot + kp e = 0 where it acts in full; projected, the same of the free motion alone
+
+    Args:
+        q: (n,) q_rest [rad | m]; where the arm starts if left out.
+
+    References:
+        Khatib (1987), IEEE Journal of Robotics and Automation 3 (1), section VI.
+    """
+
+    ignores_reference = True
+    kp: Gain = Gain(10.0)  # [1/s^2]
+    kd: Gain = Gain(6.0)  # [1/s]
+    q: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        if self.q is not None:
+            q = vector("q", self.q, np.size(self.q), unit="rad | m")
+            object.__setattr__(self, "q", q)
+
+    def start(self, x: Snapshot, ref: Sample) -> Mapping[str, Vector]:  # noqa: ARG002
+        return {"rest": x.q if self.q is None else tm.array(vector("q", self.q, x.n, joints=x.arm.joint_names))}
+
+    def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
+        """A posture that lies far beyond a joint's limits is meant in degrees."""
+        if self.q is not None:
+            require_radians("q", vector("q", self.q, x.n, joints=x.arm.joint_names), x.arm)
+
+    def command(self, x: Snapshot, ref: Sample, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:  # noqa: ARG002
+        e = x.difference(memory.rest)
+        return Torque(x.M @ Terms(P=self.kp @ e, D=-(self.kd @ x.v))), {"rest": memory.rest}
+
+
+class LimitAvoidance(Law):
+    """Keep away from joint limits: a spring that begins `margin` before each limit, with damping of its own.
+
+    Law:          tau = M(q) (kp d - kd v s),  d how far a joint is into the margin, inwards, s = |d| / margin
+    Closed loop:  none in the middle of the range; in the margin a damped spring with omega_n = sqrt(kp)
+
+    Joints without limits are left alone. Held in `null` it gives way to the task, which may still drive a joint into
+    its limit. In the middle of the range it damps nothing; add what does, as in LimitAvoidance() + Posture(kp=0.0).
+
+    Args:
+        margin: Width of the zone before a limit [rad | m].
+    """
+
+    ignores_reference = True
+    kp: Gain = Gain(100.0)  # [1/s^2]
+    kd: Gain = Gain(20.0)  # [1/s]
+    margin: Gain = Gain(0.2, minimum=1e-6)  # [rad | m]
+
+    def __post_init__(self) -> None:
+        _check_entries(self.margin, "rad | m")
+
+    def command(self, x: Snapshot, ref: Sample) -> Command:  # noqa: ARG002
+        lower, upper = x.arm.lower, x.arm.upper
+        margin = self.margin.as_array() * np.ones(x.n)
+        low = tm.maximum(np.where(np.isfinite(lower), lower, 0.0) + margin - x.q, 0.0) * np.isfinite(lower)
+        high = tm.maximum(x.q - np.where(np.isfinite(upper), upper, 0.0) + margin, 0.0) * np.isfinite(upper)
+        share = tm.minimum((low + high) / margin, 1.0)
+        return Torque(x.M @ Terms(P=self.kp @ (low - high), D=-(self.kd @ (share * x.v))))
+
+
+class Manipulability(Law):
+    """Drive the free motion to where the tool moves well: up the gradient of the manipulability measure.
+
+    Law:          tau = M(q) (gain d/dq log sqrt(det(J J^T)) - kd v)
+    Closed loop:  the measure grows along the free motion, which comes to rest where it cannot grow more
+
+    The gradient is exact, by differentiation, and goes to infinity at a singularity: `most` bounds each of its
+    entries smoothly.
+
+    Args:
+        tool: The frame whose motion it is about; the arm's tool if left out.
+
+    References:
+        Yoshikawa (1985), International Journal of Robotics Research 4 (2).
+    """
+
+    ignores_reference = True
+    gain: Gain = Gain(5.0)  # [1/s^2]
+    kd: Gain = Gain(6.0)  # [1/s]
+    most: Gain = Gain(5.0, minimum=1e-6)  # [1/rad | 1/m]
+    tool: str | None = None
+
+    def __post_init__(self) -> None:
+        _check_entries(self.most, "1/rad | 1/m")
+
+    def command(self, x: Snapshot, ref: Sample) -> Command:  # noqa: ARG002
+        def measure(q: Vector) -> Any:
+            J = dyn.jacobian(x.model, q, self.tool)
+            d = tm.factor_spd(J @ J.T + 1e-12 * tm.eye(6)).d
+            total: Any = 0.0
+            for pivot in d:
+                total = total + tm.log(tm.maximum(pivot, 1e-300))
+            return 0.5 * total
+
+        if x.n < 6:
+            raise UsageError(
+                f"Manipulability is for arms of 6 joints and more; '{x.arm.name}' has {x.n}, and its measure is zero",
+                name="Manipulability",
+            )
+        slope = tm.jacobian(measure, x.q)
+        bounded = slope / tm.sqrt(1.0 + (slope / self.most.as_array()) ** 2)
+        return Torque(x.M @ Terms(P=self.gain @ bounded, D=-(self.kd @ x.v)))
+
+
+def _check_entries(gain: GainValue, unit: str) -> None:
+    """What bounds each joint by itself is no matrix.
+
+    Raises:
+        ShapeError: It is one.
+    """
+    if gain.ndim == 2:
+        raise ShapeError(
+            f"{gain.name} must be one number or one per joint [{unit}]; got shape {gain.shape}", name=gain.name
+        )

@@ -1,0 +1,344 @@
+"""via_joint_space: a law of joint motion that follows the motion of the tool (section 10.2.3, the first option)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Final
+
+import numpy as np
+
+from taut.base.checks import finite_array, one_of
+from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.types import Array, ArrayLike, Matrix, Vector
+from taut.control.command import Command
+from taut.control.gains import Gain, GainValue
+from taut.control.law import Law, MemoryView, call
+from taut.control.trajectories.reference import JointMotion, Sample
+from taut.control.trajectories.task_reference import TaskMotion
+from taut.maths import dynamics as dyn
+from taut.maths.ik import (
+    DIRECTIONS,
+    TINY,
+    Directions,
+    IkOutcome,
+    Resolved,
+    Task,
+    damping_near_singularity,
+    jacobian_rate,
+    shortened,
+    task_of,
+)
+from taut.maths.snapshot import Snapshot
+from taut.trace import math as tm
+
+__all__ = ["ViaJointSpace", "via_joint_space"]
+
+MOST_STEPS: Final = 10
+ARRIVED: Final = 1e-5  # [m, rad] an error under which the tool's target is met
+MOVING: Final = 1e-3  # share of full speed above which the joints are on their way
+NEVER: Final = 1e-30  # keeps a quotient finite
+
+
+class ViaJointSpace(Law):
+    """Task-space motion by inverse kinematics: holds a law of joint motion and gives it the joints' motion.
+
+    Law:          q_des = f^-1(T_des), by `steps` damped Newton steps from the last solution      eq. 10.28
+                  v_des = J^-1 V_des                                                              eq. 10.29
+                  a_des = J^-1 (V_des-dot - J-dot v_des)                                          eq. 10.30
+                  then that of the law it holds, at this q_des, v_des, a_des
+    Closed loop:  that of the law it holds, around these: e_ddot + kd e_dot + kp e = 0 of ComputedTorque, joint by
+                  joint; the tool's error is J e to first order, so its directions are coupled by J
+                  q_des itself is off by c |q_pred - q*|^2 after one step, c about 1 [1/rad], with q_pred the last
+                  solution carried on by v_des and a_des: dt^3/6 times the joints' jerk from what is wanted
+
+    J^-1 is the inverse, with joints to spare the pseudo-inverse, with too few least squares (a radian counts as much
+    as a third of the reach). Joints to spare go to `posture`, where they started if it is left out, at the rate
+    `pull`: closed paths of the tool then end as closed paths of the joints.
+
+    Limits: a joint goes towards its limit no faster than the way that is left over `rise`; one that would is held to
+    that, with the v_des and a_des that it means, and the others make up for it as well as they can. Near a
+    singularity J J^T is damped, by at most damping^2 (without dimension), and not at all beyond twice that; v_des as
+    a whole never exceeds the arm's own speed limits.
+
+    A target that jumps, or starts elsewhere, is approached at no more than `speed`, which is reached from rest in the
+    time `rise`, and v_des says so; one that moves without a twist is followed with a lag. What is unreachable is
+    approached as far as it goes. In a run, `run.extra["law.ik_error"]` (k, 2) is what is left [m, rad] and
+    `run.extra["law.ik_outcome"]` how each tick ended, `taut.dynamics.IkOutcome.of(...)`; after a step `ctrl.memory`
+    has both.
+
+    References:
+        Section 10.2.3 task space motion control, equations 10.28 to 10.30.
+        Nakamura and Hanafusa, J. Dynamic Systems, Measurement and Control 108 (1986).
+    """
+
+    reference: ClassVar[type[Sample]] = TaskMotion
+    recorded: ClassVar[tuple[str, ...]] = ("q_des", "ik_error", "ik_outcome")
+
+    inner: Law
+    steps: int = 1
+    tool: str | None = None
+    directions: Directions = "all"
+    posture: ArrayLike | None = None  # [rad | m]
+    pull: Gain = Gain(1.0)  # [1/s]
+    damping: Gain = Gain(0.1, minimum=1e-6)
+    speed: Gain = Gain(1.0, minimum=1e-6)  # [rad/s | m/s]
+    rise: Gain = Gain(0.1, minimum=1e-3)  # [s]
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.inner, Law):
+            raise UsageError(
+                f"via_joint_space takes a law: taut.laws.ComputedTorque(...); got {type(self.inner).__name__}",
+                name="inner",
+            )
+        if self.inner.reference is not JointMotion:
+            raise UsageError(
+                f"via_joint_space gives a JointMotion, and {type(self.inner).__name__} follows a "
+                f"{self.inner.reference.__name__}; hold a law of joint motion, such as ComputedTorque",
+                name="inner",
+            )
+        one_of("directions", self.directions, DIRECTIONS)
+        if isinstance(self.steps, bool) or not isinstance(self.steps, int) or not 1 <= self.steps <= MOST_STEPS:
+            raise RangeError(
+                f"steps must be a whole number from 1 to {MOST_STEPS}; got {self.steps!r}", name="steps", value=None
+            )
+        for name in ("pull", "damping", "rise"):
+            _require_scalar(name, getattr(self, name))
+        if self.speed.ndim == 2:
+            raise ShapeError(f"speed must be a scalar or one per joint; got shape {self.speed.shape}", name="speed")
+        if self.posture is not None:
+            object.__setattr__(self, "posture", finite_array("posture", self.posture, unit="rad | m"))
+
+    def seen_by(self, child: str, x: Snapshot, ref: Sample) -> tuple[Snapshot, Sample]:  # noqa: ARG002
+        """The law that it holds begins with a rest where the arm is."""
+        return x, JointMotion.at_rest(x, None)
+
+    def start(self, x: Snapshot, ref: TaskMotion) -> dict[str, Any]:  # noqa: ARG002
+        zero = np.zeros(x.n)
+        return {
+            "q_des": x.q,
+            "v_des": zero,
+            "a_des": zero,
+            "v_asked": zero,
+            "held": zero,
+            "pace": 0.0,
+            "posture": x.q,
+            "ik_error": np.zeros(2),
+            "ik_outcome": IkOutcome.SOLVED.code,
+        }
+
+    def command(self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: Any) -> tuple[Command, dict[str, Any]]:
+        wanted = self._joint_motion(x, ref, memory, dt)
+        sample = JointMotion.of({"q": wanted.q, "v": wanted.v, "a": wanted.a})
+        command, after = call(self.inner, x, sample, memory["inner"], dt)
+        return command, {**wanted.memory, "inner": after}
+
+    def _joint_motion(self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: Any) -> _Wanted:
+        arm, task = x.arm, task_of(x.arm, self.tool, self.directions)
+        q, held, rise = memory.q_des, memory.held, self.rise.as_array()[()]
+        # Towards a limit no faster than the way that is left over the rise; from beyond one only back.
+        slowest, fastest = (tm.minimum(arm.lower, q) - q) / rise, (tm.maximum(arm.upper, q) - q) / rise
+        free = 1.0 - tm.abs(held)
+        forced = tm.where(held > 0.0, fastest, tm.where(held < 0.0, slowest, 0.0))
+        onward = dt * shortened(memory.v_des + 0.5 * dt * memory.a_des, arm.velocity)
+        q_pred = q + tm.clip(onward, dt * slowest, dt * fastest)
+        at = q_pred
+        for _ in range(self.steps - 1):
+            at = at + self._seen(x, at, ref, task, free).step
+        seen = self._seen(x, at, ref, task, free)
+        ahead = at - q_pred + seen.step
+        share, pace = self._paced(ahead, memory.pace, arm.velocity, dt)
+        moved = shortened(q_pred - q + share * ahead, arm.velocity * dt)
+        q_new = q + tm.clip(moved, dt * slowest, dt * fastest)
+
+        rates = self._rates(x, at, ref, task, seen, free, forced, self._posture(x, memory))
+        pushed = rates.wish + seen.J.T @ seen.solved.multipliers(seen.e) / dt  # where a held joint would go
+        wish = tm.where(free > 0.5, rates.v + share * ahead / dt, pushed)
+        held = tm.where(wish > fastest, 1.0, tm.where(wish < slowest, -1.0, 0.0))
+        v = tm.clip(rates.v, slowest, fastest)
+        a = tm.where(held > 0.0, -fastest / rise, tm.where(held < 0.0, -slowest / rise, rates.a))
+
+        left = tm.array(task.left(seen.T, ref.pose, dyn.jacobian(x.model, at, self.tool) @ (q_new - at)))
+        new = {
+            "q_des": q_new,
+            "v_des": v,
+            "a_des": a,
+            "held": held,
+            "pace": pace,
+            "posture": memory.posture,
+            "ik_error": left,
+            "ik_outcome": _outcome(left, held, seen.damping, (q_new - q) / (dt * self.speed.as_array()), task),
+        }
+        # Where joints catch up, or may not go as fast as they should, the rate of what is asked is what it is.
+        asked = shortened(v + (q_new - q_pred) / dt, arm.velocity)
+        limited = tm.where(share < 1.0, 1.0, tm.where(rates.slowed < 1.0, 1.0, 0.0))
+        seen_rate = shortened((asked - memory.v_asked) / dt, arm.velocity / rise)
+        new["v_asked"] = asked
+        return _Wanted(q=q_new, v=asked, a=tm.where(limited > 0.5, seen_rate, a), memory=new)
+
+    def _posture(self, x: Snapshot, memory: MemoryView) -> Array:
+        if self.posture is None:
+            kept: Array = memory.posture
+            return kept
+        posture = np.asarray(self.posture)
+        if posture.shape != (x.n,):
+            raise ShapeError(
+                f"posture must have one entry per joint, shape ({x.n},); got shape {posture.shape}", name="posture"
+            )
+        return posture
+
+    def _seen(self, x: Snapshot, q: Vector, ref: TaskMotion, task: Task, free: Vector) -> _Seen:
+        """One Newton step from q, and what it was made of."""
+        T = dyn.pose(x.model, q, self.tool)
+        J, e = task.seen(T, dyn.jacobian(x.model, q, self.tool)), task.error(T, ref.pose)
+        damping = damping_near_singularity(J, free, self.damping.as_array()[()])
+        solved = Resolved(J, free, damping + tm.norm(e) + TINY)
+        return _Seen(T=T, J=J, e=e, damping=damping, solved=solved, step=solved(e))
+
+    def _paced(self, ahead: Vector, pace: Any, velocity: Vector, dt: Any) -> tuple[Any, Any]:
+        """The share of a way that is gone in this tick, and the share of full speed that this is.
+
+        Full speed is reached in the time `rise` and left in the same, as if the way were straight.
+        """
+        rise = self.rise.as_array()[()]
+        time = tm.maximum(NEVER, _largest(tm.abs(ahead) / tm.minimum(self.speed.as_array(), velocity)))
+        fastest = tm.minimum(tm.minimum(1.0, pace + dt / rise), tm.sqrt(2.0 * time / rise))
+        share = tm.minimum(1.0, fastest * dt / time)
+        return share, share * time / dt
+
+    def _rates(
+        self,
+        x: Snapshot,
+        q: Vector,
+        ref: TaskMotion,
+        task: Task,
+        seen: _Seen,
+        free: Vector,
+        forced: Vector,
+        posture: Array,
+    ) -> _Rates:
+        """Equations 10.29 and 10.30 for the free joints; the others move as they must."""
+        arm, T, J, rise = x.arm, seen.T, seen.J, self.rise.as_array()[()]
+        solve = Resolved(J, free, seen.damping + TINY)
+        b = task.seen(T, ref.twist) - J @ forced
+        redundant, pull = task.size < x.n, self.pull.as_array()[()]
+        towards = pull * arm.difference(posture, q)
+        null = free * shortened(towards, tm.minimum(self.speed.as_array(), arm.velocity)) if redundant else None
+        fast = solve(b, null) + forced
+        push = J.T @ solve.multipliers(b, null)
+        wish = push + (towards if redundant else forced)
+        worst = _largest(tm.abs(fast) / arm.velocity)
+        slowed = 1.0 / tm.maximum(1.0, worst)
+        v = slowed * fast
+        J_W, J_W_rate = dyn.jacobian(x.model, q, self.tool), jacobian_rate(x.model, q, v, self.tool)
+        J_rate = task.seen_rate(T, J_W[3:] @ v, J_W, J_W_rate)
+        wanted = task.seen_rate(T, J_W[3:] @ v, slowed * ref.twist, slowed * slowed * ref.acceleration)
+        if redundant:
+            null = free * (J_rate.T @ (slowed * solve.multipliers(b, null)) - pull * v)
+        a = solve(wanted - J_rate @ v + J @ (forced / rise), null)
+        return _Rates(v=v, a=shortened(a, arm.velocity / rise), wish=wish, slowed=slowed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Seen:
+    """The tool's error at some joint positions, and a damped Newton step from there."""
+
+    T: Any
+    J: Matrix  # rows of the task, without dimension
+    e: Array
+    damping: Any  # for the sake of a singularity
+    solved: Resolved
+    step: Vector  # (n,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Rates:
+    """Velocities and accelerations of the joints; where held ones would go."""
+
+    v: Vector  # (n,) [rad/s | m/s]
+    a: Vector  # (n,) [rad/s^2 | m/s^2]
+    wish: Vector  # (n,) [rad/s | m/s]
+    slowed: Any  # share of the speed that equation 10.29 asks for
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Wanted:
+    """What the inner law is to follow, and what is remembered."""
+
+    q: Vector
+    v: Vector  # with the way that is caught up
+    a: Vector
+    memory: dict[str, Any]
+
+
+def _outcome(left: Array, held: Vector, damping: Any, motion: Vector, task: Task) -> Any:
+    """The code of how a tick ended."""
+    rest = IkOutcome.FEWER_JOINTS if task.rank < task.asked else IkOutcome.STALLED
+    code = tm.where(damping > 0.0, IkOutcome.SINGULAR.code, rest.code)
+    code = tm.where(np.sum(tm.abs(held)) > 0.5, IkOutcome.AT_LIMIT.code, code)
+    code = tm.where(tm.norm(motion) > MOVING, IkOutcome.CATCHING_UP.code, code)
+    return tm.where(tm.maximum(left[0], left[1]) < ARRIVED, IkOutcome.SOLVED.code, code)
+
+
+def _largest(values: Vector) -> Any:
+    out = values[0]
+    for value in values[1:]:
+        out = tm.maximum(out, value)
+    return out
+
+
+def _require_scalar(name: str, gain: GainValue) -> None:
+    if gain.ndim:
+        raise ShapeError(f"{name} must be one number; got shape {gain.shape}", name=name)
+
+
+def via_joint_space(
+    law: Law,
+    *,
+    steps: int = 1,
+    tool: str | None = None,
+    directions: Directions = "all",
+    posture: ArrayLike | None = None,
+    pull: float = 1.0,
+    damping: float = 0.1,
+    speed: ArrayLike = 1.0,
+    rise: float = 0.1,
+) -> ViaJointSpace:
+    """A law that follows the motion of the tool, of one that follows the motion of the joints.
+
+    Args:
+        law: A law of joint motion, or a sum of them.
+        steps: Newton steps in a tick. One is enough where the reference has twist and acceleration.
+        tool: The frame that is to follow; the arm's tool if left out.
+        directions: "all" six; "position"; "pointing", for tools that may spin: position, and where z points.
+        posture: (n,) where joints to spare go [rad | m]; where they started if left out.
+        pull: How fast they go there [1/s]; 0 leaves them alone.
+        damping: Of J J^T at a singularity, as the singular value that it is the square of, without dimension.
+        speed: Scalar or (n,), of joints that catch up with a target which jumped [rad/s | m/s].
+        rise: Time in which that speed is reached from rest, and left [s].
+
+    Raises:
+        UsageError: Not a law of joint motion; unknown directions.
+        RangeError: Numbers out of range.
+        ShapeError: Gains of another shape.
+
+    Example:
+        >>> import taut
+        >>> arm = taut.load_arm("planar3")
+        >>> law = taut.laws.via_joint_space(taut.laws.ComputedTorque(kp=100.0, kd=20.0))
+        >>> ctrl = taut.compile(law, arm)
+        >>> goal = taut.TaskMotion(pose=taut.snapshot(arm, arm.home + 0.2).T())
+        >>> run = taut.run(ctrl, taut.RigidPlant(arm), goal, duration=2.0)
+        >>> bool(np.abs(run.q[-1] - arm.home - 0.2).max() < 1e-3)
+        True
+    """
+    return ViaJointSpace(
+        inner=law,
+        steps=steps,
+        tool=tool,
+        directions=directions,
+        posture=posture,
+        pull=pull,
+        damping=damping,
+        speed=speed,
+        rise=rise,
+    )

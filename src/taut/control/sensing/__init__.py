@@ -1,0 +1,1 @@
+"""What a controller makes of its measurements: filters, velocity, wrist wrench."""

@@ -1,0 +1,1 @@
+"""Tasks: phases, their guards and references."""

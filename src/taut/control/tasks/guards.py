@@ -1,0 +1,247 @@
+"""Guards: when a phase of a task ends. Pure functions of the snapshot that give one condition."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final, Literal, TypeAlias
+
+import numpy as np
+
+from taut.base.checks import finite_scalar, one_of, require_at_least, vector
+from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.types import ArrayLike
+from taut.control.trajectories.reference import JointMotion
+from taut.control.trajectories.task_reference import TaskMotion
+from taut.maths.snapshot import Snapshot
+from taut.maths.spatial import rotation_log
+from taut.trace import math as tm
+from taut.trace.array import has_symbols
+from taut.trace.pose import Pose
+from taut.trace.scalar import Condition
+
+__all__ = ["Guard", "Lasting", "condition", "contact", "lasting", "moved", "no_contact", "reached", "settled"]
+
+Axes: TypeAlias = Literal["world", "tool"]
+FRAMES: Final = ("world", "tool")
+
+
+def contact(x: Snapshot, force: float, direction: ArrayLike | None = None, frame: Axes = "world") -> Any:
+    """Guard: whether something touches the tool with more than a force.
+
+    Args:
+        x: The snapshot of a guard; it must have F_ext.
+        force: [N].
+        direction: (3,) where the force on the arm must point, of any length: its part in this direction counts. The
+            whole force, whatever its direction, if left out.
+        frame: The axes of the direction.
+
+    Returns:
+        A condition.
+
+    Example:
+        >>> import taut
+        >>> law = taut.laws.GravityPID(kp=10.0, kd=1.0)
+        >>> task = [taut.Phase(law, until=lambda x: contact(x, 2.0, direction=[0, 0, 1]), timeout=1.0)]
+    """
+    force = finite_scalar("force", force, unit="N")
+    require_at_least("force", np.asarray(force), 0.0, unit="N")
+    one_of("frame", frame, FRAMES)
+    F = x.F_ext[:3]
+    if direction is None:
+        return tm.norm(F) > force
+    along = vector("direction", direction, 3)
+    length = float(np.linalg.norm(along))
+    if length == 0.0:
+        raise RangeError("direction must have a length; got zeros", name="direction", rule="not zero")
+    axes = along / length if frame == "world" else x.T().R @ (along / length)
+    return axes @ F > force
+
+
+def no_contact(x: Snapshot, force: float, direction: ArrayLike | None = None, frame: Axes = "world") -> Any:
+    """Guard: whether nothing touches the tool with more than a force; the opposite of `contact`.
+
+    Args:
+        x: The snapshot of a guard, with F_ext.
+        force: The force [N].
+        direction: (3,) as of `contact`.
+        frame: The axes of the direction.
+    """
+    return ~contact(x, force, direction, frame)
+
+
+def reached(
+    x: Snapshot,
+    target: Pose | TaskMotion | JointMotion,
+    *,
+    q: float | None = None,
+    position: float | None = None,
+    rotation: float | None = None,
+    tool: str | None = None,
+) -> Any:
+    """Guard: whether the arm is where it is to be.
+
+    Args:
+        x: The snapshot.
+        target: A pose or a task motion, for which `position`, `rotation` or both are given; a joint motion, for `q`.
+        q: Largest error of any joint [rad | m].
+        position: Largest distance from the target [m].
+        rotation: Largest angle to it [rad].
+        tool: The frame that is compared; that of the phase's law if left out.
+
+    Raises:
+        UsageError: No tolerance, or one that the target has no meaning for.
+    """
+    tolerances = {"q": q, "position": position, "rotation": rotation}
+    given = {name: finite_scalar(name, value) for name, value in tolerances.items() if value is not None}
+    for name, value in given.items():
+        require_at_least(name, np.asarray(value), 0.0)
+    wanted, fitting = _wanted(target)
+    if not given or not given.keys() <= fitting:
+        raise UsageError(
+            f"a {type(wanted).__name__} is reached within {' or '.join(f'{name}=' for name in sorted(fitting))}; got "
+            f"{', '.join(f'{name}=' for name in given) or 'none of them'}",
+            name="target",
+        )
+    if isinstance(wanted, JointMotion):
+        off = tm.abs(x.difference(wanted.q))
+        return _largest(off) <= given["q"]
+    T = x.T(x.tool if tool is None and x.in_phase else tool)
+    near: Any = np.bool_(True)
+    if "position" in given:
+        near = (tm.norm(wanted.p - T.p) <= given["position"]) & near
+    if "rotation" in given:
+        near = (tm.norm(rotation_log(T.R.T @ wanted.R)) <= given["rotation"]) & near
+    return near
+
+
+def settled(
+    x: Snapshot,
+    *,
+    q: float | None = None,
+    position: float | None = None,
+    rotation: float | None = None,
+    v: float | None = None,
+) -> Any:
+    """Guard: whether the arm is where its reference is, and, with `v`, all but at rest.
+
+    Args:
+        x: The snapshot of a guard, in a phase whose law follows a motion.
+        q: Largest error of any joint, for a law of joint motion [rad | m].
+        position: Largest distance of the tool, for one of task motion [m].
+        rotation: Largest angle of the tool [rad].
+        v: Largest speed of any joint [rad/s | m/s].
+
+    Raises:
+        UsageError: No tolerance, or one that the reference has no meaning for.
+    """
+    near = reached(x, x.ref, q=q, position=position, rotation=rotation)
+    if v is None:
+        return near
+    return (_largest(tm.abs(x.v)) <= finite_scalar("v", v, unit="rad/s | m/s")) & near
+
+
+def moved(x: Snapshot, distance: float, tool: str | None = None) -> Any:
+    """Guard: whether the tool's origin is at least a distance away from where it was when the phase began.
+
+    Args:
+        x: The snapshot of a guard.
+        distance: [m].
+        tool: The frame; that of the phase's law if left out.
+    """
+    distance = finite_scalar("distance", distance, unit="m")
+    require_at_least("distance", np.asarray(distance), 0.0, unit="m")
+    frame = x.tool if tool is None else tool
+    return tm.norm(x.T(frame).p - x.begin.T(frame).p) >= distance
+
+
+def _wanted(target: Any) -> tuple[Any, set[str]]:
+    """Where a target is, and which tolerances have a meaning there."""
+    wanted = getattr(target, "motion", target)  # of a sample of motion and force
+    if isinstance(wanted, JointMotion):
+        return wanted, {"q"}
+    if isinstance(wanted, (Pose, TaskMotion)):
+        return wanted, {"position", "rotation"}
+    raise UsageError(
+        f"a guard can tell whether a taut.Pose, TaskMotion or JointMotion is reached; got {type(target).__name__}",
+        name="target",
+    )
+
+
+def _largest(values: Any) -> Any:
+    out = values[0]
+    for i in range(1, len(values)):
+        out = tm.maximum(out, values[i])
+    return out
+
+
+# -------------------------------------------------------------------- guards that count
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lasting:
+    """A guard that has to hold for some ticks on end. Made by `taut.guards.lasting`."""
+
+    guard: Callable[[Snapshot], Any]
+    ticks: int
+
+    def __call__(self, x: Snapshot) -> Any:
+        """The condition in one tick alone."""
+        return self.guard(x)
+
+
+Guard: TypeAlias = Callable[[Snapshot], Any] | Lasting
+
+
+def lasting(guard: Callable[[Snapshot], Any], *, ticks: int) -> Lasting:
+    """A guard that has to hold in some ticks on end, so that a spike of a sensor does not end a phase.
+
+    Args:
+        guard: A function of the snapshot.
+        ticks: How many; the count begins anew with each phase.
+
+    Raises:
+        UsageError: Not a function, or one that counts itself.
+        RangeError: A number of ticks that is no whole number from 1 on.
+
+    Example:
+        >>> touch = lasting(lambda x: contact(x, 2.0), ticks=5)
+        >>> touch.ticks
+        5
+    """
+    if not callable(guard) or isinstance(guard, Lasting):
+        raise UsageError(
+            f"lasting takes a guard, such as lambda x: taut.guards.contact(x, 2.0); got {guard!r}", name="guard"
+        )
+    if isinstance(ticks, bool) or not isinstance(ticks, (int, np.integer)) or ticks < 1:
+        raise RangeError(f"ticks must be a whole number >= 1; got {ticks!r}", name="ticks", rule=">= 1")
+    return Lasting(guard=guard, ticks=int(ticks))
+
+
+def condition(result: Any, who: str) -> Any:
+    """What a guard gave, as one condition.
+
+    Args:
+        result: What it gave.
+        who: What it is, for messages.
+
+    Raises:
+        UsageError: It is no condition.
+        ShapeError: It is more than one.
+    """
+    if isinstance(result, (bool, np.bool_)):
+        return np.bool_(result)
+    if isinstance(result, Condition):
+        return result
+    if isinstance(result, np.ndarray) and (result.dtype == bool or has_symbols(result)):
+        if result.ndim:
+            raise ShapeError(
+                f"{who} must give one condition; got an array of shape {result.shape}; combine them with & or |, or "
+                "compare taut.math.norm(...)",
+                name="guard",
+            )
+        return condition(result[()], who)
+    shown = "None; did it forget its return?" if result is None else f"{type(result).__name__}"
+    if isinstance(result, Lasting):
+        shown = "taut.guards.lasting(...), which stands around the whole guard"
+    raise UsageError(f"{who} must give a condition, such as x.F_ext[2] > 2.0; got {shown}", name="guard")

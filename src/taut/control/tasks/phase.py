@@ -1,0 +1,222 @@
+"""Phase: one step of a task: a law, what it follows, and when it ends."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Protocol, TypeAlias, runtime_checkable
+
+import numpy as np
+
+from taut.base.checks import finite_scalar, positive_scalar
+from taut.base.errors import RangeError, UsageError, unknown_name
+from taut.control.describe import all_laws
+from taut.control.law import Law
+from taut.control.tasks.guards import Guard, Lasting, contact
+from taut.control.trajectories.reference import Chunk, Hold, Reference, Sample, Stream, Trajectory, as_reference
+from taut.maths.snapshot import Snapshot
+
+__all__ = ["STOP", "Phase", "PhaseReference", "named_phases"]
+
+STOP: Final = "stop"
+CONTACT: Final = 1.0  # [N] a force that counts as contact, for laws that never start without
+OWN_WORDS: Final = (STOP, "phase", "next", "ticks", "ended", "begin", "lasted")  # of the memory of a task
+PhaseReference: TypeAlias = Reference | Callable[[Snapshot], Reference] | None
+
+
+@runtime_checkable
+class KnowsContact(Protocol):
+    """A law that knows where contact is."""
+
+    def touches(self, x: Snapshot) -> Any:
+        """Whether the arm is in contact, as a condition."""
+        ...
+
+
+@runtime_checkable
+class MeasuresContact(Protocol):
+    """A law that can state how far it is from contact."""
+
+    def contact_state(self, x: Snapshot) -> str:
+        """Distance, force and their limits, in words."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Phase:
+    """One phase of a task: a law, what it follows, and when it ends. A task is a list of them.
+
+    A law starts in the tick in which its phase begins, with its integrators at zero and whatever else it remembers;
+    a phase that is entered again starts afresh. Guards are looked at in each tick, on what is measured then; what
+    they decide acts from the next tick on. Where several hold, `unless` comes before `until`, and both before
+    `timeout`.
+
+    A guard is a function of the snapshot that gives one condition: `lambda x: taut.guards.contact(x, 2.0)`. Besides
+    what
+    a law sees it may ask for `x.elapsed`, the time in the phase [s], `x.ref`, the sample that its law follows, and
+    `x.begin`, the arm where the phase began. It is traced like a law: combine conditions with & | ~.
+
+    A law that controls forces never starts without contact: where there is none when its phase begins, the arm is
+    held for that tick and the task goes on as `otherwise` says.
+
+    Args:
+        law: What controls the arm.
+        reference: A sample, hold, trajectory, stream or chunk, whose time counts from the begin of the phase; or a
+            function of the snapshot at its begin that gives one of these: `lambda x:
+            taut.trajectories.Line(T0=x.T(), ...)`. A
+            hold of the state at the begin if left out.
+        until: Guard that ends the phase well.
+        unless: Guard that says that something is wrong.
+        timeout: Longest time in the phase [s].
+        otherwise: Where `unless` and `timeout` lead: "stop", or the name or number of a phase.
+        then: Where `until` leads: the next phase, and from the last one "stop", if left out.
+        name: What it is called, as in the path of a gain: law.approach.kp; phase1, phase2, ... if left out.
+        contact: What counts as contact for a law that needs it: a force [N], or a guard; 1.0 N if left out, and for
+            a law that knows its surface, such as HybridMotionForce, to be on it.
+
+    Raises:
+        UsageError: Not a law, a reference that is none, a guard that is no function.
+        RangeError: A timeout or a force that is not above zero.
+
+    Example:
+        >>> import taut
+        >>> law = taut.laws.TaskComputedTorque(kp=100.0, kd=20.0)
+        >>> down = lambda x: taut.trajectories.Steady(T0=x.T(), velocity=[0.0, 0.0, -0.02])
+        >>> Phase(law, down, name="approach", until=lambda x: taut.guards.contact(x, 2.0), timeout=5.0).name
+        'approach'
+    """
+
+    law: Law
+    reference: PhaseReference = None
+    until: Guard | None = None
+    unless: Guard | None = None
+    timeout: float | None = None  # [s]
+    otherwise: str | int = STOP
+    then: str | int | None = None
+    name: str | None = None
+    contact: float | Guard | None = None  # [N]
+
+    def __post_init__(self) -> None:
+        who = "a phase" if self.name is None else f"phase '{self.name}'"
+        if not isinstance(self.law, Law):
+            raise UsageError(f"{who} takes a law such as taut.laws.PID(kp=...); got {self.law!r}", name="law")
+        if self.name is not None and (not isinstance(self.name, str) or not self.name.isidentifier()):
+            raise UsageError(
+                f"the name of a phase must be a word of letters, digits and _, as it stands in the paths of gains; "
+                f"got {self.name!r}",
+                name="name",
+            )
+        if self.name in OWN_WORDS:
+            raise UsageError(f"'{self.name}' is a word of every task; give the phase another name", name="name")
+        for guard in ("until", "unless"):
+            value = getattr(self, guard)
+            if value is not None and not callable(value):
+                raise UsageError(
+                    f"{who}: {guard} must be a function of the snapshot, such as lambda x: "
+                    f"taut.guards.contact(x, 2.0); "
+                    f"got {value!r}",
+                    name=guard,
+                )
+        if self.timeout is not None:
+            object.__setattr__(self, "timeout", positive_scalar("timeout", self.timeout, unit="s"))
+        if self.contact is not None and not callable(self.contact):
+            force = finite_scalar("contact", self.contact, unit="N")
+            if force <= 0.0:
+                raise RangeError(f"contact must be > 0 [N]; got {force:g}", name="contact", value=force, rule="> 0")
+        self._check_reference(who)
+
+    def _check_reference(self, who: str) -> None:
+        ref = self.reference
+        if ref is None or (callable(ref) and not isinstance(ref, Trajectory)):
+            return
+        try:
+            given = as_reference(ref)
+        except UsageError as cause:
+            raise UsageError(f"{who}: {cause}", name="reference") from cause
+        sample = given.sample if isinstance(given, Hold) else given
+        if isinstance(sample, Trajectory) and not isinstance(sample, (Sample, Stream, Chunk)):
+            sample = sample.at(0.0)
+        if isinstance(sample, Chunk):
+            sample = sample.samples[0]
+        if isinstance(sample, Sample) and not isinstance(sample, self.law.reference):
+            raise UsageError(
+                f"{who}: its law follows {self.law.reference.described()}; the reference gives {sample.described()}",
+                name="reference",
+            )
+
+    @property
+    def needs_contact(self) -> bool:
+        """Whether its law, or one that it holds, never starts without contact."""
+        return any(law.needs_contact for _, law in all_laws(self.law))
+
+    def in_contact(self, x: Snapshot) -> Any:
+        """Whether there is contact, as a condition."""
+        if callable(self.contact):
+            return self.contact(x)
+        holds: list[Any] = [law.touches(x) for _, law in all_laws(self.law) if isinstance(law, KnowsContact)]
+        force = self.contact if self.contact is not None else None if holds else CONTACT
+        if force is not None:
+            holds.append(contact(x, force))
+        return functools.reduce(lambda a, b: a & b, holds)
+
+    def contact_state(self, x: Snapshot) -> str:
+        """Why there is no contact, in words with numbers; empty for a guard of the user's."""
+        if callable(self.contact):
+            return ""
+        laws = [law for _, law in all_laws(self.law)]
+        said = [law.contact_state(x) for law in laws if isinstance(law, MeasuresContact)]
+        if self.contact is not None or not any(isinstance(law, KnowsContact) for law in laws):
+            force = CONTACT if self.contact is None else self.contact
+            said.append(f"{np.linalg.norm(x.F_ext[:3]):.3g} N measured, and contact is {force:g} N or more")
+        return ", ".join(said)
+
+
+def named_phases(task: Sequence[Phase]) -> dict[str, Phase]:
+    """The phases of a task by name.
+
+    Raises:
+        UsageError: No phase, something else than a phase, two of one name, a counter that cannot count in `contact`.
+        UnknownNameError: `otherwise` or `then` names a phase that is not there.
+        RangeError: `otherwise` or `then` is the number of a phase that is not there.
+    """
+    if not task:
+        raise UsageError("a task needs one phase at least; got an empty list", name="task")
+    named: dict[str, Phase] = {}
+    for i, phase in enumerate(task):
+        if not isinstance(phase, Phase):
+            raise UsageError(f"a task is a list of taut.Phase; entry {i} is a {type(phase).__name__}", name="task")
+        name = phase.name or f"phase{i + 1}"
+        if name in named:
+            raise UsageError(f"two phases of a task are called '{name}'; give one another name=", name="name")
+        if isinstance(phase.contact, Lasting):
+            raise UsageError(
+                f"phase '{name}': contact is looked at once, when the phase begins, so that taut.guards.lasting "
+                f"has no "
+                "meaning in it; give the guard that it holds",
+                name="contact",
+            )
+        named[name] = phase
+    for name, phase in named.items():
+        for word in ("otherwise", "then"):
+            _check_target(name, word, getattr(phase, word), list(named))
+    return named
+
+
+def _check_target(name: str, word: str, target: object, names: list[str]) -> None:
+    if target is None and word == "then":
+        return
+    if isinstance(target, int) and not isinstance(target, bool):
+        if not 0 <= target < len(names):
+            raise RangeError(
+                f"phase '{name}': {word} must be the number of a phase, from 0 to {len(names) - 1}; got {target}",
+                name=word,
+                value=float(target),
+            )
+        return
+    if not isinstance(target, str):
+        raise UsageError(
+            f"phase '{name}': {word} must be 'stop', or the name or number of a phase; got {target!r}", name=word
+        )
+    if target not in (STOP, *names):
+        raise unknown_name(f"phase '{name}': {word}: the task", "phase", target, [*names, STOP])

@@ -1,0 +1,191 @@
+"""Feeding a reference to a simulation: a sample for every tick, asked for as late as needed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from taut.arm.angles import require_radians
+from taut.arm.description import Arm
+from taut.base.errors import TautError, UsageError
+from taut.base.paths import subtree
+from taut.base.types import Float64Array
+from taut.control.lawside import LawSide
+from taut.control.trajectories.fade import Fade, can_fade
+from taut.control.trajectories.reference import Chunk, Hold, Reference, Sample, Stream, sample_rows
+from taut.maths.model import PayloadValues
+from taut.maths.snapshot import MEASUREMENTS, Snapshot
+
+__all__ = ["ReferenceFeed", "plain_snapshot"]
+
+NEAR = 1e-9  # of a tick: what a period that is meant to be whole may miss one by
+
+
+class ReferenceFeed:
+    """Fills the reference of a block of ticks.
+
+    Args:
+        ref: The reference.
+        kind: The kind of sample that the law follows.
+        arm: The arm that follows it.
+        dt: Control period [s].
+        at_rest: The sample to hold where the reference names none: the first state.
+
+    Raises:
+        UsageError: The reference gives another kind of sample, or a stream has no source.
+    """
+
+    def __init__(self, ref: Reference, kind: type[Sample], arm: Arm, dt: float, at_rest: Sample) -> None:
+        self._kind, self._arm, self._dt = kind, arm, dt
+        self._ref: Any = ref
+        self._since = 0.0  # time at which a chunk started
+        self._current: Any = None
+        self._asked = -1  # the last tick at which a stream was asked
+        self._fade: Fade | None = None  # from the answer before
+        if isinstance(ref, Hold):
+            self._ref = at_rest if ref.sample is None else ref.sample
+        if isinstance(self._ref, Sample) and not isinstance(self._ref, kind):
+            raise UsageError(
+                f"the law follows {kind.described()}; the reference is a {self._ref.described()}", name="ref"
+            )
+        if isinstance(ref, Stream) and ref.source is None:
+            raise UsageError(
+                "a stream in a simulation needs source=, a function that gives the next sample", name="ref"
+            )
+        if isinstance(ref, Stream) and ref.blend is not None and not can_fade(kind):
+            raise UsageError(
+                f"blend is for a stream of motions, and the law follows {kind.__name__}; leave it out", name="blend"
+            )
+
+    def next_question(self, tick: int) -> int | None:
+        """The first tick after `tick` at which the source of a stream is asked; None if never.
+
+        Question j is asked in the first tick at or after j periods, so that a period that is no whole number of
+        ticks is kept on average.
+        """
+        if not isinstance(self._ref, Stream):
+            return None
+        period = self._ref.period / self._dt  # [ticks]
+        j = math.floor(tick / period + NEAR) + 1
+        return max(tick + 1, math.ceil(j * period - NEAR))
+
+    @property
+    def in_rows(self) -> bool:
+        """Whether the samples of many ticks cost little more than that of one."""
+        return isinstance(self._ref, (Sample, Stream)) or getattr(self._ref, "rows", None) is not None
+
+    def fill(
+        self, views: Mapping[str, Float64Array], first: int, state: Callable[[], Any], *, ahead: bool = True
+    ) -> int:
+        """Write the reference of the ticks from `first` on into views (k, ...) by field.
+
+        Args:
+            views: Where to write: one array per field of the sample.
+            first: Number of the first tick.
+            state: Gives the snapshot at the first tick, for the source of a stream.
+            ahead: Whether a later sample that does not fit is refused before tick 0, when nothing can be lost.
+
+        Returns:
+            Number of ticks that were filled: if that is less than k, the reference fails in a later tick.
+
+        Raises:
+            TautError: The first of the ticks has no sample; what a function of the caller's raises comes through.
+        """
+        count = len(next(iter(views.values())))
+        if isinstance(self._ref, Stream):
+            self._ask(self._ref, first, state)
+        while True:
+            try:
+                table = self._checked_rows((first + np.arange(count, dtype=np.float64)) * self._dt)
+            except Exception as error:
+                if count == 1 or (ahead and first == 0 and isinstance(error, TautError)):
+                    raise
+                count //= 2  # what comes later may never be asked for
+                continue
+            for name, view in views.items():
+                view[:count] = table[name]
+            return count
+
+    def _checked_rows(self, times: Float64Array) -> dict[str, Float64Array]:
+        table = self._rows(times)
+        if "q" in table:
+            require_radians("ref.q", table["q"], self._arm)
+        return table
+
+    def _ask(self, stream: Stream, first: int, state: Callable[[], Any]) -> None:
+        """The next answer of a stream, if its time has come, and the fade from the one before."""
+        if first == self._asked or (first != 0 and self.next_question(first - 1) != first):
+            return
+        now = np.array([first * self._dt])
+        before = None if stream.blend is None or self._current is None else self._rows(now)
+        self._since, self._fade = first * self._dt, None
+        self._current = self._answer(stream, state())
+        self._asked = first
+        if before is not None:
+            assert stream.blend is not None
+            self._fade = Fade.of(self._kind, before, self._rows(now), self._since, stream.blend, self._arm)
+
+    def _rows(self, times: Float64Array) -> dict[str, Float64Array]:
+        """Each field at many times: one row each, or a single one where all are the same."""
+        streaming = isinstance(self._ref, Stream)
+        source = self._current if streaming else self._ref
+        if isinstance(source, Sample):
+            table = sample_rows(_Constant(source), times[:1], self._kind, self._arm.n)
+        else:
+            table = sample_rows(source, times - self._since if streaming else times, self._kind, self._arm.n)
+        return table if self._fade is None else self._fade.applied(table, times)
+
+    def _answer(self, stream: Stream, x: Any) -> Sample | Chunk:
+        assert stream.source is not None
+        answer: object = stream.source(x)
+        if not isinstance(answer, (Sample, Chunk)):
+            raise UsageError(
+                f"the source of a stream must give a sample or a chunk; got {type(answer).__name__} at "
+                f"t = {self._since:g} s",
+                name="source",
+            )
+        return answer
+
+
+def plain_snapshot(
+    side: LawSide,
+    measured: Mapping[str, Any],
+    sensing: Mapping[str, Any] | None,
+    parameters: Mapping[str, Any],
+    t: float,
+) -> Snapshot:
+    """What a controller sees at one instant, as plain numbers: what the source of a stream is given.
+
+    Args:
+        side: The law side of the loop.
+        measured: What the sensors give; copied.
+        sensing: Memory of the controller's sensing; None before the first tick.
+        parameters: Parameters of the law side by path.
+        t: [s].
+    """
+    kept = {name: np.array(value, dtype=np.float64) for name, value in measured.items()}
+    before = side.sensing_at_start(kept, parameters) if sensing is None else sensing
+    seen, _ = side.sense(kept, before, parameters, side.dt)
+    payload = subtree(parameters, "model.payload")
+    return Snapshot(
+        side.model,
+        q=seen["q"],
+        v=seen["v"],
+        t=t,
+        payload=PayloadValues.of({name: np.array(value) for name, value in payload.items()}),
+        adds=side.adds,
+        measured={name: seen[name] for name in MEASUREMENTS if name in seen},
+    )
+
+
+class _Constant:
+    """A sample as a trajectory."""
+
+    def __init__(self, sample: Sample) -> None:
+        self._sample = sample
+
+    def at(self, t: float) -> Sample:  # noqa: ARG002
+        return self._sample

@@ -1,0 +1,427 @@
+"""References: what a law is asked to follow. The law sees one sample a tick.
+
+A reference is one of four: a hold, a trajectory with `at(t)`, a stream of samples, or a chunk of them.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeAlias, runtime_checkable
+
+import numpy as np
+
+from taut.base.checks import entry_names, finite_array, finite_scalar, positive_scalar, vector
+from taut.base.errors import RangeError, ShapeError, UsageError, unknown_name
+from taut.base.types import Array, ArrayLike, Float64Array
+from taut.control.tables import sample_times
+from taut.control.trajectories.task_blend import differences
+from taut.maths.snapshot import Snapshot
+from taut.trace import math as tm
+from taut.trace.pose import ROTATION_TOLERANCE, Pose
+
+__all__ = [
+    "Chunk",
+    "Hold",
+    "JointMotion",
+    "Reference",
+    "Sample",
+    "Stream",
+    "Trajectory",
+    "as_reference",
+    "chunk",
+    "hold",
+    "sample_rows",
+    "stream",
+]
+
+
+class Sample(ABC):
+    """One sample of a reference, as a law sees it. Final subclasses state their fields."""
+
+    __slots__ = ()
+
+    if not TYPE_CHECKING:  # type checkers know the fields
+
+        def __getattr__(self, name: str) -> Any:
+            cls = type(self)
+            if name.startswith("_"):  # of Python's own protocols
+                raise AttributeError(name)
+            known = [word for word in dir(cls) if not word.startswith("_") and not callable(getattr(cls, word))]
+            raise AttributeError(str(unknown_name(f"a {cls.__name__}", "field", name, known)), name=name, obj=None)
+
+    @classmethod
+    @abstractmethod
+    def fields(cls, n: int) -> dict[str, tuple[int, ...]]:
+        """Shape of each field, for an arm of n joints."""
+
+    @classmethod
+    @abstractmethod
+    def of(cls, values: Mapping[str, Any]) -> Self:
+        """A sample from values that are known to fit; symbols too."""
+
+    @property
+    def motion(self) -> Sample:
+        """The motion that it asks for; of a sample that asks for forces too, without them."""
+        return self
+
+    @classmethod
+    def described(cls) -> str:
+        """What it is, for messages."""
+        return cls.__name__
+
+    @classmethod
+    def between(
+        cls, times: Float64Array, knots: Float64Array, rows: Mapping[str, Float64Array]
+    ) -> dict[str, Float64Array]:
+        """Each field (k, ...) at many times, from rows at the knots: linear in each number unless overridden.
+
+        Args:
+            times: (k,) [s].
+            knots: (m,) [s], increasing.
+            rows: Each field at the knots, (m, ...).
+        """
+        return {name: _interpolated(times, knots, table) for name, table in rows.items()}
+
+    @classmethod
+    @abstractmethod
+    def at_rest(cls, x: Snapshot, tool: str | None) -> Self:
+        """The sample that asks to stay as in the snapshot.
+
+        Args:
+            x: The arm at the state to stay at.
+            tool: The frame that the law controls; None for the arm's tool.
+        """
+
+
+@dataclass(frozen=True, slots=True, init=False, eq=False)
+class JointMotion(Sample):
+    """Desired joint positions, velocities and accelerations.
+
+    Args:
+        q: (n,) positions [rad | m].
+        v: (n,) velocities [rad/s | m/s]; zero if left out.
+        a: (n,) accelerations [rad/s^2 | m/s^2]; zero if left out.
+
+    Raises:
+        ShapeError: The three have different lengths.
+        RangeError: An entry is NaN or infinite.
+
+    Example:
+        >>> JointMotion(q=[0.1, 0.2]).v.tolist()
+        [0.0, 0.0]
+    """
+
+    q: Array
+    v: Array
+    a: Array
+
+    def __init__(self, *, q: ArrayLike, v: ArrayLike | None = None, a: ArrayLike | None = None) -> None:
+        q = finite_array("ref.q", q, unit="rad | m")
+        if q.ndim != 1:
+            raise ShapeError(f"ref.q must be a vector (n,); got shape {q.shape}", name="ref.q")
+        n = q.shape[0]
+        object.__setattr__(self, "q", q)
+        object.__setattr__(self, "v", _zeros(n) if v is None else vector("ref.v", v, n, unit="rad/s | m/s"))
+        object.__setattr__(self, "a", _zeros(n) if a is None else vector("ref.a", a, n, unit="rad/s^2 | m/s^2"))
+
+    @classmethod
+    def fields(cls, n: int) -> dict[str, tuple[int, ...]]:
+        return {"q": (n,), "v": (n,), "a": (n,)}
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> Self:
+        made = object.__new__(cls)
+        for name in ("q", "v", "a"):
+            object.__setattr__(made, name, values[name])
+        return made
+
+    @classmethod
+    def between(
+        cls, times: Float64Array, knots: Float64Array, rows: Mapping[str, Float64Array]
+    ) -> dict[str, Float64Array]:
+        out = {name: _interpolated(times, knots, table) for name, table in rows.items()}
+        outside = (times < knots[0]) | (times > knots[-1])
+        out["v"][outside] = out["a"][outside] = 0.0
+        return out
+
+    @classmethod
+    def at_rest(cls, x: Snapshot, tool: str | None) -> Self:  # noqa: ARG003
+        zero = np.zeros(x.n)
+        return cls.of({"q": tm.array(x.q), "v": zero, "a": zero})
+
+    def __repr__(self) -> str:
+        if self.q.dtype == object:
+            return "JointMotion(<traced>)"
+        return f"JointMotion(q={self.q.tolist()}, v={self.v.tolist()}, a={self.a.tolist()})"
+
+
+def _interpolated(times: Float64Array, knots: Float64Array, table: Float64Array) -> Float64Array:
+    """(k, ...) rows of a table (m, ...) at many times, linear in between, constant outside."""
+    flat = table.reshape(len(knots), -1)
+    columns = [np.interp(times, knots, flat[:, i]) for i in range(flat.shape[1])]
+    return np.stack(columns, axis=-1).reshape(len(times), *table.shape[1:])
+
+
+def _zeros(n: int) -> Float64Array:
+    zero = np.zeros(n)
+    zero.flags.writeable = False
+    return zero
+
+
+# -------------------------------------------------------------------- the four kinds
+
+
+@runtime_checkable
+class Trajectory(Protocol):
+    """A function of time. `at` takes one time [s] and gives a sample.
+
+    A trajectory may have `rows(times)` that gives a sample of arrays (k, n) for many times at once; then a
+    simulation asks for thousands at a time.
+    """
+
+    def at(self, t: float) -> Sample:
+        """The sample at time t [s]."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hold:
+    """Stay: at the sample, or at the state of the first tick. Never times out."""
+
+    sample: Sample | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stream:
+    """Samples that arrive one by one; in simulation `source(x)` gives the next sample, or chunk, each period."""
+
+    period: float  # [s]
+    source: Callable[[Any], Sample | Chunk] | None = None
+    blend: float | None = None  # [s]
+
+    def __post_init__(self) -> None:
+        positive_scalar("period", self.period, unit="s")
+        if self.blend is not None:
+            positive_scalar("blend", self.blend, unit="s")
+        if self.source is not None and not callable(self.source):
+            raise UsageError(f"source must be a function of the snapshot; got {self.source!r}", name="source")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Chunk:
+    """A few future samples with their times, as a learned policy emits them.
+
+    Between joint motions it is linear in each number, between task motions a smooth motion through their poses,
+    twists and accelerations. Before its first time it rests at its first position, after its last time at its last.
+    """
+
+    times: Float64Array  # (k,) [s] from the moment it starts
+    samples: tuple[Sample, ...]
+
+    def at(self, t: float) -> Sample:
+        """The sample at time t [s]."""
+        rows = self._blend(np.array([t]))
+        return type(self.samples[0]).of({name: values[0] for name, values in rows.items()})
+
+    def rows(self, times: Float64Array) -> Sample:
+        """Samples at many times, as arrays (k, ...)."""
+        return type(self.samples[0]).of(self._blend(times))
+
+    def _blend(self, times: Float64Array) -> dict[str, Float64Array]:
+        """Each field at many times (k, ...)."""
+        kind = type(self.samples[0])
+        return kind.between(times, self.times, self._table)
+
+    @cached_property
+    def _table(self) -> dict[str, Float64Array]:
+        """Each field at the times of the chunk (m, ...)."""
+        names = type(self.samples[0]).fields(1)
+        return {name: np.stack([getattr(sample, name) for sample in self.samples]) for name in names}
+
+
+Reference: TypeAlias = Sample | Hold | Stream | Chunk | Trajectory
+
+
+def hold(sample: Sample | None = None) -> Hold:
+    """Stay at `sample`; without one, at the state of the first tick. Never times out."""
+    if sample is not None and not isinstance(sample, Sample):
+        raise UsageError(
+            f"hold takes a sample such as taut.JointMotion(q=...) or taut.TaskMotion(pose=...); got {sample!r}",
+            name="sample",
+        )
+    return Hold(sample=sample)
+
+
+def stream(
+    *, period: float, source: Callable[[Any], Sample | Chunk] | None = None, blend: float | None = None
+) -> Stream:
+    """Samples that come one a period, from a policy, a planner or a person.
+
+    With `blend` the reference passes smoothly from what it was to each new sample or chunk: what leads from the new
+    one to the old one at that instant, in position, velocity and acceleration, fades to nothing in that time, as a
+    quintic. So neither of the three jumps, whatever the policy emits; without, the new one holds at once. The first
+    answer holds as it is. A difference d is made up with speeds up to 1.9 d / blend and accelerations up to
+    5.8 d / blend^2, which laws with feedforward ask for.
+
+    Args:
+        period: Time between samples [s].
+        source: In simulation, a function of the snapshot that gives a sample or a chunk.
+        blend: Time to pass from one answer to the next [s], such as the period itself.
+    """
+    return Stream(period=finite_scalar("period", period, unit="s"), source=source, blend=blend)
+
+
+def chunk(times: ArrayLike, targets: Sequence[Sample] | Sequence[Pose] | ArrayLike) -> Chunk:
+    """A few future samples with their times.
+
+    From one `taut.TaskMotion` to the next the tool moves smoothly, as a quintic of its position and of its rotation
+    vector that has their twists and accelerations; a task motion without a twist is one at rest. From poses alone
+    twists and accelerations follow by differences, so that two of them make a straight line with slerp.
+
+    Args:
+        times: (k,) [s] from the moment the chunk starts, increasing.
+        targets: k samples, or k poses, or joint positions (k, n), whose velocities then follow from the differences.
+
+    Raises:
+        ShapeError: Not as many targets as times.
+        RangeError: Times that do not increase.
+
+    Example:
+        >>> chunk([0.0, 0.1], [[0.0], [1.0]]).at(0.05).q.tolist()
+        [0.5]
+        >>> ahead = chunk([0.0, 0.1], [Pose([0.4, 0.0, 0.3]), Pose([0.4, 0.02, 0.3], rpy=[0.0, 0.0, 0.2])])
+        >>> ahead.at(0.05).pose.rpy.round(6).tolist(), ahead.at(0.05).twist.round(6).tolist()
+        ([0.0, 0.0, 0.1], [0.0, 0.2, 0.0, 0.0, 0.0, 2.0])
+    """
+    t = sample_times(times)
+    kinds = {type(target) for target in targets} if isinstance(targets, Sequence) else set()
+    if kinds and all(issubclass(kind, Sample) for kind in kinds):
+        samples: tuple[Sample, ...] = tuple(targets)  # type: ignore[arg-type]  # checked in the line above
+    elif kinds == {Pose}:
+        samples = _through_poses(t, targets)  # type: ignore[arg-type]  # checked in the line above
+    else:
+        q = finite_array("targets", targets, unit="rad | m")  # type: ignore[arg-type]  # checked inside
+        if q.ndim != 2:
+            raise ShapeError(f"targets must have shape (k, n); got {q.shape}", name="targets")
+        v = np.gradient(q, t, axis=0) if len(t) > 1 and len(q) == len(t) else np.zeros_like(q)
+        samples = tuple(JointMotion(q=row, v=speed) for row, speed in zip(q, v, strict=True))
+    if len(samples) != len(t):
+        raise ShapeError(
+            f"targets must have one sample per time; got {len(samples)} for {len(t)} times", name="targets"
+        )
+    for k, sample in enumerate(samples):
+        for name in type(samples[0]).fields(1):
+            got, first = (np.shape(getattr(each, name, 0.0)) for each in (sample, samples[0]))
+            if got != first:
+                raise ShapeError(
+                    f"targets must be samples of one kind and size; targets[{k}].{name} has shape {got} and "
+                    f"targets[0].{name} {first}",
+                    name="targets",
+                )
+    return Chunk(times=t, samples=samples)
+
+
+def _through_poses(t: Float64Array, poses: Sequence[Pose]) -> tuple[Sample, ...]:
+    """Samples at poses, with twists and accelerations by differences."""
+    from taut.control.trajectories.task_reference import TaskMotion
+
+    if len(poses) != len(t):
+        return tuple(TaskMotion(pose=pose) for pose in poses)  # which the caller refuses
+    p, R = np.stack([pose.p for pose in poses]), np.stack([pose.R for pose in poses])
+    twists, accelerations = differences(t, p, R)
+    rows = zip(poses, twists, accelerations, strict=True)
+    return tuple(TaskMotion(pose=pose, twist=V, acceleration=rate) for pose, V, rate in rows)
+
+
+# -------------------------------------------------------------------- reading one
+
+
+def as_reference(ref: object) -> Reference:
+    """What a caller hands in as one of the four kinds.
+
+    Raises:
+        UsageError: It is none of them.
+    """
+    if isinstance(ref, (Sample, Hold, Stream, Chunk)):
+        return ref
+    if isinstance(ref, Trajectory):
+        return ref
+    hint = "; a pose to go to is taut.TaskMotion(pose=...)" if isinstance(ref, Pose) else ""
+    raise UsageError(
+        f"a reference is a sample such as taut.JointMotion(q=...), taut.hold(), a trajectory with at(t), "
+        f"taut.stream(...) or taut.chunk(...); got {type(ref).__name__}{hint}",
+        name="ref",
+    )
+
+
+def sample_rows(trajectory: Trajectory, times: Float64Array, kind: type[Sample], n: int) -> dict[str, Float64Array]:
+    """A trajectory at many times: each field as an array (k, size), checked.
+
+    Raises:
+        UsageError: It gives another kind of sample than the law follows.
+        ShapeError: It is for another number of joints.
+        RangeError: It gives NaN or infinite numbers; the message names time and field.
+    """
+    rows = getattr(trajectory, "rows", None)
+    if rows is not None:
+        sample = rows(times)
+        _check_kind(sample, kind)
+        table = {name: np.asarray(getattr(sample, name), dtype=np.float64) for name in kind.fields(n)}
+    else:
+        samples = [trajectory.at(float(t)) for t in times]
+        for sample in samples:
+            _check_kind(sample, kind)
+            for name, shape in kind.fields(n).items():
+                _check_shape(name, np.shape(getattr(sample, name)), shape)
+        table = {name: np.stack([getattr(s, name) for s in samples]) for name in kind.fields(n)}
+    for name, shape in kind.fields(n).items():
+        if len(times) == 1 and table[name].ndim == len(shape):
+            table[name] = table[name][np.newaxis]
+        _check_shape(name, table[name].shape[1:], shape)
+        if len(table[name]) != len(times):
+            raise ShapeError(
+                f"rows(times) must give one row per time; it gives {len(table[name])} of ref.{name} for {len(times)} "
+                "times",
+                name=f"ref.{name}",
+            )
+        bad = ~np.isfinite(table[name])
+        if bad.any():
+            row, *entry = np.argwhere(bad)[0]
+            raise RangeError(
+                f"{entry_names(f'ref.{name}', entry)} must be finite; the reference gives "
+                f"{float(table[name][row, *entry])!r} at t = {times[row]:g} s",
+                name=f"ref.{name}",
+                rule="finite",
+            )
+    for name, shape in kind.fields(n).items():
+        if shape == (3, 3) and (name == "R" or name.endswith("_R")):
+            _check_rotations(name, table[name], times)
+    return table
+
+
+def _check_rotations(name: str, R: Float64Array, times: Float64Array) -> None:
+    """A trajectory of a user's own may give any matrix."""
+    error = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2))
+    if error.size and error.max() > ROTATION_TOLERANCE:
+        row = int(np.argmax(error > ROTATION_TOLERANCE))
+        raise RangeError(
+            f"ref.{name} must be orthonormal; at t = {times[row]:g} s R^T R differs from the identity by "
+            f"{error[row]:.2g}",
+            name=f"ref.{name}",
+            value=float(error[row]),
+            rule="orthonormal",
+        )
+
+
+def _check_shape(name: str, got: tuple[int, ...], shape: tuple[int, ...]) -> None:
+    if got != shape:
+        raise ShapeError(f"ref.{name} must have shape {shape}; the reference gives {got}", name=f"ref.{name}")
+
+
+def _check_kind(sample: object, kind: type[Sample]) -> None:
+    if not isinstance(sample, kind):
+        got = sample.described() if isinstance(sample, Sample) else type(sample).__name__
+        raise UsageError(f"the law follows {kind.described()}; the reference gives {got}", name="ref")

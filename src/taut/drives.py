@@ -1,0 +1,22 @@
+"""Motors, gears and drivetrains."""
+
+from __future__ import annotations
+
+from taut.base.front_door import lazy_names
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from taut.arm.gears import matched_ratio as matched_ratio
+    from taut.arm.gears import reflected_inertia as reflected_inertia
+    from taut.arm.write_friction import JointWords as JointWords
+    from taut.arm.write_friction import to_mjcf_joints as to_mjcf_joints
+    from taut.arm.write_friction import to_urdf_dynamics as to_urdf_dynamics
+    from taut.maths.gearing import rotor_share as rotor_share
+    from taut.plant.drives.actuation import Actuation as Actuation
+    from taut.plant.drives.actuation import Ripple as Ripple
+    from taut.plant.drives.motor import ElectricMotor as ElectricMotor
+    from taut.plant.drives.motor import Motor as Motor
+    from taut.plant.drives.motor import TorqueLoop as TorqueLoop
+    from taut.plant.drives.transmission import Transmission as Transmission
+
+__getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

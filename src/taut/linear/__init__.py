@@ -1,0 +1,1 @@
+"""Linear systems: error dynamics, the one-period map of a loop, poles, margins, responses."""

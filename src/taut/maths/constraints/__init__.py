@@ -1,0 +1,1 @@
+"""Constraints of the tool and joints: rows, rates, multipliers, projections, impulses."""

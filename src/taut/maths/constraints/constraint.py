@@ -1,0 +1,360 @@
+"""Constraint: what a contact, a hinge or a closed chain lets an arm do, from a function of the pose: section 10.4.1.
+
+A and its rate come from differentiation, so that a constraint is stated once, as phi(T) = 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+
+from taut.arm.description import Arm
+from taut.base.errors import UsageError
+from taut.base.types import ArrayLike, Float64Array, Twist, Vector
+from taut.maths.constraints import shapes
+from taut.maths.constraints.function import arguments, of_moments, of_poses, of_velocity, rows_of, sides
+from taut.maths.constraints.rows import ConstraintRows, OfJoints, OfJointVelocity, OfPoses, OfVelocity, Piece, joined
+from taut.maths.snapshot import Snapshot
+from taut.trace import math as tm
+from taut.trace.pose import Pose
+
+__all__ = ["Constraint"]
+
+
+@dataclass(frozen=True, kw_only=True, init=False, eq=False)
+class Constraint:
+    """What holds the tool: phi(T) = 0, a function of its pose; natural constraints of section 10.4.1.
+
+    Law:          phi(T, t) = 0;  A(T) V + d phi/dt = 0;  A V-dot + A-dot V + ... = 0            eqs. 10.39, 10.41
+                  F_app = A^T lam is what the arm can apply against it: k forces, and n - k motions are free
+
+    A one-sided row is a contact, phi >= 0: phi is positive on the free side, and lam < 0 presses.
+
+    Two constraints add up: `Constraint.plane(...) + Constraint.plane(...)`.
+
+    Args:
+        function: Takes the Pose of the tool, or of each of `frames`, and if it has one more argument the time [s];
+            gives a number or (k,) numbers, written with taut.math.
+        frames: Frames whose poses it takes; the arm's tool alone if left out.
+        one_sided: Whether the environment can only push; one for all rows, or one for each.
+
+    Raises:
+        UsageError: No function; one that is constant, or a condition.
+        ShapeError: One that gives something else than a number or up to 6 of them.
+
+    Example:
+        >>> board = Constraint(lambda T: T.p[2] - 0.1, one_sided=True)
+        >>> import taut
+        >>> rows = board.at(taut.snapshot(taut.load_arm("planar2"), [0.3, 0.4]))
+        >>> rows.A.round(6).tolist()
+        [[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]
+
+    References:
+        Section 10.4.1 natural and artificial constraints; eqs. 10.39 to 10.41.
+    """
+
+    pieces: tuple[Piece, ...]
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        *,
+        frames: Sequence[str | None] = (None,),
+        one_sided: bool | Sequence[bool] = False,
+    ) -> None:
+        object.__setattr__(self, "pieces", (of_poses(function, frames, one_sided),))
+
+    @classmethod
+    def of(cls, pieces: Sequence[Piece]) -> Self:
+        """That of several functions at once; of constraints one writes `one + other`."""
+        made = object.__new__(cls)
+        object.__setattr__(made, "pieces", tuple(pieces))
+        return made
+
+    @property
+    def count(self) -> int:
+        """k, the number of rows."""
+        return sum(piece.count for piece in self.pieces)
+
+    @property
+    def one_sided(self) -> tuple[bool, ...]:
+        """(k,) whether each row is phi >= 0."""
+        return tuple(side for piece in self.pieces for side in piece.one_sided)
+
+    @property
+    def moments(self) -> tuple[bool, ...]:
+        """(k,) whether each row holds rotations only, so that its multiplier is a moment."""
+        return tuple(moment for piece in self.pieces for moment in of_moments(piece))
+
+    @property
+    def surface(self) -> bool:
+        """Whether the first row can be pressed against: it is one-sided, or one function of poses.
+
+        A function of poses alone is positive on its free side.
+        """
+        first = self.pieces[0]
+        return self.one_sided[0] or (isinstance(first, OfPoses) and first.count == 1)
+
+    @property
+    def frame(self) -> tuple[str | None] | None:
+        """The one frame that it is a function of, in a tuple; None where there are several, or joints.
+
+        Parts of the arm's tool, which is not named, and of a named frame count as one: it must be the tool's.
+        """
+        if any(len(piece.frames) != 1 for piece in self.pieces):
+            return None
+        names = {piece.frames[0] for piece in self.pieces}
+        if len(names) > 1:
+            names.discard(None)
+        return (names.pop(),) if len(names) == 1 else None
+
+    def at(self, x: Snapshot) -> ConstraintRows:
+        """Its rows at the state, and the time, of a snapshot.
+
+        Raises:
+            UsageError: Parts of the arm's tool beside parts of a named frame, which is another one.
+        """
+        if self.frame not in (None, (None,)) and any(piece.frames == (None,) for piece in self.pieces):
+            self._check_tool(x.arm)
+        parts = [piece.at(x) for piece in self.pieces]
+        if len(parts) == 1:
+            return parts[0]
+        single = self.frame is not None
+        return ConstraintRows(
+            phi=joined(part.phi for part in parts),
+            A=tm.array([row for part in parts if part.A is not None for row in part.A]) if single else None,
+            A_q=tm.array([row for part in parts for row in part.A_q]),
+            phi_t=joined(part.phi_t for part in parts),
+            bias=joined(part.bias for part in parts),
+            curvature=joined(part.curvature for part in parts),
+            one_sided=self.one_sided,
+        )
+
+    def _check_tool(self, arm: Arm) -> None:
+        assert self.frame is not None
+        if self.frame[0] != arm.tool:
+            raise UsageError(
+                f"a part of the constraint is of the arm's tool, which is '{arm.tool}', and another of "
+                f"'{self.frame[0]}'; say frame='{arm.tool}' where the tool is meant",
+                name="frame",
+            )
+
+    def of_pose(self, T: Pose, t: float = 0.0) -> Float64Array:
+        """(k,) phi of a pose of the one frame that it is a function of; zero for constraints of velocities.
+
+        Raises:
+            UsageError: It is one of joints or of several frames.
+        """
+        if self.frame is None:
+            raise UsageError("a constraint of joints or of several frames has no phi of one pose", name="constraint")
+        return np.asarray(self.phi_of(T, t), dtype=np.float64)
+
+    def phi_of(self, T: Pose, t: Any) -> Vector:
+        """The same of symbols, for laws."""
+        return joined(p.phi([T], t) if isinstance(p, OfPoses) else np.zeros(p.count) for p in self.pieces)
+
+    def slip_of(self, T: Pose, V: Twist) -> Vector:
+        """(k,) A V of the rows of velocities at a pose of the one frame, 0 of the others; of symbols too."""
+        return joined(
+            p.of_twist(T, 0.0)[0] @ V if isinstance(p, OfVelocity) else np.zeros(p.count) for p in self.pieces
+        )
+
+    def of_twist(self, T: Pose, t: float = 0.0) -> tuple[Float64Array, Float64Array]:
+        """A (k, 6) per world-aligned twist of the one frame that it is a function of, at a pose; and dphi/dt (k,).
+
+        Raises:
+            UsageError: It is one of joints or of several frames.
+        """
+        if self.frame is None:
+            raise UsageError("a constraint of joints or of several frames has no A of one twist", name="constraint")
+        rows = [p.of_twist(T, t) for p in self.pieces if isinstance(p, (OfPoses, OfVelocity))]
+        A = np.concatenate([np.asarray(A, dtype=np.float64) for A, _ in rows])
+        return A, np.concatenate([np.asarray(phi_t, dtype=np.float64) for _, phi_t in rows])
+
+    def __add__(self, other: Constraint) -> Constraint:
+        if not isinstance(other, Constraint):
+            return NotImplemented
+        return Constraint.of((*self.pieces, *other.pieces))
+
+    # ---------------------------------------------------------------- ready-made
+
+    @classmethod
+    def of_joints(
+        cls, function: Callable[..., Any], *, rows: int = 1, one_sided: bool | Sequence[bool] = False
+    ) -> Self:
+        """phi(q) = 0, a function of the joints, or of joints and time: A(q) v = 0 by differentiation.
+
+        Args:
+            function: Takes (n,) joint positions, and if it has two arguments the time; gives `rows` numbers.
+            rows: How many.
+            one_sided: As for a constraint of the pose.
+        """
+        timed = arguments("function", function, 1)
+        count = rows_of(rows)
+        return cls.of([OfJoints(function=function, timed=timed, count=count, one_sided=sides(one_sided, count))])
+
+    @classmethod
+    def pfaffian_of_joints(cls, function: Callable[..., Any], *, rows: int = 1) -> Self:
+        """A(q) v = 0, a constraint of joint speeds that need not come from a phi.
+
+        Args:
+            function: Takes (n,) joint positions and gives A, (n,) or (rows, n), per joint speed.
+            rows: How many.
+
+        Example:
+            >>> import taut
+            >>> geared = Constraint.pfaffian_of_joints(lambda q: [1.0, -2.0])  # v_1 = 2 v_2
+            >>> geared.at(taut.snapshot(taut.load_arm("planar2"), [0.1, 0.2])).A_q.tolist()
+            [[1.0, -2.0]]
+        """
+        arguments("function", function, 1, may_be_timed=False)
+        return cls.of([OfJointVelocity(function=function, count=rows_of(rows))])
+
+    @classmethod
+    def pfaffian(cls, function: Callable[[Pose], Any], *, frame: str | None = None) -> Self:
+        """A(T) V = 0, a constraint of velocities that need not come from a phi: a wheel, a knife edge.
+
+        Args:
+            function: Takes the Pose of the tool and gives A, (6,) or (k, 6), per twist in world axes at its origin.
+            frame: The frame; the arm's tool if left out.
+        """
+        return cls.of([of_velocity(function, frame)])
+
+    @classmethod
+    def knife_edge(cls, *, sideways: ArrayLike, frame: str | None = None) -> Self:
+        """A wheel or a knife edge at the tool's origin, which does not slip sideways: one row, of velocities.
+
+        It goes anywhere by steering, and has no phi. On a plane it leaves two motions: ahead, and about the normal.
+
+        Args:
+            sideways: (3,) the wheel's axle, or the normal of the blade, in the tool's axes.
+            frame: The frame; the arm's tool if left out.
+        """
+        side = shapes.unit("sideways", sideways)
+        return cls.pfaffian(lambda T: tm.array([*(T.R @ side), 0.0, 0.0, 0.0]), frame=frame)
+
+    @classmethod
+    def plane(
+        cls,
+        *,
+        point: ArrayLike,
+        normal: ArrayLike,
+        face: ArrayLike | None = None,
+        one_sided: bool = True,
+        velocity: ArrayLike = (0.0, 0.0, 0.0),
+        sway: ArrayLike = (0.0, 0.0, 0.0),
+        period: float = 1.0,
+        frame: str | None = None,
+    ) -> Self:
+        """The tool's origin on a plane; with `face`, which lies flat on it: the board and the eraser of figure 10.16.
+
+        Args:
+            point: (3,) any point of it [m], in world axes, at time 0.
+            normal: (3,) its direction towards free space, of any length.
+            face: (3,) direction in the tool's axes that looks along -normal, into the plane: two more rows.
+            one_sided: Whether it only pushes; the rows of a face hold both ways.
+            velocity: (3,) at which the plane moves [m/s].
+            sway: (3,) how far it goes and comes back, by (1 - cos(2 pi t / period)) / 2 of it [m].
+            period: Of that [s].
+            frame: The frame; the arm's tool if left out.
+        """
+        phi = shapes.plane(point, normal, face, velocity, sway, period)
+        return cls.of([of_poses(phi, (frame,), one_sided if face is None else (one_sided, False, False))])
+
+    @classmethod
+    def point(
+        cls,
+        *,
+        point: ArrayLike,
+        normal: ArrayLike = (0.0, 0.0, 1.0),
+        one_sided: bool = True,
+        frame: str | None = None,
+    ) -> Self:
+        """The tool's origin at a point of a surface, its rotation free: chalk that sticks; three rows.
+
+        The first row is that of the surface, and the other two are what friction holds, within its cone.
+
+        Args:
+            point: (3,) where it sticks [m], in world axes.
+            normal: (3,) direction of the surface towards free space, of any length.
+            one_sided: Whether the surface only pushes.
+            frame: The frame; the arm's tool if left out.
+        """
+        return cls.of([of_poses(shapes.point(point, normal), (frame,), (one_sided, False, False))])
+
+    @classmethod
+    def sphere(
+        cls,
+        *,
+        center: ArrayLike,
+        radius: float,
+        inside: bool = False,
+        one_sided: bool = True,
+        frame: str | None = None,
+    ) -> Self:
+        """The tool's origin on a sphere: outside of it, or in its hollow."""
+        return cls.of([of_poses(shapes.sphere(center, radius, inside=inside), (frame,), one_sided)])
+
+    @classmethod
+    def cylinder(
+        cls,
+        *,
+        point: ArrayLike,
+        axis: ArrayLike,
+        radius: float,
+        inside: bool = False,
+        one_sided: bool = True,
+        frame: str | None = None,
+    ) -> Self:
+        """The tool's origin on a cylinder about an axis through a point: outside of it, or in its hollow."""
+        return cls.of([of_poses(shapes.cylinder(point, axis, radius, inside=inside), (frame,), one_sided)])
+
+    @classmethod
+    def line(cls, *, point: ArrayLike, axis: ArrayLike, frame: str | None = None) -> Self:
+        """The tool's origin on a straight line through a point, along an axis, its rotation free: two rows."""
+        return cls.of([of_poses(shapes.line(point, axis), (frame,), False)])
+
+    @classmethod
+    def hinge(cls, *, point: ArrayLike, axis: ArrayLike, T: Pose, frame: str | None = None) -> Self:
+        """The tool turns about an axis only, as what holds the handle of a door does: five rows.
+
+        Args:
+            point: (3,) any point of the axis [m], in world axes.
+            axis: (3,) its direction.
+            T: A pose of the tool that it can be in.
+            frame: The frame; the arm's tool if left out.
+        """
+        return cls.of([of_poses(shapes.hinge(point, axis, T), (frame,), False)])
+
+    @classmethod
+    def grasp(cls, first: str, second: str, *, T: Pose | None = None) -> Self:
+        """Two frames hold one rigid body: a closed chain, cut open into the tree of the arm; six rows.
+
+        Rows are along the axes of the first frame, so that lam stays what the body feels as it turns: the second hand
+        applies the force and moment lam to it there, and the first one the opposite.
+
+        Args:
+            first: A frame.
+            second: Another, on another branch.
+            T: Pose of the second in the first; the two coincide if left out.
+        """
+        return cls.of([of_poses(shapes.grasp(T), (first, second), False)])
+
+    @classmethod
+    def pin(
+        cls, first: str, second: str, *, directions: ArrayLike = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    ) -> Self:
+        """The origins of two frames coincide: the cut joint of a five-bar; one row for each direction.
+
+        Args:
+            first: A frame.
+            second: Another, on another branch.
+            directions: (k, 3) in which they coincide, in world axes; all three if left out, two for a planar chain.
+        """
+        return cls.of([of_poses(shapes.pin(directions), (first, second), False)])
+
+    def __repr__(self) -> str:
+        return f"Constraint({self.count} {'row' if self.count == 1 else 'rows'})"

@@ -1,0 +1,86 @@
+"""The dynamics of an arm under constraints: multipliers and the projection of forces, eqs. 10.40 to 10.44."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from taut.base.types import Matrix, Vector
+from taut.maths.constraints.rows import DEPENDENT, ConstraintRows
+from taut.maths.snapshot import Snapshot
+from taut.trace import math as tm
+from taut.trace.linalg import LTDL, factor_spd
+
+__all__ = ["Constrained", "force_projector"]
+
+CHAIN: Final = 1e-4  # [1/kg, 1/(kg m^2)] of mobility: less of it is a direction that a chain does not have
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Constrained:
+    """M a + h + A_q^T lam = tau with A_q a + bias = 0, at one state.
+
+    In torques P is I - A_q^T (A_q M^-1 A_q^T)^-1 A_q M^-1, and J^T P of eq. 10.44 is that times J^T: it needs no
+    inverse of Lambda, and serves constraints of joints and of several frames alike.
+    """
+
+    rows: ConstraintRows
+    Minv_AT: Matrix  # (n, k)
+    mobility: LTDL  # factors of A_q M^-1 A_q^T, which is A Lambda^-1 A^T, without rows that depend on later ones
+
+    @classmethod
+    def of(cls, rows: ConstraintRows, M_factors: LTDL) -> Constrained:
+        """That of rows at a state whose mass matrix has these factors."""
+        W = M_factors.solve(rows.A_q.T)
+        return cls(rows=rows, Minv_AT=W, mobility=factor_spd(rows.A_q @ W, DEPENDENT))
+
+    def against(self, tau: Vector) -> Vector:
+        """(n,) the part of torques that pushes against the constraints, (I - P) tau."""
+        out: Vector = self.rows.A_q.T @ self.mobility.solve(self.Minv_AT.T @ tau)
+        return out
+
+    def along(self, tau: Vector) -> Vector:
+        """(n,) the part that moves the arm along them, P tau."""
+        out: Vector = tau - self.against(tau)
+        return out
+
+    def pressing(self, lam: Vector) -> Vector:
+        """(n,) the torques of multipliers, A_q^T lam = J^T F_app."""
+        out: Vector = self.rows.A_q.T @ lam
+        return out
+
+    def felt(self, bias: Vector) -> Vector:
+        """(k,) the multipliers that a second rate of phi makes, (A Lambda^-1 A^T)^-1 bias."""
+        out: Vector = self.mobility.solve(bias)
+        return out
+
+    def brought_along(self, x: Snapshot, tool: str | None, tau: Vector) -> Vector:
+        """(n,) torques with which a tool that is part of a closed chain moves as it would without the other part.
+
+        What moves along with the tool is accelerated by the projection of the tool's own torques only in the measure
+        of their inertias. A tool that the chain does not let move so goes as far as it can, by least squares.
+        """
+        J = x.J(tool)
+        lost = J @ (self.Minv_AT @ self.lam(tau - x.h))
+        JW, Minv_JT = J @ self.Minv_AT, x.M_factors.solve(J.T)
+        mobility = J @ Minv_JT - JW @ self.mobility.solve(JW.T)
+        damped = mobility @ mobility + CHAIN**2 * tm.eye(len(mobility))
+        out: Vector = J.T @ factor_spd(damped).solve(mobility @ lost)
+        return out
+
+    def lam(self, tau: Vector) -> Vector:
+        """(k,) the multipliers under torques less h, eq. 10.42."""
+        return self.felt(self.Minv_AT.T @ tau + self.rows.bias)
+
+
+def force_projector(A: Matrix, mobility: Matrix) -> Matrix:
+    """(6, 6) P of eq. 10.44, from A (k, 6) and Lambda^-1 = J M^-1 J^T (6, 6).
+
+    P F moves the tool along the constraints, (I - P) F presses against them. P^2 = P, P A^T = 0, and P Lambda is
+    symmetric: the projection is orthogonal in the product of Lambda^-1 only, and P is not symmetric.
+    """
+    W = mobility @ A.T
+    pressed = factor_spd(A @ W).solve(W.T)
+    pressed = pressed + (tm.eye(len(A)) - pressed @ A.T) @ pressed  # a Newton step: of A^T nothing is left
+    out: Matrix = tm.eye(len(mobility)) - A.T @ pressed
+    return out

@@ -1,0 +1,1 @@
+"""Motors, gears and drivetrains; `taut.drives` gives them by name."""

@@ -1,0 +1,224 @@
+"""What lies between a motor and its link: rotor, friction, losses, play and elasticity, joint by joint."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+
+from taut.arm.description import Arm, Friction
+from taut.base.paths import subtree
+from taut.base.types import Float64Array, Matrix, Vector
+from taut.maths.friction_law import FrictionValues, dry_limit
+from taut.plant.drives.transmission import Transmission
+from taut.trace import math as tm
+
+__all__ = ["Drivetrain", "FrictionLimits", "RotorStep"]
+
+Values = Mapping[str, Any]
+SIDES: Final = 2  # times that the side which drives each gear is looked up; a third one changes nothing on a Panda
+RESTS: Final = 1e-9  # [rad/s | m/s] of a joint that friction holds: in MuJoCo it is not exactly zero
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrictionLimits:
+    """(n,) the largest friction torques of a step [N m | N]."""
+
+    dry: Vector  # of the friction law
+    low: Vector  # against motion in the positive direction, losses of the gears included
+    high: Vector  # against motion in the negative direction
+
+    def share_of_law(self, f: Vector) -> Vector:
+        """(n,) the part of a friction torque that is the law's, the rest is the gears'."""
+        most = tm.where(f < 0.0, self.low, self.high)
+        return f * self.dry / tm.where(most > 0.0, most, 1.0)  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotorStep:
+    """What the rotors of compliant joints do in one step; (n,) arrays, of which the other joints' are theirs."""
+
+    v: Vector
+    f: Vector
+    at_rest: Vector
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Drivetrain:
+    """Rotors, friction and transmissions of an arm.
+
+    Args:
+        arm: The arm.
+        friction: What friction there is; None for none.
+        transmission: Losses, play and elasticity; None for a rigid one without losses.
+    """
+
+    arm: Arm
+    friction: Friction | None
+    transmission: Transmission | None
+
+    @cached_property
+    def compliant(self) -> tuple[int, ...]:
+        """The joints whose motor and link move apart."""
+        return () if self.transmission is None else self.transmission.compliant(self.arm.n)
+
+    @cached_property
+    def rigid(self) -> tuple[int, ...]:
+        """The joints whose motor and link move together."""
+        return tuple(i for i in range(self.arm.n) if i not in self.compliant)
+
+    @property
+    def dry(self) -> bool:
+        """Whether anything sticks: dry friction, or gears that lose power."""
+        return self.lossy or (self.friction is not None and self.friction.dry)
+
+    @property
+    def lossy(self) -> bool:
+        """Whether the gears lose power."""
+        return self.transmission is not None and self.transmission.lossy
+
+    @property
+    def remembers_rest(self) -> bool:
+        """Whether friction differs between rest and motion, so that rest is remembered."""
+        return self.friction is not None and self.friction.falls
+
+    def parameters(self) -> dict[str, Float64Array]:
+        """Run-time parameters of the friction by name: those that are there."""
+        if self.friction is None:
+            return {}
+        return {name: getattr(self.friction, name) for name in FrictionValues.names(self.friction)}
+
+    def values(self, parameters: Values) -> FrictionValues:
+        """The friction's current values."""
+        if self.friction is None:
+            return FrictionValues()
+        return FrictionValues.of(subtree(parameters, "plant.friction"), self.friction)
+
+    # ---------------------------------------------------------------- the pure functions
+
+    def start(self, q: Vector, v: Vector, weight: Vector, parameters: Values) -> dict[str, Any]:
+        """Memory at the start: springs and teeth carry the weight, friction nothing yet."""
+        n = self.arm.n
+        memory: dict[str, Any] = {}
+        if self.dry:
+            memory["friction"] = tm.zeros(n)
+        if self.remembers_rest:
+            memory["at_rest"] = tm.where(v == 0.0, 1.0, 0.0)
+        if self.compliant:
+            p = subtree(parameters, "actuation.transmission")
+            wound = weight / _per_joint(p["stiffness"], n)
+            if "backlash" in p:
+                wound = wound + 0.5 * p["backlash"] * tm.sign(weight)
+            memory["q_motor"], memory["v_motor"] = q + wound, v + 0.0
+        return memory
+
+    def limits(
+        self,
+        values: FrictionValues,
+        memory: Values,
+        parameters: Values,
+        v: Vector,
+        tau: Vector,
+        load: Vector,
+        M: Matrix,
+        dt: Any,
+        contact: Any = 0.0,
+    ) -> FrictionLimits:
+        """The friction limits of a step, from the motors' speeds v, their torques and what loads them.
+
+        What friction there is depends on speed and torque at the start of the step. What the gears lose depends on
+        the torque that reaches them, what accelerating the rotors leaves of that of the motors: for that M is the
+        mass matrix of the links, and contact what rigid contacts put on the joints.
+        """
+        at_rest = memory["at_rest"] > 0.5 if self.remembers_rest else None
+        dry = dry_limit(values, v, at_rest, tau, load) if values.dry else tm.zeros(self.arm.n)
+        if not self.lossy:
+            return FrictionLimits(dry=dry, low=dry, high=dry)
+        assert self.transmission is not None
+        rotor, p = parameters.get("plant.rotor_inertia"), subtree(parameters, "actuation.transmission")
+        reaching = tau
+        if rotor is not None:
+            b = _per_joint(0.0 if values.viscous is None else values.viscous, self.arm.n)
+            outside = load + contact - b * v - tm.sign(v) * dry
+            reaching = tau - rotor * self._accelerations(M, tau, outside, v, rotor, b, p["efficiency"], dt)
+        forth, back = self.transmission.loss_limits(reaching, p)
+        return FrictionLimits(dry=dry, low=dry + forth, high=dry + back)
+
+    def _accelerations(
+        self, M: Matrix, tau: Vector, load: Vector, v: Vector, rotor: Any, b: Vector, efficiency: Any, dt: Any
+    ) -> Vector:
+        """(n,) of the rotors in a step: M a = load + passed (tau - rotor a), joints at rest held; none reverses.
+
+        passed is the efficiency where the motor drives and its inverse where the load does. Which one drives does not
+        depend on what the gear passes, of one joint, so that a solution without losses shows it; of coupled joints
+        the next one corrects it.
+        """
+        n, rotor = self.arm.n, _per_joint(rotor, self.arm.n)
+        moves = tm.where(tm.abs(v) > RESTS, 1.0, 0.0)
+        with_link = moves * np.array([float(i in self.rigid) for i in range(n)])
+        links = np.outer(with_link, with_link) * M
+
+        def solved(passed: Vector) -> Vector:
+            alone = passed * rotor + dt * b + (1.0 - moves)
+            out: Vector = tm.solve_spd(links + tm.eye(n) * alone, moves * (load + passed * tau))
+            return out
+
+        a = solved(tm.zeros(n) + 1.0)
+        for _ in range(SIDES):
+            driving = v * (tau - rotor * a) > 0.0
+            a = solved(tm.where(driving, efficiency, 1.0 / efficiency) + tm.zeros(n))
+        out: Vector = tm.where(v * (v + dt * a) > 0.0, a, -v / dt)
+        return out
+
+    def spring(self, q: Vector, v: Vector, memory: Values, parameters: Values) -> Vector:
+        """(n,) what springs and teeth put on the links; of rigid joints zero."""
+        assert self.transmission is not None
+        joints = list(self.compliant)
+        p = {
+            name: value[joints] if np.ndim(value) else value
+            for name, value in subtree(parameters, "actuation.transmission").items()
+        }
+        delta, rate = (memory["q_motor"] - q)[joints], (memory["v_motor"] - v)[joints]
+        return self.spread(self.transmission.torque(delta, rate, p))
+
+    def rotors(
+        self, memory: Values, tau: Vector, spring: Vector, b: Any, limits: FrictionLimits | None, rotor: Any, dt: Any
+    ) -> RotorStep:
+        """Motors of the compliant joints after a step, b being their viscous friction."""
+        v_m = memory["v_motor"]
+        viscous = _per_joint(0.0 if b is None else b, self.arm.n)
+        inertia = _per_joint(rotor, self.arm.n)
+        v_new, f, at_rest = [], [], []
+        for i in self.compliant:
+            mass = inertia[i] + dt * viscous[i]
+            free = (inertia[i] * v_m[i] + dt * (tau[i] - spring[i])) / mass
+            stop, held, rests = -free * mass / dt, 0.0, 0.0
+            if limits is not None:
+                held = tm.clip(stop, -limits.low[i], limits.high[i])
+                rests = tm.where((stop > -limits.low[i]) & (stop < limits.high[i]), 1.0, 0.0)
+            f.append(held)
+            at_rest.append(rests)
+            v_new.append(free + dt * held / mass)
+        return RotorStep(
+            v=self.spread(tm.array(v_new)), f=self.spread(tm.array(f)), at_rest=self.spread(tm.array(at_rest))
+        )
+
+    def spread(self, of_compliant: Vector) -> Vector:
+        """(n,) entries of the compliant joints, zero for the others."""
+        out: list[Any] = [0.0] * self.arm.n
+        for k, i in enumerate(self.compliant):
+            out[i] = of_compliant[k]
+        return tm.array(out)
+
+    def merged(self, of_rigid: Vector, of_compliant: Vector) -> Vector:
+        """(n,) the first one's entries for rigid joints, the second one's for compliant joints."""
+        if not self.compliant:
+            return of_rigid
+        return tm.array([(of_compliant if i in self.compliant else of_rigid)[i] for i in range(self.arm.n)])
+
+
+def _per_joint(value: Any, n: int) -> Any:
+    return value if np.ndim(value) else np.broadcast_to(value, (n,))

@@ -1,0 +1,1 @@
+"""What acts on the tool; `taut.environments` gives them by name."""

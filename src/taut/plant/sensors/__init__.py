@@ -1,0 +1,1 @@
+"""Sensors of joints and of the tool; `taut.sensors` gives them by name."""

@@ -1,0 +1,193 @@
+"""A scene to look at: an arm, what is around it, a floor and a light as a MuJoCo model that is never simulated."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
+
+import numpy as np
+
+from taut.arm.description import BASE, Arm, Visual
+from taut.arm.loaders.mjspec import Meshes, add_links, add_shape, bones
+from taut.base.errors import FileError
+from taut.base.types import Float64Array
+from taut.record.film.skeleton import FIELD_OF_VIEW, View, upright
+from taut.record.film.surroundings import Around, pose
+from taut.trace.pose import Pose
+
+if TYPE_CHECKING:
+    import mujoco
+
+__all__ = ["Frame", "scene", "unhidden"]
+
+Frame: TypeAlias = tuple[Float64Array, Float64Array, Float64Array]
+
+THICKNESS: Final = 0.03  # of a drawn link, in parts of what is looked at
+LINK: Final = (0.88, 0.88, 0.90, 1.0)
+JOINT: Final = (0.0, 0.45, 0.70, 1.0)
+TOOL: Final = (0.84, 0.37, 0.0, 1.0)
+HIDING: Final = 2  # the group of what may hide the tool
+TURNS: Final = (0.0, -110.0, 110.0, 180.0, -60.0, 60.0)  # [deg] of the camera, in the order in which they are liked
+NEARLY: Final = 0.98  # of the way to the tool: nearer to it something touches it
+SKY: Final = ([1.0, 1.0, 1.0], [0.86, 0.90, 0.94])
+TILES: Final = ([0.86, 0.89, 0.92], [0.77, 0.81, 0.86])
+BARE: Final = (0.8, 0.8, 0.8, 1.0)  # colour of a visual that has none of its own
+
+
+def scene(arm: Arm, view: View, size: tuple[int, int], around: Around | None = None) -> tuple[Any, Float64Array, str]:
+    """A compiled model of the arm in its surroundings.
+
+    Bodies whose visuals can be shown get them; the others get capsules from joint to joint.
+
+    Args:
+        arm: The arm.
+        view: What is looked at.
+        size: Width and height of the pictures.
+        around: What stands around it; what moves by itself becomes a mocap body, in the order of the things.
+
+    Returns:
+        The model; (n,) where each joint's position stands in qpos; what could not be shown, in words.
+    """
+    shown = [visual for visual in arm.visuals if visual.shape != "mesh" or Path(visual.file).is_file()]
+    problem = "" if len(shown) == len(arm.visuals) else "some of their files are not there"
+    try:
+        model = _spec(arm, shown, view, size, around).compile()
+    except (ValueError, FileError) as cause:  # a mesh that MuJoCo, or nobody, can read
+        problem = f"MuJoCo cannot show them: {str(cause).splitlines()[0]}"
+        model = _spec(arm, [], view, size, around).compile()
+    places = np.array([model.joint(_joint_name(i)).qposadr[0] for i in range(arm.n)])
+    return model, places, problem
+
+
+def unhidden(model: Any, view: View, size: tuple[int, int], frames: Sequence[Frame]) -> View:
+    """The view, turned if what stands around the arm would hide the tool: to where it does so least; the sun with it.
+
+    Args:
+        model: The model of a scene.
+        view: What is looked at.
+        size: Width and height of the pictures.
+        frames: Some of the film: qpos, poses (m, 7) of what moves, and where the tool is (3,).
+    """
+    import mujoco
+
+    data, groups = mujoco.MjData(model), np.arange(mujoco.mjNGROUP) == HIDING
+    hidden = dict.fromkeys(TURNS, 0)
+    for qpos, moving, tool in frames:
+        data.qpos, data.mocap_pos, data.mocap_quat = qpos, moving[:, :3], moving[:, 3:]
+        mujoco.mj_kinematics(model, data)
+        for turn in TURNS:
+            a, e = np.radians([view.azimuth + turn, view.elevation])
+            ahead = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+            ray = tool - (view.centre - view.distance(*size) * ahead)
+            met = mujoco.mj_ray(
+                model, data, tool - ray, ray, groups.astype(np.uint8), 1, -1, np.zeros((1, 1), np.int32)
+            )
+            hidden[turn] += 0.0 <= met < NEARLY  # in parts of the ray
+    turn = min(TURNS, key=hidden.__getitem__)
+    R = Pose(rpy=[0.0, 0.0, np.radians(turn)]).R
+    model.light_dir[:] = model.light_dir @ R.T
+    model.light_pos[:] = (model.light_pos - view.centre) @ R.T + view.centre
+    return dataclasses.replace(view, azimuth=view.azimuth + turn)
+
+
+def _joint_name(i: int) -> str:
+    return f"joint {i}"  # names of an arm may be anything; these cannot clash with each other
+
+
+def _spec(arm: Arm, visuals: list[Visual], view: View, size: tuple[int, int], around: Around | None) -> mujoco.MjSpec:
+    import mujoco
+
+    spec = mujoco.MjSpec()
+    _look(spec, view, size)
+    _surroundings(spec, view)
+    T_base = Pose(R=upright(arm)) @ arm.T_WB
+    base = spec.worldbody.add_body(name="base", pos=T_base.p, quat=T_base.wxyz)
+    names = [(f"body {i}", _joint_name(i)) for i in range(arm.n)]
+    bodies = {BASE: base} | {i: body for i, (body, _) in enumerate(add_links(arm, base, Pose.identity(), names))}
+    meshes = Meshes()
+    for visual in visuals:
+        geom = add_shape(spec, bodies[visual.body], visual.placement, visual, meshes)
+        geom.rgba = LINK if visual.rgba == BARE else visual.rgba
+    drawn = {visual.body for visual in visuals}
+    radius = THICKNESS * view.radius
+    for i, body in bodies.items():
+        if i != BASE:
+            body.explicitinertial, body.mass, body.inertia = True, 1.0, [0.01, 0.01, 0.01]  # nothing falls here
+        if i not in drawn and (i != BASE or not drawn):
+            _draw_bones(arm, i, body, radius)
+    tool = arm.frame()
+    _geom(bodies[tool.body], "SPHERE", pos=tool.placement.p, size=[0.8 * radius, 0.0, 0.0], rgba=TOOL)
+    if around is not None:
+        _put_around(spec, around, Pose(R=upright(arm)), (bodies[tool.body], tool.placement))
+    return spec
+
+
+def _put_around(spec: mujoco.MjSpec, around: Around, world: Pose, tool: tuple[Any, Pose]) -> None:
+    """Everything that stands around the arm."""
+    import mujoco
+
+    for i, mesh in enumerate(around.meshes):
+        made = spec.add_mesh(name=f"around {i}", uservert=mesh.vertices.ravel(), userface=mesh.faces.ravel())
+        made.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # a surface has no volume
+    for thing in around.things:
+        holder, T = tool if thing.on_tool else (spec.worldbody, world @ pose(thing))
+        body = holder.add_body(pos=T.p, quat=T.wxyz, mocap=thing.moves)
+        for shape in thing.shapes:
+            at = {"pos": shape.p, "quat": shape.wxyz, "rgba": shape.rgba, "group": 0 if thing.on_tool else HIDING}
+            if shape.kind == "mesh":
+                _geom(body, "MESH", meshname=f"around {shape.mesh}", **at)
+            else:
+                _geom(body, shape.kind.upper(), size=shape.size, **at)
+
+
+def _look(spec: mujoco.MjSpec, view: View, size: tuple[int, int]) -> None:
+    """Size, smoothness and lights of the pictures."""
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = size
+    spec.visual.global_.fovy = FIELD_OF_VIEW
+    spec.visual.quality.offsamples, spec.visual.quality.shadowsize = 4, 2048
+    spec.visual.map.shadowclip = 2.0  # at 1 the ground at the edge of the picture is dotted
+    spec.visual.headlight.ambient = [0.32, 0.32, 0.32]
+    spec.visual.headlight.diffuse = [0.3, 0.3, 0.3]
+    spec.visual.headlight.specular = [0.1, 0.1, 0.1]
+    spec.stat.extent = 2.0 * view.radius  # near and far planes, shadows
+    spec.stat.center = view.centre
+
+
+def _surroundings(spec: mujoco.MjSpec, view: View) -> None:
+    """A sky, a floor of tiles, and the sun."""
+    import mujoco
+
+    sky, floor = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtTexture.mjTEXTURE_2D
+    gradient, checker = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, mujoco.mjtBuiltin.mjBUILTIN_CHECKER
+    for name, kind, pattern, (one, other) in (("sky", sky, gradient, SKY), ("floor", floor, checker, TILES)):
+        spec.add_texture(name=name, type=kind, builtin=pattern, rgb1=one, rgb2=other, width=256, height=256)
+    edge = 10.0 ** np.floor(np.log10(2.0 * view.radius)) / 2.0  # of a tile: 0.05, 0.5 or 5 m
+    material = spec.add_material(name="floor", texrepeat=[0.5 / edge, 0.5 / edge], texuniform=True)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
+    _geom(spec.worldbody, "PLANE", size=[0.0, 0.0, 1.0], pos=[0.0, 0.0, view.floor], material="floor")
+    above = np.array([0.3, -0.4, 1.0]) * 3.0 * view.radius
+    light = spec.worldbody.add_light(pos=view.centre + above, dir=-above)
+    light.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    light.diffuse, light.specular, light.castshadow = [0.42, 0.42, 0.42], [0.1, 0.1, 0.1], True
+
+
+def _geom(body: Any, shape: str, **values: Any) -> Any:
+    """Something to see, which touches nothing."""
+    import mujoco
+
+    return body.add_geom(type=getattr(mujoco.mjtGeom, f"mjGEOM_{shape}"), contype=0, conaffinity=0, **values)
+
+
+def _draw_bones(arm: Arm, i: int, body: Any, radius: float) -> None:
+    """Capsules from a body's origin to the joints it carries and to the tool, and a short drum for its own joint."""
+    for holder, _, end in bones(arm):
+        if holder == i and np.linalg.norm(end) > 0.5 * radius:
+            _geom(body, "CAPSULE", fromto=[0.0, 0.0, 0.0, *end], size=[0.7 * radius, 0.0, 0.0], rgba=LINK)
+    if i == BASE:
+        return
+    drum = 1.1 * radius * np.asarray(arm.joints[i].axis)
+    slides = arm.joints[i].kind == "prismatic"
+    shape, width = ("BOX", radius) if slides else ("CYLINDER", 0.0)
+    _geom(body, shape, fromto=[*-drum, *drum], size=[radius, width, 0.0], rgba=JOINT)

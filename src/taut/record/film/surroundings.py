@@ -1,0 +1,163 @@
+"""What stands around an arm, to be seen in films: shapes that rest, move, or go with the tool, as plain values.
+
+A run keeps it in its info, and the poses of what moves in a column, so that a log is filmed as the run was.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias, get_args
+
+import numpy as np
+
+from taut.base.errors import UsageError
+from taut.base.types import Float64Array
+from taut.trace.pose import Pose
+
+if TYPE_CHECKING:
+    from taut.record.run import Run
+
+__all__ = ["AROUND", "POSES", "Around", "Mesh", "Shape", "ShapeKind", "Thing", "around_of", "pose", "poses_of"]
+
+AROUND: Final = "around"  # in run.info
+POSES: Final = "scene.poses"  # column of a run: (m, 7) position [m] and quaternion wxyz of each thing that moves
+
+ShapeKind: TypeAlias = Literal["plane", "box", "sphere", "ellipsoid", "cylinder", "capsule", "mesh"]
+KINDS: Final[tuple[ShapeKind, ...]] = get_args(ShapeKind)
+Numbers: TypeAlias = tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape:
+    """A shape on a thing."""
+
+    kind: ShapeKind
+    size: Numbers  # (3,) [m] halves, as MuJoCo has them: of a cylinder radius and half its length
+    p: Numbers = (0.0, 0.0, 0.0)  # [m] in the thing
+    wxyz: Numbers = (1.0, 0.0, 0.0, 0.0)
+    rgba: Numbers = (0.5, 0.5, 0.5, 1.0)
+    mesh: int = -1  # number of its mesh
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thing:
+    """What has one pose: at rest in the world, on the tool, or moving."""
+
+    shapes: tuple[Shape, ...]
+    p: Numbers = (0.0, 0.0, 0.0)  # [m] in the world, where it rests or begins
+    wxyz: Numbers = (1.0, 0.0, 0.0, 0.0)
+    row: int | None = None  # of the column, where its pose is recorded
+    on_tool: bool = False  # at the arm's tool, and in its axes
+    times: Numbers = ()  # [s] of a motion that is known beforehand
+    shifts: tuple[Numbers, ...] = ()  # (3,) [m] each, in the world: where it is then, from where it begins
+
+    @property
+    def moves(self) -> bool:
+        """Whether it does by itself."""
+        return self.row is not None or bool(self.times)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mesh:
+    """Triangles."""
+
+    vertices: Float64Array  # (m, 3) [m]
+    faces: np.ndarray[Any, np.dtype[np.int32]]  # (f, 3)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Around:
+    """All of it."""
+
+    things: tuple[Thing, ...] = ()
+    meshes: tuple[Mesh, ...] = ()
+    missing: tuple[str, ...] = ()  # what stands there too and has no shape here, in words
+
+    def __bool__(self) -> bool:
+        return bool(self.things or self.missing)
+
+    def json(self) -> dict[str, Any]:
+        """As plain values."""
+        return {
+            "things": [dataclasses.asdict(thing) for thing in self.things],
+            "meshes": [{"vertices": _text(m.vertices, "<f4"), "faces": _text(m.faces, "<i4")} for m in self.meshes],
+            "missing": list(self.missing),
+        }
+
+    @classmethod
+    def of_json(cls, values: Mapping[str, Any]) -> Around:
+        """The inverse.
+
+        Raises:
+            KeyError, TypeError, ValueError: They are no such values.
+        """
+        meshes = tuple(
+            Mesh(vertices=_array(m["vertices"], "<f4").astype(np.float64), faces=_array(m["faces"], "<i4"))
+            for m in values["meshes"]
+        )
+        things = tuple(_thing(thing) for thing in values["things"])
+        shapes = [shape for thing in things for shape in thing.shapes]
+        if any(shape.kind not in KINDS or shape.mesh >= len(meshes) for shape in shapes):
+            raise ValueError("a shape that there is not")
+        return cls(things=things, meshes=meshes, missing=tuple(str(words) for words in values["missing"]))
+
+
+def _text(values: np.ndarray[Any, Any], kind: str) -> str:
+    return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode()
+
+
+def _array(text: str, kind: str) -> Any:
+    return np.frombuffer(base64.b64decode(text, validate=True), dtype=kind).reshape(-1, 3)
+
+
+def _thing(values: Mapping[str, Any]) -> Thing:
+    shapes = [Shape(**{name: _tuples(value) for name, value in shape.items()}) for shape in values["shapes"]]
+    others = {name: _tuples(value) for name, value in values.items() if name != "shapes"}
+    return Thing(shapes=tuple(shapes), **others)
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(_tuples(part) for part in value) if isinstance(value, (list, tuple)) else value
+
+
+def around_of(run: Run) -> Around:
+    """What stood around the arm of a run; nothing where the run does not say.
+
+    Raises:
+        UsageError: What it says is not what `taut.run` writes.
+    """
+    if AROUND not in run.info:
+        return Around()
+    try:
+        found = Around.of_json(run.info[AROUND])
+        rows = [thing.row for thing in found.things if thing.row is not None]
+        if rows and (POSES not in run.extra or max(rows) >= run.extra[POSES].shape[1]):
+            raise ValueError("a pose that there is not")
+    except (KeyError, TypeError, ValueError) as cause:
+        raise UsageError(
+            f"run.info['{AROUND}'] and the column {POSES} must be what taut.run wrote; got {cause}; leave that entry "
+            "out to film the arm alone",
+            name="info",
+        ) from cause
+    return found
+
+
+def poses_of(run: Run, found: Around, ticks: np.ndarray[Any, np.dtype[np.intp]]) -> Float64Array:
+    """(k, m, 7) position [m] and quaternion wxyz of each thing that moves, in the order of the things."""
+    out = []
+    for thing in found.things:
+        if thing.row is not None:
+            out.append(np.asarray(run.extra[POSES])[ticks, thing.row])
+        elif thing.times:
+            shifts = np.asarray(thing.shifts)
+            p = [np.interp(run.t[ticks], thing.times, shifts[:, i]) + thing.p[i] for i in range(3)]
+            out.append(np.column_stack([*p, np.tile(thing.wxyz, (len(ticks), 1))]))
+    return np.stack(out, axis=1) if out else np.zeros((len(ticks), 0, 7))
+
+
+def pose(thing: Thing | Shape) -> Pose:
+    """Of a thing in the world or on the tool, or of a shape on its thing."""
+    return Pose(thing.p, wxyz=thing.wxyz)

@@ -1,0 +1,290 @@
+"""Films of a run: pictures by MuJoCo, else schematic ones, as GIF or MP4."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
+
+import numpy as np
+
+from taut.arm.description import Arm
+from taut.base.checks import positive_scalar
+from taut.base.errors import FileError, MatchError, RangeError, UsageError, warn
+from taut.base.types import Float64Array
+from taut.control.trajectories.task_reference import TaskMotion
+from taut.record.film import painter, render, scene, sketch
+from taut.record.film.skeleton import Skeleton, View, upright
+from taut.record.film.surroundings import Around, around_of, poses_of
+from taut.record.log.files import checked_target, written_aside
+from taut.record.progress import Progress
+from taut.trace.pose import Pose
+
+if TYPE_CHECKING:
+    from taut.record.run import Run
+
+__all__ = ["film", "upright_poses"]
+
+Picture: TypeAlias = np.ndarray[Any, np.dtype[np.uint8]]
+Ticks: TypeAlias = np.ndarray[Any, np.dtype[np.intp]]
+
+SUFFIXES: Final = (".gif", ".mp4")
+FASTEST: Final = {".gif": 50, ".mp4": 240}  # [1/s] a GIF counts in hundredths of a second
+SIZES: Final = (16, 4096)  # [pixel]
+SHADES: Final = 16  # of the trail, in a GIF
+LOOKS: Final = 7  # pictures in which the tool is to be seen
+FAR: Final = 1e6  # [rad | m] positions beyond this are not drawn: the run had diverged
+
+
+def film(
+    run: Run,
+    path: str | os.PathLike[str],
+    *,
+    fps: int,
+    size: tuple[int, int],
+    speed: float,
+    arm: Arm | None,
+    progress: bool | None,
+) -> Path:
+    """Write a film of a run; see `Run.video`."""
+    target = checked_target("video", path, SUFFIXES)
+    size = _checked_size(size, target.suffix.lower())
+    _check_rate(fps, target.suffix.lower())
+    ffmpeg = _ffmpeg(target)
+    shown = _checked_arm(run, arm)
+    ticks = _ticks(run, positive_scalar("speed", speed) / fps)
+    skeleton = Skeleton.of(shown, run.q[ticks])
+    wanted = _wanted(run, shown, ticks)
+    around = around_of(run)
+    moving = upright_poses(poses_of(run, around, ticks), shown)
+    with ExitStack() as stack, written_aside("video", target) as aside:
+        pictures, remark = _pictures(stack, run.q[ticks], skeleton, wanted, size, around, moving)
+        if remark:
+            warn(f"video '{target}' {remark}")
+        bar = stack.enter_context(Progress(len(ticks), progress, "drawing"))
+        images = bar.over(_captioned(pictures, run.t[ticks]))
+        try:
+            if ffmpeg is None:
+                _write_gif(aside, images, fps)
+            else:
+                _write_mp4(aside, images, fps, size, ffmpeg, target)
+        except render.NoRendererError as cause:
+            raise FileError(f"video '{target}' broke off: {cause}; try again", name=str(target)) from cause
+    return target
+
+
+# -------------------------------------------------------------------- what is asked for
+
+
+def _checked_size(size: tuple[int, int], suffix: str) -> tuple[int, int]:
+    words = f"size must be width and height in pixels, whole numbers from {SIZES[0]} to {SIZES[1]}"
+    try:
+        width, height = size
+    except (TypeError, ValueError):
+        raise UsageError(f"{words}; got {size!r}", name="size", value=size) from None
+    for edge in (width, height):
+        if isinstance(edge, bool) or not isinstance(edge, (int, np.integer)) or not SIZES[0] <= edge <= SIZES[1]:
+            raise RangeError(f"{words}; got {size!r}", name="size", value=size)
+        if suffix == ".mp4" and edge % 2:
+            raise RangeError(f"size must be even numbers for .mp4; got {size!r}", name="size", value=size)
+    return int(width), int(height)
+
+
+def _check_rate(fps: int, suffix: str) -> None:
+    whole = isinstance(fps, (int, np.integer)) and not isinstance(fps, bool)
+    if not whole or not 1 <= fps <= FASTEST[suffix]:
+        words = f"fps must be a whole number from 1 to {FASTEST[suffix]} for {suffix}; got {fps!r}"
+        raise RangeError(words, name="fps", value=fps)
+
+
+def _ffmpeg(target: Path) -> str | None:
+    """The program that makes an MP4; None for a GIF."""
+    if target.suffix.lower() == ".gif":
+        return None
+    found = shutil.which("ffmpeg")
+    if found is None:
+        raise FileError(
+            f"video '{target}' needs the program ffmpeg, which is not on the PATH; install it, or write a .gif",
+            name=str(target),
+        )
+    return found
+
+
+def _checked_arm(run: Run, arm: Arm | None) -> Arm:
+    shown = run.arm if arm is None else arm
+    if shown is None:
+        name = run.info.get("arm", "")
+        example = f"taut.load_arm({name!r})" if name else "taut.load_arm(...)"
+        raise UsageError(f"the run does not know its arm, as a log keeps none; pass arm={example}", name="arm")
+    if not isinstance(shown, Arm):
+        raise UsageError(f"arm must be an Arm from taut.load_arm; got {type(shown).__name__}", name="arm")
+    if shown.joint_names != run.joint_names:
+        raise MatchError(
+            f"arm '{shown.name}' does not have the joints of the run: {', '.join(shown.joint_names)} against "
+            f"{', '.join(run.joint_names)}",
+            name="arm",
+        )
+    return shown
+
+
+def _ticks(run: Run, period: float) -> Ticks:
+    """The tick that each picture shows."""
+    near = np.isfinite(run.q).all(axis=1) & (np.abs(run.q) < FAR).all(axis=1)
+    end = len(run) if near.all() else int(np.argmin(near))
+    if not end:
+        raise UsageError("there is nothing to film: the run has no ticks", name="run")
+    count = math.floor((run.t[end - 1] - run.t[0]) / period + 1e-9) + 1
+    times = run.t[0] + period * np.arange(count)
+    ticks: Ticks = np.minimum(np.searchsorted(run.t[:end], times - 1e-9), end - 1)
+    return ticks
+
+
+def _wanted(run: Run, arm: Arm, ticks: Ticks) -> Float64Array:
+    """(k, 3) where the tool should be, if the reference moves; else (0, 3)."""
+    if isinstance(motion := run.reference.motion, TaskMotion):
+        p = motion.p
+        return p[ticks] @ upright(arm).T if np.any(p != p[0]) else np.zeros((0, 3))
+    q = getattr(run.reference, "q", None)
+    if q is None or not np.any(q != q[0]):
+        return np.zeros((0, 3))
+    return Skeleton.of(arm, q[ticks]).tool
+
+
+# -------------------------------------------------------------------- pictures
+
+
+def upright_poses(poses: Float64Array, arm: Arm) -> Float64Array:
+    """(k, m, 7) poses in the arm's world as those in a world whose z axis points up."""
+    out, R = poses.copy(), upright(arm)
+    if np.array_equal(R, np.eye(3)):
+        return out
+    for row in out.reshape(-1, 7):
+        T = Pose(R=R) @ Pose(row[:3], wxyz=row[3:])
+        row[:] = [*T.p, *T.wxyz]
+    return out
+
+
+def _pictures(
+    stack: ExitStack,
+    q: Float64Array,
+    skeleton: Skeleton,
+    wanted: Float64Array,
+    size: tuple[int, int],
+    around: Around,
+    moving: Float64Array,
+) -> tuple[Iterator[Picture], str]:
+    """Rendered pictures, else schematic ones, and what there is to say about them."""
+    view = skeleton.view()
+    folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="taut-video-"))
+    try:
+        render.check_mujoco()
+        model, places, problem = scene.scene(skeleton.arm, view, size, around)
+        frames = _frames(q, places, skeleton, wanted, view, size, moving)
+        if around:
+            some = np.linspace(0, len(q) - 1, min(len(q), LOOKS)).astype(int)
+            shown = [(frames.qpos[k], moving[k], skeleton.tool[k]) for k in some]
+            view = scene.unhidden(model, view, size, shown)
+            frames = dataclasses.replace(frames, camera=_camera(view, size))
+        renderer = stack.enter_context(render.opened(Path(folder), model, frames))
+    except render.NoRendererError as cause:
+        alone = " of the arm alone" if around else ""
+        reason = f"is a schematic drawing{alone}, because no OpenGL works here ({cause})"
+        return sketch.sketches(skeleton, wanted, view, size), reason
+    remarks = [f"shows capsules in place of some visuals: {problem}"] if problem else []
+    remarks += [f"does not show {' and '.join(around.missing)}"] if around.missing else []
+    return renderer.pictures(), "; it ".join(remarks)
+
+
+def _frames(
+    q: Float64Array,
+    places: Float64Array,
+    skeleton: Skeleton,
+    wanted: Float64Array,
+    view: View,
+    size: tuple[int, int],
+    moving: Float64Array,
+) -> render.Frames:
+    qpos = np.zeros_like(q)
+    qpos[:, places] = q
+    camera = _camera(view, size)
+    return render.Frames(qpos=qpos, moving=moving, tool=skeleton.tool, wanted=wanted, camera=camera, size=size)
+
+
+def _camera(view: View, size: tuple[int, int]) -> Float64Array:
+    return np.array([*view.centre, view.distance(*size), view.azimuth, view.elevation])
+
+
+def _captioned(pictures: Iterator[Picture], times: Float64Array) -> Iterator[Any]:
+    """Pictures of Pillow's, with the time in a corner."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    for picture, t in zip(pictures, times, strict=True):
+        image = Image.fromarray(picture)
+        letters = ImageFont.load_default(size=max(9.0, image.height / 28.0))
+        place = (0.025 * image.width, 0.025 * image.width)
+        ImageDraw.Draw(image).text(place, f"t = {t:.2f} s", fill=(40, 40, 40), font=letters)
+        yield image
+
+
+# -------------------------------------------------------------------- files
+
+
+def _write_gif(path: Path, images: Iterator[Any], fps: int) -> None:
+    """One palette for all pictures, so that nothing flickers; times that add up, though a GIF counts in 10 ms."""
+    from PIL import Image
+
+    first = next(images)
+    palette = _palette(first)
+    frames = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in itertools.chain([first], images)]
+    ends = np.round(np.arange(len(frames) + 1) * 100.0 / fps)
+    durations = [10 * int(length) for length in np.diff(ends)]
+    frames[0].save(path, format="GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0)
+
+
+def _palette(first: Any) -> Any:
+    """The colours of the first picture, and shades of the trail, which is not there yet."""
+    from PIL import Image
+
+    most = 256 - SHADES
+    own = first.quantize(colors=most, method=Image.Quantize.MEDIANCUT).getpalette()[: 3 * most]
+    trail = 255.0 * np.array(painter.TRAIL[:3])
+    shades = [
+        trail + (to - trail) * x for to, x in zip([0.0, 255.0] * SHADES, np.linspace(0.0, 0.7, SHADES), strict=False)
+    ]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*own, *(round(c) for shade in shades for c in shade)])
+    return palette
+
+
+def _write_mp4(path: Path, images: Iterator[Any], fps: int, size: tuple[int, int], ffmpeg: str, target: Path) -> None:
+    command = [
+        ffmpeg, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}",
+        "-r", str(fps), "-i", "-", "-an", "-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4", str(path),
+    ]  # fmt: skip
+    with tempfile.TemporaryFile() as errors:
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors)
+        assert process.stdin is not None
+        try:
+            with suppress(BrokenPipeError):  # ffmpeg has given up; what it says is told below
+                for image in images:
+                    process.stdin.write(image.tobytes())
+        finally:
+            with suppress(BrokenPipeError):
+                process.stdin.close()
+            status = process.wait()
+        if status:
+            errors.seek(0)
+            said = errors.read().decode(errors="replace").strip().splitlines()
+            raise FileError(
+                f"video '{target}' cannot be written: ffmpeg says {said[-1] if said else f'status {status}'!r}; "
+                "write a .gif instead",
+                name=str(target),
+            )

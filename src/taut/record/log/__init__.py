@@ -1,0 +1,1 @@
+"""Log files: MCAP, CSV, MAT; what is written and read."""

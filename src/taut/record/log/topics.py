@@ -1,0 +1,208 @@
+"""Which topics a log has, and how one tick of a run looks as bytes.
+
+| topic | message | numbers |
+|---|---|---|
+| /joint_states | JointState | q, v, tau |
+| /reference | JointState | the wanted q and v, where the reference has them |
+| /reference/NAME | Float64MultiArray | every other field of the reference, such as a |
+| /command | JointState | the command, as effort, velocity or position |
+| /terms/NAME | JointState | a term of the command, in the same place |
+| /extra/NAME | Float64MultiArray | a further column, such as F_ext |
+| /time | Float64 | t, exactly; stamps are rounded to nanoseconds |
+
+The description of a run says all that follows from it, so that writing and reading share this file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+
+from taut.base.types import Array, Float64Array
+from taut.record.log.cdr import JOINT_STATE, MULTI_ARRAY, NUMBER, Template, joint_state, multi_array, number
+from taut.record.run import Run
+
+__all__ = ["RECORD_HEAD", "Description", "TickLayout", "Topic", "columns_of"]
+
+RECORD_HEAD: Final = 31  # bytes of an MCAP message before its data
+MESSAGE: Final = 5  # opcode
+PLACE: Final = {"torque": "effort", "velocity": "velocity", "position": "position"}  # of a command in a JointState
+
+Shapes = Mapping[str, tuple[int, ...]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Description:
+    """What the columns of a run are: enough to write and to read its log."""
+
+    joint_names: tuple[str, ...]
+    units: tuple[str, ...]
+    continuous: tuple[int, ...]
+    kind: str
+    terms: tuple[str, ...]
+    reference: str  # name of the sample's class
+    fields: Shapes  # of the reference
+    extra: Shapes
+
+    @classmethod
+    def of(cls, run: Run) -> Description:
+        """Of a run, or a piece of one."""
+        sample = run.reference
+        return cls(
+            joint_names=run.joint_names,
+            units=run.units,
+            continuous=run.continuous,
+            kind=run.kind,
+            terms=tuple(run.terms),
+            reference=type(sample).__name__,
+            fields={name: np.shape(getattr(sample, name))[1:] for name in type(sample).fields(run.n)},
+            extra={name: np.shape(value)[1:] for name, value in run.extra.items()},
+        )
+
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shape of one row of every column."""
+        n = (len(self.joint_names),)
+        out: dict[str, tuple[int, ...]] = {"t": (), **dict.fromkeys(("q", "v", "tau", "command"), n)}
+        out |= {f"terms.{name}": n for name in self.terms}
+        out |= {f"reference.{name}": shape for name, shape in self.fields.items()}
+        return out | {f"extra.{name}": shape for name, shape in self.extra.items()}
+
+    def topics(self) -> tuple[Topic, ...]:
+        """All topics, in the order in which they stand in a tick."""
+        joints, place = self.joint_names, PLACE[self.kind]
+        out = [
+            Topic("/time", NUMBER, number("t")),
+            Topic("/joint_states", JOINT_STATE, joint_state(joints, position="q", velocity="v", effort="tau")),
+            Topic("/command", JOINT_STATE, joint_state(joints, **{place: "command"})),
+        ]
+        out += [
+            Topic(f"/terms/{name}", JOINT_STATE, joint_state(joints, **{place: f"terms.{name}"}))
+            for name in self.terms
+        ]
+        other = dict(self.fields)
+        n = (len(joints),)
+        if other.get("q") == n and other.get("v") == n:
+            del other["q"], other["v"]
+            message = joint_state(joints, position="reference.q", velocity="reference.v")
+            out.append(Topic("/reference", JOINT_STATE, message))
+        out += [_array_topic(f"/reference/{name}", f"reference.{name}", shape) for name, shape in other.items()]
+        out += [_array_topic(f"/extra/{name}", f"extra.{name}", shape) for name, shape in self.extra.items()]
+        return tuple(out)
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One channel of the log."""
+
+    name: str
+    schema: str
+    message: Template
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns of the run that it carries."""
+        return tuple(hole for hole in self.message.holes if hole not in ("sec", "nanosec"))
+
+    @cached_property
+    def dtype(self) -> np.dtype[np.void]:
+        """Its message as a NumPy structure."""
+        return _structure(self.message.holes, len(self.message.data))
+
+
+def _array_topic(topic: str, column: str, shape: tuple[int, ...]) -> Topic:
+    labels = [f"axis{i}" for i in range(len(shape))]
+    return Topic(topic, MULTI_ARRAY, multi_array(column, shape, labels))
+
+
+def _structure(places: Mapping[str, tuple[Any, int]], size: int) -> np.dtype[np.void]:
+    """Named fields at given offsets."""
+    return np.dtype(
+        {
+            "names": list(places),
+            "formats": [kind for kind, _ in places.values()],
+            "offsets": [offset for _, offset in places.values()],
+            "itemsize": size,
+        }
+    )
+
+
+class TickLayout:
+    """One tick of a run as bytes: a message of every topic, one behind the other.
+
+    Channel i + 1 carries topic i. The layout serves both ways: rows of a run become an array of `dtype`, and back.
+
+    Args:
+        description: What the run has.
+    """
+
+    def __init__(self, description: Description) -> None:
+        self.description = description
+        self.topics = description.topics()
+        template = bytearray()
+        self.offsets: list[int] = []  # of each message's record in the tick
+        places: dict[str, tuple[Any, int]] = {}
+        for channel, topic in enumerate(self.topics, start=1):
+            start = len(template)
+            self.offsets.append(start)
+            head = Template(data=bytearray())
+            head.data += MESSAGE.to_bytes(1, "little")
+            head.data += (RECORD_HEAD - 9 + len(topic.message.data)).to_bytes(8, "little")
+            head.data += channel.to_bytes(2, "little")
+            places |= {
+                f"{channel}.head": ("(11,)u1", start),
+                f"{channel}.sequence": ("<u4", start + 11),
+                f"{channel}.log_time": ("<u8", start + 15),
+                f"{channel}.publish_time": ("<u8", start + 23),
+            }
+            template += head.data + bytes(RECORD_HEAD - 11)
+            for name, (kind, offset) in topic.message.holes.items():
+                stamp = name in ("sec", "nanosec")
+                places[f"{channel}.{name}" if stamp else name] = (kind, start + RECORD_HEAD + offset)
+            template += topic.message.data
+        self.places = frozenset(places)
+        self.template = np.frombuffer(bytes(template), dtype=np.uint8)
+        self.dtype = _structure(places, len(template))
+
+    @property
+    def size(self) -> int:
+        """Bytes of one tick."""
+        return int(self.template.size)
+
+    def fill(self, rows: Array, columns: Mapping[str, Float64Array], first: int, times: Array) -> None:
+        """Write ticks into `rows`, which hold the template.
+
+        Args:
+            rows: (k,) of `dtype`.
+            columns: (k, ...) by name.
+            first: Number of the first tick.
+            times: (k,) [ns] stamps.
+        """
+        sequence = np.arange(first, first + len(rows), dtype=np.uint32)
+        for channel, topic in enumerate(self.topics, start=1):
+            rows[f"{channel}.sequence"] = sequence
+            rows[f"{channel}.log_time"] = rows[f"{channel}.publish_time"] = times
+            if "sec" in topic.message.holes:
+                rows[f"{channel}.sec"], rows[f"{channel}.nanosec"] = np.divmod(times, 1_000_000_000)
+        for name in self.description.shapes():
+            if name in self.places:  # an array without entries has no place
+                rows[name][...] = columns[name].reshape(rows[name].shape)
+
+    def fits(self, rows: Array) -> bool:
+        """Whether every record of every tick is where it should be."""
+        return all(
+            bool((rows[f"{i}.head"] == self.template[start : start + 11]).all())
+            for i, start in enumerate(self.offsets, start=1)
+        )
+
+
+def columns_of(run: Run) -> dict[str, Float64Array]:
+    """Every array of a run by the names that `Description.shapes` has."""
+    fields = {name: getattr(run.reference, name) for name in type(run.reference).fields(run.n)}
+    out = {"t": run.t, "q": run.q, "v": run.v, "tau": run.tau, "command": run.command}
+    out |= {f"terms.{name}": value for name, value in run.terms.items()}
+    out |= {f"reference.{name}": value for name, value in fields.items()}
+    return out | {f"extra.{name}": value for name, value in run.extra.items()}

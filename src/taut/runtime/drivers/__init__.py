@@ -1,1 +1,0 @@
-"""Drivers of engines and robots that are not ours."""

@@ -1,0 +1,1 @@
+"""Engines and robots that are not ours."""

@@ -1,0 +1,649 @@
+"""MujocoPlant: an arm in MuJoCo, built from the same Arm as everything else, or found in a model of the user's."""
+
+from __future__ import annotations
+
+import math
+import os
+import warnings
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import numpy as np
+
+from taut.arm.description import COMMANDS, Arm, CommandKind, Payload
+from taut.base.checks import one_of, positive_scalar
+from taut.base.errors import MatchError, UsageError, unknown_name
+from taut.base.paths import subtree
+from taut.base.types import ArrayLike, Float64Array
+from taut.maths import dynamics as dyn
+from taut.maths.adds import Adds
+from taut.maths.compensation import compensation
+from taut.maths.model import PayloadValues, model_of
+from taut.plant.drives.actuation import Actuation, delayed
+from taut.plant.drives.drivetrain import Drivetrain
+from taut.plant.drives.stiff_drive import require_drives
+from taut.plant.drives.transmission import require_rotors
+from taut.plant.environments.environment import Environment, require_environment
+from taut.plant.motion import WORK_OF_IT
+from taut.plant.numbers import PlantNumbers, require_torque_sensor
+from taut.plant.sensors.sensors import Sensors
+from taut.record.film.surroundings import POSES, Around
+from taut.runtime.robots.mujoco.attach import Inertias, attached
+from taut.runtime.robots.mujoco.drives import Compensation, Drives, Motors, cut_off
+from taut.runtime.robots.mujoco.environment import EnvironmentStage
+from taut.runtime.robots.mujoco.health import Guard, Health
+from taut.runtime.robots.mujoco.joints import JointStage, LinkTorque
+from taut.runtime.robots.mujoco.model import INTEGRATORS, Integrator, ModelOptions, built, put_timestep
+from taut.runtime.robots.mujoco.rig import Rig
+from taut.runtime.robots.mujoco.scene import read_scene
+from taut.runtime.robots.mujoco.sensors import SensorStage
+from taut.runtime.robots.mujoco.settings import Settings
+from taut.runtime.robots.mujoco.shapes import LOOKS, TOUCHES, Looks, Touch
+from taut.runtime.robots.mujoco.surroundings import SceneView
+from taut.runtime.robots.mujoco.tool import SpringTip
+from taut.runtime.robots.mujoco.wrench import PRESSED, Normals, Wrench
+from taut.trace.pose import Pose
+
+if TYPE_CHECKING:
+    import mujoco
+
+__all__ = ["MujocoPlant"]
+
+LONGEST: Final = 1e-3  # [s] of a time step that nobody asked for
+PAYLOAD: Final = ("payload.mass", "payload.com", "payload.inertia")  # what a sensor that weighs asks for
+
+
+class MujocoPlant:
+    """An arm in MuJoCo, with whatever stands around it.
+
+    Model:
+        (M + rotors) a + C v + g + b v + friction = tau + J^T F_ext + joint limits
+        Integrator "discrete" is semi-implicit Euler, v+ = v + dt a with b v and dry friction taken at v+, and
+        q+ = q + dt v+: the scheme of RigidPlant, which it follows to rounding where nothing touches the arm. Dry
+        friction really sticks.
+
+    A tick, as in RigidPlant: q, v, the joint torques and the wrench of the last step are measured at t_k; the command
+    that follows from them is held for a whole number of MuJoCo's time steps, which end at t_k+1.
+
+    Joints are torque motors without limits of their own (limits belong to the controller), or drives that take
+    velocities or positions: see `takes`. The Arm's position limits are MuJoCo's joint limits, which push back.
+    `model` and `data` are MuJoCo's own, to look at and to add to; a run begins with the scene as it was built. Bodies
+    have the names of their links, joints and motors those of the joints; the site has the tool's name and stands on
+    the body "payload", with the sensors <tool>_force and <tool>_torque: what the arm exerts on tool and payload, in
+    the tool's axes, as a sensor at the flange reads it.
+
+    Frames:
+        F_ext is the wrench of everything outside the arm on the body that carries the tool, force first, in world
+        axes at the tool's origin: contacts, welds, data.xfrc_applied, `environment`. The weight and inertia of tool
+        and payload are no part of it, so that a payload that hangs there does not show, and a wall pushes back with
+        the sign of the wall on the arm; a `taut.sensors.WrenchSensor(tool=...)` reads them too. What touches other
+        links does
+        not show. It is that of the last time step.
+
+    Args:
+        arm: The true arm; make it differ from the controller's and there is a modelling error.
+        scene: An MJCF fragment, as text or a path: bodies, geoms, assets, what ties them together. Files come from
+            its own folder only. Options and key frames are refused. A surface that a tool presses on needs a contact
+            whose force grows with the depth, priority="1" solimp="0 0.9 0.002 0.5 1"; by default it opens and closes
+            every few ticks, since MuJoCo pushes with nearly its whole force from the first micrometre.
+        scene_at: Where the scene's origin stands in the world; the world's own origin if left out.
+        friction: "arm" for the arm's own viscous and dry friction, None for none.
+        limits: "arm" for the arm's own position limits, None for none.
+        timestep: [s] of MuJoCo, a whole part of the control period; by default the largest one up to 1 ms.
+        integrator: MuJoCo's "discrete", "euler", "implicitfast", "implicit" or "rk4". The last is for smooth forces.
+        takes: The command: "torque", "velocity" or "position". The last two are drives with
+            `actuation=Actuation(bandwidth=...)` that aim at the motion of RigidPlant's stiff ones. They get there by
+            the torques of an inner loop in each time step, ten times as fast as the drive, which knows arm and
+            payload and nothing of what they touch: so that contacts and environments move the arm a little, and a
+            drive gives no more than the joint's effort. What that cuts off is the run's column tau_cut, and a
+            warning when it first happens.
+        adds: What the plant adds to a torque command itself: "gravity", "coriolis", and "friction", which cancels the
+            arm's own, so that none is left.
+        touch: What of the arm can touch the scene: "tool" for a sphere at the tool's origin, "links" for capsules
+            along the links too, None for nothing. The arm never touches itself; friction is that of what it touches.
+        tool_radius: [m] of the sphere.
+        tool_length: [m] of a cylinder of that radius in the sphere's place, such as a peg: its axis is the tool's z
+            axis, and its end, which is flat, is at the tool's origin. It has no mass; that is the payload's.
+        tip: A taut.environments.SpringTip that gives way and carries the sphere or cylinder; rigid if left out.
+        link_radius: [m] of the capsules.
+        looks: What a viewer shows: "plain" shapes, or the arm's "meshes", which take longer to load.
+        actuation: The drives, as of RigidPlant: delay, amplifier, motor, gear; ideal if left out.
+        sensors: What is measured, and how well; ideal sensors if left out.
+        environment: What acts at the tool besides the scene: a taut.environments.Push, a taut.environments.Hand,
+        ..., as of RigidPlant. It acts
+            through data.qfrc_applied, which is then the plant's; F_ext is that of both together, and the run's column
+            work.environment [J] is what the environment did until the tick.
+
+    Columns of a run:
+        F_ext (6,); with a scene contact.normal_force (3,), what of it is along the true normals of the contacts;
+        scene.poses (m, 7), position [m] and quaternion wxyz of the scene's bodies that move and have shapes.
+
+    Raises:
+        UsageError: Options that do not go together.
+        ModelError: A scene that is refused, with its line.
+
+    Example:
+        >>> import taut
+        >>> arm = taut.load_arm("one_joint")
+        >>> ctrl = taut.compile(taut.laws.GravityPID(kp=2.205, kd=2.0), arm)
+        >>> out = taut.run(ctrl, taut.MujocoPlant(arm), taut.JointMotion(q=[0.5]), duration=5.0)
+        >>> out.outcome.ok, bool(abs(out.q[-1, 0] - 0.5) < 1e-3)
+        (True, True)
+
+    References:
+        Todorov, Erez and Tassa, MuJoCo, IROS (2012); its manual on the integrator "discrete" and on noslip.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        *,
+        scene: str | os.PathLike[str] | None = None,
+        scene_at: Pose | None = None,
+        friction: Literal["arm"] | None = "arm",
+        limits: Literal["arm"] | None = "arm",
+        timestep: float | None = None,
+        integrator: Integrator = "discrete",
+        takes: CommandKind = "torque",
+        adds: Adds | Iterable[str] | Mapping[str, Payload | None] = (),
+        touch: Touch | None = "tool",
+        tool_radius: float = 0.01,
+        tool_length: float | None = None,
+        tip: SpringTip | None = None,
+        link_radius: float = 0.05,
+        looks: Looks = "plain",
+        actuation: Actuation | None = None,
+        sensors: Sensors | None = None,
+        environment: Environment | None = None,
+    ) -> None:
+        adds = Adds.of(adds)
+        self.given = {name: value for name, value in locals().items() if name not in ("self", "arm")}
+        if not isinstance(arm, Arm):  # callers without a type checker
+            raise UsageError(f"a plant takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
+        for name, value in (("friction", friction), ("limits", limits)):
+            if value not in ("arm", None):
+                raise UsageError(f"{name} must be 'arm' or None; got {value!r}", name=name)
+        what = adds
+        self._takes = one_of("takes", takes, COMMANDS)
+        drives, seen = actuation or Actuation(), sensors or Sensors()
+        for name, given, part in (("actuation", drives, Actuation), ("sensors", seen, Sensors)):
+            if not isinstance(given, part):
+                got = type(given).__name__
+                raise UsageError(f"{name} must be taut.{part.__name__}(...); got {got}", name=name)
+        if tip is not None and not isinstance(tip, SpringTip):
+            raise UsageError(f"tip must be taut.environments.SpringTip(...); got {type(tip).__name__}", name="tip")
+        if environment is not None:
+            require_environment("environment", environment)
+        require_drives(self._takes, drives, what)
+        drives.check_size(arm)
+        seen.check(arm, touched=True)
+        left = arm.friction if friction == "arm" and not what.friction else None
+        train = Drivetrain(arm=arm, friction=left, transmission=drives.transmission)
+        require_rotors(arm, train.compliant)
+        require_torque_sensor(drives, seen)
+        options = ModelOptions(
+            drivetrain=train,
+            limits=limits,
+            integrator=one_of("integrator", integrator, INTEGRATORS),
+            touch=None if touch is None else one_of("touch", touch, TOUCHES),
+            tool_radius=positive_scalar("tool_radius", tool_radius, unit="m"),
+            tool_length=None if tool_length is None else positive_scalar("tool_length", tool_length, unit="m"),
+            scene_at=_place(scene_at, scene is not None),
+            link_radius=positive_scalar("link_radius", link_radius, unit="m"),
+            looks=one_of("looks", looks, LOOKS),
+            tip=tip,
+        )
+        if integrator == "rk4" and train.dry:
+            what_sticks = "dry friction" if left is not None and left.dry else "gears that lose power"
+            raise UsageError(
+                f"rk4 needs smooth forces, and arm '{arm.name}' has {what_sticks}; use integrator='discrete', or "
+                "friction=None",
+                name="integrator",
+            )
+        if integrator == "rk4" and train.compliant:
+            raise UsageError(
+                "rk4 moves the arm alone, and an elastic transmission or backlash moves the motors too; use "
+                "integrator='discrete'",
+                name="integrator",
+            )
+        self._timestep = None if timestep is None else positive_scalar("timestep", timestep, unit="s")
+        rig = built(arm, None if scene is None else read_scene(scene), options, what)
+        self._name = f"MujocoPlant({arm.name})"
+        numbers = PlantNumbers(arm=arm, drivetrain=train, actuation=drives, sensors=seen, environment=environment)
+        self._settings: Settings | None = Settings(rig, numbers)
+        self._friction, self._actuation, self._sensors = friction, drives, seen
+        self._stage = None
+        if drives.acts or train.compliant or train.lossy or (left is not None and (left.falls or left.loaded)):
+            self._stage = JointStage(rig, drives, train, what, self._takes)
+        self._touching = None if environment is None else EnvironmentStage(rig, environment, train)
+        adds_torque = (what.gravity or what.coriolis) and self._stage is None
+        self._compensation = Compensation(arm, what) if adds_torque else None
+        self._link, self._readings = LinkTorque(rig), SensorStage(arm, seen)
+        self._take(rig, Motors(rig))
+        self._normals = None if scene is None or touch is None else Normals(rig)
+        self._view = None if scene is None else SceneView(rig)
+
+    @classmethod
+    def attach(
+        cls,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        arm: Arm,
+        prefix: str = "",
+        *,
+        bridge: bool = False,
+        inertias: Inertias = "same",
+    ) -> MujocoPlant:
+        """Drive an arm inside a simulation of your own.
+
+        Joints are found by name, prefix + the Arm's. Each takes its torque through its actuator if it has one, else
+        through data.qfrc_applied; both have the user's values again after each control period. Everything else is
+        left alone: other joints and actuators, time, options, callbacks. Friction and joint limits are the model's. A
+        run moves the arm to q0 (`plant.state()[0]` is where it stands) and steps the whole scene on from there. What
+        an actuator's own limits cut off is the run's column tau_cut, and a warning when it first happens.
+
+        Frames:
+            As above. F_ext counts all that the tool's joint carries, fingers too; parts of those that press on each
+            other cancel.
+
+        Args:
+            model: The model; its timestep must be a whole part of the control period.
+            data: Its data.
+            arm: What the model's arm should be: compared in axes, gravity and inertias.
+            prefix: What stands before the names of the joints in the model, such as "left/".
+            bridge: Send torques through position or velocity servos too, by the control that makes their force the
+                torque. Exact with integrator Euler.
+            inertias: "same" refuses an arm with other inertias than the Arm's; "any" takes it as the plant's truth.
+
+        Raises:
+            UsageError: Not a model, its data and an arm.
+            UnknownNameError: A joint that the model does not have.
+            MatchError: Another arm, or actuators that do not take torques.
+            RangeError: The model or its state is not finite.
+        """
+        plant = object.__new__(cls)
+        rig, drives = attached(model, data, arm, prefix, bridge=bridge, inertias=inertias)
+        plant._name = f"MujocoPlant.attach({prefix}{arm.name})"
+        plant._timestep = None
+        plant._takes = "torque"
+        plant._settings = None
+        plant._compensation = None
+        plant._stage = plant._touching = plant._normals = None
+        plant._friction, plant._actuation, plant._sensors = "arm", Actuation(), Sensors()
+        plant._take(rig, drives)
+        plant._view = SceneView(rig, tool=False)
+        return plant
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy is built anew, of the same arguments and with the same parameters, and has a scene of its own."""
+        if self._settings is None:
+            raise UsageError(
+                "an attached plant drives a simulation of yours, so it cannot be copied or pickled; attach another "
+                "one to the copy: taut.MujocoPlant.attach(model, data, arm)"
+            )
+        return _rebuilt, ({"arm": self.arm, **self.given}, dict(self.parameters))
+
+    def _take(self, rig: Rig, drives: Drives) -> None:
+        """Keep what the loop needs; MuJoCo's arrays are looked up here, once."""
+        import mujoco
+
+        self._rig, self._drives = rig, drives
+        self._health = Health(rig)
+        self._guard = Guard(rig.model.opt)
+        self._mj_step = mujoco.mj_step
+        self._qpos, self._qvel = rig.data.qpos, rig.data.qvel
+        self._wrench = Wrench(rig)
+        self._substeps = 1
+        self._silence()
+
+    def _silence(self) -> None:
+        n = self._rig.arm.n
+        self._tau, self._cut, self._F_ext = np.zeros(n), np.zeros(n), np.zeros(6)
+        self._told = False
+        self._contact = np.zeros(6)
+        self._ticks, self._dt, self._work = 0, 0.0, 0.0
+        self._tau_link, self._a = np.zeros(n), np.zeros(n)
+        self._saturated: dict[str, Float64Array] = {}
+
+    # ---------------------------------------------------------------- what it declares
+
+    @property
+    def name(self) -> str:
+        """What it is called in messages."""
+        return self._name
+
+    @property
+    def arm(self) -> Arm:
+        """The true arm."""
+        return self._rig.arm
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """MuJoCo's model."""
+        return self._rig.model
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """MuJoCo's state, and what it computed last."""
+        return self._rig.data
+
+    @property
+    def friction(self) -> Literal["arm"] | None:
+        """The arm's friction, or none; the model's own of an attached arm."""
+        return self._friction
+
+    @property
+    def actuation(self) -> Actuation:
+        """The drives; ideal ones of an attached arm."""
+        return self._actuation
+
+    @property
+    def sensors(self) -> Sensors:
+        """What is measured, and how well; ideal ones of an attached arm."""
+        return self._sensors
+
+    @property
+    def takes(self) -> CommandKind:
+        """Torque commands, or what its drives take; an attached arm takes torques."""
+        return self._takes
+
+    @property
+    def measures(self) -> frozenset[str]:
+        """What it measures besides positions."""
+        return self._sensors.measures(touched=True)
+
+    @property
+    def distorts(self) -> frozenset[str]:
+        """The measurements that differ from the truth."""
+        return self._sensors.distorts(touched=True)
+
+    @property
+    def adds(self) -> Adds:
+        """What it adds to a torque command itself; gravity, for an attached arm whose bodies have gravcomp."""
+        return self._rig.adds
+
+    # ---------------------------------------------------------------- parameters
+
+    @property
+    def parameters(self) -> Mapping[str, Float64Array]:
+        """Run-time parameters by path; none for an attached arm, whose model is the user's."""
+        return {} if self._settings is None else self._settings.values
+
+    def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:
+        """A new value of a parameter, checked and in its shape.
+
+        Raises:
+            UnknownNameError: There is no such parameter.
+            ShapeError, RangeError: A value that it cannot have.
+        """
+        if self._settings is None or path not in self._settings.values:
+            hint = "an attached arm has none: change the model" if self._settings is None else ""
+            raise unknown_name(f"plant '{self.name}'", "parameter", path, self.parameters, hint=hint)
+        return self._settings.checked(path, value)
+
+    def check_together(self, values: Mapping[str, ArrayLike]) -> None:
+        """Refuse values by path that do not go together, each of which is right by itself.
+
+        Raises:
+            RangeError: Less friction at rest than in motion.
+        """
+        if self._settings is not None:
+            self._settings.check_together(values)
+
+    def set_parameter(self, path: str, value: ArrayLike) -> None:
+        """Give a parameter a new value, which acts from the next step."""
+        self.set_parameters({path: value})
+
+    def set_parameters(self, values: Mapping[str, ArrayLike]) -> None:
+        """Give parameters new values at once, which act from the next step."""
+        checked = {path: self.checked_parameter(path, value) for path, value in values.items()}
+        self.check_together({**self.parameters, **checked})
+        if self._settings is None or not checked:
+            return
+        for path, value in checked.items():
+            self._settings.put(path, value)
+        if self._stage is not None:
+            self._stage.take(self._settings.values)
+        if self._touching is not None:
+            self._touching.take(self._settings.values)
+        self._readings.take(self._settings.values)
+
+    # ---------------------------------------------------------------- a run
+
+    def reset(self, q: Float64Array, v: Float64Array, dt: float, seed: int = 0) -> None:
+        """Put the arm into a state, and prepare for control periods of dt [s]; the noise comes from the seed.
+
+        Raises:
+            MatchError: The control period is not a whole number of time steps, or the arm's actuators are disabled.
+        """
+        import mujoco
+
+        rig = self._rig
+        self._substeps = self._steps_in(dt)
+        if self._settings is not None:
+            put_timestep(rig, dt / self._substeps)
+            mujoco.mj_resetData(rig.model, rig.data)
+        self._drives.prepare()
+        self._qpos[rig.q] = q
+        self._qvel[rig.v] = v
+        self._health.start()
+        self._silence()
+        if self._settings is None:
+            return
+        self._line = None
+        taps = self._actuation.taps(dt)
+        values = self._settings.values
+        payload = PayloadValues.of(subtree(values, "plant.payload"))
+        model = model_of(rig.arm)
+        weight = dyn.gravity_torque(model, q, payload)
+        self._tau_link = weight
+        self._tau = weight - compensation(model, self.adds, q, np.zeros(len(q)), payload)
+        if taps:
+            first = {"torque": self._tau, "velocity": np.zeros(len(q)), "position": q}[self._takes]
+            self._line = np.stack([first] * taps)
+        self._h, self._dt = dt / self._substeps, dt
+        if self._stage is not None:
+            self._stage.start(q, v, values, dt, self._substeps)
+        if self._touching is not None:
+            self._touching.start(q, v, values, dt, self._substeps)
+            self._F_ext = self._touching.wrench
+        self._readings.start(seed, self._true(), values)
+        self._saturated = {name: np.zeros(()) for name in self._readings.saturating}
+
+    def _steps_in(self, dt: float) -> int:
+        if self._settings is not None and self._timestep is None:
+            return max(1, math.ceil(dt / LONGEST * (1.0 - 1e-9)))
+        h = float(self._rig.model.opt.timestep) if self._timestep is None else self._timestep
+        steps = dt / h
+        if round(steps) < 1 or abs(steps - round(steps)) > 1e-9 * steps:
+            near = dt / max(1, math.ceil(steps))
+            change = "model.opt.timestep" if self._settings is None else "timestep"
+            raise MatchError(
+                f"plant '{self.name}': the control period must be a whole number of time steps; {dt:g} s is "
+                f"{steps:.6g} times {h:g} s; use {change}={near:.9g}, or another rate",
+                name="timestep",
+                value=h,
+            )
+        return round(steps)
+
+    def state(self) -> tuple[Float64Array, Float64Array]:
+        """(n,) the true position and velocity."""
+        return self._qpos[self._rig.q].copy(), self._qvel[self._rig.v].copy()
+
+    def measure(self) -> dict[str, Float64Array]:
+        """What the sensors give, by measurement; forces and torques are those of the last step."""
+        if self._settings is None:  # an attached arm: what its actuators gave
+            q, v = self.state()
+            return {"q": q, "v": v, "tau_meas": self._tau.copy(), "F_ext": self._F_ext.copy()}
+        given = self._readings.read(self._true())
+        self._saturated = {name: value for name, value in given.items() if name.startswith("saturated.")}
+        return given
+
+    def _true(self) -> dict[str, Float64Array]:
+        """What is true now, by name."""
+        q, v = self.state()
+        true = {"q": q, "v": v, "tau": self._tau, "tau_link": self._tau_link, "F_ext": self._F_ext}
+        if self._sensors.needs_acceleration:
+            true["a"] = self._a
+        if self._sensors.weighs and self._settings is not None:
+            true |= dict(zip(PAYLOAD, self._settings.load, strict=True))
+        memory = {} if self._stage is None else self._stage.memory
+        return true | {name: memory[name] for name in ("q_motor", "v_motor") if name in memory}
+
+    def advance(self, command: Float64Array) -> Float64Array:
+        """One control period under a command (n,); (n,) the torque that acted on the joints."""
+        if self._settings is None:
+            return self._advance_attached(command)
+        held, self._line = delayed(command, self._line)
+        if self._touching is not None:
+            self._work = self._touching.work
+            self._touching.at(self._ticks * self._dt)
+        self._ticks += 1
+        with self._guard:
+            if self._stage is None:
+                self._step_plainly(held)
+            else:
+                self._step_through(self._stage, held)
+        self._F_ext = self._contact = self._wrench.of_environment()
+        if self._touching is not None:
+            self._F_ext = self._contact + self._touching.wrench
+        return self._tau
+
+    def _step_plainly(self, held: Float64Array) -> None:
+        """The steps of a period in which the torque itself stands at the joints."""
+        rig, last = self._rig, self._substeps - 1
+        self._drives.write(held)
+        if last and self._compensation is None and self._touching is None:
+            self._mj_step(rig.model, rig.data, last)
+        elif last:
+            for _ in range(last):
+                self._apply()
+                self._mj_step(rig.model, rig.data)
+                self._applied()
+        torque = held + self._apply()
+        v = self._qvel[rig.v].copy()
+        self._mj_step(rig.model, rig.data)
+        self._applied()
+        v_end = self._qvel[rig.v]
+        self._tau, self._a = held.copy(), (v_end - v) / self._h
+        self._tau_link = self._link.of_step(torque, self._link.friction(), v_end, self._a)
+
+    def _step_through(self, stage: JointStage, held: Float64Array) -> None:
+        """The steps of a period in which motors, gears and friction stand before the joints."""
+        rig = self._rig
+        stage.memory["held"][...] = held
+        for _ in range(self._substeps):
+            v = self._qvel[rig.v].copy()
+            self._apply()
+            F_ext = self._F_ext if self._touching is None else self._contact + self._touching.wrench
+            self._drives.write(stage.before(self._qpos[rig.q], v, F_ext))
+            self._mj_step(rig.model, rig.data)
+            self._applied()
+            stage.after(self._qpos[rig.q], self._qvel[rig.v])
+        self._a = (self._qvel[rig.v] - v) / self._h
+        self._tau, self._tau_link = stage.tau, stage.memory["tau_link"].copy()
+        if self._takes != "torque":
+            self._cut = stage.cut
+            if not self._told and self._cut.any():
+                self._tell(
+                    self._tau + self._cut, "the effort of its joints", "slower motions, or an arm that has more"
+                )
+
+    def _advance_attached(self, command: Float64Array) -> Float64Array:
+        """The same for an arm in a model of the user's."""
+        model, data, drives = self._rig.model, self._rig.data, self._drives
+        drives.take()
+        try:
+            with self._guard:
+                if drives.per_step:
+                    for _ in range(self._substeps):
+                        drives.write(command)
+                        self._mj_step(model, data)
+                else:
+                    drives.write(command)
+                    self._mj_step(model, data, self._substeps)
+            self._tau = drives.acted()
+        finally:
+            drives.release()
+        self._F_ext = self._wrench.of_environment()
+        self._cut = cut_off(command, self._tau)
+        if not self._told and self._cut.any():
+            self._tell(command, "its actuator's limits", "the controller limits=taut.Limits(tau=...)")
+        return self._tau
+
+    def _apply(self) -> Any:
+        """(n,) what the plant adds itself, at the state of this very step; what touches the tool comes with it."""
+        if self._compensation is None and self._touching is None:
+            return 0.0
+        assert self._settings is not None
+        q, v = self.state()
+        added: Any = 0.0
+        if self._compensation is not None:
+            added = self._compensation.torque(q, v, self._settings.load)
+        touching = 0.0 if self._touching is None else self._touching.before(q, v)
+        self._rig.data.qfrc_applied[self._rig.v] = added + touching
+        return added
+
+    def _applied(self) -> None:
+        """After a step: what it did to the arm."""
+        if self._touching is not None:
+            self._touching.after(self._qvel[self._rig.v])
+
+    def _tell(self, wanted: Float64Array, limits: str, instead: str) -> None:
+        self._told = True
+        i = int(np.argmax(np.abs(self._cut)))
+        arm = self._rig.arm
+        warnings.warn(
+            f"{self.name}: joint '{arm.joint_names[i]}' got {self._tau[i]:.4g} of the {wanted[i]:.4g} "
+            f"{arm.joints[i].effort_unit} asked for, because of {limits}; the run's column tau_cut has what was cut "
+            f"off; give {instead}",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+
+    def trouble(self) -> tuple[str, int | None] | None:
+        """What went wrong in the last period, in words, and the joint; None if nothing did."""
+        if self._stage is not None and not self._stage.sane:
+            return "its drives gave numbers that are not finite", None
+        if self._touching is not None and not self._touching.sane:
+            return "what touches its tool gave numbers that are not finite", None
+        return self._health.trouble()
+
+    def extra(self) -> dict[str, Any]:
+        """(6,) F_ext of the last step; work of an environment until the tick; (n,) tau_cut of actuators or drives.
+
+        With a scene (3,) `contact.normal_force`, what of F_ext is along the normals of the contacts, and (m, 7)
+        `scene.poses` of its bodies that move.
+        """
+        seen = {} if self._view is None or not self._view.moves else {POSES: self._view.poses(self._rig.data)}
+        if self._settings is None:
+            return {"F_ext": self._F_ext, "tau_cut": self._cut, **seen}
+        work = {} if self._touching is None else {WORK_OF_IT: np.asarray(self._work)}
+        normal = {} if self._normals is None else {PRESSED: self._normals.of_contacts()}
+        cut = {} if self._takes == "torque" else {"tau_cut": self._cut}
+        return {"F_ext": self._F_ext, **cut, **work, **normal, **self._saturated, **seen}
+
+    def around(self) -> Around:
+        """What stands around the arm, for films."""
+        return Around() if self._view is None else self._view.around
+
+    def __repr__(self) -> str:
+        return self.name
+
+
+def _place(at: Pose | None, there: bool) -> Pose:
+    """Where the scene stands."""
+    if at is None:
+        return Pose.identity()
+    if not isinstance(at, Pose):
+        raise UsageError(f"scene_at must be a taut.Pose; got {type(at).__name__}", name="scene_at")
+    if not there:
+        raise UsageError("scene_at says where the scene stands, and there is none; give scene= too", name="scene_at")
+    return at
+
+
+def _rebuilt(made_of: Mapping[str, Any], values: Mapping[str, ArrayLike]) -> MujocoPlant:
+    """A plant of these arguments, with these parameters."""
+    plant = MujocoPlant(**made_of)
+    plant.set_parameters(values)
+    return plant

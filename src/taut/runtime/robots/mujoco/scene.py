@@ -1,0 +1,313 @@
+"""A scene for a MujocoPlant, an MJCF fragment from anywhere: checked, and read without MuJoCo opening any file.
+
+The arm, gravity, time step and solver are the plant's; the fragment brings bodies, geoms, assets, and what ties them
+together. Files that it names are read here, from the fragment's own folder only, and handed over as bytes.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import warnings
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Final
+from xml.sax.saxutils import quoteattr
+
+from taut.arm.loaders.xml import MAX_BYTES, Element, is_not_finite, parse_xml
+from taut.arm.meshes import OutsideError, file_inside
+from taut.base.checks import readable_file
+from taut.base.errors import ModelError, Problem, UsageError, quoted_list
+from taut.runtime.robots.mujoco.health import Guard
+from taut.trace.pose import Pose
+
+if TYPE_CHECKING:
+    import mujoco
+
+__all__ = ["Scene", "attach_scene", "read_scene"]
+
+IN_WORLD: Final = frozenset({"body", "geom", "site", "light", "camera", "frame"})
+SECTIONS: Final = frozenset(
+    {"worldbody", "asset", "default", "contact", "equality", "tendon", "actuator", "sensor", "compiler", "visual"}
+)
+REFUSED: Final = {
+    "option": "the options are the plant's: gravity is the arm's, timestep and integrator are its arguments",
+    "keyframe": "key frames would set the arm too; place things by pos and quat",
+    "include": "write the scene in one file",
+    "replicate": "write the copies out",
+    "attach": "write the scene in one file",
+    "model": "write the scene in one file",
+    "plugin": "it runs code that is not in the file",
+    "extension": "it runs code that is not in the file",
+    "composite": "soft bodies are not supported",
+    "flexcomp": "soft bodies are not supported",
+    "flex": "soft bodies are not supported",
+    "skin": "soft bodies are not supported",
+}
+NAMES: Final = frozenset(  # attributes that are names, not numbers; the same with a digit behind
+    {"name", "class", "childclass", "mesh", "material", "texture", "hfield", "body", "joint", "site", "geom"}
+    | {"tendon", "actuator", "target", "objname", "refname", "refsite", "jointinparent", "camera", "file"}
+    | {"cranksite", "slidersite", "sidesite", "subtree", "sensor"}
+)
+COUNTS: Final = frozenset(  # what MuJoCo makes room for
+    {"nrow", "ncol", "width", "height", "dim", "num", "nsample", "actdim", "resolution", "gridsize"}
+)
+MOST: Final = 4096
+MAX_ASSETS: Final = 256 * 2**20  # bytes of files, in all
+_LINE: Final = re.compile(r"line (\d+)")
+
+
+@dataclass(kw_only=True)
+class Scene:
+    """A scene that MuJoCo may read: one element on each line, files as bytes."""
+
+    source: str
+    text: str = ""
+    lines: list[Element] = field(default_factory=list)  # the element on each line
+    files: dict[str, bytes] = field(default_factory=dict)
+
+
+def read_scene(scene: str | os.PathLike[str]) -> Scene:
+    """The scene in a text, which begins with <, or in a file.
+
+    Raises:
+        FileError: The file is not there, a folder, empty or not readable.
+        ModelError: Not well-formed, numbers that are not finite, files outside its folder, parts that are refused.
+    """
+    if not isinstance(scene, (str, os.PathLike)):
+        raise UsageError(
+            f"scene must be an MJCF fragment as text, or the path of one; got {type(scene).__name__}", name="scene"
+        )
+    if isinstance(scene, str) and scene.lstrip().startswith("<"):
+        source, folder, data = "scene", None, scene.encode()
+    else:
+        path = readable_file("scene", scene)
+        source, folder = str(path), path.parent
+        with path.open("rb") as stream:
+            data = stream.read(MAX_BYTES + 1)
+    root = _document(data, source)
+    _require_elements(root, source)
+    reader = _Reader(source, folder)
+    reader.check(root)
+    if reader.problems:
+        raise ModelError(source, reader.problems)
+    out = Scene(source=source, files=reader.files)
+    written: list[str] = []
+    _write(root, reader.renamed, written, out.lines)
+    out.text = "\n".join(written)
+    return out
+
+
+def _document(data: bytes, source: str) -> Element:
+    """The fragment as a whole document: loose elements are put where they belong."""
+    if data.lstrip().startswith((b"<?xml", b"<!DOCTYPE")):
+        root = parse_xml(data, source)
+    else:
+        root = parse_xml(b"<mujoco>" + data + b"</mujoco>", source)
+        if len(root.children) == 1 and root.children[0].tag == "mujoco":
+            root.children[0].text.extend(root.text)
+            root = root.children[0]
+    if root.tag != "mujoco":
+        root = Element("mujoco", {}, root.line, source, [root])
+    loose = [child for child in root.children if child.tag in IN_WORLD]
+    children = [child for child in root.children if child.tag not in IN_WORLD]
+    if loose:
+        children.append(Element("worldbody", {}, loose[0].line, source, loose))
+    return Element("mujoco", {}, root.line, source, children, root.text)
+
+
+def _require_elements(root: Element, source: str) -> None:
+    """A scene has no words between its elements, as a text of any other kind has.
+
+    Raises:
+        ModelError: It is no scene.
+    """
+    for element in root.walk():
+        text = " ".join("".join(element.text).split())
+        if text:
+            message = (
+                f"a scene is made of MJCF elements, such as <geom .../>; got the text {text[:40]!r} outside of them"
+            )
+            raise ModelError(source, [Problem(object="scene", attribute=None, message=message, line=element.line)])
+
+
+class _Reader:
+    """Checks every element, and reads the files that are named."""
+
+    def __init__(self, source: str, folder: Path | None) -> None:
+        self._source = source
+        self._folder = folder
+        self._size = 0
+        self.problems: list[Problem] = []
+        self.files: dict[str, bytes] = {}
+        self.renamed: dict[int, dict[str, str]] = {}  # new attributes of an element, by its id
+
+    def check(self, root: Element) -> None:
+        folders = {"mesh": "", "texture": ""}
+        for section in root.children:
+            if section.tag not in SECTIONS and section.tag not in REFUSED:
+                known = ", ".join(sorted(SECTIONS))
+                self._problem(section, section.tag, f"a scene has no <{section.tag}>; its parts are {known}")
+            if section.tag == "compiler":
+                for kind in folders:
+                    folders[kind] = section.get(f"{kind}dir") or section.get("assetdir") or folders[kind]
+                gone = ("meshdir", "texturedir", "assetdir", "strippath", "usethread", "discardvisual")
+                self.renamed[id(section)] = {k: v for k, v in section.attributes.items() if k not in gone}
+        for element in root.walk():
+            if element.tag in REFUSED:
+                self._problem(element, element.tag, f"a scene has no <{element.tag}>: {REFUSED[element.tag]}")
+            if element.tag == "mesh" and element.get("builtin") is not None:
+                self._problem(
+                    element, "builtin", "a mesh that MuJoCo makes itself is not read; use a geom of that shape"
+                )
+            for attribute, text in element.attributes.items():
+                self._check_numbers(element, attribute, text)
+            folder = folders["texture" if element.tag in ("texture", "layer") else "mesh"]
+            self._take_files(element, folder)
+
+    def _problem(self, element: Element, attribute: str, text: str) -> None:
+        name, message = element.get("name") or element.tag, f"{_called(element)}: {text}"
+        self.problems.append(Problem(object=name, attribute=attribute, message=message, line=element.line))
+
+    def _check_numbers(self, element: Element, attribute: str, text: str) -> None:
+        if _is_name(attribute):
+            return
+        words = text.split()
+        if any(is_not_finite(word) for word in words):
+            self._problem(element, attribute, f"{attribute} must be finite; got {text!r}")
+        if attribute in COUNTS and not all(_is_count(word) for word in words):
+            self._problem(element, attribute, f"{attribute} must be whole numbers up to {MOST}; got {text!r}")
+
+    def _take_files(self, element: Element, folder: str) -> None:
+        for attribute, name in element.attributes.items():
+            if not attribute.startswith("file") or element.tag not in ("mesh", "hfield", "texture"):
+                continue
+            inner = str(PurePosixPath(folder) / name) if folder else name
+            try:
+                data = self._bytes(inner)
+            except OutsideError as reason:
+                self._problem(element, attribute, f"the file '{name}' is not read: it {reason}")
+                continue
+            known = f"{len(self.files)}_{PurePosixPath(name).name}"
+            self.files[known] = data
+            attributes = self.renamed.setdefault(id(element), dict(element.attributes))
+            attributes[attribute] = known
+            attributes.setdefault("name", PurePosixPath(name).stem)
+
+    def _bytes(self, name: str) -> bytes:
+        if self._folder is None:
+            raise OutsideError("is named in a text, which has no folder; save the scene beside its files")
+        try:
+            path = file_inside(self._folder, name)
+            if not path.is_file():
+                raise OutsideError("is not there")
+            with path.open("rb") as stream:
+                data = stream.read(MAX_ASSETS - self._size + 1)
+        except (OSError, RuntimeError) as cause:
+            raise OutsideError("cannot be opened") from cause
+        self._size += len(data)
+        if self._size > MAX_ASSETS:
+            raise OutsideError(f"makes more than {MAX_ASSETS // 2**20} MB of files, the most that is read")
+        return data
+
+
+def _is_count(word: str) -> bool:
+    return word.isascii() and word.isdigit() and len(word) < 9 and int(word) <= MOST
+
+
+def _write(element: Element, renamed: Mapping[int, Mapping[str, str]], text: list[str], lines: list[Element]) -> None:
+    """One tag on each line, so that the lines in MuJoCo's messages lead back to the elements."""
+    attributes = renamed.get(id(element), element.attributes)
+    text.append(f"<{element.tag}{''.join(f' {name}={quoteattr(value)}' for name, value in attributes.items())}>")
+    lines.append(element)
+    for child in element.children:
+        _write(child, renamed, text, lines)
+    text.append(f"</{element.tag}>")
+    lines.append(element)
+
+
+def attach_scene(spec: mujoco.MjSpec, scene: Scene, at: Pose) -> None:
+    """Put a scene into the world of a spec that has the arm already, with its origin at a pose.
+
+    Raises:
+        ModelError: MuJoCo refuses it, or it has a name that the arm has.
+    """
+    import mujoco
+
+    taken = {
+        "body": {body.name for body in spec.bodies},
+        "joint": {joint.name for joint in spec.joints},
+        "site": {site.name for site in spec.sites},
+    }
+    problems = list(_name_clashes(scene, taken))
+    if problems:
+        raise ModelError(scene.source, problems)
+    with Guard(spec.option), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it warns that names without a prefix may not be saved well
+        try:
+            child = mujoco.MjSpec.from_string(scene.text, assets=scene.files)
+            wanted = _linked(child)
+            spec.attach(child, frame=spec.worldbody.add_frame(pos=at.p, quat=at.wxyz), prefix="")
+        except (ValueError, RuntimeError, mujoco.FatalError) as cause:
+            raise refused(str(cause), scene) from cause
+    # MuJoCo leaves out in silence what names a thing that it does not find.
+    lost = [_problem_at(scene, line) for line in sorted(wanted - _linked(spec))]
+    if lost:
+        raise ModelError(scene.source, lost)
+
+
+def _linked(spec: mujoco.MjSpec) -> set[int]:
+    """The lines of all that refers to something else by name."""
+    kinds = (spec.equalities, spec.actuators, spec.sensors, spec.excludes, spec.pairs, spec.tendons)
+    found = (_LINE.search(item.info) for kind in kinds for item in kind)
+    return {int(line[1]) for line in found if line}
+
+
+def _problem_at(scene: Scene, line: int) -> Problem:
+    element = scene.lines[line - 1]
+    names = [value for attribute, value in element.attributes.items() if attribute != "name" and _is_name(attribute)]
+    message = (
+        f"{_called(element)}: it refers to something that neither the scene nor the arm has; it names "
+        f"{quoted_list(names)}"
+    )
+    return Problem(object=element.get("name") or element.tag, attribute=None, message=message, line=element.line)
+
+
+def _is_name(attribute: str) -> bool:
+    return attribute.rstrip("0123456789") in NAMES
+
+
+def _called(element: Element) -> str:
+    name = element.get("name")
+    return f"{element.tag} '{name}'" if name else f"<{element.tag}>"
+
+
+def _name_clashes(scene: Scene, taken: Mapping[str, set[str]]) -> Iterator[Problem]:
+    seen: set[int] = set()
+    inside_world = 0
+    for element in scene.lines:
+        if element.tag == "worldbody":
+            inside_world += 1
+        kind, name = "joint" if element.tag == "freejoint" else element.tag, element.get("name")
+        if id(element) in seen or name is None or kind not in taken or inside_world % 2 == 0:
+            continue
+        seen.add(id(element))
+        if name in taken[kind]:
+            message = f"{kind} '{name}' of the scene: the arm has a {kind} of that name; rename it"
+            yield Problem(object=name, attribute="name", message=message, line=element.line)
+
+
+def refused(text: str, scene: Scene | None, source: str = "") -> ModelError:
+    """MuJoCo's sentence as ours, with the element of the scene that it is about."""
+    found = _LINE.search(text)
+    said = re.sub(r"^(XML )?(Error: )*(Schema violation: )?", "", text.splitlines()[0] if text else "no reason given")
+    if scene is None or found is None or not 0 < int(found[1]) <= len(scene.lines):
+        origin = source or (scene.source if scene else "model")
+        message = f"MuJoCo refuses the model: {said}"
+        return ModelError(origin, [Problem(object=origin, attribute=None, message=message)])
+    element = scene.lines[int(found[1]) - 1]
+    message = f"{_called(element)}: MuJoCo refuses it: {said}"
+    name = element.get("name") or element.tag
+    problem = Problem(object=name, attribute=element.tag, message=message, line=element.line)
+    return ModelError(scene.source, [problem])

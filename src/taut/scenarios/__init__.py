@@ -1,0 +1,1 @@
+"""Scenario files: a run described in TOML."""

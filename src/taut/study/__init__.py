@@ -1,1 +1,0 @@
-"""Study: what loops can do before they run, and what many runs mean."""

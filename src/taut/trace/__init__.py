@@ -1,0 +1,1 @@
+"""Ordinary NumPy code becomes a graph: scalars, arrays, derivatives, linear algebra, poses."""

@@ -1,0 +1,193 @@
+"""Derivatives: a forward-mode transform of the graph, one rule for each operation.
+
+Derivatives are nodes like any others: shared, folded, and available to every target.
+
+References:
+    Griewank and Walther, Evaluating Derivatives (2008), chapter 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from taut.base.errors import ShapeError
+from taut.base.types import Array, Matrix
+from taut.trace.array import has_symbols, traced_array
+from taut.trace.graph import BOOLEAN_OPS, Graph, Op
+from taut.trace.scalar import Condition, Scalar, active_graph, to_node, to_symbol, tracing
+
+__all__ = ["jacobian", "tangents"]
+
+Tangent = int | None
+"""The node of a derivative, or None where it is zero."""
+
+
+def tangents(graph: Graph, outputs: Sequence[int], seeds: Mapping[int, int], *, means: bool = False) -> list[int]:
+    """The nodes of the directional derivatives of `outputs`.
+
+    Args:
+        graph: The graph, which grows.
+        outputs: Nodes to differentiate.
+        seeds: Derivative of each independent node in the wanted direction.
+        means: Give a function of infinite slope, whose argument does not change, the derivative zero. So the length
+            of a vector that is zero has the mean of the slopes on both sides, in place of none.
+    """
+    known: dict[int, Tangent] = dict(seeds)
+    for i in graph.live(outputs):
+        if i not in known:
+            way = _tangent(graph, i, known)
+            if means and way is not None and graph.ops[i] in _STEEP:
+                way = _where_moved(graph, known[graph.a[i]], way)
+            known[i] = way
+    zero = graph.const(0.0)
+    return [zero if (tangent := known[i]) is None else tangent for i in outputs]
+
+
+def _where_moved(g: Graph, moved: Tangent, way: int) -> int:
+    """A derivative, or zero where the argument does not change."""
+    assert moved is not None
+    zero = g.const(0.0)
+    return g.select(g.compare(int(Op.EQ), moved, zero), zero, way)
+
+
+def _tangent(g: Graph, i: int, known: Mapping[int, Tangent]) -> Tangent:
+    op = Op(g.ops[i])
+    if op in (Op.CONST, Op.INPUT, Op.FLOOR) or op in BOOLEAN_OPS:
+        return None
+    a, b, c = g.a[i], g.b[i], g.c[i]
+    if op == Op.SELECT:
+        return _chosen(g, a, known[b], known[c])
+    da = known[a]
+    if op in _CHAIN:
+        return None if da is None else g.mul(_CHAIN[op](g, a, i), da)
+    if op == Op.NEG:
+        return None if da is None else g.neg(da)
+    if op == Op.ABS:
+        return None if da is None else _chosen(g, g.compare(int(Op.LT), a, g.const(0.0)), g.neg(da), da)
+    db = known[b]
+    if da is None and db is None:
+        return None
+    if op in (Op.MIN, Op.MAX):
+        less = g.compare(int(Op.LT), a, b)
+        return _chosen(g, less, da, db) if op == Op.MIN else _chosen(g, less, db, da)
+    return _binary(g, op, i, a, b, da, db)
+
+
+def _binary(g: Graph, op: Op, i: int, a: int, b: int, da: Tangent, db: Tangent) -> Tangent:
+    if op == Op.ADD:
+        return _plus(g, da, db)
+    if op == Op.SUB:
+        return _plus(g, da, None if db is None else g.neg(db))
+    if op == Op.MUL:
+        return _plus(g, None if da is None else g.mul(da, b), None if db is None else g.mul(a, db))
+    if op == Op.DIV:  # y = a / b: dy = (da - y db) / b
+        top = _plus(g, da, None if db is None else g.neg(g.mul(i, db)))
+        return None if top is None else g.div(top, b)
+    assert op == Op.ATAN2, op  # y = atan2(a, b): dy = (b da - a db) / (a^2 + b^2)
+    top = _plus(g, None if da is None else g.mul(b, da), None if db is None else g.neg(g.mul(a, db)))
+    return None if top is None else g.div(top, g.add(g.mul(a, a), g.mul(b, b)))
+
+
+def _plus(g: Graph, x: Tangent, y: Tangent) -> Tangent:
+    if x is None or y is None:
+        return y if x is None else x
+    return g.add(x, y)
+
+
+def _chosen(g: Graph, condition: int, x: Tangent, y: Tangent) -> Tangent:
+    if x is None and y is None:
+        return None
+    zero = g.const(0.0)
+    return g.select(condition, zero if x is None else x, zero if y is None else y)
+
+
+def _inverse_root(g: Graph, a: int) -> int:
+    """1 / sqrt(1 - a^2)."""
+    one = g.const(1.0)
+    return g.div(one, g.unary(int(Op.SQRT), g.sub(one, g.mul(a, a))))
+
+
+# The derivative of a function of one number, from its argument and its value.
+_CHAIN: Final[dict[Op, Callable[[Graph, int, int], int]]] = {
+    Op.SQRT: lambda g, _, y: g.div(g.const(0.5), y),
+    Op.SIN: lambda g, x, _: g.unary(int(Op.COS), x),
+    Op.COS: lambda g, x, _: g.neg(g.unary(int(Op.SIN), x)),
+    Op.ASIN: lambda g, x, _: _inverse_root(g, x),
+    Op.ACOS: lambda g, x, _: g.neg(_inverse_root(g, x)),
+    Op.EXP: lambda _g, _x, y: y,
+    Op.LOG: lambda g, x, _: g.div(g.const(1.0), x),
+    Op.TANH: lambda g, _, y: g.sub(g.const(1.0), g.mul(y, y)),
+}
+
+_STEEP: Final = frozenset({int(Op.SQRT), int(Op.ASIN), int(Op.ACOS)})  # infinite slopes at the ends of what they take
+
+
+# -------------------------------------------------------------------- of a function
+
+
+def jacobian(function: Callable[[Array], Any], x: Any) -> Matrix:
+    """The derivative of a function of a vector, exact, on floats or while a law is traced.
+
+    Args:
+        function: Takes (n,) and gives a number or an array.
+        x: (n,) where to differentiate.
+
+    Returns:
+        (..., n) the derivative of each entry of the result along each entry of x. Where there is none, as of
+        norm at 0, it is NaN or infinite; at a kink it is the derivative of one side.
+
+    Example:
+        >>> from taut import math
+        >>> jacobian(lambda x: math.array([x[0] * x[1], math.sin(x[0])]), [0.0, 2.0]).tolist()
+        [[2.0, 0.0], [1.0, 0.0]]
+    """
+    at = traced_array(x) if has_symbols(x) else np.asarray(x, dtype=np.float64)
+    if at.ndim != 1:
+        raise ShapeError(f"jacobian differentiates along a vector (n,); got shape {at.shape}")
+    graph = active_graph()
+    if graph is None:
+        return _on_floats(function, at)
+    # Fresh nodes stand for x meanwhile, so that only the function's own dependence on x is differentiated.
+    marks = [graph.placeholder() for _ in at]
+    shape, columns = _columns(graph, function, marks)
+    values = {mark: to_node(graph, entry) for mark, entry in zip(marks, at, strict=True)}
+    flat = [node for column in columns for node in column]
+    rows = traced_array([to_symbol(graph, node) for node in _substituted(graph, flat, values)])
+    return np.moveaxis(rows.reshape((len(at), *shape)), 0, -1)
+
+
+def _on_floats(function: Callable[[Array], Any], at: Array) -> Matrix:
+    graph = Graph()
+    with tracing(graph):
+        marks = [graph.input() for _ in at]
+        shape, columns = _columns(graph, function, marks)
+    flat = [node for column in columns for node in column]
+    values = graph.evaluate(flat, at.tolist())
+    return np.moveaxis(values.reshape((len(at), *shape)), 0, -1)
+
+
+def _columns(
+    graph: Graph, function: Callable[[Array], Any], marks: Sequence[int]
+) -> tuple[tuple[int, ...], list[list[int]]]:
+    """Shape of the function's result, and its derivative along each mark."""
+    placeholders = graph.n_placeholders
+    result = np.asarray(function(traced_array([Scalar(graph, mark) for mark in marks])), dtype=object)
+    nodes = [to_node(graph, y.number() if isinstance(y, Condition) else y) for y in result.ravel()]
+    graph.check_closed(graph.live(nodes), placeholders)
+    one = graph.const(1.0)
+    return result.shape, [tangents(graph, nodes, {mark: one}) for mark in marks]
+
+
+def _substituted(graph: Graph, nodes: Sequence[int], values: Mapping[int, int]) -> list[int]:
+    """The same expressions with other nodes in the place of some."""
+    new: dict[int, int] = dict(values)
+    for i in graph.live(nodes):
+        if i in new:
+            continue
+        operands = graph.operands(i)
+        moved = tuple(new[x] for x in operands)
+        new[i] = i if moved == operands else graph.operate(graph.ops[i], *moved)
+    return [new[i] for i in nodes]

@@ -1,0 +1,296 @@
+"""Small linear algebra for floats and symbols alike.
+
+Straight-line code: no pivoting where the matrix is symmetric positive definite, selects where it is not.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from taut.base.errors import NumericalError, ShapeError, user_location
+from taut.base.types import Array, Matrix
+from taut.trace.array import has_symbols, select_one, traced_array
+
+__all__ = ["LTDL", "factor_spd", "solve_general", "times_square_root"]
+
+
+class LTDL:
+    """The factors of a symmetric positive definite matrix, A = L^T D L with L unit lower triangular.
+
+    Eliminating from the last row up keeps the zeros that a branched arm has in its mass matrix.
+
+    With `least`, a row that is dependent on later ones, in that its pivot is at most that part of its diagonal entry,
+    is left out: its unknown is 0, and `dropped` has it True.
+
+    References:
+        Featherstone, Rigid Body Dynamics Algorithms (2008), section 6.5.
+    """
+
+    __slots__ = ("_inverse_d", "_l", "d", "dropped")
+
+    def __init__(self, A: Matrix, least: float | None = None) -> None:
+        if np.ndim(A) != 2 or np.shape(A)[0] != np.shape(A)[1]:
+            raise ShapeError(f"a symmetric positive definite matrix is (n, n); got shape {np.shape(A)}")
+        rows = _entries(A).tolist()
+        n = len(rows)
+        self._inverse_d: list[Any] = [None] * n
+        self.d: list[Any] = [None] * n
+        self.dropped: list[Any] = [False] * n
+        diagonal = [rows[k][k] for k in range(n)]
+        for k in range(n - 1, -1, -1):
+            self.d[k] = rows[k][k]
+            if least is None or k == n - 1:
+                self._inverse_d[k] = 1.0 / _nonzero(rows[k][k])
+            else:
+                self.dropped[k] = rows[k][k] <= least * diagonal[k]
+                self._inverse_d[k] = select_one(
+                    self.dropped[k], 0.0, 1.0 / select_one(self.dropped[k], 1.0, rows[k][k])
+                )
+            scaled = [rows[k][j] * self._inverse_d[k] for j in range(k)]
+            for i in range(k):
+                for j in range(i + 1):
+                    rows[i][j] = rows[i][j] - scaled[i] * rows[k][j]
+            rows[k][:k] = scaled
+        self._l = rows
+
+    def solve(self, b: Array) -> Array:
+        """x in A x = b; b may have columns."""
+        columns, n = _entries(b), len(self.d)
+        if columns.shape[:1] != (n,) or columns.ndim > 2:
+            raise ShapeError(f"b must be ({n},) or ({n}, k) to be solved with A ({n}, {n}); got {columns.shape}")
+        if columns.ndim == 1:
+            return _back(self._solve_one(columns.tolist()), columns.shape)
+        solved = [self._solve_one(column) for column in columns.T.tolist()]
+        return _back(solved, (columns.shape[1], columns.shape[0])).T
+
+    def half(self, b: Array) -> Array:
+        """L^-T b, half of the way to x; b may have columns."""
+        columns = _entries(b)
+        if columns.ndim == 1:
+            return _back(self._down(columns.tolist()), columns.shape)
+        done = [self._down(column) for column in columns.T.tolist()]
+        return _back(done, (columns.shape[1], columns.shape[0])).T
+
+    def other_half(self, y: Array) -> Array:
+        """x of y = L^-T b, a vector."""
+        return _back(self._up(_entries(y).tolist()), np.shape(y))
+
+    def weighed(self, y: Array) -> Array:
+        """D^-1 y: with y = L^-T b, b . A^-1 c is y . D^-1 L^-T c."""
+        return (_back(self._inverse_d, (len(self.d),)) * y.T).T
+
+    def gram(self, y: Matrix) -> Matrix:
+        """B^T A^-1 B of y = L^-T B, symmetric to the last bit."""
+        rows, weighed = y.T, self.weighed(y).T
+        k = len(rows)
+        out = [[rows[max(i, j)] @ weighed[min(i, j)] for j in range(k)] for i in range(k)]
+        return _back([x for row in out for x in row], (k, k))
+
+    def inverse(self) -> Matrix:
+        """A^-1 = L^-1 D^-1 L^-T, symmetric to the last bit: half the work of solving for each column."""
+        n, L = len(self.d), self._l
+        K: list[list[Any]] = []  # rows of L^-1 below the diagonal, where it is 1
+        for i in range(n):
+            row: list[Any] = []
+            for j in range(i):
+                total = -L[i][j]
+                for k in range(j + 1, i):
+                    total = total - L[i][k] * K[k][j]
+                row.append(total)
+            K.append(row)
+        out: list[list[Any]] = [[0.0] * n for _ in range(n)]
+        for j in range(n):
+            weighted = [K[j][k] * self._inverse_d[k] for k in range(j)]
+            for i in range(j, n):
+                total = self._inverse_d[j] if i == j else K[i][j] * self._inverse_d[j]
+                for k in range(j):
+                    total = total + K[i][k] * weighted[k]
+                out[i][j] = out[j][i] = total
+        return _back([x for row in out for x in row], (n, n))
+
+    # With U = L^T sqrt(D), A = U U^T.
+
+    def root(self) -> list[Any]:
+        """Diagonal of sqrt(D)."""
+        return [np.sqrt(d) for d in self.d]
+
+    def times_root_transposed(self, x: Array) -> Array:
+        """U^T x."""
+        n, L, root = len(self.d), self._l, self.root()
+        values = list(x)
+        out = []
+        for k in range(n):
+            total = values[k]
+            for i in range(k):
+                total = total + L[k][i] * values[i]
+            out.append(total * root[k])
+        return _back(out, (n,))
+
+    def times_root(self, x: Array) -> Array:
+        """U x."""
+        n, L = len(self.d), self._l
+        scaled = [entry * root for entry, root in zip(x, self.root(), strict=True)]
+        out = []
+        for i in range(n):
+            total = scaled[i]
+            for k in range(i + 1, n):
+                total = total + L[k][i] * scaled[k]
+            out.append(total)
+        return _back(out, (n,))
+
+    def between_roots(self, K: Matrix) -> Matrix:
+        """U^-1 K U^-T of a symmetric K: its own eigenvalues are those of K x = l A x."""
+        n, root = len(self.d), [1.0 / r for r in self.root()]
+
+        def half(columns: list[list[Any]]) -> list[list[Any]]:
+            for x in columns:
+                for k in range(n - 1, -1, -1):
+                    for i in range(k):
+                        x[i] = x[i] - self._l[k][i] * x[k]
+                    x[k] = x[k] * root[k]
+            return columns
+
+        once = half([list(column) for column in _entries(K).T.tolist()])
+        twice = half([[once[j][i] for j in range(n)] for i in range(n)])
+        return _back([entry for row in twice for entry in row], (n, n))
+
+    def least_direction(self) -> tuple[Array, Any]:
+        """A unit vector u near the eigenvector of the smallest eigenvalue, and u . A u, by one inverse iteration.
+
+        It starts from x in L x = e_k with k the smallest pivot: x . A x is that pivot, and |x| >= 1. The step
+        divides what is left of the others by the ratio of their eigenvalues to the smallest.
+        """
+        n, smallest = len(self.d), self.d[0]
+        x: list[Any] = [1.0] + [0.0] * (n - 1)
+        for k in range(1, n):
+            less = self.d[k] < smallest
+            smallest = select_one(less, self.d[k], smallest)
+            x = [select_one(less, float(i == k), x[i]) for i in range(n)]
+        for k in range(n):
+            for i in range(k):
+                x[k] = x[k] - self._l[k][i] * x[i]
+        start = _back(x, (n,))
+        out = self.solve(start)
+        square = out @ out
+        return out / np.sqrt(square), (start @ out) / square
+
+    def _solve_one(self, x: list[Any]) -> list[Any]:
+        return self._up(self._down(x))
+
+    def _down(self, x: list[Any]) -> list[Any]:
+        n, L = len(x), self._l
+        for k in range(n - 1, -1, -1):  # L^T y = b
+            for i in range(k):
+                x[i] = x[i] - L[k][i] * x[k]
+        return x
+
+    def _up(self, y: list[Any]) -> list[Any]:
+        n, L = len(y), self._l
+        x = [y[k] * self._inverse_d[k] for k in range(n)]
+        for k in range(n):  # L x = D^-1 y
+            for i in range(k):
+                x[k] = x[k] - L[k][i] * x[i]
+        return x
+
+
+def factor_spd(A: Matrix, least: float | None = None) -> LTDL:
+    """Factors of a symmetric positive definite matrix, to solve with more than once; see `LTDL` for `least`."""
+    return LTDL(A, least)
+
+
+def _entries(x: Any) -> Array:
+    """A bare array of floats, or of symbols."""
+    x = np.asarray(x)
+    return x if x.dtype == object else np.asarray(x, dtype=np.float64)
+
+
+def _nonzero(pivot: Any) -> Any:
+    if isinstance(pivot, float) and pivot == 0.0:
+        raise NumericalError(
+            f"a matrix is singular at {user_location()}: a pivot of its factorisation is zero; damp it, as in "
+            "A + 1e-6 * taut.math.eye(n), or stay away from that state"
+        )
+    return pivot
+
+
+def _back(values: list[Any], shape: tuple[int, ...]) -> Array:
+    if has_symbols(values):
+        return traced_array(values).reshape(shape)
+    return np.array(values, dtype=np.float64).reshape(shape)
+
+
+SWEEPS: Final = 5
+TINIEST: Final = 1e-300
+
+
+def times_square_root(C: Matrix, x: Array, sweeps: int = SWEEPS) -> Array:
+    """C^(1/2) x of a symmetric positive semidefinite matrix, by cyclic Jacobi rotations.
+
+    A fixed number of sweeps keeps it straight-line code; five are enough for 6 x 6 matrices, to some 1e-6. The
+    rotations are applied to x, and back, so that the eigenvectors are never formed.
+
+    References:
+        Golub and Van Loan, Matrix Computations (2013), section 8.5.
+    """
+    rows = _entries(C).tolist()
+    n, y = len(rows), list(x)
+    turns: list[tuple[int, int, Any, Any]] = []
+    for _ in range(sweeps):
+        for p in range(n - 1):
+            for q in range(p + 1, n):
+                c, s = _rotation(rows, p, q, n)
+                turns.append((p, q, c, s))
+                y[p], y[q] = c * y[p] - s * y[q], s * y[p] + c * y[q]
+    y = [entry * np.sqrt(np.maximum(rows[k][k], 0.0)) for k, entry in enumerate(y)]
+    for p, q, c, s in reversed(turns):
+        y[p], y[q] = c * y[p] + s * y[q], c * y[q] - s * y[p]
+    return _back(y, (n,))
+
+
+def _rotation(rows: list[list[Any]], p: int, q: int, n: int) -> tuple[Any, Any]:
+    """Rotate entry (p, q) of a symmetric matrix to zero; cosine and sine. Entries above the diagonal are kept."""
+    a, d = rows[p][q], rows[q][q] - rows[p][p]
+    size = np.sqrt(d * d + 4.0 * a * a)
+    t = 2.0 * a / (np.abs(d) + size + TINIEST)
+    t = select_one(d < 0.0, -t, t)
+    c = 1.0 / np.sqrt(1.0 + t * t)
+    s = t * c
+    rows[p][p], rows[q][q], rows[p][q] = rows[p][p] - t * a, rows[q][q] + t * a, 0.0
+    for k in range(n):
+        if k in (p, q):
+            continue
+        (i, j), (m, o) = sorted((k, p)), sorted((k, q))
+        rows[i][j], rows[m][o] = c * rows[i][j] - s * rows[m][o], s * rows[i][j] + c * rows[m][o]
+    return c, s
+
+
+def solve_general(A: Matrix, b: Array) -> Array:
+    """x in A x = b for any regular A: Gauss elimination with partial pivoting by selects."""
+    matrix, rhs = _entries(A), _entries(b)
+    n = len(matrix) if matrix.ndim else 0
+    if matrix.shape != (n, n) or rhs.shape[:1] != (n,) or rhs.ndim > 2:
+        raise ShapeError(f"solve(A, b) needs A (n, n) and b (n,) or (n, k); got {matrix.shape} and {rhs.shape}")
+    width = 1 if rhs.ndim == 1 else rhs.shape[1]
+    columns = rhs.reshape(n, width).tolist()
+    work = [row + column for row, column in zip(matrix.tolist(), columns, strict=True)]
+    for k in range(n):
+        for i in range(k + 1, n):
+            larger = abs(work[i][k]) > abs(work[k][k])
+            top, low = work[k], work[i]
+            work[k] = [select_one(larger, y, x) for x, y in zip(top, low, strict=True)]
+            work[i] = [select_one(larger, x, y) for x, y in zip(top, low, strict=True)]
+        inverse = 1.0 / _nonzero(work[k][k])
+        for i in range(k + 1, n):
+            f = work[i][k] * inverse
+            work[i] = [0.0] * (k + 1) + [x - f * y for x, y in zip(work[i][k + 1 :], work[k][k + 1 :], strict=True)]
+    solution: list[list[Any]] = [[0.0] * width for _ in range(n)]
+    for k in range(n - 1, -1, -1):
+        inverse = 1.0 / work[k][k]
+        for column in range(width):
+            x = work[k][n + column]
+            for j in range(k + 1, n):
+                x = x - work[k][j] * solution[j][column]
+            solution[k][column] = x * inverse
+    return _back([x for row in solution for x in row], rhs.shape)

@@ -1,0 +1,487 @@
+"""Comparing and grading laws: each figure against a formula of its own, and what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import taut
+from taut.analysis.compare.grading import Mark
+from taut.analysis.compare.truth import PlantChange
+from taut.analysis.compare.words import aligned
+from taut.base.errors import MatchError, RangeError, ScenarioError, UnknownNameError, UsageError
+from taut.record.plots.style import wrapped
+from taut.scenarios.compare_laws import law_of_text
+
+
+class NoCoriolis(taut.Law):
+    """Computed torque of a student who took g for h."""
+
+    kp: taut.Gain  # [1/s^2]
+    kd: taut.Gain  # [1/s]
+
+    def command(self, x, ref):
+        a = taut.Terms(feedforward=ref.a, P=self.kp @ x.difference(ref.q), D=self.kd @ (ref.v - x.v))
+        return taut.Torque(x.M @ a + taut.Terms(nonlinear=x.g))
+
+
+@pytest.fixture(scope="module")
+def planar() -> taut.Loop:
+    """Two joints that follow a sine, with a torque limit that cuts at times."""
+    arm = taut.load_arm("planar2")
+    ctrl = taut.compile(taut.laws.PID(kp=100.0, kd=20.0), arm, limits=taut.Limits(tau=[40.0, 15.0]))
+    ref = taut.trajectories.Sine(center=[0.3, 0.5], amplitude=[0.6, 0.5], frequency=[0.8, 1.1], phase=[0.0, 1.0])
+    return taut.Loop(ctrl, taut.RigidPlant(arm), ref, duration=1.0)
+
+
+@pytest.fixture(scope="module")
+def table(planar: taut.Loop) -> taut.analysis.Comparison:
+    laws = {
+        "PD": "PID(kp=200, kd=20)",
+        "exact": "ComputedTorque(kp=100, kd=20)",
+        "no C": NoCoriolis(kp=100.0, kd=20.0),
+    }
+    return taut.compare(
+        laws, planar, by="rms_error", model=taut.analysis.WrongModel(mass=0.3, payload=1.0, trials=3, seed=7)
+    )
+
+
+def test_the_figures_are_those_of_the_recorded_arrays(table: taut.analysis.Comparison) -> None:
+    for entry in table.entries.values():
+        run, numbers = entry.run, entry.numbers
+        error = np.linalg.norm(run.reference.q - run.q, axis=1)
+        cut = np.any(run.terms["torque_limit"][:-1] != 0.0, axis=1)
+        steps = np.abs(np.diff(run.tau, axis=0)).sum()
+        assert numbers["rms_error"]["rad"] == pytest.approx(math.sqrt(np.mean(error**2)), rel=1e-12)
+        assert numbers["peak_error"]["rad"] == pytest.approx(error.max(), rel=1e-12)
+        assert numbers["steady_error"]["rad"] == pytest.approx(math.sqrt(np.mean(error[800:] ** 2)), rel=1e-12)
+        assert numbers["effort"]["(N m)^2 s"] == pytest.approx(1e-3 * np.sum(run.tau[:-1] ** 2), rel=1e-12)
+        assert numbers["peak_torque"]["N m"] == pytest.approx(np.abs(run.tau).max(), rel=1e-12)
+        assert numbers["saturation"]["% of ticks"] == pytest.approx(100.0 * cut.mean(), rel=1e-9)
+        assert numbers["chatter"]["N m/s"] == pytest.approx(steps / run.t[-1], rel=1e-12)
+    assert table.entries["PD"].numbers["saturation"]["% of ticks"] > 1.0
+
+
+def test_laws_are_ranked_by_the_figure_that_was_asked_for(table: taut.analysis.Comparison, planar: taut.Loop) -> None:
+    errors = {name: entry.numbers["rms_error"]["rad"] for name, entry in table.entries.items()}
+    assert list(table.ranking) == sorted(errors, key=lambda name: errors[name])
+    two = taut.compare(list(table.runs.values()), by="effort")
+    spent = [entry.numbers["effort"]["(N m)^2 s"] for entry in two.entries.values()]
+    assert spent == sorted(spent)
+    assert spent != [table.entries[name].numbers["effort"]["(N m)^2 s"] for name in table.ranking]
+
+
+def test_wrong_models_are_the_arms_of_the_stated_seeds(table: taut.analysis.Comparison, planar: taut.Loop) -> None:
+    believed, errors = planar.side.arm, []
+    for seed in (7, 8, 9):
+        more = float(np.random.default_rng([seed, 1]).random())
+        load = believed.payload
+        true = believed.perturbed(seed=seed, mass=0.3).with_payload(load.mass + more, load.com, load.inertia)
+        ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), believed, limits=planar.side.limits)
+        run = taut.run(ctrl, taut.RigidPlant(true), planar.ref, duration=1.0)
+        errors.append(run.metrics.overall["rms_error"])
+    numbers = table.entries["exact"].numbers
+    assert numbers["model_median"]["rad"] == sorted(errors)[1]
+    assert numbers["model_worst"]["rad"] == max(errors)
+    assert "masses by 30 %, up to 1 kg more payload, seeds 7 to 9" in table.report()
+
+
+def test_noise_of_positions_makes_the_chatter_that_white_noise_makes() -> None:
+    """E |w_k+1 - w_k| = 2 sigma / sqrt(pi) for normal w, times kp, rate times a second.
+
+    Without noise the torque is constant, and where the arm is level gravity does not change with the angle.
+    """
+    arm = taut.load_arm("one_joint")
+    ctrl = taut.compile(taut.laws.GravityPID(kp=2.0, kd=0.0), arm, rate=500.0)
+    loop = taut.Loop(ctrl, taut.RigidPlant(arm, friction=None), taut.JointMotion(q=[0.0]), duration=10.0)
+    loop.parameters["law.kp"] = 3.0  # of the loop's own law, which is not compared
+    told = taut.compare(["GravityPID(kp=2, kd=0.5)"], loop, noise={"position": 1e-4}, model=None)
+    found = next(iter(told.entries.values())).numbers["noise_chatter"]["N m/s"]
+    assert found == pytest.approx(500.0 * 2.0 * 1e-4 * 2.0 / math.sqrt(math.pi), rel=0.03)
+
+
+def test_noise_that_the_plant_has_is_compared_with_none() -> None:
+    arm = taut.load_arm("one_joint")
+    ctrl = taut.compile(taut.laws.PID(kp=2.0, kd=0.5), arm)
+    sensors = taut.sensors.Sensors(position=taut.sensors.Encoder(noise=1e-4, resolution=1e-5))
+    plant = taut.RigidPlant(arm, sensors=sensors)
+    loop = taut.Loop(ctrl, plant, taut.JointMotion(q=[0.0]), duration=0.5)
+    told = taut.compare({"PD": taut.laws.PID(kp=2.0, kd=0.5)}, loop, model=None, seed=3)
+    runs = [
+        taut.run(ctrl, p, loop.ref, duration=0.5, seed=3)
+        for p in (
+            plant,
+            taut.RigidPlant(arm, sensors=taut.sensors.Sensors(position=taut.sensors.Encoder(resolution=1e-5))),
+        )
+    ]
+    more = runs[0].metrics.overall["chatter"] - runs[1].metrics.overall["chatter"]
+    assert told.entries["PD"].numbers["noise_chatter"]["N m/s"] == more
+    assert "the sensors as they are, against the same without noise" in told.report()
+
+
+def test_changed_parameters_of_a_loop_hold_for_every_law(planar: taut.Loop) -> None:
+    loop = taut.Loop(taut.compile(planar.side.law, planar.side.arm), planar.plant, planar.ref, duration=0.3)
+    loop.parameters["plant.payload.mass"] = 2.0
+    told = taut.compare({"same": planar.side.law}, loop, noise={}, model=None)
+    assert np.array_equal(told.runs["same"].q, taut.run(loop).q)
+    set_here = taut.compare(
+        {"same": planar.side.law}, planar, noise={}, model=None, parameters={"plant.payload.mass": 2.0}
+    )
+    assert not np.array_equal(
+        set_here.runs["same"].q, taut.compare({"same": planar.side.law}, planar, noise={}, model=None).runs["same"].q
+    )
+
+
+def test_every_run_starts_where_it_is_told_to(planar: taut.Loop) -> None:
+    told = taut.compare({"same": planar.side.law}, planar, noise={}, model=None, q0=[0.3, 0.1], v0=[0.2, 0.0])
+    assert told.runs["same"].q[0].tolist() == [0.3, 0.1]
+    graded = taut.analysis.grade("PID(kp=200)", "PID(kp=200, kd=1)", planar, q0=[0.3, 0.1], v0=[0.2, 0.0])
+    assert graded.reference_run.v[0].tolist() == graded.run.v[0].tolist() == [0.2, 0.0]
+
+
+def test_a_law_that_fails_has_no_figures_and_comes_last(planar: taut.Loop) -> None:
+    told = taut.compare(
+        {"wild": "PID(kp=1e9, kd=1e7)", "PD": "PID(kp=200, kd=20)"}, without_limits(planar), by="effort", model=None
+    )
+    assert told.ranking == ("PD", "wild")
+    assert not told.ok
+    assert told.entries["wild"].numbers == {}
+    assert "wild: the simulation diverged" in told.report()
+
+
+def without_limits(loop: taut.Loop) -> taut.Loop:
+    """The same without limits, which would save a wild law."""
+    return taut.Loop(taut.compile(loop.side.law, loop.side.arm), loop.plant, loop.ref, duration=0.3)
+
+
+def test_a_law_of_the_tool_may_have_its_own_reference(planar: taut.Loop) -> None:
+    arm = planar.side.arm
+    goal = taut.TaskMotion(pose=taut.snapshot(arm, [0.3, 0.5]).T())
+    laws = {"joints": "PID(kp=200, kd=20)", "tool": "ViaJointSpace(inner=PID(kp=200, kd=20), directions='position')"}
+    told = taut.compare(laws, without_limits(planar), references={"tool": goal}, noise={}, model=None)
+    assert set(told.entries["joints"].numbers) - set(told.entries["tool"].numbers) == {
+        "rms_error",
+        "peak_error",
+        "steady_error",
+    }
+    assert "task_rms" in told.entries["tool"].numbers
+    assert told.plot().axes
+
+
+def test_the_picture_has_errors_left_and_torques_right(table: taut.analysis.Comparison) -> None:
+    axes = [ax for ax in table.plot().axes if ax.get_visible()]
+    assert [ax.get_title(loc="left") for ax in axes[:2]] == ["norm of the tracking error", "norm of the torques"]
+    error, torque = axes[0].get_lines()[0].get_ydata(), axes[1].get_lines()[0].get_ydata()
+    first = table.runs[table.ranking[0]]
+    assert np.allclose(error, np.linalg.norm(first.reference.q - first.q, axis=1))
+    assert np.allclose(torque, np.linalg.norm(first.tau, axis=1))
+
+
+# -------------------------------------------------------------------- grading
+
+
+def test_a_wrong_term_is_found_with_its_joint_and_time(planar: taut.Loop) -> None:
+    loop = without_limits(planar)
+    told = taut.analysis.grade(NoCoriolis(kp=100.0, kd=20.0), "ComputedTorque(kp=100, kd=20)", loop, tolerance=0.01)
+    states = [
+        taut.snapshot(loop.side.arm, q, v) for q, v in zip(told.reference_run.q, told.reference_run.v, strict=True)
+    ]
+    coriolis = np.array([np.asarray(x.h) - np.asarray(x.g) for x in states])
+    k, i = np.unravel_index(np.argmax(np.abs(coriolis)), coriolis.shape)
+    assert not told.ok
+    assert told.wrong_term == "nonlinear"
+    assert [one.what for one in told.terms] == ["nonlinear"]
+    assert told.command.size == pytest.approx(abs(coriolis[k, i]), rel=1e-9)
+    assert (told.command.t, told.command.joint) == (told.reference_run.t[k], loop.side.arm.joint_names[i])
+    assert "term 'nonlinear' differs by" in told.report()
+
+
+class Wrong(taut.Law):
+    """Computed torque whose term D has the wrong sign.
+
+    Law:          tau = M (a_des + kp e - kd e_dot) + h
+    Closed loop:  e_ddot - kd e_dot + kp e = 0
+    """
+
+    kp: taut.Gain  # [1/s^2]
+    kd: taut.Gain  # [1/s]
+
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+        a = taut.Terms(feedforward=ref.a, P=self.kp @ (ref.q - x.q), D=-(self.kd @ (ref.v - x.v)))
+        return taut.Torque(x.M @ a + taut.Terms(nonlinear=x.h))
+
+
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
+def test_a_term_that_is_wrong_in_its_own_measure_is_told_where_the_command_hardly_shows_it() -> None:
+    arm = taut.load_arm("planar2")
+    ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)
+    way = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + 0.5, duration=1.0)
+    loop = taut.Loop(ctrl, taut.RigidPlant(arm, friction=None), way, duration=0.3)
+    told = taut.analysis.grade(Wrong(kp=100.0, kd=20.0), "ComputedTorque(kp=100, kd=20)", loop)
+    assert told.same_command
+    assert told.wrong_term == "D"
+    lines = str(told).splitlines()
+    assert any(line.endswith(": pass as a whole, but not its term 'D'") for line in lines)
+    assert [line.endswith(": fail") for line in lines if line.startswith("  term 'D' differs by")] == [True]
+    assert not told.ok
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"model": 3}, "model must be a taut.analysis.WrongModel(mass=0.2), or None; got 3"),
+        ({"noise": [1]}, "noise must be given by name, {name: value}; got [1]"),
+        ({"parameters": {3: 1.0}}, "parameters must be given by name, {name: value}; got {3: 1.0}"),
+        ({"by": 3}, "by names a figure, or several: by='rms_error'; got 3"),
+    ],
+)
+def test_options_of_another_kind_are_refused(planar: taut.Loop, given: dict[str, Any], said: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        taut.compare(["PID(kp=1)"], planar, **given)
+    assert str(caught.value) == said
+
+
+def test_what_depends_on_time_is_graded_at_its_time(planar: taut.Loop) -> None:
+    """Two dithers of another frequency: A |sin a t - sin b t| is largest where the closed form says, not at t = 0."""
+    laws = [f"PID(kp=200, kd=20) + Dither(amplitude=[2, 0], frequency=[{f}, 1])" for f in (4.0, 5.0)]
+    grade = taut.analysis.grade(laws[0], laws[1], planar)
+    t = np.arange(1001) * 1e-3
+    gap = 2.0 * np.abs(np.sin(2.0 * np.pi * 4.0 * t) - np.sin(2.0 * np.pi * 5.0 * t))
+    assert grade.wrong_term == "dither"
+    assert grade.terms[0].size == pytest.approx(gap.max(), rel=1e-9)
+    assert grade.terms[0].t == pytest.approx(t[np.argmax(gap)])
+
+
+def test_errors_that_are_nothing_are_the_same(planar: taut.Loop) -> None:
+    """One that is 2e-10 of the peak beside one that is 1e-10: no teacher marks that as twice as large."""
+    mark = Mark(figure="steady_error", unit="rad", law=2e-8, reference=1e-8, tolerance=0.05, least=1e-6)
+    assert (mark.ok, mark.off) == (True, 0.0)
+    other = dataclasses.replace(mark, least=1e-12)
+    assert (other.ok, other.off_text) == (False, "+100.00 %")
+    assert dataclasses.replace(other, law=1.0).off_text == "over +10000 %"
+    grade = taut.analysis.grade("PID(kp=200, kd=20)", "PID(kp=201, kd=20)", planar)
+    least = {one.figure: one.least for one in grade.marks}
+    peak = next(one.reference for one in grade.marks if one.figure == "peak_error")
+    assert least["steady_error"] == pytest.approx(1e-6 * peak)
+    assert least["chatter"] == 1e-9
+
+
+def test_laws_side_by_side_have_the_errors_of_the_worst() -> None:
+    arm = taut.load_arm("gantry3")
+    first, *rest = arm.joint_names
+    gains = {"soft": 100.0, "stiff": 400.0}
+    laws = {
+        name: taut.SideBySide(
+            one=(taut.laws.GravityPID(kp=kp, kd=20.0), [first]),
+            others=(taut.laws.GravityPID(kp=400.0, kd=80.0), rest),
+        )
+        for name, kp in gains.items()
+    }
+    ref = taut.together(one=taut.JointMotion(q=arm.home[:1] + 0.1), others=taut.JointMotion(q=arm.home[1:] + 0.01))
+    loop = taut.Loop(taut.compile(laws["soft"], arm), taut.RigidPlant(arm), ref, duration=0.5)
+    told = taut.compare(laws, loop, by="rms_error", noise={}, model=None)
+    assert told.ranking == ("stiff", "soft")
+    for entry in told.entries.values():
+        each = [math.sqrt(np.mean(np.sum(entry.run.part(p).error ** 2, axis=1))) for p in ("one", "others")]
+        assert entry.numbers["rms_error"]["m"] == pytest.approx(max(each), rel=1e-12)
+    told.plot()
+
+
+def test_the_same_law_in_other_words_passes(planar: taut.Loop) -> None:
+    told = taut.analysis.grade("FeedForward() + PID(kp=150, kd=15)", "PID(kp=150, kd=15) + FeedForward()", planar)
+    assert told.ok
+    assert told.command.size < 1e-9
+    assert told.wrong_term is None
+    assert "  the same" in told.report()
+
+
+def test_a_figure_fails_to_either_side_of_the_tolerance(planar: taut.Loop) -> None:
+    stiff, soft = "PID(kp=240, kd=20)", "PID(kp=200, kd=20)"
+    better, worse = taut.analysis.grade(stiff, soft, planar), taut.analysis.grade(soft, stiff, planar)
+    off = {mark.figure: mark.off for mark in better.marks}
+    assert off["rms_error"] == pytest.approx(
+        better.run.metrics.overall["rms_error"] / worse.run.metrics.overall["rms_error"] - 1.0, rel=1e-9
+    )
+    assert off["rms_error"] < -0.05
+    assert not better.ok
+    assert not worse.ok
+    assert taut.analysis.grade(stiff, soft, planar, tolerance=0.5).ok
+
+
+def test_a_memory_runs_along_with_the_reference_states(planar: taut.Loop) -> None:
+    told = taut.analysis.grade("PID(kp=200, kd=20, ki=50)", "PID(kp=200, kd=20, ki=100)", planar)
+    run = told.reference_run
+    e_int = np.cumsum(run.reference.q - run.q, axis=0) * 1e-3
+    assert told.wrong_term == "I"
+    assert told.terms[0].size == pytest.approx(50.0 * np.abs(e_int).max(), rel=1e-9)
+
+
+# -------------------------------------------------------------------- texts
+
+
+def test_a_text_makes_the_law_that_it_says() -> None:
+    laws = taut.laws
+    for text, law in {
+        "PID(kp=100, kd=20)": laws.PID(kp=100.0, kd=20.0),
+        "a: PID(kp=[1, 2])": laws.PID(kp=[1.0, 2.0]),
+        "FeedForward() + PID(kp=3)": laws.FeedForward() + laws.PID(kp=3.0),
+        "ViaJointSpace(inner=PID(kp=3), steps=2)": taut.laws.via_joint_space(laws.PID(kp=3.0), steps=2),
+        "Impedance(K=(800, 30), zeta=0.7, null=None)": laws.Impedance(K=(800.0, 30.0), zeta=0.7, null=None),
+    }.items():
+        assert repr(law_of_text(text)[1]) == repr(law)
+    assert law_of_text("a: PID(kp=1)")[0] == "a"
+    assert law_of_text(" PID(kp=1,  kd=2)")[0] == "PID(kp=1, kd=2)"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "PID(1)",
+        "PID(kp=__import__('os').getpid())",
+        "(lambda: 1)()",
+        "taut.laws.PID(kp=1)",
+        "PID(kp=open)",
+        "PID(",
+        "",
+        "PID(**{})",
+        "[PID(kp=1)]" * 900,
+    ],
+)
+def test_a_text_is_never_run_as_code(text: str) -> None:
+    with pytest.raises(UsageError, match="a law is written as PID"):
+        law_of_text(text)
+
+
+# -------------------------------------------------------------------- what is refused
+
+
+def test_what_cannot_be_compared_is_one_sentence(table: taut.analysis.Comparison, planar: taut.Loop) -> None:
+    run = table.runs["PD"]
+    hole = dataclasses.replace(
+        run.between(0.0, 0.1),
+        **{name: np.delete(getattr(run.between(0.0, 0.1), name), 50, axis=0) for name in ("t", "q", "v", "tau")},
+    )
+    fault = dataclasses.replace(run, outcome=dataclasses.replace(run.outcome, kind="diverged", message="it fell"))
+    broken = dataclasses.replace(run, tau=np.where(run.tau > 0.0, np.nan, run.tau))
+    for runs, error, words in (
+        ({"a": hole}, UsageError, "run 'a' has a gap, from t = 0.049 to 0.051 s"),
+        (
+            {"a": fault},
+            UsageError,
+            "run 'a' did not go to its end, so that its figures are not those of the others: it fell",
+        ),
+        ({"a": run.between(0.0, 0.005)}, UsageError, "run 'a' is too short to compare: 6 ticks, of 10 at least"),
+        ({"a": broken}, RangeError, "run 'a' has numbers that are not finite"),
+        ([run] * 9, UsageError, "a comparison has 1 to 8 laws and runs; got 9"),
+        ([], UsageError, "a comparison has 1 to 8 laws and runs; got 0"),
+    ):
+        with pytest.raises(error, match=words):
+            taut.compare(runs)
+    law = taut.laws.PID(kp=1.0)
+    for laws, options, error, words in (
+        ([law, law], {}, UsageError, "two laws are called 'PID'; give each a name"),
+        (["PD"], {}, UnknownNameError, "the experiment has no law 'PD'"),
+        (law, {}, UsageError, "laws are given in a list or by name"),
+        ([law], {"by": "rms"}, UnknownNameError, "a comparison has no figure 'rms'"),
+        ([law], {"noise": {"torqe": 1.0}}, UnknownNameError, "a plant has no sensor 'torqe'; did you mean 'torque'"),
+        ([law], {"noise": {"tip": 1.0}}, UsageError, "the plant has no sensor 'tip', which noise is stated for"),
+        ([law], {"case": "x"}, UsageError, "case is for a scenario that has cases"),
+        ([law], {"references": {"P": 1}}, UnknownNameError, "the comparison has no law 'P'"),
+        ([law], {"parameters": {"plant.mass": 1}}, UsageError, "law 'PID': the loop has no parameter 'plant.mass'"),
+        (
+            ["ForceControl(kfp=1)"],
+            {},
+            MatchError,
+            "follows a TaskForce, and the loop asks for a JointMotion; give it a ref",
+        ),
+        (["PID(kp=[1, 2, 3])"], {}, UsageError, r"law 'PID\(kp=\[1, 2, 3\]\)': kp must be"),
+    ):
+        with pytest.raises(error, match=words):
+            taut.compare(laws, planar, **options)
+    with pytest.raises(UsageError, match="laws are compared on a scenario or"):
+        taut.compare([law])
+    with pytest.raises(UsageError, match="has cases; take one of 'ideal'"):
+        taut.compare(None, "gain_bounds")
+    with pytest.raises(UsageError, match="law 'wild' cannot be a reference here: the simulation diverged"):
+        taut.analysis.grade("PID(kp=1)", "wild: PID(kp=1e9, kd=1e7)", without_limits(planar))
+    with pytest.raises(UsageError, match="grade takes two laws; got a Run"):
+        taut.analysis.grade(run, law, planar)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "words"),
+    [
+        ({"mass": -0.1}, "mass must be between 0 and 1; got -0.1"),
+        ({"payload": -1.0}, r"payload must be >= 0 \[kg\]; got -1.0"),
+        ({"mass": 0.1, "trials": 0}, "trials must be a whole number >= 1; got 0"),
+        ({"mass": 0.1, "seed": 0.5}, "seed must be a whole number >= 0; got 0.5"),
+        ({"mass": 0.1, "trials": 1001}, "trials must be <= 1000; got 1001"),
+        ({"mass": 0.0, "trials": 3}, "a wrong model needs one of mass, com, inertia, friction and payload"),
+    ],
+)
+def test_a_wrong_model_says_what_it_takes(numbers: dict[str, float], words: str) -> None:
+    with pytest.raises((RangeError, UsageError), match=words):
+        taut.analysis.WrongModel(**numbers)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("PID(kp=nan)", "law 'PID(kp=nan)': kp must be finite [N m/rad | N/m]; got nan"),
+        ("PID(kp=-inf)", "law 'PID(kp=-inf)': kp must be finite [N m/rad | N/m]; got -inf"),
+        ("PID(kp=[1, NaN])", "law 'PID(kp=[1, NaN])': kp[1] must be finite [N m/rad | N/m]; got nan"),
+        (
+            "PID(kp=3-nan)",
+            "a law is written as PID(kp=100, kd=20); got 'PID(kp=3-nan)'; '3 - nan' is no number, list, word or law",
+        ),
+    ],
+)
+def test_a_gain_in_a_text_that_is_not_finite_is_told_by_name(text: str, said: str) -> None:
+    with pytest.raises(taut.TautError) as caught:
+        law_of_text(text)
+    assert str(caught.value) == said
+
+
+def test_an_unknown_gain_in_a_text_is_told() -> None:
+    with pytest.raises(ScenarioError, match="has no key 'kq'"):
+        law_of_text("PID(kp=1, kq=2)")
+
+
+def test_a_plant_change_leaves_the_arm_and_the_other_sensors_as_they_are() -> None:
+    sensors = taut.sensors.Sensors(
+        position=taut.sensors.Encoder(noise=1e-3, offset=0.1), torque=taut.sensors.TorqueSensor(noise=0.1)
+    )
+    quiet = PlantChange(noise={}).sensors(sensors)
+    assert (quiet.position.noise, quiet.position.offset, quiet.torque.noise) == (0.0, 0.1, 0.0)
+    louder = PlantChange(noise={"torque": 0.5}).sensors(sensors)
+    assert (louder.position.noise, louder.torque.noise) == (1e-3, 0.5)
+    assert PlantChange().sensors(sensors) is sensors
+    assert PlantChange().arm(taut.load_arm("planar2")).name == "planar2"
+
+
+def test_names_stand_whole_in_a_table_that_is_not_too_wide_and_have_a_rule_below_them_in_one_that_is() -> None:
+    rows = [("RMS error", "rad", "0.5"), ("effort", "(N m)^2 s", "11")]
+    name = "GravityPID(kp=20, kd=6)"
+    narrow = aligned([("", "", name), *rows])
+    assert narrow[0].endswith(name)
+    assert len(narrow) == 3
+    wide = aligned([("", "", *[name] * 5), *[(*row, *row[2:] * 4) for row in rows]])
+    assert [line.count("kd=6)") for line in wide] == [0, 5, 0, 0, 0]
+    assert wide[2].split() == ["-" * len("GravityPID(kp=20,")] * 5
+    assert len({len(line) for line in wide[1:]}) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "lines"),
+    [
+        ("GravityPID(kp=20, kd=6)", ["GravityPID(kp=20,", "kd=6)"]),
+        ("ComputedTorque(kp=100, kd=20)", ["ComputedTorque(", "kp=100, kd=20)"]),
+        ("soft", ["soft"]),
+    ],
+)
+def test_names_beside_bars_break_at_spaces_and_brackets(name: str, lines: list[str]) -> None:
+    assert wrapped(name, 18).splitlines() == lines

@@ -1,0 +1,135 @@
+"""Tasks in scenarios: [[phases]] with laws, references and guards."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import taut
+from taut.scenarios.run_scenario import run_scenario
+from taut.scenarios.scenario import built_in_scenarios, load_scenario
+
+TASK = """
+[arm]
+model = "planar3"
+
+[[phases]]
+name = "go"
+law = { law = "ComputedTorque", kp = 100, kd = 20 }
+reference = { kind = "quintic", q0 = "home", q1 = [0.7, 1.0, 0.6], duration = 0.3 }
+until = { elapsed = 0.25, settled = { q = 0.2 }, ticks = 5 }
+timeout = 1.0
+
+[[phases]]
+name = "stay"
+law = { law = "GravityPID", kp = 20, kd = 5 }
+until = { contact = 5.0 }
+timeout = 0.2
+otherwise = "go"
+then = "stay"
+
+[plant]
+kind = "rigid"
+environment = { kind = "push", peak = [10, 0, 0], duration = 0.01 }
+
+[run]
+duration = 0.6
+
+[[pass]]
+law = "task"
+part = "stay"
+metric = "peak_error"
+joint = "joint1"
+max = 0.1
+"""
+
+
+HYBRID = """law = { law = "HybridMotionForce", constraint = { kind = "plane", point = [0, 0, 0.4], normal = [0, 0, 1] }, \
+motion = { law = "TaskComputedTorque", kp = 100, kd = 20 } }"""
+SOFT = 'law = { law = "TaskComputedTorque", kp = 100, kd = 40 }'
+DEEPER = 'reference = { kind = "by", p = [0.0, 0.0, -0.02] }'
+
+
+def test_a_hybrid_phase_goes_from_where_it_begins_and_presses(tmp_path: Path) -> None:
+    text = (
+        built_in_scenarios()["touch_and_press"].read_text(encoding="utf-8").replace(SOFT, HYBRID.replace("\\\n", ""))
+    )
+    law = loaded(text.replace(DEEPER, DEEPER.replace(" }", ", press = 5 }")), tmp_path).laws["task"]
+    x = taut.snapshot(arm := taut.load_arm("panda", tool="panda_hand_tcp"), arm.home)
+    sample = law.phases["press"].reference(x)
+    assert sample.press.tolist() == [5.0]
+    np.testing.assert_allclose(sample.p, x.T().p - [0.0, 0.0, 0.02])
+    bare = loaded(text, tmp_path).laws["task"].phases["press"].reference(x)
+    assert bare.press.tolist() == [0.0]
+    line = loaded(
+        text.replace(DEEPER, DEEPER.replace(" }", ", duration = 1, F_app = [0, 0, -3, 0, 0, 0] }")), tmp_path
+    )
+    ahead = line.laws["task"].phases["press"].reference(x)
+    assert ahead.duration == 1.0
+    assert ahead.at(0.3).F_app.tolist() == [0.0, 0.0, -3.0, 0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("hybrid", "more", "message"),
+    [
+        (False, "press = 5", "[phases 2.reference] press is for a hybrid law, and TaskComputedTorque applies no forces"),
+        (True, "press = -5", "[phases 2.reference] press must be >= 0 [N], the force into the surface; got -5"),
+        (True, "press = 5, lam = [3]", "[phases 2.reference] pressing takes one of press, lam and F_app; got press and lam"),
+    ],
+)  # fmt: skip
+def test_forces_of_a_phase_that_are_none_are_refused(hybrid: bool, more: str, message: str, tmp_path: Path) -> None:
+    text = built_in_scenarios()["touch_and_press"].read_text(encoding="utf-8")
+    assert text.count(DEEPER) == 1
+    assert text.count(SOFT) == 1
+    text = text.replace(DEEPER, DEEPER.replace(" }", f", {more} }}"))
+    with pytest.raises(taut.errors.ScenarioError) as caught:
+        loaded(text.replace(SOFT, HYBRID.replace("\\\n", "")) if hybrid else text, tmp_path)
+    assert message in str(caught.value)
+
+
+def loaded(text: str, folder: Path) -> Any:
+    file = folder / "mine.toml"
+    file.write_text(text)
+    return load_scenario(str(file))
+
+
+def test_a_task_runs_from_a_file_and_has_a_line_for_each_visit_of_a_phase(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(TASK.replace('joint = "joint1"', f'joint = "{taut.load_arm("planar3").joint_names[0]}"'))
+    result = run_scenario(load_scenario(str(file)), tmp_path / "out", say=lambda _: None)
+    assert result.ok, result.missed
+    run = next(iter(result.runs.values()))
+    assert [(window.name, window.ended) for window in run.phases] == [
+        ("go", "until"),
+        ("stay", "timeout"),
+        ("go", None),
+    ]
+    assert run.phases[0].end == pytest.approx(0.255)  # five ticks from 0.25 s on
+    assert list(result.json()["metrics"]) == ["go", "stay", "go 2"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('until = { contact = 5.0 }', "until = { }", 'mine.toml\': [phases 2.until] needs a condition, such as { contact = 2.0 }: one or more of \'contact\', \'no_contact\', \'moved\', \'elapsed\', \'settled\''),
+        ('until = { contact = 5.0 }', "until = { force = 5.0 }", "[phases 2.until] has no key 'force'; did you mean 'frame'?"),
+        ('otherwise = "go"', 'otherwise = "og"', "mine.toml' [[phases]]: phase 'stay': otherwise: the task has no phase 'og'; it has 'go', 'stay', 'stop'"),
+        ('otherwise = "go"', 'othrwise = "go"', "[phases 2] has no key 'othrwise'; did you mean 'otherwise'"),
+        ("timeout = 1.0", "timeout = -1.0", "[phases 1] timeout must be > 0 [s]; got -1.0"),
+        ('{ kind = "quintic"', '{ kind = "steady", velocity = [0, 0, 1] }\nxx = { kind = "quintic"', "[phases 1.reference] kind is for a law that follows the tool, and ComputedTorque follows a JointMotion"),
+        ("[[phases]]", '[laws.a]\nlaw = "PID"\nkp = 1\n\n[[phases]]', "has [[phases]], each with its law and its reference; leave [laws] out"),
+        ("ticks = 5", "direction = [0, 0, 1]", "[phases 1.until] direction and frame are for contact and no_contact; leave them out"),
+        ('part = "stay"', 'part = "sty"', "[pass 1] part: the task has no phase 'sty'; did you mean 'stay'"),
+        ('law = { law = "GravityPID", kp = 20, kd = 5 }', "", "[phases 2] needs the section [phases 2.law]"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_a_task_is_told_by_section_and_key(
+    old: str, new: str, message: str, tmp_path: Path
+) -> None:
+    assert old in TASK
+    with pytest.raises(taut.errors.ScenarioError) as caught:
+        loaded(TASK.replace(old, new, 1), tmp_path)
+    assert message in str(caught.value)
