@@ -22,7 +22,7 @@ import taut
 from taut.record.plots.style import COLOURS, DASHED, INK, SMALL, WIDTH, prepared
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE.parent / "tests" / "study"))
+sys.path.insert(0, str(HERE.parent / "tests" / "analysis"))
 import haptic_borders as haptic  # noqa: E402
 import haptic_kinds as kinds  # noqa: E402
 from haptic_borders import Display  # noqa: E402
