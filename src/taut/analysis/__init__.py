@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from taut.analysis.joint_coupling import coupling as coupling
     from taut.analysis.lyapunov_function import Lyapunov as Lyapunov
     from taut.analysis.lyapunov_function import lyapunov as lyapunov
-    from taut.analysis.root_locus import Locus as Locus
-    from taut.analysis.root_locus import locus as locus
-    from taut.analysis.stability_regions import StabilityMap as StabilityMap
-    from taut.analysis.stability_regions import stability_map as stability_map
+    from taut.analysis.root_locus import RootLocus as RootLocus
+    from taut.analysis.root_locus import StabilityMap as StabilityMap
+    from taut.analysis.root_locus import root_locus as root_locus
+    from taut.analysis.root_locus import stability_map as stability_map
     from taut.analysis.tool.environment import TipEnvironment as TipEnvironment
     from taut.analysis.tool.impedance import check_impedance as check_impedance
     from taut.analysis.tool.limits import StiffnessCheck as StiffnessCheck
