@@ -16,6 +16,7 @@ import numpy as np
 from taut.arm.description import COMMANDS, Arm, CommandKind, Payload
 from taut.base.checks import one_of
 from taut.base.errors import RangeError, UsageError, unknown_name
+from taut.base.front_door import public_name
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.maths import dynamics as dyn
@@ -131,7 +132,7 @@ class RigidPlant:
         for name, kind in STAGES.items():
             if not isinstance(getattr(self, name), kind):
                 got = type(getattr(self, name)).__name__
-                raise UsageError(f"{name} must be taut.{kind.__name__}(...); got {got}", name=name)
+                raise UsageError(f"{name} must be {public_name(kind)}(...); got {got}", name=name)
         self.sensors.check(self.arm, touched=self.touched)
         if self.environment is not None:
             require_environment("environment", self.environment)

@@ -13,6 +13,7 @@ import numpy as np
 from taut.arm.description import COMMANDS, Arm, CommandKind, Payload
 from taut.base.checks import one_of, positive_scalar
 from taut.base.errors import MatchError, UsageError, unknown_name
+from taut.base.front_door import public_name
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.maths import dynamics as dyn
@@ -169,7 +170,7 @@ class MujocoPlant:
         for name, given, part in (("actuation", drives, Actuation), ("sensors", seen, Sensors)):
             if not isinstance(given, part):
                 got = type(given).__name__
-                raise UsageError(f"{name} must be taut.{part.__name__}(...); got {got}", name=name)
+                raise UsageError(f"{name} must be {public_name(part)}(...); got {got}", name=name)
         if tip is not None and not isinstance(tip, SpringTip):
             raise UsageError(f"tip must be taut.environments.SpringTip(...); got {type(tip).__name__}", name="tip")
         if environment is not None:
