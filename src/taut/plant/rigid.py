@@ -77,8 +77,8 @@ class RigidPlant:
         sensors: What is measured, and how well; ideal sensors if left out.
         environment: What touches the tool, if anything: a taut.environments.Spring, a taut.environments.StiffWall,
             ..., or a class of your own, see `taut.environments.Environment`. Then the wrench is measured too, and the
-            run's column work.environment [J] is what it did on the arm until the tick. Stiff drives do not give way to
-            it, and give the torque that it takes.
+            run's column work.environment [J] is what it did on the arm until the tick. Stiff drives do not give way
+            to it, and give the torque that it takes.
         contact: What holds the arm rigidly, or stops it: a taut.RigidContact, a bare taut.Constraint, or several in a
             tuple. See `taut.RigidContact` for the physics and the columns.
         adds: What the plant adds to a torque command itself: "gravity", "coriolis", and "friction", which cancels the

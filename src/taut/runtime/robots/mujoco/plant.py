@@ -111,7 +111,8 @@ class MujocoPlant:
         actuation: The drives, as of RigidPlant: delay, amplifier, motor, gear; ideal if left out.
         sensors: What is measured, and how well; ideal sensors if left out.
         environment: What acts at the tool besides the scene: a taut.environments.Push, a taut.environments.Hand,
-            ..., as of RigidPlant. It acts through data.qfrc_applied, which is then the plant's; F_ext is that of both together, and the run's column
+            ..., as of RigidPlant. It acts through data.qfrc_applied, which is
+            then the plant's; F_ext is that of both together, and the run's column
             work.environment [J] is what the environment did until the tick.
 
     Columns of a run:
