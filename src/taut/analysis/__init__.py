@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from taut.analysis.diagnosis.finding import Finding as Finding
     from taut.analysis.joint_coupling import Coupling as Coupling
     from taut.analysis.joint_coupling import coupling as coupling
+    from taut.analysis.loci import RootLocus as RootLocus
+    from taut.analysis.loci import StabilityMap as StabilityMap
+    from taut.analysis.loci import root_locus as root_locus
+    from taut.analysis.loci import stability_map as stability_map
     from taut.analysis.lyapunov_function import Lyapunov as Lyapunov
     from taut.analysis.lyapunov_function import lyapunov as lyapunov
-    from taut.analysis.root_locus import RootLocus as RootLocus
-    from taut.analysis.root_locus import StabilityMap as StabilityMap
-    from taut.analysis.root_locus import root_locus as root_locus
-    from taut.analysis.root_locus import stability_map as stability_map
     from taut.analysis.tool.environment import TipEnvironment as TipEnvironment
     from taut.analysis.tool.impedance import check_impedance as check_impedance
     from taut.analysis.tool.limits import StiffnessCheck as StiffnessCheck
