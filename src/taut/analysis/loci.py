@@ -13,12 +13,12 @@ from scipy.optimize import linear_sum_assignment
 
 from taut.base.checks import finite_array
 from taut.base.errors import RangeError, ShapeError
+from taut.base.plot_style import INK, SMALL, WIDTH, colour, prepared
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.linear.linear_system import Complex, LinearSystem
 from taut.linear.linearise import Linearisation
 from taut.linear.plots import pole_axes
-from taut.record.plots.style import INK, SMALL, WIDTH, colour, prepared
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,7 +15,6 @@ from taut.base.checks import finite_array, finite_scalar
 from taut.base.errors import ShapeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
 from taut.linear import characteristic
-from taut.linear.error_left import INPUTS, ErrorLeft, Input
 from taut.linear.error_numbers import ErrorNumbers
 from taut.linear.joint_gains import JointGains
 from taut.linear.linear_response import NEVER, StepShape, companion, step_shape
@@ -25,7 +24,7 @@ from taut.linear.second_order_response import shape, swing
 if TYPE_CHECKING:
     pass
 
-__all__ = ["CASES", "INPUTS", "Case", "ErrorDynamics", "Input"]
+__all__ = ["CASES", "Case", "ErrorDynamics"]
 
 Case = Literal["overdamped", "critically damped", "underdamped"]
 CASES: Final[tuple[Case, ...]] = ("overdamped", "critically damped", "underdamped")
@@ -34,7 +33,7 @@ Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ErrorDynamics(ErrorNumbers, ErrorLeft):
+class ErrorDynamics(ErrorNumbers):
     """Linear error dynamics a_n e^(n) + ... + a_1 e_dot + a_0 e = 0: poles, response, and what the chapter reads off.
 
     Print it for a report. `taut.analysis.second_order` makes it of gains and specifications; `from_poles`,
