@@ -90,7 +90,7 @@ def test_healthy_runs_raise_no_alarm(share: Callable[[int], int], bar: Bar) -> N
     assert not alarms
 
 
-SCENARIOS = {  # all other runs have no finding
+SCENARIOS = {  # all other runs have no finding, nor has panda_geared's payload that is picked up during the run
     ("backlash_cycle", "backlash", "high gain"): ("backlash", "transmission"),
     ("backlash_cycle", "no backlash", "low gain"): ("steady-state error", "P"),  # its friction is behind a spring
     ("cabinet_door", "", "hybrid"): ("wrong surface", "constraint"),

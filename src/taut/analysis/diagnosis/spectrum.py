@@ -307,6 +307,7 @@ def oscillation(run: ExaminedRun, kind: str) -> Finding | None:
     if found is None or found.kind != kind:
         return None
     i, line, ticks = found.joint, found.sinusoid, len(run.run)
+    unit = run.run.effort_units[i]
     judged = run.run.info.get("stability", {})
     evidence: dict[str, tuple[float, str]] = {}
     if line is None:
@@ -324,6 +325,7 @@ def oscillation(run: ExaminedRun, kind: str) -> Finding | None:
     by = {"I": ("wind-up",), **dict.fromkeys((*LIMIT_TERMS, "torque"), ("saturation",))}
     return run.finding(
         *(found.term, i, found.fraction, {**evidence, **found.evidence}),
+        signals={f"{name} [{unit}]": x[:, i] for name, x in run.feedback_terms.items() if np.any(x[shown, i])},
         window=shown,
         follows=by.get(found.term),
         note=stability,
