@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
+import os
 import re
 from collections.abc import Callable
 from io import BytesIO
@@ -201,7 +202,7 @@ def test_a_check_of_ones_own_is_one_function() -> None:
     short = heavy().between(0.0, 0.1)
     assert taut.doctor(short, checks=[needs]).notes == ("too fast: the run is too short",)
     wrong = dataclasses.replace(mine, cause="{velocity}")
-    with pytest.raises(taut.errors.UsageError, match="names 'velocity'; the finding has {joint}, {term}, {speed}"):
+    with pytest.raises(taut.errors.UsageError, match="names 'velocity'; the finding has"):
         taut.doctor(heavy(), checks=[wrong])
 
 
@@ -383,7 +384,7 @@ def test_a_late_torque_has_the_delay_of_the_drives() -> None:
     assert found.evidence["delay"].value == pytest.approx(16.0, rel=0.05)
 
 
-WHOLE = bool(__import__("os").environ.get("TAUT_BARS"))  # `make bars`
+WHOLE = bool(os.environ.get("TAUT_BARS"))  # `make bars`
 
 
 @pytest.mark.bars
@@ -448,8 +449,9 @@ def pressed(plant: Callable[[taut.Arm, taut.Pose], Any], stroke: list[float], du
         kfi=10.0,
     )
     line = taut.trajectories.Line(T0=T, T1=taut.Pose(T.p + np.array(stroke), R=T.R), duration=0.8)
-    run = taut.run(taut.compile(law, arm), plant(arm, T), taut.pressing(line, 8.0), duration=duration, progress=False)
-    return run
+    return taut.run(
+        taut.compile(law, arm), plant(arm, T), taut.pressing(line, 8.0), duration=duration, progress=False
+    )
 
 
 def test_a_board_that_leans_is_found_with_its_angle() -> None:

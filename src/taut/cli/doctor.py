@@ -31,7 +31,12 @@ class Report:
     def json(self) -> dict[str, Any]:
         """As plain values."""
         pictures = [str(path) for path in self.pictures]
-        return {"run": str(self.log), "healthy": self.diagnosis.healthy, **self.diagnosis.json(), "pictures": pictures}
+        return {
+            "run": str(self.log),
+            "healthy": self.diagnosis.healthy,
+            **self.diagnosis.json(),
+            "pictures": pictures,
+        }
 
     def text(self) -> str:
         """In lines for people."""

@@ -126,7 +126,7 @@ class Finding:
         after = f", a consequence of '{self.follows[0]}'" if self.follows else ""
         return (
             f"{self.name}{where} (term {self.term}, {100.0 * self.fraction:.0f} % of {self.of}{after}): "
-            f"{self.cause}; {self.remedy}{self.note}"
+            f"{self.cause}; remedy: {self.remedy}{self.note}"
         )
 
 

@@ -19,6 +19,14 @@ __all__ = ["CHECKS", "SHARED"]
 TINY: Final = float(np.finfo(np.float64).tiny)
 MIN_CONTACT_TICKS: Final = 32
 MOTION_FAULTS: Final = ("wrong sign", "contact bounce")
+OSCILLATIONS: Final = ("oscillation", "stick-slip", "backlash")
+LOADS: Final = (
+    "gravity compensated twice",
+    "gravity not compensated",
+    "wrong payload",
+    "stiction",
+    "steady-state error",
+)
 
 
 def wrong_sign(run: ExaminedRun) -> Finding | None:
@@ -125,7 +133,7 @@ def load(run: ExaminedRun, name: str) -> Finding | None:
 
 
 def _unmodelled(run: ExaminedRun) -> tuple[Float64Array, Float64Array]:
-    """(k, n) torque that neither model nor load explains, which dry friction holds at rest; (n,) fitted dry friction."""
+    """(k, n) torque that neither model nor load explains, which friction holds at rest; (n,) fitted dry friction."""
     fit = run.fit
     if run.model is None or fit is None:
         return run.feedback, np.zeros(run.n)
@@ -156,7 +164,8 @@ def _held_by_friction(run: ExaminedRun) -> Array:
         crept = abs(feedback[i] / (run.error[end, i].mean() or TINY)) * np.ptp(record.q[since:, i])
         still[i] = change > limit["torque change"] * run.scale[i] and crept < 0.5 * change
     off = np.abs(run.error[end].mean(axis=0)) > run.tolerance
-    return off & ~np.any(run.reference_speed[end]) & (still | (by_friction & (at_rest | run.settled)))
+    at_target = np.any(run.reference_speed[end]) | ~off
+    return np.asarray(~at_target & (still | (by_friction & (at_rest | run.settled))))
 
 
 def stiction(run: ExaminedRun) -> Finding | None:
@@ -249,7 +258,7 @@ def saturation(run: ExaminedRun) -> Finding | None:
 
 
 def wind_up(run: ExaminedRun) -> Finding | None:
-    """The integral grows in the direction of a cut, holds half of that at the target, and carries the joint past it."""
+    """The integral grows in the direction of a cut, holds half of it at the target, and carries the joint past it."""
     record, error, best, largest = run.run, run.error, None, 0.0
     if "I" not in record.terms or error is None:
         return None
@@ -470,17 +479,6 @@ SHARED: Final = (
 )
 """Thresholds that several checks share."""
 
-_CAUSES: Final = (
-    *(
-        *MOTION_FAULTS,
-        "oscillation",
-        "stick-slip",
-        "backlash",
-        "gravity compensated twice",
-        "gravity not compensated",
-    ),
-    *("wrong payload", "stiction", "steady-state error", "wind-up", "torque jump at the start", "singularity"),
-)
 CHECKS: Final = (
     Check(
         name="wrong sign",
@@ -488,12 +486,7 @@ CHECKS: Final = (
         needs=("torque", "error"),
         thresholds=(
             _t("growth of the error", 3.0, "of its start", "an error that is corrected does not grow threefold"),
-            _t(
-                "work against the error",
-                0.6,
-                "of its size",
-                "positive gains do positive work, but for delay and coupling",
-            ),
+            _t("work against the error", 0.6, "of its size", "positive gains do positive work, but for a delay"),
         ),
         cause="{term} acts in the wrong direction at '{joint}', and the error grows",
         remedy={
@@ -518,7 +511,7 @@ CHECKS: Final = (
             "D": "raise the damping (kd, B or zeta); where that feeds it, lower it or raise the rate",
             "I": "lower ki: it must stay below (b + kd) kp / M",
             "delay": "the drives apply the torque late: make them faster, or lower kd and kp",
-            "transmission": "the joint yields between motor and link: lower kd and kp, measure at the motor, or stiffen it",
+            "transmission": "the joint yields between motor and link: lower kd and kp, or measure at the motor",
             "torque": "demand less than the drives' limit: what it takes away comes late",
             "": "lower the gain of {term}, or raise the rate",
         },
@@ -531,9 +524,8 @@ CHECKS: Final = (
         thresholds=(_t("at rest", 0.1, "of the time", "a rest after each reversal of a reference is shorter"),),
         cause="'{joint}' sticks until the feedback breaks it away, and then overshoots",
         remedy={
-            "friction": "compensate friction by the reference, FrictionCompensation(at='ref'), with no more than there "
-            "is; add a Dither, or more damping",
-            "I": "lower ki, or stop the integral within the tolerance; add FrictionCompensation(at='ref') or a Dither",
+            "friction": "take FrictionCompensation(at='ref') with no more friction than there is, a Dither, more damping",
+            "I": "lower ki, stop the integral within the tolerance, or add FrictionCompensation(at='ref')",
         },
         follows=MOTION_FAULTS,
     ),
@@ -546,7 +538,7 @@ CHECKS: Final = (
             _t("third harmonic", 0.1, "of the first", "of the acceleration: a spring gives less"),
         ),
         cause="the link of '{joint}' moves freely between two teeth in each cycle",
-        remedy="lower kp of '{joint}' (its bound is 2 friction / backlash), measure at the motor, or preload the gear",
+        remedy="lower kp (its bound is 2 friction / backlash), measure at the motor, or preload the gear",
         follows=MOTION_FAULTS,
     ),
     Check(
@@ -561,7 +553,7 @@ CHECKS: Final = (
         remedy={
             "D": "low-pass the velocity, sensing=taut.Sensing(velocity=taut.sensors.Difference(cutoff=...)), take a "
             "finer encoder, or lower kd",
-            "friction": "compensate friction by the reference, FrictionCompensation(at='ref'), or with a larger width",
+            "friction": "take FrictionCompensation(at='ref'), or a larger width",
             "": "low-pass what {term} is computed from, or lower its gain",
         },
         follows=(*MOTION_FAULTS, "singularity", "saturation"),
@@ -599,8 +591,7 @@ CHECKS: Final = (
         test=stiction,
         needs=("length", "torque", "error"),
         cause="dry friction holds '{joint}' at rest off its target, against {torque without motion}",
-        remedy="add FrictionCompensation(at='ref') where the reference moves, an integral, RaisedGains or a Dither; kp "
-        "alone leaves up to {torque without motion} / kp",
+        remedy="add FrictionCompensation(at='ref') where the reference moves, an integral, RaisedGains or a Dither",
         follows=(
             *MOTION_FAULTS,
             *("oscillation", "stick-slip", "backlash", "wrong surface"),
@@ -613,7 +604,7 @@ CHECKS: Final = (
         needs=("length", "torque", "error"),
         cause="'{joint}' settles {steady-state error} off its target, where the feedback balances a constant load of "
         "{constant load} that the model does not have (where the motion shows no friction, that may be it)",
-        remedy="model the load; or raise the stiffness above {stiffness}; or add an integral, 0 < ki < (b + kd) kp / M",
+        remedy="model the load, raise the stiffness above {stiffness}, or add 0 < ki < (b + kd) kp / M",
         follows=(*MOTION_FAULTS, "oscillation", "stick-slip", "backlash", "stiction", "wrong surface"),
     ),
     Check(
@@ -633,7 +624,7 @@ CHECKS: Final = (
         cause="the {term} cuts the command of '{joint}' to {applied} for {time cut}, while it is off its target",
         remedy={
             "torque_limit": "demand less acceleration or load, or take an arm or gains that need less torque",
-            "rate_limit": "follow a trajectory of bounded jerk instead of a step, or raise tau_dot to what the drives allow",
+            "rate_limit": "follow a trajectory of bounded jerk, or raise tau_dot to what the drives allow",
             "speed_limit": "give the motion more time, or raise v to what the joints allow",
             "torque": "give the controller the limits of the drives, limits=taut.Limits(tau=...), and demand less",
         },
@@ -643,10 +634,17 @@ CHECKS: Final = (
         name="effort limit exceeded",
         test=effort_exceeded,
         needs=("torque",),
-        cause="'{joint}' receives up to {largest torque}, and the effort limit of the arm is {effort limit}: the real "
-        "arm cannot repeat this run",
-        remedy="compile with limits=taut.Limits.of(arm), and lower the gains or the demanded motion until they do not cut",
-        follows=("saturation", *_CAUSES),
+        cause="'{joint}' receives up to {largest torque}, beyond the arm's effort limit of {effort limit}",
+        remedy="compile with limits=taut.Limits.of(arm), and demand less until they do not cut",
+        follows=(
+            *MOTION_FAULTS,
+            *LOADS,
+            *OSCILLATIONS,
+            "saturation",
+            "wind-up",
+            "torque jump at the start",
+            "singularity",
+        ),
     ),
     Check(
         name="torque jump at the start",
@@ -664,7 +662,7 @@ CHECKS: Final = (
         name="singularity",
         test=singularity,
         thresholds=(_t("feedback ratio", 3.0, "of that elsewhere", "what a law needs more near a singularity"),),
-        cause="the arm comes near a singularity at {time}: the smallest singular value of J is {smallest singular value}",
+        cause="the smallest singular value of J is {smallest singular value} at {time}: a singularity is near",
         remedy="plan the path where it stays above {limit}, use singularity='robust', or take a law of joint space "
         "(via_joint_space) for this part",
         follows=("wrong sign",),
@@ -674,8 +672,7 @@ CHECKS: Final = (
         test=wrong_surface,
         thresholds=(_t("phi", 2e-3, "m | rad", "a fifth of what a hybrid law tolerates at its start"),),
         cause="the surface is not where the law states it, or it yields: in contact phi has an RMS of {RMS of phi}",
-        remedy="state the constraint where the tool touches, give estimate=taut.laws.NormalEstimate() for an uncertain "
-        "normal, or lower the gains of force and motion",
+        remedy="state the constraint where the tool touches, take estimate=taut.laws.NormalEstimate(), or lower the gains",
         follows=("wrong sign",),
     ),
     Check(
@@ -686,7 +683,7 @@ CHECKS: Final = (
             _t("force variation", 0.25, "of the mean force", "standard deviation; a steady contact has less"),
         ),
         cause="the contact opens {openings}, with forces up to {largest force} for {mean force} on average",
-        remedy="lower kfp and kfi, raise kdamp, or press with a compliant tool; in MuJoCo give the geom of the surface "
+        remedy="lower kfp and kfi, raise kdamp, or press with a compliant tool; in MuJoCo give the surface "
         'priority="1" solimp="0 0.9 0.002 0.5 1", so that its force grows with the depth',
         follows=("wrong sign",),
     ),
@@ -698,8 +695,7 @@ CHECKS: Final = (
             _t("late periods", 0.01, "of the periods", "fewer only count if one is twice as long"),
         ),
         cause="{late} are late, the longest is {longest} for {nominal}",
-        remedy="compile for a rate that the clock sustains, {sustainable rate}, or give the loop a core and a real-time "
-        "priority of its own",
+        remedy="compile for {sustainable rate}, or give the loop a core and a real-time priority of its own",
     ),
 )
 """The checks of `taut.doctor`, in the order in which they are made."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -86,7 +87,7 @@ class Diagnosis(Result):
             f"{i}. {each.name}": each.plot for i, each in enumerate(self.findings, start=1) if len(each.signals)
         }
         return Content(
-            title=f"diagnosis: {self.findings[0].name if self.findings else nothing}",
+            title=f"Diagnosis: {self.findings[0].name if self.findings else nothing}",
             summary=[f"{i}. {finding}" for i, finding in enumerate(self.findings, start=1)],
             faults=self.problems,
             tables=[table for table in tables if table.rows],
@@ -267,7 +268,7 @@ def _longest_complete(run: Run, min_ticks: int) -> tuple[Run | None, list[str]]:
     if not problems:
         return run, []
     edges = np.unique(np.concatenate([[0, len(run)], np.flatnonzero(starts | ~known), np.flatnonzero(~known) + 1]))
-    parts = [(int(a), int(b)) for a, b in zip(edges, edges[1:], strict=False) if known[a]]
+    parts = [(int(a), int(b)) for a, b in pairwise(edges) if known[a]]
     start, end = max(parts, key=lambda part: part[1] - part[0], default=(0, 0))
     if end - start < min_ticks:
         return None, [*problems, f"no {min_ticks} ticks in a row are complete; record the run again"]

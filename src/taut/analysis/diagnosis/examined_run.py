@@ -323,7 +323,7 @@ class ExaminedRun:
             joint: Index of the joint where it is worst; None where it concerns the whole arm.
             fraction: 0 to 1: the part of the feedback effort that it explains, or of what `of` names.
             evidence: The numbers that it was found by: value and unit, by name.
-            signals: (k,) by name with unit: what its figure shows; error, feedback and command of the joint if left out.
+            signals: (k,) by name with unit: its figure; error, feedback and command of the joint if left out.
             marked: (k,) ticks that are shaded in it.
             window: The ticks that it shows; all if left out.
             follows: Names of findings that bring this one about, where those of its check do not apply.

@@ -241,10 +241,10 @@ def fit_residual(model: ArmModel, scale: Float64Array, threshold: Mapping[str, f
 
     Law:  residual = b v + c sign(v) + load,  load = -alpha g  or  Y(q, v, a) (pi(m, r) - pi_declared)
 
-    with b, c >= 0 for each joint, and the inertial parameters pi of a point mass m >= 0 at r in the tool frame. Gravity
-    is tried first, since it has one parameter. Where joints move, only they are looked at, because dry friction at
+    with b, c >= 0 for each joint, and the inertial parameters pi of a point mass m >= 0 at r in the tool frame.
+    Gravity is tried first: it has one parameter. Where joints move, only they are looked at, because dry friction at
     rest may take any value up to its limit; where next to nothing moves, or too little for the mass of a payload, all
-    are, without dry friction. A payload whose centre of mass is far from the tool is not one: another link is heavier.
+    are, without dry friction. A payload whose centre of mass is far from the tool is none: another link is heavier.
 
     Args:
         model: The model that the controller had.
@@ -289,7 +289,7 @@ def _fit(model: ArmModel, scale: Float64Array, threshold: Mapping[str, float], u
             unexplained=after / whole if whole > 0.0 else 0.0,
             viscous=by[:n],
             coulomb=by[n:],
-            moved=used.any(axis=0) & in_motion,
+            moved=np.asarray(used.any(axis=0) & in_motion),
             **{**none, **numbers},
         )
 

@@ -191,7 +191,7 @@ def _with(found: Oscillation, kind: str, term: str, evidence: Mapping[str, tuple
 
 
 def _strongest(run: ExaminedRun) -> Oscillation | None:
-    """The sinusoid that explains most of the feedback of any joint, in the last half of the run or else in all of it."""
+    """The sinusoid that explains most of the feedback of any joint, in the last half of the run or else in all."""
     limit, count = run.threshold, len(run.run)
     for window in (slice(count // 2, count), slice(0, count)):
         y = run.feedback[window] / run.scale
