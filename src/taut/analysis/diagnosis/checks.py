@@ -524,7 +524,7 @@ CHECKS: Final = (
         thresholds=(_t("at rest", 0.1, "of the time", "a rest after each reversal of a reference is shorter"),),
         cause="'{joint}' sticks until the feedback breaks it away, and then overshoots",
         remedy={
-            "friction": "take FrictionCompensation(at='ref') with no more friction than there is, a Dither, more damping",
+            "friction": "take FrictionCompensation(at='ref') with the true friction, a Dither, or more damping",
             "I": "lower ki, stop the integral within the tolerance, or add FrictionCompensation(at='ref')",
         },
         follows=MOTION_FAULTS,
@@ -533,10 +533,7 @@ CHECKS: Final = (
         name="backlash",
         test=partial(oscillation, kind="backlash"),
         needs=("torque",),
-        thresholds=(
-            _t("dwell", 3.0, "of that of a sine", "without acceleration: the link is free between two teeth"),
-            _t("third harmonic", 0.1, "of the first", "of the acceleration: a spring gives less"),
-        ),
+        thresholds=(_t("third harmonic", 0.1, "of the first", "of the acceleration: a spring gives less"),),
         cause="the link of '{joint}' moves freely between two teeth in each cycle",
         remedy="lower kp (its bound is 2 friction / backlash), measure at the motor, or preload the gear",
         follows=MOTION_FAULTS,
@@ -672,7 +669,7 @@ CHECKS: Final = (
         test=wrong_surface,
         thresholds=(_t("phi", 2e-3, "m | rad", "a fifth of what a hybrid law tolerates at its start"),),
         cause="the surface is not where the law states it, or it yields: in contact phi has an RMS of {RMS of phi}",
-        remedy="state the constraint where the tool touches, take estimate=taut.laws.NormalEstimate(), or lower the gains",
+        remedy="state the constraint where the tool touches, take estimate=NormalEstimate(), or lower the gains",
         follows=("wrong sign",),
     ),
     Check(

@@ -22,11 +22,9 @@ from taut.maths.model import PayloadValues, model_of
 from taut.record.report.arm_numbers import DYNAMICS, arm_from_json, arm_json, differences
 from taut.record.run import Run
 from taut.record.sticking import MOVING
-from taut.record.task import TOOL
 
 __all__ = ["ArmModel", "Fit", "fit_residual", "model_of_run"]
 
-SAME_POSE: Final = 1e-9  # [m], [-] rounding of kinematics
 FIT_TICKS: Final = 600  # that a fit looks at, evenly spread
 MIN_MOTION: Final = 0.05  # of the ticks: fewer in motion do not show friction
 MIN_MOVING_TICKS: Final = 32
@@ -62,32 +60,16 @@ def model_of_run(run: Run, arm: Arm | None) -> tuple[ArmModel | None, str]:
         apart = () if of_log is None else differences(arm_json(of_log), arm_json(arm))
         other = f"; it differs from the controller's arm in the log in {', '.join(apart)}" if apart else ""
         return ArmModel(run=run, arm=arm), f"arm '{arm.name}' as given{other}"
-    name = run.info.get("arm")
-    of_controller = f"arm '{name}' of the controller, with the masses, gravity and gears in the log"
-    for known, words in ((_of_log(run), of_controller), (run.arm, "the arm of the plant")):
-        if known is not None and _same_kinematics(run, known):
-            return ArmModel(run=run, arm=known), words
-    return None, "none: give the arm of the controller, arm= or --arm, to have gravity and payload checked"
+    known = _of_log(run)
+    if known is None or known.joint_names != run.joint_names:  # of laws side by side, one part has fewer
+        return None, "none: give the arm of the controller, arm= or --arm, to have gravity and payload checked"
+    return ArmModel(run=run, arm=known), f"arm '{run.info.get('arm')}' of the controller, as the run holds it"
 
 
 def _of_log(run: Run) -> Arm | None:
     """The controller's arm, as the run keeps it: the same for a run in memory and for its log."""
     known = run.info.get(DYNAMICS, {})
     return arm_from_json(known["controller"]) if isinstance(known, Mapping) and "controller" in known else None
-
-
-def _same_kinematics(run: Run, arm: Arm) -> bool:
-    """Whether an arm has the run's joints, and puts the tool where the run's chain does."""
-    if arm.joint_names != run.joint_names:
-        return False
-    if TOOL not in run.info:
-        return True
-    there = Chain.of_json(run.info[TOOL])
-    if there.frame not in arm.frame_names:
-        return False
-    R, p = there.poses(run.q[:1])
-    R_here, p_here = Chain.of(model_of(arm), there.frame).poses(run.q[:1])
-    return bool(np.abs(R - R_here).max() < SAME_POSE and np.abs(p - p_here).max() < SAME_POSE)
 
 
 @functools.lru_cache(maxsize=16)

@@ -24,7 +24,6 @@ __all__ = ["Oscillation", "Sinusoid", "chatter", "find_oscillation", "fit_sinuso
 MIN_PERIODS: Final = 4.0  # in a window: fewer are not a sustained oscillation
 MIN_TICKS: Final = 32  # of a window
 EXCITATION: Final = ("environment", "dither", "feedforward", "wrench", "sensor")  # which excite an arm: no fault
-DWELL: Final = 0.1  # of the peak acceleration, below which a link in backlash is free
 TWO_PI: Final = 2.0 * math.pi
 
 
@@ -155,7 +154,7 @@ def find_oscillation(run: ExaminedRun) -> Oscillation | None:
         terms = run.run.terms
         term = "friction" if np.any(terms.get("friction", 0.0)) or not _integrates(run, i) else "I"
         rest = {"at rest": (100.0 * float(at_rest.mean()), "% of the time")}
-        return _with(found, "stick-slip", term, rest)
+        return dataclasses.replace(found, kind="stick-slip", term=term, evidence=rest)
     work, taken = _work(run, found.window)
     done = sum(abs(x) for x in work.values()) or 1.0
     term = max(work, key=lambda name: work[name])
@@ -164,16 +163,12 @@ def find_oscillation(run: ExaminedRun) -> Oscillation | None:
         line is not None and line.zeta < -0.01 and fed <= limit["work"]
     ):
         return None  # excited from outside; or nothing could make it grow
-    sustained = slow and line is not None and abs(line.zeta) < 0.01
-    if sustained and line is not None:
-        gives = taken > 0.01 * done and not _explained(run, i)
-        dwell, third = _backlash(run, found.window, i, line.omega)
-        free = dwell > limit["dwell"] * 2.0 / math.pi * math.asin(DWELL) and term != "delay"
-        if not run.cut[found.window].any() and (free or (gives and third > limit["third harmonic"])):
-            free_time = {"without acceleration": (100.0 * dwell, "% of the time")}
-            return _with(found, "backlash", "transmission", free_time)
-        if gives:
-            return _with(found, "oscillation", "transmission", {"work taken out": (100.0 * taken / done, "%")})
+    gives = slow and line is not None and abs(line.zeta) < 0.01 and taken > 0.01 * done and not _explained(run, i)
+    if gives and line is not None:
+        third = _third_harmonic(run, found.window, i, line.omega)
+        kind = "backlash" if third > limit["third harmonic"] and not run.cut[found.window].any() else "oscillation"
+        evidence = {"third harmonic": (100.0 * third, "%"), "work taken out": (100.0 * taken / done, "%")}
+        return dataclasses.replace(found, kind=kind, term="transmission", evidence=evidence)
     limits = (*LIMIT_TERMS, "torque")
     if work["delay"] > limit["work"] * done:  # what a limit takes then acts late too
         term = max((name for name in work if name not in limits), key=lambda name: work[name])
@@ -183,11 +178,7 @@ def find_oscillation(run: ExaminedRun) -> Oscillation | None:
     more = {"of the work on it": (100.0 * max(fed, 0.0), "%")}
     if term == "delay" and line is not None:
         more["delay"] = (1e3 * _delay(run, found, line.omega), "ms")
-    return _with(found, "oscillation", term, more)
-
-
-def _with(found: Oscillation, kind: str, term: str, evidence: Mapping[str, tuple[float, str]]) -> Oscillation:
-    return dataclasses.replace(found, kind=kind, term=term, evidence=evidence)
+    return dataclasses.replace(found, kind="oscillation", term=term, evidence=more)
 
 
 def _strongest(run: ExaminedRun) -> Oscillation | None:
@@ -275,13 +266,12 @@ def _explained(run: ExaminedRun, i: int) -> bool:
     return float(np.mean(run.model.residual[:, i] ** 2)) < 1e-4 * float(np.mean(tau**2))
 
 
-def _backlash(run: ExaminedRun, window: slice, i: int, omega: float) -> tuple[float, float]:
-    """The part of the time without acceleration, and the third harmonic of the acceleration over its first."""
+def _third_harmonic(run: ExaminedRun, window: slice, i: int, omega: float) -> float:
+    """The third harmonic of the acceleration of a joint over its first: a spring gives next to none."""
     a = np.diff(run.run.v[window, i]) / run.dt
-    dwell = float(np.mean(np.abs(a) < DWELL * max(float(np.quantile(np.abs(a), 0.98)), np.finfo(np.float64).tiny)))
     angle, hann = omega * run.dt * np.arange(len(a)), np.hanning(len(a))
     first, third = (abs(complex(np.sum(a * hann * np.exp(-1j * m * angle)))) for m in (1, 3))
-    return dwell, third / max(first, np.finfo(np.float64).tiny)
+    return third / max(first, np.finfo(np.float64).tiny)
 
 
 def _integrates(run: ExaminedRun, i: int) -> bool:
