@@ -17,7 +17,6 @@ from taut.analysis.diagnosis.model import model_of_run
 from taut.arm.description import Arm
 from taut.base.errors import UsageError
 from taut.base.result import Content, Result, Table
-from taut.control.limiting import LIMIT_TERMS
 from taut.record.phases import PHASES
 from taut.record.run import Run
 
@@ -222,8 +221,7 @@ class _Examination:
 def _ordered(found: Sequence[Finding]) -> tuple[Finding, ...]:
     """Causes before their consequences, those first that explain most.
 
-    Where two would each follow from the other, a list of the finding's own decides over that of its check, and else
-    the one that explains more is the cause.
+    Where two would each follow from the other, the one that explains more is the cause.
     """
     by_size = sorted(found, key=lambda each: -each.fraction)
     first, then = [], []
@@ -304,23 +302,19 @@ def _before_running_away(run: Run, min_ticks: int) -> Run:
 
 def _figures(case: ExaminedRun) -> dict[str, Number]:
     """The figures of a run that the checks look at, each of the joint where it is largest."""
-    run, effort = case.run, "% of the effort limit" if case.effort_limit is not None else "% of the largest torque"
-    out = {"ticks": Number(float(len(run)))}
+    run, out = case.run, dict[str, tuple[float, str]]()
     if case.error is not None:
-        out["peak error"] = Number(float(np.abs(case.error / case.tolerance).max()), "times the tolerance")
-        steady = np.abs(case.steady_error / case.tolerance)
-        out["steady-state error"] = Number(
-            float(steady.max()) if case.settled.any() else float("nan"), "times the tolerance"
-        )
+        out["peak error"] = np.abs(case.error / case.tolerance).max(), "times the tolerance"
+        if case.settled.any():
+            out["steady-state error"] = np.abs(case.steady_error / case.tolerance).max(), "times the tolerance"
     if case.of_torque:
-        out["torque"] = Number(100.0 * float(np.abs(run.tau / case.scale).max()), effort)
-        out["first feedback"] = Number(100.0 * float(np.abs(case.applied_feedback[0] / case.scale).max()), effort)
-    cuts = [run.terms[name] for name in LIMIT_TERMS if name in run.terms]
-    out["time cut"] = Number(100.0 * float(np.any(cuts, axis=0).any(axis=-1).mean()) if cuts else 0.0, "% of the run")
-    out["longest period"] = Number(float(np.diff(run.t).max(initial=0.0) * run.rate), "times the nominal")
+        of = "% of the effort limit" if case.effort_limit is not None else "% of the largest torque"
+        out["torque"] = 100.0 * np.abs(run.tau / case.scale).max(), of
+        out["first feedback"] = 100.0 * np.abs(case.applied_feedback[0] / case.scale).max(), of
+        if case.fit is not None and case.model is not None and len(case.model.ticks):
+            out["torque beyond the model"] = 100.0 * np.abs(case.model.residual / case.scale).max(), of
+    out["time cut"] = 100.0 * (case.cut != 0.0).any(axis=1).mean(), "% of the run"
+    out["longest period"] = np.diff(run.t).max(initial=0.0) * run.rate, "times the nominal"
     if case.of_task:
-        out["smallest singular value"] = Number(float(run.task.least_singular_value.min()))
-    if case.fit is not None and case.model is not None:
-        residual = float(np.abs(case.model.residual / case.scale).max())
-        out["torque beyond the model"] = Number(100.0 * residual, effort)
-    return out
+        out["smallest singular value"] = run.task.least_singular_value.min(), "1"
+    return {"ticks": Number(float(len(run)))} | {name: Number(float(x), unit) for name, (x, unit) in out.items()}
