@@ -421,12 +421,11 @@ def test_winding_up_is_found_with_the_saturation_that_it_causes() -> None:
     assert [(each.name, each.follows) for each in found] == [("wind-up", ()), ("saturation", ("wind-up",))]
 
 
-@pytest.mark.parametrize("mujoco", [False, True])
-def test_torques_beyond_the_limits_of_an_arm_are_found(mujoco: bool) -> None:
+def test_torques_beyond_the_limits_of_an_arm_are_found() -> None:
     arm = taut.load_arm("panda")
     T = taut.snapshot(arm, arm.home).T()
     law = L.Impedance(K=(50_000.0, 300.0), zeta=0.7)
-    plant = taut.MujocoPlant(arm) if mujoco else taut.RigidPlant(arm)
+    plant = taut.RigidPlant(arm)
     goal = taut.TaskMotion(pose=taut.Pose(T.p + np.array([0.1, 0.0, 0.0]), R=T.R))
     run = taut.run(taut.compile(law, arm), plant, goal, duration=1.0)
     jump, beyond = taut.doctor(run).findings
