@@ -165,7 +165,7 @@ class Check:
         >>> path = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + [0.5, 0.0], duration=1.0)
         >>> run = taut.run(ctrl, taut.RigidPlant(arm), path, duration=1.5)
         >>> taut.doctor(run, checks=[*CHECKS, mine]).findings[0].cause
-        "'joint1' moves at 0.937 rad/s"
+        "'joint1' moves at 0.935 rad/s"
     """
 
     name: str
