@@ -371,6 +371,7 @@ def test_an_oscillation_has_the_frequency_and_damping_of_its_poles(kd: float, ki
     s = max(np.roots([0.5, kd, 50.0, ki]), key=lambda root: root.imag)
     assert found.evidence["frequency"].value == pytest.approx(s.imag / (2.0 * np.pi), rel=5e-3)
     assert found.evidence["damping ratio"].value == pytest.approx(-s.real / abs(s), abs=5e-3)
+    assert ("raise the damping" in found.remedy) == (term == "D")
 
 
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")

@@ -501,7 +501,7 @@ CHECKS: Final = (
         ),
         cause="the feedback of '{joint}' oscillates, and {term} is responsible",
         remedy={
-            "D": "raise the damping (kd, B or zeta); where that feeds it, lower it or raise the rate",
+            "D": "lower the damping (kd, B or zeta) or raise the rate: the damping itself feeds it",
             "I": "lower ki: it must stay below (b + kd) kp / M",
             "delay": "the drives apply the torque late: make them faster, or lower kd and kp",
             "transmission": "the joint yields between motor and link: lower kd and kp, or measure at the motor",

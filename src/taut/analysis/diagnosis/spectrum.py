@@ -174,7 +174,7 @@ def find_oscillation(run: ExaminedRun) -> Oscillation | None:
         term = max((name for name in work if name not in limits), key=lambda name: work[name])
     fed = work[term] / done
     if fed < limit["work"] or (term == "P" and line is not None and line.omega * run.dt < limit["frequency"]):
-        term = "D"  # nothing feeds it: it lacks damping
+        term, fed = "D", 0.0  # nothing feeds it: it lacks damping
     more = {"of the work on it": (100.0 * max(fed, 0.0), "%")}
     if term == "delay" and line is not None:
         more["delay"] = (1e3 * _delay(run, found, line.omega), "ms")
@@ -311,6 +311,8 @@ def oscillation(run: ExaminedRun, kind: str) -> Finding | None:
         }
     shown = slice(max(0, found.window.stop - ticks), found.window.stop)
     evidence["amplitude"] = (0.5 * float(np.ptp(run.run.q[shown, i])), run.run.units[i])
+    lacks = found.term == "D" and found.evidence["of the work on it"][0] == 0.0
+    factor = f", about {0.7 / line.zeta:.2g} times for a damping ratio of 0.7" if line and line.zeta > 0.005 else ""
     stability = f"; {judged['message']}" if judged.get("stable") is False else ""
     by = {"I": ("wind-up",), **dict.fromkeys((*LIMIT_TERMS, "torque"), ("saturation",))}
     return run.finding(
@@ -318,6 +320,7 @@ def oscillation(run: ExaminedRun, kind: str) -> Finding | None:
         signals={f"{name} [{unit}]": x[:, i] for name, x in run.feedback_terms.items() if np.any(x[shown, i])},
         window=shown,
         follows=by.get(found.term),
+        remedy=f"raise the damping (kd, B or zeta){factor}" if lacks else "",
         note=stability,
     )
 
