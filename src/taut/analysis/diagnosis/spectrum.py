@@ -301,7 +301,7 @@ def oscillation(run: ExaminedRun, kind: str) -> Finding | None:
     judged = run.run.info.get("stability", {})
     evidence: dict[str, tuple[float, str]] = {}
     if line is None:
-        evidence = {"spectral radius": (judged["radius"], "1")}
+        evidence = {"spectral radius": (judged.get("radius", math.nan), "1")}
     else:
         ticks = max(64, round(12.0 * TWO_PI / (line.omega * run.dt)))
         evidence = {
@@ -313,7 +313,9 @@ def oscillation(run: ExaminedRun, kind: str) -> Finding | None:
     evidence["amplitude"] = (0.5 * float(np.ptp(run.run.q[shown, i])), run.run.units[i])
     lacks = found.term == "D" and found.evidence["of the work on it"][0] == 0.0
     factor = f", about {0.7 / line.zeta:.2g} times for a damping ratio of 0.7" if line and line.zeta > 0.005 else ""
-    stability = f"; {judged['message']}" if judged.get("stable") is False else ""
+    stability = (
+        f"; {judged.get('message', 'the sampled loop was judged unstable')}" if judged.get("stable") is False else ""
+    )
     by = {"I": ("wind-up",), **dict.fromkeys((*LIMIT_TERMS, "torque"), ("saturation",))}
     return run.finding(
         *(found.term, i, found.fraction, {**evidence, **found.evidence}),
