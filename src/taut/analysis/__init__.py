@@ -9,14 +9,15 @@ if TYPE_CHECKING:
     from taut.analysis.compare.compare import Comparison as Comparison
     from taut.analysis.compare.grading import Grade as Grade
     from taut.analysis.compare.truth import WrongModel as WrongModel
-    from taut.analysis.constraints.admissible import Admissible as Admissible
+    from taut.analysis.constraints.contact_modes import ForceMotionCheck as ForceMotionCheck
     from taut.analysis.constraints.contact_modes import FrictionMargin as FrictionMargin
-    from taut.analysis.constraints.freedom_words import FreedomRow as FreedomRow
+    from taut.analysis.constraints.contact_modes import Violation as Violation
+    from taut.analysis.constraints.natural_constraints import ConstraintRow as ConstraintRow
+    from taut.analysis.constraints.natural_constraints import ConstraintTable as ConstraintTable
+    from taut.analysis.constraints.natural_constraints import natural_constraints as natural_constraints
     from taut.analysis.constraints.specification import Specification as Specification
     from taut.analysis.constraints.specification import check_specification as check_specification
     from taut.analysis.constraints.specification import possible_specifications as possible_specifications
-    from taut.analysis.constraints.task_freedoms import Freedoms as Freedoms
-    from taut.analysis.constraints.task_freedoms import freedoms as freedoms
     from taut.analysis.design.design import Design as Design
     from taut.analysis.diagnosis.diagnosis import Diagnosis as Diagnosis
     from taut.analysis.diagnosis.finding import Finding as Finding
