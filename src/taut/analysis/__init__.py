@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from taut.analysis.tune.tune import Tuned as Tuned
     from taut.analysis.wrist_calibration import WristCalibration as WristCalibration
     from taut.analysis.wrist_calibration import calibrate_wrist as calibrate_wrist
-    from taut.analysis.wrist_poses import calibration_poses as calibration_poses
+    from taut.analysis.wrist_calibration import calibration_poses as calibration_poses
     from taut.linear.error_dynamics import ErrorDynamics as ErrorDynamics
     from taut.linear.linear_loop import LinearLoop as LinearLoop
     from taut.linear.routh_table import RouthTable as RouthTable
