@@ -193,13 +193,13 @@ def page_of_linear_loop(lin: LinearLoop) -> Page:
     ]
     margins = [
         (
-            each.joint,
+            each.signal,
             f"{each.gain[0]:.4g} to {each.gain[1]:.4g}",
             _number(each.phase),
             _number(1e3 * each.delay),
             number_text(each.crossover),
         )
-        for each in lin.margins.joints
+        for each in lin.margins.signals
     ]
     low, high = lin.margins.disk.gain
     disk = f"All commands at once: gain {low:.4g} to {high:.4g}, phase {lin.margins.disk.phase:.4g} deg."
