@@ -29,19 +29,15 @@ if TYPE_CHECKING:
     from taut.analysis.root_locus import locus as locus
     from taut.analysis.stability_regions import StabilityMap as StabilityMap
     from taut.analysis.stability_regions import stability_map as stability_map
+    from taut.analysis.stiffness import StiffnessCheck as StiffnessCheck
+    from taut.analysis.stiffness import check_stiffness as check_stiffness
+    from taut.analysis.stiffness import check_virtual_wall as check_virtual_wall
     from taut.analysis.tool.environment import TipEnvironment as TipEnvironment
-    from taut.analysis.tool.impedance import check_impedance as check_impedance
-    from taut.analysis.tool.limits import StiffnessCheck as StiffnessCheck
-    from taut.analysis.tool.limits import StiffnessLimits as StiffnessLimits
-    from taut.analysis.tool.limits import check_stiffness as check_stiffness
-    from taut.analysis.tool.limits import stiffness_limits as stiffness_limits
     from taut.analysis.tool.response import TipMeasurement as TipMeasurement
     from taut.analysis.tool.response import TipRanking as TipRanking
     from taut.analysis.tool.response import TipResponse as TipResponse
     from taut.analysis.tool.response import rank_tips as rank_tips
     from taut.analysis.tool.response import tip_impedance as tip_impedance
-    from taut.analysis.tool.stiffness import check_stiffness_at as check_stiffness_at
-    from taut.analysis.tool.stiffness import safe_stiffness as safe_stiffness
     from taut.analysis.tune.tune import Tick as Tick
     from taut.analysis.tune.tune import Trial as Trial
     from taut.analysis.tune.tune import Tuned as Tuned
