@@ -44,7 +44,7 @@ def test_runs_begin_to_grow_at_the_limit(name: str) -> None:
 AWKWARD = {
     "ur10, kd of the wrist": ("ur10", taut.laws.Stiffness(K=(800.0, 30.0), kd=2.0), 0.0),
     "ur10 with friction": ("ur10", taut.laws.Stiffness(K=(800.0, 30.0), kd=2.0), 1.0),
-    "kinova, B of the wrist": ("kinova", taut.laws.Impedance(K=(800.0, 30.0), B=(60.0, 4.0)), 1.0),
+    "kinova, kd of the wrist": ("kinova", taut.laws.Stiffness(K=(800.0, 30.0), kd=2.0), 0.1),
     "xarm7, B of the wrist": ("xarm7", taut.laws.Impedance(K=(800.0, 30.0), B=(60.0, 4.0)), 0.0),
     "panda": ("panda", taut.laws.Impedance(K=(800.0, 30.0), zeta=0.7), 0.0),
     "PID that droops": ("planar2", taut.laws.PID(kp=300.0, kd=40.0, ki=50.0), 0.1),
@@ -53,28 +53,28 @@ AWKWARD = {
 
 
 @pytest.mark.parametrize("case", AWKWARD)
-@pytest.mark.parametrize("velocity", ["measured", "difference", taut.sensors.Difference(cutoff=60.0)], ids=str)
-def test_the_loop_is_that_of_the_linearised_plant(case: str, velocity: Any) -> None:
-    """A damper of the law makes light wrists unstable; no directions are forgotten, nor the friction of the joints."""
+@pytest.mark.parametrize(
+    "velocity", ["measured", taut.sensors.Difference(cutoff=60.0)], ids=["measured", "difference"]
+)
+def test_the_loop_is_that_of_the_simulated_plant(case: str, velocity: Any) -> None:
+    """A damper of the law makes light wrists unstable; all directions count, and the friction of the joints."""
     name, law, viscous = AWKWARD[case]
     arm = taut.load_arm(name).with_friction(taut.Friction(viscous=viscous))
     ctrl = taut.compile(law, arm, sensing=taut.Sensing(velocity=velocity))
     check = check_stiffness(ctrl)
-    loop = taut.Loop(ctrl, taut.RigidPlant(arm, integrator="rk4", substeps=4), duration=1.0)
-    lin = taut.linearise(loop, within=2.0)
-    assert check.stable == (lin.radius < 1.0 + 1e-5)
-    if not case.startswith("PID that"):  # which is linearised where it comes to rest
-        assert check.system.radius == pytest.approx(lin.radius, rel=1e-5)
-    if not check.stable and velocity == "measured":
-        joint = {"ur10": "wrist_3_joint", "kinova": "j2s6s200_joint_6", "xarm7": "joint7"}[name]
-        assert next(iter(check.direction)) == joint
-        assert check.limit < 0.05  # the damper is at fault, not the stiffness
+    plant = taut.RigidPlant(arm, integrator="rk4", substeps=10)
+    judged = taut.analysis.judge(taut.Loop(ctrl, plant, duration=1.0), at=arm.home)
+    assert check.stable == judged.stable
+    assert check.system.radius == pytest.approx(judged.radius, rel=1e-4 if "droops" in case else 2e-5)  # of RK4
+    if not check.stable:
+        assert next(iter(check.direction)) == next(iter(judged.joints))
+        assert next(iter(check.tool_direction)) == next(iter(judged.tool))
+        assert check.limit < 0.05  # the damper is to blame, not the stiffness
 
 
 def test_a_verdict_names_the_friction_that_it_relies_on() -> None:
-    arm = taut.load_arm("ur10").with_friction(taut.Friction(viscous=1.0))
-    law = taut.laws.Stiffness(K=(800.0, 30.0), kd=2.0)
-    ctrl = taut.compile(law, arm, rate=2000.0)
+    arm = taut.load_arm("ur10").with_friction(taut.Friction(viscous=0.5))
+    ctrl = taut.compile(taut.laws.Stiffness(K=(800.0, 30.0), kd=0.0), arm)
     check, bare = check_stiffness(ctrl), check_stiffness(ctrl, damping=0.0)
     assert (check.stable, bare.stable) == (True, False)
     assert check.relies_on == ("viscous friction of the joints",)
@@ -91,7 +91,7 @@ def test_a_change_of_a_gain_and_the_payload_of_now_count() -> None:
     ctrl.parameters["model.payload.mass"] = 3.0
     loaded = check_stiffness(ctrl)
     carried = controller(arm.with_payload(mass=3.0), K=(6000.0, 200.0))
-    assert loaded.M == pytest.approx(check_stiffness(carried).M, rel=1e-9)
+    assert pytest.approx(check_stiffness(carried).M, rel=1e-9) == loaded.M
     assert loaded.system.radius == pytest.approx(check_stiffness(carried).system.radius, rel=1e-7)
     assert np.linalg.norm(loaded.M) > 1.1 * mass
 

@@ -123,7 +123,7 @@ def test_no_damping_is_refused_and_no_overshoot_is_critical_damping(arm: taut.Ar
 
 
 def test_a_swing_that_never_ends_is_not_stable(planar: taut.Arm) -> None:
-    def of(kd: float) -> taut.analysis.LinearLoop:
+    def of(kd: float) -> taut.analysis.Linearisation:
         ctrl = taut.compile(laws.GravityPID(kp=40.0, kd=kd), planar)
         return taut.linearise(taut.Loop(ctrl, taut.RigidPlant(planar, friction=None), duration=1.0))
 

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from taut.analysis.joint_coupling import coupling as coupling
     from taut.analysis.lyapunov_function import Lyapunov as Lyapunov
     from taut.analysis.lyapunov_function import lyapunov as lyapunov
-    from taut.analysis.root_locus import Locus as Locus
-    from taut.analysis.root_locus import locus as locus
-    from taut.analysis.stability_regions import StabilityMap as StabilityMap
-    from taut.analysis.stability_regions import stability_map as stability_map
+    from taut.analysis.root_locus import RootLocus as RootLocus
+    from taut.analysis.root_locus import StabilityMap as StabilityMap
+    from taut.analysis.root_locus import root_locus as root_locus
+    from taut.analysis.root_locus import stability_map as stability_map
     from taut.analysis.stiffness import StiffnessCheck as StiffnessCheck
     from taut.analysis.stiffness import check_stiffness as check_stiffness
     from taut.analysis.stiffness import check_virtual_wall as check_virtual_wall
@@ -45,7 +45,9 @@ if TYPE_CHECKING:
     from taut.analysis.wrist_calibration import calibrate_wrist as calibrate_wrist
     from taut.analysis.wrist_calibration import calibration_poses as calibration_poses
     from taut.linear.error_dynamics import ErrorDynamics as ErrorDynamics
-    from taut.linear.linear_loop import LinearLoop as LinearLoop
+    from taut.linear.judgement import Judgement as Judgement
+    from taut.linear.judgement import judge as judge
+    from taut.linear.linearise import Linearisation as Linearisation
     from taut.linear.routh_table import RouthTable as RouthTable
     from taut.linear.routh_table import routh as routh
     from taut.linear.sampled import SampledLoop as SampledLoop

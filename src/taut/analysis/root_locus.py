@@ -1,318 +1,373 @@
-"""Root locus over any number: where the poles go, where they meet, and where they leave what is stable."""
+"""Root loci and stability maps: the poles, and the stability, of a linear system over one or two parameters."""
 
 from __future__ import annotations
 
-import itertools
-import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from taut.analysis.stable_ranges import quantity, ranges_text, stable_ranges
 from taut.base.checks import finite_array
-from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.errors import RangeError, ShapeError
+from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
-from taut.linear.error_words import pole as pole_text
-from taut.linear.poles import Spectrum, spectrum
+from taut.linear.linear_system import Complex, LinearSystem
+from taut.linear.linearise import Linearisation
+from taut.linear.plots import pole_axes
+from taut.record.plots.style import INK, SMALL, WIDTH, colour, prepared
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Crossing", "Locus", "Replaceable", "locus"]
+__all__ = ["LocusPoint", "RootLocus", "StabilityMap", "bisected", "root_locus", "stability_map"]
 
-Complex = NDArray[np.complex128]
-FINE: Final = 0.02  # of the picture's extent: what a pole may move between two values
-DEPTH: Final = 14  # halvings of the space between two values that are asked for
-HALVINGS: Final = 44
-NOTHING: Final = 1e-9  # of a pole's size
-REAL: Final = 1e-6  # imaginary part of what a double pole splits into, in parts of its size
+System = LinearSystem | Linearisation
+LOCUS_TOLERANCE: Final = 1e-12  # [-] of a value, between two of a locus
+MAP_TOLERANCE: Final = 1e-3  # [-] likewise of a map, each point of which is a system
+NEAR_ZERO: Final = 1e-6  # [-] of the distance of two values, below which a boundary is at zero
+STABLE: Final = "#C4E7DC"  # a light shade of colour(2), opaque: neighbouring cells show no seam
+SHOWN: Final = 0.98  # quantile of the poles that a picture shows
+
+Points = list[tuple[float, float]]
 
 
-class Replaceable(Protocol):
-    """What has numbers by name: error dynamics, sampled ones, and whatever else knows `replaced`."""
+def bisected(same: Callable[[float], bool], low: float, high: float, tolerance: float = LOCUS_TOLERANCE) -> float:
+    """The value between two at which something changes, by bisection.
 
-    def replaced(self, **numbers: float) -> Any:
-        """The same with other numbers."""
-        ...
+    Args:
+        same: Whether it is at a value as at `low`; it is not at `high`.
+        low: One value.
+        high: The other.
+        tolerance: Relative to the value [-].
+    """
+    floor = NEAR_ZERO * abs(high - low)
+    while abs(high - low) > tolerance * max(abs(low), abs(high), floor):
+        middle = 0.5 * (low + high)
+        if middle in (low, high):
+            break
+        low, high = (middle, high) if same(middle) else (low, middle)
+    return 0.5 * (low + high)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Crossing:
-    """Where something happens to poles.
-
-    Args:
-        value: Of the number that is varied.
-        pole: Of the pole, in s or z; of a pair the upper one.
-    """
+class LocusPoint:
+    """A point of a root locus: the value of the parameter, and the pole there."""
 
     value: float
     pole: complex
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Locus:
-    """Where poles go as a number grows. Print it for where it is stable, `plot()` it, hand it to `taut.report`.
+class RootLocus(Result):
+    """Root locus: poles over one parameter.
 
     Args:
-        name: What is varied.
-        values: (m,) of it: those asked for, and more where poles move fast.
-        poles: (m, n) each column one branch; NaN where there is no such pole.
-        stable: (m,) whether all of them are.
-        borders: Where it becomes stable or ceases to be, in the order of the values, with the pole that crosses.
-        meetings: Where two poles meet on the real axis, or leave it.
-        dt: Period of poles in z [s]; None for poles in s.
-        spectrum: What has the poles at a value.
-        unit: Of the number, for words and pictures.
+        values: (m,) of the parameter.
+        poles: (m, n) in s [1/s], or in z where dt is not None; a column is one branch, NaN where it does not exist.
+        stable: (m,) whether the system is stable.
+        limits: Where it becomes stable or unstable, by bisection, with the pole that crosses.
+        breakaways: Where two real poles become a complex pair or the reverse, likewise.
+        dt: Period [s], or None.
+        label: The parameter, with its unit.
     """
 
-    name: str
-    values: Float64Array = field(repr=False)
-    poles: Complex = field(repr=False)
-    stable: NDArray[np.bool_] = field(repr=False)
-    borders: tuple[Crossing, ...]
-    meetings: tuple[Crossing, ...]
+    values: Float64Array
+    poles: Complex
+    stable: NDArray[np.bool_]
+    limits: tuple[LocusPoint, ...]
+    breakaways: tuple[LocusPoint, ...]
     dt: float | None
-    spectrum: Callable[[float], Spectrum] = field(repr=False)
-    unit: str = ""
+    label: str
 
-    def at(self, value: float) -> Complex:
-        """(n,) the poles at a value, whether or not it is one of its values."""
-        return self.spectrum(value).poles
-
-    @property
-    def ranges(self) -> list[tuple[float, float]]:
-        """From where to where it is stable."""
-        cuts = [crossing.value for crossing in self.borders]
-        return stable_ranges(bool(self.stable[0]), cuts, float(self.values[0]), float(self.values[-1]))
-
-    def tables(self) -> dict[str, list[list[str]]]:
-        """The poles where something happens to them, and at both ends: a row for each value, the first one heads."""
-        low, high = float(self.values[0]), float(self.values[-1])
-        rows = [(low, "begins", self.at(low).tolist()), (high, "ends", self.at(high).tolist())]
-        rows += [(each.value, "stable from or up to here", [each.pole]) for each in self.borders]
-        rows += [(each.value, "two poles meet", [each.pole]) for each in self.meetings]
-        heads = [
-            quantity(self.name, self.unit),
-            "what happens",
-            "pole in s [1/s]" if self.dt is None else "pole in z",
+    def content(self) -> Content:
+        """Stability limits and breakaway points."""
+        rows: list[list[Cell]] = [
+            [kind, point.value, point.pole.real, abs(point.pole.imag)]
+            for kind, points in (("stability limit", self.limits), ("breakaway", self.breakaways))
+            for point in points
         ]
-        rows.sort(key=lambda row: row[0])
-        return {
-            "Where poles are": [heads, *([f"{value:.5g}", what, _words(poles)] for value, what, poles in rows)],
-        }
-
-    def __str__(self) -> str:
-        low, high = float(self.values[0]), float(self.values[-1])
-        unit = f" {self.unit}" if self.unit else ""
-        count = self.poles.shape[1]
-        return "\n".join(
-            [
-                f"root locus over {self.name} from {low:.4g} to {high:.4g}{unit}",
-                f"  poles in {'s' if self.dt is None else 'z'}       {count}",
-                f"  stable           {ranges_text(self.ranges, low, high)}",
-                *(
-                    f"  border           {self.name} = {each.value:.5g}{unit}, {_words([each.pole])}"
-                    for each in self.borders
-                ),
-                *(
-                    f"  two poles meet   {self.name} = {each.value:.5g}{unit}, {_words([each.pole])}"
-                    for each in self.meetings
-                ),
-            ]
+        plane = "s [1/s]" if self.dt is None else "z"
+        columns = ("point", self.label, f"Re {plane}", f"Im {plane}")
+        return Content(
+            title=f"root locus over {self.label} from {self.values[0]:g} to {self.values[-1]:g}",
+            summary=(f"stable for {100.0 * float(self.stable.mean()):.0f} % of {len(self.values)} values",),
+            tables=(Table(title="points", columns=columns, rows=rows),),
+            figures={"root locus": self._figure},
         )
 
-    def plot(self, mark: ArrayLike = (), unit: str | None = None) -> Figure:
-        """The branches, from crosses at the first value to circles at the last.
+    def _figure(self) -> Figure:
+        figure = _figure(3.4)
+        self.draw(figure.subplots())
+        return figure
+
+    def draw(self, ax: Axes, mark: Sequence[float] = ()) -> None:
+        """Draw the locus: crosses at the first value, circles at the last, diamonds at stability limits.
 
         Args:
-            mark: Values whose poles are marked.
-            unit: Of the number, instead of its own.
+            ax: Axes.
+            mark: Values that are marked with their number, from 1 on.
         """
-        from taut.analysis.stability_plots import of_locus
+        known = self.poles[np.isfinite(self.poles)]
+        near = known[np.abs(known) <= np.quantile(np.abs(known), SHOWN)]
+        pole_axes(ax, near if self.dt is None else known, self.dt)
+        ends = (f"{float(f'{value:.4g}'):.6g}" for value in (self.values[0], self.values[-1]))
+        ax.set_title(f"{self.label}: {' (x) to '.join(ends)} (o)", fontsize=SMALL, color=INK, loc="left")
+        for k, branch in enumerate(self.poles.T):
+            there = branch[np.isfinite(branch)]
+            ax.plot(there.real, there.imag, color=colour(k), linewidth=1.5, solid_joinstyle="round")
+            ax.plot(there.real[:1], there.imag[:1], "x", color=colour(k), markersize=6.0, markeredgewidth=1.5)
+            ax.plot(there.real[-1:], there.imag[-1:], "o", color=colour(k), markersize=4.5, markerfacecolor="white")
+        for k, value in enumerate(mark):
+            at = self.poles[np.argmin(np.abs(self.values - value))]
+            for s in at[np.isfinite(at) & (at.imag >= 0.0)]:
+                ax.plot([s.real] * 2, [s.imag, -s.imag], "o", color=INK, markersize=3.5, zorder=4)
+                offset = {"xytext": (3.0, 3.0), "textcoords": "offset points"}
+                ax.annotate(str(k + 1), (s.real, s.imag), fontsize=SMALL, color=INK, **offset)
+        for point in self.limits:
+            ax.plot(point.pole.real, abs(point.pole.imag), "D", color=INK, markersize=3.5, zorder=4)
+            ax.annotate(
+                f"{point.value:.4g}", (point.pole.real, abs(point.pole.imag)), xytext=(-6.0, 3.0), ha="right",
+                textcoords="offset points", fontsize=SMALL, color=INK, zorder=5,
+            )  # fmt: skip
 
-        marked = finite_array("mark", np.atleast_1d(np.asarray(mark, dtype=np.float64)))
-        return of_locus(self, marked, self.unit if unit is None else unit)
 
-
-def locus(
-    vary: Callable[[float], Any] | str,
-    values: ArrayLike,
-    *,
-    of: Replaceable | None = None,
-    name: str | None = None,
-    dt: float | None = None,
-    unit: str = "",
-) -> Locus:
-    """Root locus: the poles of error dynamics, a loop or a matrix as one number grows.
+def root_locus(system_of: Callable[[float], System], values: ArrayLike, *, label: str = "parameter") -> RootLocus:
+    """Root locus: the poles of a linear system as one parameter takes increasing values.
 
     Args:
-        vary: What makes it of the number: number -> `ErrorDynamics`, its sampled kind, `SampledLoop`, a system of
-            python-control, anything with `poles`, `dt` and `stable`, or a matrix; or the number's name in `of`.
-        values: (m,) increasing, two or more; between them more are taken where poles move fast.
-        of: What has the number, where a name is given.
-        name: What is varied, for pictures.
-        dt: Period of the matrices, if `vary` makes matrices of sampled systems [s].
-        unit: Of what is varied, for words and pictures.
+        system_of: The system at a value: `taut.error_dynamics`, `taut.linearise`, `taut.LinearSystem`, ...
+        values: (m,) increasing; branches are followed from one to the next.
+        label: The parameter, with its unit: "kp [N m/rad]".
 
     Raises:
-        ShapeError, RangeError: Values that do not increase.
-        UsageError: A name without `of`, or what is made has no poles.
+        ShapeError, RangeError: Fewer than two values, or values that do not increase.
 
     Example:
         >>> import taut
-        >>> pd = taut.analysis.second_order(M=0.5, b=0.1, kp=2.205, kd=2.0)
-        >>> figure_10_7 = taut.analysis.locus("ki", [0.0, 12.0], of=pd)
-        >>> round(figure_10_7.borders[0].value, 6), round(figure_10_7.borders[0].pole.imag, 3)
-        (9.261, 2.1)
+        >>> found = taut.analysis.root_locus(
+        ...     lambda ki: taut.error_dynamics(M=0.5, b=0.1, kp=2.205, kd=2.0, ki=ki), np.linspace(0.0, 12.0, 50)
+        ... )
+        >>> round(found.limits[0].value, 6)  # (b + kd) kp / M
+        9.261
 
     References:
-        Chapter, figures 10.5 and 10.7. Evans, Control system synthesis by root locus method (1950).
+        Chapter, figures 10.5 and 10.7.
     """
-    grid = finite_array("values", values)
-    if grid.ndim != 1 or len(grid) < 2:
-        raise ShapeError(
-            f"values must be a list of two numbers or more, such as np.linspace(0, 10, 50); got shape {grid.shape}",
-            name="values",
-        )
-    if (np.diff(grid) <= 0.0).any():
-        raise RangeError("values must increase from one to the next", name="values", rule="increasing")
-    make = _maker(vary, of)
-
-    def at(value: float) -> Spectrum:
-        return spectrum(make(float(value)), dt)
-
-    found = {float(value): at(value) for value in grid}
-    periods = {each.dt for each in found.values()}
-    if len(periods) > 1 and None in periods:
-        raise UsageError("all that vary makes must be in continuous time, or all of it sampled", name="vary")
-    extent = _extent([each.poles for each in found.values()])
-    for low, high in zip(grid[:-1].tolist(), grid[1:].tolist(), strict=True):
-        _refined(at, found, low, high, FINE * extent, DEPTH)
-    order = sorted(found)
-    branches = _branches([found[value].poles for value in order])
-    stable = np.array([found[value].stable for value in order])
-    period = found[order[0]].dt
-    borders, meetings = [], []
-    for low, high in itertools.pairwise(order):
-        if found[low].stable != found[high].stable:
-            value = _bisected(lambda value: at(value).stable, low, high)
-            borders.append(Crossing(value=value, pole=_edge(at(value).poles, period)))
-        if _real(found[low].poles) != _real(found[high].poles) and len(found[low].poles) == len(found[high].poles):
-            value = _bisected(lambda value: _real(at(value).poles), low, high)
-            meetings.append(Crossing(value=value, pole=_closest(at(value).poles)))
-    word = name if name is not None else vary if isinstance(vary, str) else "number"
-    return Locus(
-        name=word, values=np.array(order), poles=branches, stable=stable, borders=tuple(borders),
-        meetings=tuple(meetings), dt=period, spectrum=at, unit=unit,
+    grid = _grid("values", values)
+    systems = [system_of(value) for value in grid.tolist()]
+    n = max(len(system.poles) for system in systems)
+    branches = np.full((len(systems), n), np.nan + 0j)
+    for k, system in enumerate(systems):
+        branches[k] = _matched(branches[k - 1], system.poles)
+    stable = np.array([system.stable for system in systems])
+    limits, breakaways = [], []
+    for i, (low, high) in enumerate(pairwise(grid.tolist())):
+        if stable[i] != stable[i + 1]:
+            value = bisected(lambda x, i=i: system_of(x).stable == stable[i], low, high)  # type: ignore[misc]
+            limits.append(LocusPoint(value=value, pole=_crossing(system_of(value))))
+        count = _complex_poles(systems[i])
+        if len(systems[i].poles) == len(systems[i + 1].poles) and count != _complex_poles(systems[i + 1]):
+            value = bisected(lambda x, count=count: _complex_poles(system_of(x)) == count, low, high)  # type: ignore[misc]
+            breakaways.append(LocusPoint(value=value, pole=_closest_pair(system_of(value).poles)))
+    return RootLocus(
+        values=grid, poles=branches, stable=stable, limits=tuple(limits), breakaways=tuple(breakaways),
+        dt=systems[0].dt, label=label,
     )  # fmt: skip
 
 
-def _words(poles: list[complex]) -> str:
-    """Poles in words, of pairs the upper one; what rounding left of a part is nothing."""
-    told = []
-    for s in poles:
-        small = NOTHING * abs(s)
-        real, imag = (0.0 if abs(part) <= small else part for part in (s.real, s.imag))
-        if imag >= 0.0:
-            told.append(pole_text(complex(real, imag)))
-    return ", ".join(told)
+def _matched(before: Complex, poles: Complex) -> Complex:
+    """(n,) poles in the order of the branches that they continue; those of no branch take free places."""
+    distance = np.abs(before[:, np.newaxis] - poles)
+    rows, columns = linear_sum_assignment(np.where(np.isnan(distance), 0.0, distance))
+    out = np.full(len(before), np.nan + 0j)
+    out[rows] = poles[columns]
+    return out
 
 
-def _maker(vary: Callable[[float], Any] | str, of: Replaceable | None) -> Callable[[float], Any]:
-    if not isinstance(vary, str):
-        if not callable(vary):
-            raise UsageError(
-                f"vary must be a function of one number, or the name of a number of `of`; got {vary!r}", name="vary"
-            )
-        if of is not None:
-            raise UsageError("of= is for the name of a number; a function makes the whole itself", name="of")
-        return vary
-    if of is None or not hasattr(of, "replaced"):
-        raise UsageError(
-            f"the name {vary!r} needs of=, error dynamics that have this number; or give a function of the number",
-            name="of",
+def _complex_poles(system: System) -> int:
+    return int((system.poles.imag != 0.0).sum())
+
+
+def _crossing(system: System) -> complex:
+    """The pole nearest to the stability boundary, but for those that rest at z = 1 or s = 0; the upper of a pair."""
+    distance = np.abs(np.abs(system.poles) - 1.0) if system.dt else np.abs(system.poles.real)
+    apart = np.abs(system.poles - (1.0 if system.dt else 0.0))
+    distance = np.where(
+        (apart < NEAR_ZERO * np.abs(system.poles).max(initial=0.0)) & (apart < apart.max()), np.inf, distance
+    )
+    pole = complex(system.poles[int(np.argmin(distance))])
+    return complex(pole.real, abs(pole.imag))
+
+
+def _closest_pair(poles: Complex) -> complex:
+    """The mean of the two poles that are closest to each other."""
+    apart = np.abs(poles[:, np.newaxis] - poles) + np.diag(np.full(len(poles), np.inf))
+    i, j = np.unravel_index(int(np.argmin(apart)), apart.shape)
+    return complex(0.5 * (poles[i] + poles[j]))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StabilityMap(Result):
+    """Stability over two parameters: a grid, and points of the boundary between its neighbours.
+
+    Args:
+        x: (m,) values of the first parameter.
+        y: (k,) values of the second.
+        stable: (m, k) whether the system is stable.
+        boundary: (p, 2) points on the boundary, by bisection.
+        along: (p,) the parameter that was bisected for each: 0 for x, 1 for y.
+        stable_above: (p,) whether the system is stable at larger values of that parameter.
+        labels: The two parameters, with their units.
+    """
+
+    x: Float64Array
+    y: Float64Array
+    stable: NDArray[np.bool_]
+    boundary: Float64Array
+    along: NDArray[np.intp]
+    stable_above: NDArray[np.bool_]
+    labels: tuple[str, str]
+
+    def content(self) -> Content:
+        """The fraction that is stable, and the boundary."""
+        rows: list[list[Cell]] = [[one, other] for one, other in self.boundary.tolist()]
+        return Content(
+            title=f"stability map of {self.labels[0]} and {self.labels[1]}",
+            summary=(
+                f"stable at {100.0 * float(self.stable.mean()):.0f} % of {self.stable.size} points of the grid",
+            ),
+            tables=(Table(title="stability boundary", columns=self.labels, rows=rows),),
+            figures={"stability map": self._figure},
         )
-    return lambda value: of.replaced(**{vary: value})
+
+    def _figure(self) -> Figure:
+        figure = _figure(3.2)
+        self.draw(figure.subplots())
+        return figure
+
+    def draw(self, ax: Axes, *, log: bool = False) -> None:
+        """Draw the map: the stable region filled, the boundary as a line.
+
+        Args:
+            ax: Axes.
+            log: Logarithmic scales.
+        """
+        from matplotlib.collections import LineCollection, PolyCollection
+
+        prepared(ax, "", self.labels[1], self.labels[0])
+        areas, lines = self._cells()
+        ax.add_collection(PolyCollection(areas, facecolor=STABLE, edgecolor=STABLE, linewidth=0.5, zorder=0.4))
+        ax.add_collection(LineCollection(lines, color=INK, linewidth=1.2))
+        ax.fill_between([], [], color=STABLE, label="stable")
+        ax.plot([], [], color=INK, linewidth=1.2, label="boundary")
+        if log:
+            ax.set_xscale("log")
+            ax.set_yscale("log")
+        ax.set_xlim(self.x[0], self.x[-1])
+        ax.set_ylim(self.y[0], self.y[-1])
+        ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK, loc="best")
+
+    def _cells(self) -> tuple[list[Points], list[Points]]:
+        """The stable part of each cell of the grid, and the boundary in it."""
+        x, y = self.x.tolist(), self.y.tolist()
+        cuts = {}
+        for (one, other), along in zip(self.boundary.tolist(), self.along.tolist(), strict=True):
+            i = int(np.searchsorted(x, one, side="right")) - 1
+            j = int(np.searchsorted(y, other, side="right")) - 1
+            cuts[along, i, j] = (one, other)
+        areas, lines = [], []
+        for i in range(len(x) - 1):
+            for j in range(len(y) - 1):
+                corners = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
+                edges = [(0, i, j), (1, i + 1, j), (0, i, j + 1), (1, i, j)]
+                area: Points = []
+                border: Points = []
+                for (a, b), edge in zip(corners, edges, strict=True):
+                    if self.stable[a, b]:
+                        area.append((x[a], y[b]))
+                    if edge in cuts:
+                        area.append(cuts[edge])
+                        border.append(cuts[edge])
+                if len(area) > 2:
+                    areas.append(area)
+                lines += [border[k : k + 2] for k in range(0, len(border), 2)]
+        return areas, lines
 
 
-def _extent(rows: list[Complex]) -> float:
-    """The size of the region where poles are, but for the farthest tenth of them."""
-    sizes = np.concatenate([np.abs(row) for row in rows])
-    sizes = sizes[np.isfinite(sizes)]
-    return max(float(np.quantile(sizes, 0.9)), 1e-300) if len(sizes) else 1.0
+def stability_map(
+    system_of: Callable[[float, float], System],
+    x: ArrayLike,
+    y: ArrayLike,
+    *,
+    labels: tuple[str, str] = ("x", "y"),
+) -> StabilityMap:
+    """Stability of a linear system over two parameters.
+
+    Regions smaller than the steps of the grid are not seen, and between two neighbours one boundary is found.
+
+    Args:
+        system_of: The system at two values.
+        x: (m,) increasing values of the first parameter.
+        y: (k,) increasing values of the second.
+        labels: The two, with their units: ("rate [Hz]", "kd [N m s/rad]").
+
+    Raises:
+        ShapeError, RangeError: Fewer than two values, or values that do not increase.
+
+    Example:
+        >>> import taut
+        >>> found = taut.analysis.stability_map(
+        ...     lambda rate, kd: taut.error_dynamics(M=0.5, kd=kd, zeta=1.0, rate=rate), [50.0, 100.0], [10.0, 400.0]
+        ... )
+        >>> [round(kd / rate, 2) for rate, kd in found.boundary[found.along == 1].tolist()]  # 2 M
+        [1.0, 1.0]
+
+    References:
+        Chapter, section 10.2.1.1, practical bounds on feedback gains.
+    """
+    grids = _grid("x", x), _grid("y", y)
+    stable = np.array([[system_of(a, b).stable for b in grids[1].tolist()] for a in grids[0].tolist()])
+    points: list[tuple[float, float]] = []
+    along: list[int] = []
+    above: list[bool] = []
+    for axis in (0, 1):
+        for place in np.argwhere(np.diff(stable, axis=axis)).tolist():
+            point = [float(grids[0][place[0]]), float(grids[1][place[1]])]
+            low, high = grids[axis][place[axis] : place[axis] + 2].tolist()
+            first = bool(stable[tuple(place)])
+
+            def same(value: float, point: list[float] = point, axis: int = axis, first: bool = first) -> bool:
+                one, other = (value if axis == k else point[k] for k in (0, 1))
+                return system_of(one, other).stable == first
+
+            point[axis] = bisected(same, low, high, MAP_TOLERANCE)
+            points.append((point[0], point[1]))
+            along.append(axis)
+            above.append(not first)
+    return StabilityMap(
+        x=grids[0], y=grids[1], stable=stable, boundary=np.array(points).reshape(-1, 2),
+        along=np.array(along, dtype=np.intp), stable_above=np.array(above, dtype=bool), labels=labels,
+    )  # fmt: skip
 
 
-def _matched(one: Complex, other: Complex) -> tuple[NDArray[np.intp], NDArray[np.intp], Float64Array]:
-    """Which goes where, so that they move least in all."""
-    distances = np.abs(one[:, np.newaxis] - other)
-    rows, columns = linear_sum_assignment(distances)
-    return rows, columns, distances[rows, columns]
+def _grid(name: str, values: ArrayLike) -> Float64Array:
+    grid = finite_array(name, values)
+    if grid.ndim != 1 or len(grid) < 2:
+        raise ShapeError(
+            f"{name} must be a list of two values or more, such as np.linspace(1, 10, 20); got shape {grid.shape}",
+            name=name,
+        )
+    if (np.diff(grid) <= 0.0).any():
+        raise RangeError(f"{name} must increase from one value to the next", name=name, rule="increasing")
+    return grid
 
 
-def _refined(
-    at: Callable[[float], Spectrum], found: dict[float, Spectrum], low: float, high: float, fine: float, depth: int
-) -> None:
-    """Values between two, until no pole moves farther than is fine."""
-    one, other = found[low].poles, found[high].poles
-    moved = _matched(one, other)[2]
-    middle = 0.5 * (low + high)
-    if depth == 0 or (len(one) == len(other) and (moved <= fine).all()) or not low < middle < high:
-        return
-    found[middle] = at(middle)
-    _refined(at, found, low, middle, fine, depth - 1)
-    _refined(at, found, middle, high, fine, depth - 1)
+def _figure(height: float) -> Figure:
+    from matplotlib.figure import Figure as NewFigure
 
-
-def _branches(rows: list[Complex]) -> Complex:
-    """(m, n) each pole in the column of the one before that it is nearest to."""
-    width = max(len(row) for row in rows)
-    made = np.full((len(rows), width), complex(np.nan, np.nan))
-    made[0, : len(rows[0])] = rows[0]
-    for i in range(1, len(rows)):
-        here = np.flatnonzero(~np.isnan(made[i - 1]))
-        before, row = made[i - 1, here], rows[i]
-        if i > 1:
-            step = before - made[i - 2, here]
-            before = before + np.where(np.isnan(step), 0.0, 1e-3 * step)  # straight on, where two meet
-        one, other, _ = _matched(before, row)
-        made[i, here[one]] = row[other]
-        rest = np.setdiff1d(np.arange(len(row)), other)
-        free = np.setdiff1d(np.arange(width), here)
-        made[i, free[: len(rest)]] = row[rest]
-    return made
-
-
-def _real(poles: Complex) -> int:
-    return int((np.abs(poles.imag) <= REAL * np.maximum(np.abs(poles), 1e-300)).sum())
-
-
-def _bisected(word: Callable[[float], Any], low: float, high: float) -> float:
-    """Where a word changes; at an end if it is another there than next to it."""
-    first, start, end = word(low), low, high
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        if not low < middle < high:
-            break
-        low, high = (middle, high) if word(middle) == first else (low, middle)
-    value = 0.5 * (low + high)
-    ends = [each for each in (start, end) if abs(value - each) <= 1e-12 * (end - start)]
-    return ends[0] if ends else value
-
-
-def _edge(poles: Complex, dt: float | None) -> complex:
-    """The pole that is farthest out; of a pair the upper one."""
-    out = np.abs(poles) if dt else poles.real
-    near = poles[out >= out.max() - 1e-9 * max(float(np.abs(out).max()), 1.0)]
-    return complex(near[near.imag.argmax()])
-
-
-def _closest(poles: Complex) -> complex:
-    """The point between the two that are nearest to each other."""
-    distances = np.abs(poles[:, np.newaxis] - poles)
-    np.fill_diagonal(distances, math.inf)
-    i, j = np.unravel_index(int(distances.argmin()), distances.shape)
-    return complex(float((0.5 * (poles[i] + poles[j])).real), 0.0)
+    return NewFigure(figsize=(0.7 * WIDTH, height), dpi=150, layout="constrained", facecolor="white")

@@ -23,11 +23,11 @@ from taut.control.laws.friction import FrictionCompensation
 from taut.controller import Controller
 from taut.linear.joint_loop import VelocityKind, joint_matrix, pid
 from taut.linear.linear_system import LinearSystem, names
+from taut.linear.period import Period
 from taut.loop import Loop
 from taut.maths.model import PayloadValues
 from taut.maths.snapshot import Snapshot
 from taut.plant.rigid import RigidPlant
-from taut.runtime.fused import FusedRun
 from taut.trace.derivative import jacobian
 
 __all__ = ["StiffnessCheck", "check_stiffness", "check_virtual_wall", "passivity_margin"]
@@ -39,7 +39,6 @@ LawOf = Callable[[float], LinearSystem]
 STIFFNESS: Final = ("K", "kp")  # names of stiffness gains
 OF_JOINTS: Final = "viscous friction of the joints"
 AXES: Final = tuple(f"{kind} {axis}" for kind in ("translation", "rotation") for axis in "xyz")
-STEP: Final = 1e-6  # [-] of a state's size, of central differences
 NO_GROWTH: Final = 1e-2  # [1/s] a growth that rounding of central differences may show: a factor e in 100 s
 NO_COMPENSATION: Final = 1e12  # [rad/s] of speed over which dry friction is compensated: none is
 REACH: Final = 1e-9  # of the largest mobility: below it the tool cannot move in a direction
@@ -513,7 +512,7 @@ def check_stiffness(
 
 
 class _LawAtPose:
-    """The law of a controller at a pose as a linear system, by central differences of its compiled loop.
+    """The law of a controller at a pose as a linear system, from the derivative of a control period.
 
     Args:
         ctrl: The controller.
@@ -523,48 +522,37 @@ class _LawAtPose:
     def __init__(self, ctrl: Controller, q: Float64Array) -> None:
         loop = _LOOPS.get(ctrl)
         if loop is None:
-            plant = RigidPlant(ctrl.arm, friction=None, adds=ctrl.side.adds, integrator="rk4")
+            plant = RigidPlant(ctrl.arm, friction=None, adds=ctrl.side.adds)
             loop = _LOOPS[ctrl] = Loop(ctrl, plant, duration=1.0)
-        self._loop, self._q = loop, q
-        self._values: dict[str, Any] = dict(ctrl.parameters)
+        values: dict[str, Any] = dict(ctrl.parameters)
         for path, law in all_laws(ctrl.law, "law"):
             if isinstance(law, FrictionCompensation):
-                self._values[f"{path}.width"] = NO_COMPENSATION
-        self._stiffness = [
-            path
-            for path in self._values
+                values[f"{path}.width"] = NO_COMPENSATION
+        self._period = Period(loop, q, values)
+        self._stiffness = {
+            path: np.asarray(value)
+            for path, value in values.items()
             if path.startswith("law.") and ".null." not in path and path.rpartition(".")[2] in STIFFNESS
-        ]
-        self.at_rest = self._period(1.0)[1]
-
-    def _period(self, factor: float) -> tuple[Any, Float64Array, Float64Array]:
-        """One period of the loop, the command at rest, and the memory after the first tick."""
-        for path, value in self._values.items():
-            self._loop.parameters[path] = factor * np.asarray(value) if path in self._stiffness else value
-        period = FusedRun(self._loop, self._q, np.zeros_like(self._q), 0, (), {}).period()
-        memory = period.after({})(period.start)  # what begins in the first tick has begun
-        block = period.coordinates.block
+        }
+        start = self._period.start
+        memory = self._period.after(start, start.memory[np.newaxis])[0]  # what begins in the first tick has begun
         for path in ("plant.q", "plant.v"):
-            block.views(memory)[path][...] = block.views(period.start)[path]
-        return period, period.command(memory), memory
+            self._period.memory.views(memory)[path][...] = self._period.memory.views(start.memory)[path]
+        self._point = dataclasses.replace(start, memory=memory)
+        self.at_rest = self._period.command(self._point)
 
     def times(self, factor: float) -> LinearSystem:
         """The law with its stiffness times a factor."""
-        period, _, memory = self._period(factor)
-        coordinates, after = period.coordinates, period.after({})
-        steps = STEP * (1.0 + np.abs(period.numbers(memory)))[:, np.newaxis]
-        moves = steps * coordinates.basis(memory)
-        new = np.stack([after(memory + move) - after(memory - move) for move in moves])
-        A = coordinates.read(after(memory), new / (2.0 * steps)).T
-        C = np.stack([period.command(memory + move) - period.command(memory - move) for move in moves])
-        C = (C / (2.0 * steps)).T
-        motion = [*range(*coordinates.places["plant.q"].indices(len(A)))]
-        motion += range(*coordinates.places["plant.v"].indices(len(A)))
-        states = _memory_of_law(A, C, motion)
-        n = len(self._q)
+        period, n = self._period, len(self.at_rest)
+        changes = {path: factor * value for path, value in self._stiffness.items()}
+        found = period.derivative(period.changed(self._point, changes))
+        C, coordinates = found.C[-n:], period.state_coordinates
+        motion = [*range(coordinates.places["plant.q"].start, coordinates.places["plant.q"].stop)]
+        motion += range(coordinates.places["plant.v"].start, coordinates.places["plant.v"].stop)
+        states = _memory_of_law(found.A, C, motion)
         return LinearSystem(
-            A=A[np.ix_(states, states)], B=A[np.ix_(states, motion)], C=C[:, states], D=C[:, motion],
-            dt=self._loop.dt, states=[coordinates.names[i] for i in states],
+            A=found.A[np.ix_(states, states)], B=found.A[np.ix_(states, motion)], C=C[:, states], D=C[:, motion],
+            dt=period.dt, states=[coordinates.names[i] for i in states],
             inputs=(*names("q", n), *names("v", n)), outputs=names("command", n),
         )  # fmt: skip
 

@@ -385,7 +385,7 @@ def calibration_poses(
     if np.linalg.eigvalsh(_information(u[chosen]))[0] < len(chosen) * MIN_SUGGESTED_SPREAD**2:
         raise NumericalError(
             f"arm '{arm.name}' rotates its tool too little against gravity within {travel:g} rad of the start to "
-            "tell mass and com from the bias; start from another q=, give more travel=, or measure the tool on a scale",
+            "tell mass and com from the bias; start from another q=, give more travel=, or weigh the tool",
             name="arm",
         )
     return near[chosen]

@@ -9,7 +9,8 @@ import numpy as np
 from taut.base.errors import RangeError
 from taut.base.types import Float64Array
 from taut.codegen.loop import FloatLoop, NativeLoop
-from taut.linear.loop_map import Point, loop_map
+from taut.linear.loop_map import loop_map
+from taut.linear.period import Point
 from taut.loop import Loop
 
 __all__ = ["disturbed", "runs_from"]

@@ -18,7 +18,7 @@ from taut.arm.description import Arm
 from taut.base.errors import UsageError
 from taut.base.types import Float64Array
 from taut.control.limits import RATE_PER_EFFORT
-from taut.linear.linear_loop import LinearLoop
+from taut.linear.linearise import Linearisation
 from taut.linear.margins import common_delay
 from taut.linear.sampled import largest_factor
 from taut.maths.snapshot import Snapshot
@@ -120,7 +120,7 @@ class Tried:
     arm: Arm
     q: Float64Array
     x: Snapshot
-    lin: LinearLoop
+    lin: Linearisation
     directions: tuple[Direction, ...]
     designed: tuple[Numbers, ...]
     predicted: tuple[Response, ...]
@@ -268,7 +268,7 @@ def _delay(tried: Tried) -> Iterator[DesignLimit]:
         return
     delay, lin, dt = float(tried.bench.plant.actuation.delay), tried.lin, tried.lin.dt
     angles = np.abs(np.angle(lin.poles[np.abs(lin.poles) > EVERY])) / dt
-    more = common_delay(lin.input_sensitivity, dt, angles)
+    more = common_delay(lin.system.sensitivity, dt, angles)
     most = math.inf if math.isinf(more) else delay + max(math.ceil(more - ROUNDS) - 1, 0) * dt
     yield DesignLimit(
         name="delay", value=delay, limit=most, unit="s", ok=True,
@@ -305,7 +305,7 @@ def _margins(tried: Tried) -> Iterator[DesignLimit]:
     """Of the whole loop, broken at all commands at once."""
     if tried.bench.kind != "torque" or not tried.directions:
         return
-    disk = tried.lin.margins.disk
+    disk = tried.lin.margins().disk
     low, high = disk.gain
     yield DesignLimit(
         name="gain margin", value=high, limit=1.0, unit="", ok=high > 1.0,

@@ -22,7 +22,7 @@ from taut.base.errors import RangeError
 from taut.base.types import Float64Array
 from taut.control.law import Law
 from taut.control.trajectories.reference import JointMotion
-from taut.linear.linear_loop import LinearLoop
+from taut.linear.linearise import Linearisation
 from taut.linear.sampled import VelocityKind
 from taut.loop import Loop
 from taut.maths.snapshot import Snapshot, snapshot
@@ -36,7 +36,7 @@ class _Found(NamedTuple):
 
     pose: AtPose
     x: Snapshot
-    lin: LinearLoop
+    lin: Linearisation
     directions: tuple[Direction, ...]
     predicted: tuple[Response, ...]
     requirements: tuple[Requirement, ...]

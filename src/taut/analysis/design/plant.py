@@ -12,8 +12,7 @@ from taut.analysis.design.limits import DesignLimit, Tried, growth
 from taut.analysis.design.trial import ANYWHERE, Numbers
 from taut.base.errors import TautError
 from taut.base.types import Float64Array
-from taut.linear.linear_loop import LinearLoop
-from taut.linear.linearise import linearise
+from taut.linear.linearise import Linearisation, linearise
 from taut.loop import Loop
 
 __all__ = ["plant_limits"]
@@ -33,7 +32,7 @@ def plant_limits(tried: Tried, on_plant: tuple[Numbers | None, ...], step: Float
         return
     lin = _model(tried)
     if lin is not None and lin.radius > 1.0 + GROWS:
-        worst = max(lin.modes, key=lambda mode: abs(mode.z))
+        worst = max(lin.modes, key=lambda mode: abs(mode.pole))
         yield DesignLimit(
             name="on plant", value=lin.radius, limit=1.0, unit="", ok=False,
             sentence=(
@@ -67,7 +66,7 @@ def plant_limits(tried: Tried, on_plant: tuple[Numbers | None, ...], step: Float
     )  # fmt: skip
 
 
-def _model(tried: Tried) -> LinearLoop | None:
+def _model(tried: Tried) -> Linearisation | None:
     """The linear model on the plant; None where it rests nowhere near, or has none."""
     assert tried.plant is not None
     loop = Loop(tried.bench.for_plant(tried.arm, tried.plant), tried.plant, duration=1.0)

@@ -14,7 +14,7 @@ from taut.analysis.design.limits import growth
 from taut.analysis.design.trial import Bench
 from taut.base.errors import RangeError
 from taut.base.types import Float64Array
-from taut.linear.linear_loop import LinearLoop
+from taut.linear.linearise import Linearisation
 from taut.maths.snapshot import snapshot
 
 __all__ = ["no_rest", "require_pace", "require_stable"]
@@ -38,7 +38,7 @@ def require_pace(asked: Asked, bench: Bench, poles: Sequence[Any]) -> None:
         )
 
 
-def require_stable(asked: Asked, bench: Bench, lin: LinearLoop) -> None:
+def require_stable(asked: Asked, bench: Bench, lin: Linearisation) -> None:
     """Refuse a sampled loop that is not stable about its equilibrium, with what makes it so."""
     if lin.stable:
         return

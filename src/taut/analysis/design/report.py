@@ -18,9 +18,8 @@ from taut.record.table import number_text
 
 if TYPE_CHECKING:
     from taut.analysis.design.design import Design
-    from taut.linear.linear_loop import LinearLoop
 
-__all__ = ["page_of_design", "page_of_linear_loop"]
+__all__ = ["page_of_design"]
 
 NUMBERS: Final = {"zeta": "damping ratio", "omega_n": "rad/s", "overshoot": "%", "settling": "s"}
 TELLS: Final = 0.005  # participation of a state in a mode that is worth a word
@@ -178,65 +177,3 @@ def _again(d: Design) -> str:
 
 
 # -------------------------------------------------------------------- linear loops
-
-
-def page_of_linear_loop(lin: LinearLoop) -> Page:
-    """Poles with what swings in them, margins, the picture, and where it stands."""
-    modes = [
-        (
-            f"{mode.s.real:.6g}" + (f" +- {mode.s.imag:.6g} j" if mode.s.imag else ""),
-            ", ".join(f"{name} {100.0 * x:.0f} %" for name, x in mode.participation.items() if x > TELLS),
-            number_text(mode.omega_n),
-            number_text(mode.zeta),
-        )
-        for mode in lin.modes
-    ]
-    margins = [
-        (
-            each.signal,
-            f"{each.gain[0]:.4g} to {each.gain[1]:.4g}",
-            _number(each.phase),
-            _number(1e3 * each.delay),
-            number_text(each.crossover),
-        )
-        for each in lin.margins.signals
-    ]
-    low, high = lin.margins.disk.gain
-    disk = f"All commands at once: gain {low:.4g} to {high:.4g}, phase {lin.margins.disk.phase:.4g} deg."
-    where = f"t = {lin.t:g} s of a run" if lin.t else "an equilibrium"
-    return Page(
-        title=f"Linear loop of {len(lin.states)} states at {1.0 / lin.dt:g} Hz",
-        summary=(
-            f"About {where}. The largest pole has modulus {lin.radius:.9g}: the loop is "
-            f"{'stable' if lin.stable else 'unstable'}.",
-            *(f"{sentence[:1].upper()}{sentence[1:]}." for sentence in lin.sides),
-        ),
-        tables=(
-            Table(
-                title="Modes",
-                heads=("s [1/s]", "in", "omega_n [rad/s]", "zeta"),
-                rows=modes,
-                words=2,
-                note="s = ln(z) / T of the poles z of the sampled loop.",
-            ),
-            Table(
-                title="Margins of each joint's command",
-                heads=("joint", "gain", "phase [deg]", "delay [ms]", "at [rad/s]"),
-                rows=margins,
-                words=2,
-                note=disk,
-            ),
-        ),
-        pictures=(Picture(title="Poles, sensitivity, compliance", figure=lin.plot()),),
-        settings={
-            "q": _python(lin.q),
-            "period": f"{lin.dt:g} s",
-            "states": ", ".join(lin.states),
-            "inputs": ", ".join(lin.inputs),
-            "outputs": ", ".join(lin.outputs),
-            **{f"left out: {name}": reason for name, reason in lin.left_out.items()},
-        },
-        texts={"In words": str(lin)},
-        repeat=f"import taut\n\nloop = ...   # the taut.Loop\nprint(taut.linearise(loop, at={_python(lin.q)}))"
-        + (f"   # here: along a run, at t = {lin.t:g} s" if lin.t else ""),
-    )

@@ -15,7 +15,7 @@ from taut.analysis.design.directions import Direction
 from taut.analysis.design.limits import Tried, largest_steps
 from taut.analysis.design.stiffness import STATIC, Stiff
 from taut.analysis.design.trial import Response
-from taut.linear.linear_loop import LinearLoop
+from taut.linear.linearise import Linearisation
 
 __all__ = ["Requirement", "of_force_and_step", "of_motion"]
 
@@ -67,7 +67,7 @@ def of_motion(
     size: int,
     directions: tuple[Direction, ...],
     predicted: tuple[Response, ...],
-    lin: LinearLoop,
+    lin: Linearisation,
     *,
     several: bool,
 ) -> tuple[Requirement, ...]:

@@ -17,7 +17,7 @@ from taut.analysis.design.place import at_tool
 from taut.analysis.design.trial import Bench
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.law import Law
-from taut.linear.linear_loop import LinearLoop
+from taut.linear.linearise import Linearisation
 from taut.maths.snapshot import Snapshot
 from taut.plant.disturbance import TORQUE, WRENCH
 
@@ -53,7 +53,7 @@ class Stiff:
 
 
 def stiffnesses(
-    bench: Bench, x: Snapshot, lin: LinearLoop, directions: tuple[Direction, ...], K: ArrayLike | None
+    bench: Bench, x: Snapshot, lin: Linearisation, directions: tuple[Direction, ...], K: ArrayLike | None
 ) -> tuple[Stiff, ...]:
     """Those of a law that was asked for a stiffness; none with an integral, which gives nowhere in the end.
 

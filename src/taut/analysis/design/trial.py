@@ -28,9 +28,9 @@ from taut.control.trajectories.task_force import TaskForce
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.controller import Controller, compile
 from taut.linear.error_dynamics import ErrorDynamics
-from taut.linear.linear_loop import LinearLoop
-from taut.linear.linearise import linearise, rest_of
-from taut.linear.loop_map import Point, finite_derivative, loop_map, starting
+from taut.linear.linearise import Linearisation, linearise, rest_of
+from taut.linear.loop_map import finite_derivative, loop_map, starting
+from taut.linear.period import Point
 from taut.linear.sampled import VelocityKind
 from taut.linear.second_order_response import zeta_of_overshoot
 from taut.loop import DT, Loop
@@ -292,7 +292,7 @@ class Bench:
         for path, value in self.law.parameters().items():
             self.loop.parameters[f"law.{path}"] = value
 
-    def linear(self, q: Float64Array) -> LinearLoop:
+    def linear(self, q: Float64Array) -> Linearisation:
         """The linear model about the equilibrium with the reference at a pose."""
         self.loop.ref, self.loop.duration = Hold(), 1.0
         return linearise(self.loop, at=q, within=ANYWHERE)
@@ -302,7 +302,7 @@ class Bench:
         self.loop.ref, self.loop.duration = Hold(), 1.0
         return rest_of(self.loop, loop_map(self.loop), q, ANYWHERE).point
 
-    def radius_at(self, rest: Point, lin: LinearLoop, rate: float) -> float:
+    def radius_at(self, rest: Point, lin: Linearisation, rate: float) -> float:
         """The largest modulus of a pole of the loop about an equilibrium, at another rate with the same gains."""
         map_, parameters = loop_map(self.loop), rest.parameters.copy()
         map_.parameters.views(parameters)[DT][...] = 1.0 / rate
@@ -324,7 +324,7 @@ class Bench:
             for d in directions
         )
 
-    def predicted(self, lin: LinearLoop, x: Snapshot, directions: tuple[Direction, ...]) -> tuple[Response, ...]:
+    def predicted(self, lin: Linearisation, x: Snapshot, directions: tuple[Direction, ...]) -> tuple[Response, ...]:
         """Steps of the linear model."""
         if not directions:
             return ()
@@ -375,7 +375,7 @@ class Bench:
             whole=_whole(d, t), swings=self.swings,
         )  # fmt: skip
 
-    def _of_reference(self, lin: LinearLoop) -> tuple[Float64Array, Float64Array]:
+    def _of_reference(self, lin: Linearisation) -> tuple[Float64Array, Float64Array]:
         names: tuple[str, ...] = ("ref.p", "ref.rotation")
         if self.law.reference in REFERENCES:
             names = REFERENCES[self.law.reference]
