@@ -14,9 +14,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
+from taut.analysis.stability_plots import draw_locus, draw_map
 
 import taut
-from taut.analysis.stability_plots import draw_locus, draw_map
 from taut.record.plots.style import COLOURS, DASHED, INK, SMALL, WIDTH, prepared
 
 IMAGES = Path(__file__).parent.parent / "docs" / "images"

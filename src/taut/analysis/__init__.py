@@ -32,12 +32,9 @@ if TYPE_CHECKING:
     from taut.analysis.stiffness import StiffnessCheck as StiffnessCheck
     from taut.analysis.stiffness import check_stiffness as check_stiffness
     from taut.analysis.stiffness import check_virtual_wall as check_virtual_wall
-    from taut.analysis.tool.environment import TipEnvironment as TipEnvironment
-    from taut.analysis.tool.response import TipMeasurement as TipMeasurement
-    from taut.analysis.tool.response import TipRanking as TipRanking
-    from taut.analysis.tool.response import TipResponse as TipResponse
-    from taut.analysis.tool.response import rank_tips as rank_tips
-    from taut.analysis.tool.response import tip_impedance as tip_impedance
+    from taut.analysis.tool_impedance import ToolImpedance as ToolImpedance
+    from taut.analysis.tool_impedance import ToolMeasurement as ToolMeasurement
+    from taut.analysis.tool_impedance import tool_impedance as tool_impedance
     from taut.analysis.tune.tune import Tick as Tick
     from taut.analysis.tune.tune import Trial as Trial
     from taut.analysis.tune.tune import Tuned as Tuned

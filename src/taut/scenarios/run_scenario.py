@@ -18,10 +18,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from taut.analysis.constraints.natural_constraints import natural_constraints
-from taut.analysis.tool.impedance import check_impedance, impedance_of
 from taut.base.errors import FileError, ScenarioError, TautError, UsageError
 from taut.control.laws.hybrid import HybridMotionForce
-from taut.control.laws.impedance import Impedance
 from taut.control.tasks.phases import Phases
 from taut.controller import Controller, compile
 from taut.maths.snapshot import Snapshot, snapshot
@@ -287,7 +285,7 @@ def _blamed(scenario: Scenario, trial: Trial) -> Iterator[None]:
 
 
 def _remark(ctrl: Controller, scenario: Scenario) -> str:
-    """What is to be said of a spring at the tool, or of a constraint, before it runs."""
+    """The natural constraints of hybrid laws, before a run."""
     q = scenario.arm.home if scenario.q0 is None else scenario.q0
     if isinstance(ctrl.law, HybridMotionForce):
         return _natural_constraints_of(ctrl.law, snapshot(scenario.arm, q))
@@ -295,16 +293,7 @@ def _remark(ctrl: Controller, scenario: Scenario) -> str:
         x, laws = snapshot(scenario.arm, q), ctrl.law.laws
         hybrid = {name: law for name, law in laws.items() if isinstance(law, HybridMotionForce)}
         return "\n".join(f"phase '{name}': {_natural_constraints_of(law, x)}" for name, law in hybrid.items())
-    found = impedance_of(ctrl.law)
-    if found is None or (isinstance(found[0], Impedance) and found[0].has("D")):
-        return ""
-    try:
-        check = check_impedance(ctrl, scenario.q0)
-        if not check.stable:
-            return f"its spring is {check.sentences[0]}, by the eigenvalues of the loop as it is sampled"
-        return "" if check.passive_in_band else f"its spring {check.sentences[2]}"
-    except TautError:  # a pose or a filter for which there is no such answer
-        return ""
+    return ""
 
 
 def _natural_constraints_of(law: HybridMotionForce, x: Snapshot) -> str:
