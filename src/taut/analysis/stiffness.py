@@ -62,8 +62,7 @@ class StiffnessCheck(Result):
     Args:
         M: (n, n) inertia [kg m^2 | kg].
         damping: (n, n) physical damping [N m s/rad | N s/m].
-        gravity: (n, n) derivative of the gravity torques that the plant has [N m/rad | N/m].
-        compensated: (n, n) the part of it that the law compensates, which counts as no stiffness.
+        gravity: (n, n) derivative of the gravity torques that are not compensated [N m/rad | N/m].
         law_of: The sampled law with its stiffness times a factor.
         delay: [s] from the tick to the torque, beyond the zero-order hold.
         band: Highest frequency [Hz] of motions of which passivity is asked; None for every passive environment.
@@ -77,7 +76,6 @@ class StiffnessCheck(Result):
     M: Float64Array
     damping: Float64Array
     gravity: Float64Array
-    compensated: Float64Array
     law_of: LawOf
     delay: float
     band: float | None
@@ -205,7 +203,7 @@ class StiffnessCheck(Result):
         return system.stable or (self.growth > 0.0 and system.decay_rate > -self.growth)
 
     def _margin(self, law: LinearSystem) -> float:
-        return passivity_margin(law, self.damping, self.compensated, delay=self.delay, band=self.band)
+        return passivity_margin(law, self.damping, delay=self.delay, band=self.band)
 
     @cached_property
     def _critical_mode(self) -> tuple[Mapping[str, float], Complex]:
@@ -247,12 +245,7 @@ def _largest_factor(holds: Callable[[float], bool], tolerance: float) -> float:
 
 
 def passivity_margin(
-    law: LinearSystem,
-    damping: Float64Array,
-    compensated: ArrayLike = 0.0,
-    *,
-    delay: float = 0.0,
-    band: float | None = None,
+    law: LinearSystem, damping: Float64Array, *, delay: float = 0.0, band: float | None = None
 ) -> float:
     """Physical damping above the least that keeps a sampled loop passive, in the worst direction and frequency.
 
@@ -273,7 +266,6 @@ def passivity_margin(
     Args:
         law: From q and v to command, sampled.
         damping: (n, n) physical damping [N m s/rad | N s/m].
-        compensated: (n, n) stiffness of gravity that the law compensates, which is no part of H.
         delay: [s] from the tick to the torque, beyond the hold; whole periods or not.
         band: [Hz], at most half the rate; None for every passive environment.
 
@@ -286,7 +278,7 @@ def passivity_margin(
         their weighted sum is one, and its centre moves with the fraction while its radius stays.
     """
     assert law.dt is not None
-    T, gravity = law.dt, np.asarray(compensated, dtype=np.float64)
+    T = law.dt
     if (np.abs(law.poles - 1.0) < INTEGRATOR).any():
         return -math.inf
     periods = delay / T
@@ -295,9 +287,7 @@ def passivity_margin(
 
     def every_environment(theta: Float64Array) -> Float64Array:
         D: Complex = np.exp(-1j * whole * theta) * (1.0 - part + part * np.exp(-1j * theta))
-        p = _matrices(0.25j * T * np.exp(-0.5j * theta) / np.sin(0.5 * theta)) * (
-            gravity - _response(law, theta, "q")
-        )
+        p = _matrices(-0.25j * T * np.exp(-0.5j * theta) / np.sin(0.5 * theta)) * _response(law, theta, "q")
         pD = p * _matrices(D)
         margin = damping - pD - _adjoint(pD)
         if not part:
@@ -310,7 +300,7 @@ def passivity_margin(
 
     def in_band(theta: Float64Array) -> Float64Array:
         s = 1j * theta / T
-        H: Complex = gravity - _response(law, theta, "q") - _matrices(s) * _response(law, theta, "v")
+        H: Complex = -_response(law, theta, "q") - _matrices(s) * _response(law, theta, "v")
         z = _matrices(np.exp(-s * delay) * (1.0 - np.exp(-1j * theta)) / (s * s * T)) * H
         return np.asarray(np.linalg.eigvalsh(damping + 0.5 * (z + _adjoint(z)))[:, 0])
 
@@ -407,7 +397,7 @@ def check_virtual_wall(
     if not isinstance(velocity, str) or velocity in ("measured", "difference"):
         spring, none = joint_matrix("K", K, n, "N/m"), np.zeros((n, n))
         return StiffnessCheck(
-            M=M, damping=b, gravity=none, compensated=none, delay=_checked_delay(delay),
+            M=M, damping=b, gravity=none, delay=_checked_delay(delay),
             band=_checked_band(band, rate),
             law_of=lambda factor: pid(n, kp=factor * spring, kd=B, rate=rate, velocity=velocity),
             joints=("mass",) if n == 1 else tuple(f"direction {i + 1}" for i in range(n)),
@@ -450,7 +440,8 @@ def check_stiffness(
     """Stability and passivity of a controller at a pose of its arm, with gains, payload and sensing as they are now.
 
     Law:          command = law(q, v, its memory), linear about rest at the pose, held for a period
-    Closed loop:  M dv/dt + damping v + dg/dq dq = command(t - delay), sampled exactly
+    Closed loop:  M dv/dt + damping v = command(t - delay), sampled exactly, with dg/dq dq on the left where gravity
+                  is not compensated; a law that compensates it does so between ticks too
 
     Limits are factors on the law's stiffness, its gains K and kp. All motions of the joints count, those in the null
     space too. Dry friction, its compensation and limits of torque are left out. A damper of the law acts once in a
@@ -497,14 +488,14 @@ def check_stiffness(
     require_at_least("damping", friction, 0.0, unit="N m s/rad | N s/m")
     payload = PayloadValues.of(subtree(ctrl.parameters, "model.payload"))
     x = Snapshot(ctrl.side.model, q=q, v=np.zeros(arm.n), payload=payload)
-    law = _LawAtPose(ctrl, q)
     gravity = np.asarray(jacobian(lambda q: Snapshot(x.model, q=q, v=np.zeros(arm.n), payload=payload).g, q))
-    own = ctrl.side.adds.gravity
-    compensates = not own and np.allclose(law.at_rest, x.g, rtol=1e-6, atol=1e-6)
+    law = _LawAtPose(ctrl, q)
     none = np.zeros_like(gravity)
+    compensates = not ctrl.side.adds.gravity and np.allclose(law.at_rest, x.g, rtol=1e-6, atol=1e-6)
+    law.compensated = gravity if compensates else none
     return StiffnessCheck(
         M=np.asarray(x.M, dtype=np.float64), damping=np.diag(np.broadcast_to(friction, (arm.n,))),
-        gravity=none if own else gravity, compensated=gravity if compensates else none, law_of=law.times,
+        gravity=none if compensates or ctrl.side.adds.gravity else gravity, law_of=law.times,
         delay=_checked_delay(delay), band=_checked_band(band, ctrl.rate), joints=arm.joint_names,
         J=np.asarray(x.J(), dtype=np.float64), growth=NO_GROWTH, tolerance=1e-3,
         source=OF_JOINTS,
@@ -517,6 +508,10 @@ class _LawAtPose:
     Args:
         ctrl: The controller.
         q: (n,) the pose [rad | m].
+
+    Attributes:
+        at_rest: (n,) its command at rest [N m | N].
+        compensated: (n, n) derivative of the gravity torques in its command, which is no stiffness [N m/rad | N/m].
     """
 
     def __init__(self, ctrl: Controller, q: Float64Array) -> None:
@@ -540,15 +535,17 @@ class _LawAtPose:
             self._period.memory.views(memory)[path][...] = self._period.memory.views(start.memory)[path]
         self._point = dataclasses.replace(start, memory=memory)
         self.at_rest = self._period.command(self._point)
+        self.compensated = np.zeros((len(q), len(q)))
 
     def times(self, factor: float) -> LinearSystem:
         """The law with its stiffness times a factor."""
         period, n = self._period, len(self.at_rest)
         changes = {path: factor * value for path, value in self._stiffness.items()}
         found = period.derivative(period.changed(self._point, changes))
-        C, coordinates = found.C[-n:], period.state_coordinates
+        C, coordinates = found.C[-n:].copy(), period.state_coordinates
         motion = [*range(coordinates.places["plant.q"].start, coordinates.places["plant.q"].stop)]
         motion += range(coordinates.places["plant.v"].start, coordinates.places["plant.v"].stop)
+        C[:, motion[:n]] -= self.compensated
         states = _memory_of_law(found.A, C, motion)
         return LinearSystem(
             A=found.A[np.ix_(states, states)], B=found.A[np.ix_(states, motion)], C=C[:, states], D=C[:, motion],
