@@ -392,7 +392,7 @@ MISUSE: list[tuple[str, Callable[[], Any], str]] = [
         "leave one of the two out",
     ),
     ("a rate in seconds", lambda: taut.compile(CTRL.law, ARM, rate=0.001), r"rate=1/0\.001"),
-    ("a rate in seconds of a bound", lambda: taut.analysis.stiffness_limits(mass=1.0, rate=0.002), r"rate=1/0\.002"),
+    ("a rate in seconds of a wall", lambda: taut.analysis.check_virtual_wall(mass=1.0, rate=0.002), r"rate=1/0\.002"),
     (
         "a rate in seconds of a design",
         lambda: taut.design(taut.laws.PID, ARM, zeta=1.0, omega_n=3.0, rate=0.01),
@@ -400,7 +400,7 @@ MISUSE: list[tuple[str, Callable[[], Any], str]] = [
     ),
     (
         "a rate in seconds of error dynamics",
-        lambda: taut.analysis.second_order(M=1.0, kp=1.0, kd=1.0).sampled(rate=0.01),
+        lambda: taut.error_dynamics(M=1.0, kp=1.0, kd=1.0, rate=0.01),
         r"rate=1/0\.01",
     ),
     ("a run of no period", lambda: simulate(duration=1e-4), r"duration must be >= 0\.001"),

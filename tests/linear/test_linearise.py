@@ -88,7 +88,7 @@ def test_a_gantry_is_three_single_joints() -> None:
 @pytest.mark.parametrize("velocity", ["measured", "difference", "filtered", "low-pass"])
 @pytest.mark.parametrize("delay", [0, 2])
 def test_poles_are_those_of_the_sampled_prediction(velocity: str, delay: int) -> None:
-    K, B, b, substeps = 40.0, 3.0, 0.4, 4
+    kp, kd, b = 40.0, 3.0, 0.4
     kinds = {
         "measured": ("measured", None),
         "difference": ("difference", "difference"),
@@ -97,15 +97,14 @@ def test_poles_are_those_of_the_sampled_prediction(velocity: str, delay: int) ->
     }
     predicted, sensing = kinds[velocity]
     arm = weightless("one_joint").with_friction(taut.Friction(viscous=b))
-    plant = Plant(arm, substeps=substeps, actuation=taut.drives.Actuation(delay=delay * 1e-3))
+    plant = Plant(arm, integrator="rk4", actuation=taut.drives.Actuation(delay=delay * 1e-3))
     options = {} if sensing is None else {"sensing": taut.Sensing(velocity=sensing)}
-    lin = taut.linearise(loop_of(laws.PID(kp=K, kd=B), arm, plant, **options))
-    sampled = taut.analysis.SampledLoop(
-        mass=float(taut.snapshot(arm, arm.home).M[0, 0]), damping=b, K=K, B=B, delay=delay * 1e-3,
-        velocity=predicted, integrator="semi-implicit-euler", substeps=substeps,
+    lin = taut.linearise(loop_of(laws.PID(kp=kp, kd=kd), arm, plant, **options))
+    sampled = taut.error_dynamics(
+        M=float(taut.snapshot(arm, arm.home).M[0, 0]), b=b, kp=kp, kd=kd, rate=1000.0, delay=delay * 1e-3,
+        velocity=predicted,
     )  # fmt: skip
-    slow, wanted = lin.poles[np.abs(lin.poles) > 1e-3], sampled.poles()
-    wanted = wanted[np.abs(wanted) > 1e-3]
+    slow, wanted = lin.poles[np.abs(lin.poles) > 1e-3], sampled.poles[np.abs(sampled.poles) > 1e-3]
     assert len(slow) == len(wanted)
     for z in wanted:
         assert np.abs(slow - z).min() < 1e-9

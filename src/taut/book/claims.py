@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from scipy.optimize import brentq
 
-from taut.analysis.root_locus import bisected
+from taut.analysis.loci import bisected
 from taut.book.drawing import legend, panels
 from taut.book.link import KD, KI, KP, B, M, controller, link, on_link
 from taut.book.oracle import held_radius

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from taut.analysis.design.design import design
-from taut.analysis.root_locus import root_locus
+from taut.analysis.loci import root_locus
 from taut.arm.load import load_arm
 from taut.book.drawing import legend, panels
 from taut.book.link import FAST, KD, B, M, link, on_link

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from taut.analysis.root_locus import bisected, root_locus
+from taut.analysis.loci import bisected, root_locus
 from taut.arm.load import load_arm
 from taut.book.drawing import arrow, legend, panels, words
 from taut.book.link import KD, KI, KP, SAMPLED, B, M, R, controller, link, on_link, solved, weight

@@ -13,12 +13,12 @@ from scipy.optimize import linear_sum_assignment
 
 from taut.base.checks import finite_array
 from taut.base.errors import RangeError, ShapeError
+from taut.base.plot_style import INK, SMALL, WIDTH, colour, prepared
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.linear.linear_system import Complex, LinearSystem
 from taut.linear.linearise import Linearisation
 from taut.linear.plots import pole_axes
-from taut.record.plots.style import INK, SMALL, WIDTH, colour, prepared
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -126,8 +126,10 @@ class RootLocus(Result):
             at = self.poles[np.argmin(np.abs(self.values - value))]
             for s in at[np.isfinite(at) & (at.imag >= 0.0)]:
                 ax.plot([s.real] * 2, [s.imag, -s.imag], "o", color=INK, markersize=3.5, zorder=4)
-                offset = {"xytext": (3.0, 3.0), "textcoords": "offset points"}
-                ax.annotate(str(k + 1), (s.real, s.imag), fontsize=SMALL, color=INK, **offset)
+                ax.annotate(
+                    str(k + 1), (s.real, s.imag), xytext=(3.0, 3.0), textcoords="offset points", fontsize=SMALL,
+                    color=INK,
+                )  # fmt: skip
         for point in self.limits:
             ax.plot(point.pole.real, abs(point.pole.imag), "D", color=INK, markersize=3.5, zorder=4)
             ax.annotate(
