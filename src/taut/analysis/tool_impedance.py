@@ -228,7 +228,7 @@ class ToolImpedance(Result):
             for row, z in zip(rows, np.abs(self.specified_Z(omega)).tolist(), strict=True):
                 row += [z, 100.0 * (float(row[1] or 0.0) / z - 1.0) if z else None]
         return Content(
-            title="impedance at the tool",
+            title="tool impedance along a direction",
             tables=[Table(columns=columns, rows=rows)],
             figures={"Bode diagram of the impedance": self.plot},
         )

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
 from taut.base.errors import UsageError
+from taut.base.result import Result
 from taut.record.log.files import checked_target, written_aside
 from taut.record.plots.style import short
 from taut.record.report.html import html_of
@@ -155,6 +156,11 @@ def _of_anything(x: object) -> Page:
             for head, rows in tables.items()
             if rows
         ),
-        pictures=(Picture(title=kind, figure=x.plot()),) if isinstance(x, Drawn) else (),
+        pictures=(Picture(title=kind, figure=x.plot()),) if isinstance(x, Drawn) and _has_figure(x) else (),
         texts={"In words": words},
     )
+
+
+def _has_figure(x: object) -> bool:
+    """Whether a result has a figure; what is no result has one."""
+    return not isinstance(x, Result) or bool(x.content().figures)
