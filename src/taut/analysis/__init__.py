@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from taut.analysis.design.design import Design as Design
     from taut.analysis.diagnosis.diagnosis import Diagnosis as Diagnosis
     from taut.analysis.diagnosis.finding import Finding as Finding
+    from taut.analysis.impedance_at_tool import ToolImpedance as ToolImpedance
+    from taut.analysis.impedance_at_tool import ToolMeasurement as ToolMeasurement
+    from taut.analysis.impedance_at_tool import tool_impedance as tool_impedance
     from taut.analysis.joint_coupling import Coupling as Coupling
     from taut.analysis.joint_coupling import coupling as coupling
     from taut.analysis.loci import RootLocus as RootLocus
@@ -32,9 +35,6 @@ if TYPE_CHECKING:
     from taut.analysis.stiffness import StiffnessCheck as StiffnessCheck
     from taut.analysis.stiffness import check_stiffness as check_stiffness
     from taut.analysis.stiffness import check_virtual_wall as check_virtual_wall
-    from taut.analysis.tool_impedance import ToolImpedance as ToolImpedance
-    from taut.analysis.tool_impedance import ToolMeasurement as ToolMeasurement
-    from taut.analysis.tool_impedance import tool_impedance as tool_impedance
     from taut.analysis.tune.tune import Tick as Tick
     from taut.analysis.tune.tune import Trial as Trial
     from taut.analysis.tune.tune import Tuned as Tuned

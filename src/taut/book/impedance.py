@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.linalg import expm
 
-from taut.analysis.tool_impedance import ToolImpedance, tool_impedance
+from taut.analysis.impedance_at_tool import ToolImpedance, tool_impedance
 from taut.arm.description import Arm
 from taut.arm.load import load_arm
 from taut.base.errors import RangeError
