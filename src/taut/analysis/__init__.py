@@ -19,8 +19,12 @@ if TYPE_CHECKING:
     from taut.analysis.constraints.specification import check_specification as check_specification
     from taut.analysis.constraints.specification import possible_specifications as possible_specifications
     from taut.analysis.design.design import Design as Design
+    from taut.analysis.diagnosis.check import Check as Check
+    from taut.analysis.diagnosis.check import Finding as Finding
+    from taut.analysis.diagnosis.check import Threshold as Threshold
+    from taut.analysis.diagnosis.checks import CHECKS as CHECKS
     from taut.analysis.diagnosis.diagnosis import Diagnosis as Diagnosis
-    from taut.analysis.diagnosis.finding import Finding as Finding
+    from taut.analysis.diagnosis.examined_run import ExaminedRun as ExaminedRun
     from taut.analysis.impedance_at_tool import ToolImpedance as ToolImpedance
     from taut.analysis.impedance_at_tool import ToolMeasurement as ToolMeasurement
     from taut.analysis.impedance_at_tool import tool_impedance as tool_impedance
