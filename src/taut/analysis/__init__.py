@@ -52,7 +52,6 @@ if TYPE_CHECKING:
     from taut.linear.linearise import Linearisation as Linearisation
     from taut.linear.routh_table import RouthTable as RouthTable
     from taut.linear.routh_table import routh as routh
-    from taut.linear.sampled import SampledLoop as SampledLoop
     from taut.record.plots.friction_curves import plot_friction as plot_friction
     from taut.scenarios.compare_laws_by_name import grade as grade
 
