@@ -18,7 +18,6 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator
 from rich.console import Console
 from rich.table import Table
 
-import taut
 from taut.record.plots.style import COLOURS, DASHED, INK, SMALL, WIDTH, prepared
 
 HERE = Path(__file__).parent
@@ -96,33 +95,36 @@ def main() -> None:
     ranges(console).savefig(folder / "haptic_kinds.png", dpi=150)
 
 
+def formula(display: Display, delay: float) -> tuple[float, float]:
+    """Closed formulas of the maximum stable and passive stiffness [N/m]."""
+    late = 0.5 / display.rate + delay
+    return max(display.damping + display.B, 0.0) / late, max(display.damping - abs(display.B), 0.0) / late
+
+
 def drawn(ax: Axes, panel: Panel, table: Table) -> None:
     """One panel: stable and passive limits as lines, formulas dashed, borders in runs as points."""
     prepared(ax, panel.title, "K [N/m]", panel.along)
     ends = min(panel.at), max(panel.at)
     x = np.geomspace(*ends, 40) if panel.log else np.linspace(*ends, 33)
     if panel.title == "delay":
-        lines = [
-            taut.analysis.stiffness_limits(
-                mass=BASE.mass, damping=BASE.damping, B=BASE.B, rate=BASE.rate, delay=1e-3 * v, velocity="difference"
-            )
-            for v in x
-        ]
+        displays = [(BASE, 1e-3 * v) for v in x]
     else:
-        lines = [panel.display(float(v)).limits for v in x]
+        displays = [(each, each.taps / each.rate) for each in map(panel.display, map(float, x))]
+    walls = [replace(display.wall, delay=delay) for display, delay in displays]
     for label, colour, style, values in (
-        ("stable, by eigenvalues", STABLE, "-", [limits.stable for limits in lines]),
-        ("(b + B) / (T/2 + delay)", STABLE, DASHED, [limits.formula_stable for limits in lines]),
-        ("passive", PASSIVE, "-", [limits.passive for limits in lines]),
-        ("(b − |B|) / (T/2 + delay)", PASSIVE, DASHED, [limits.formula_passive for limits in lines]),
+        ("stable, by eigenvalues", STABLE, "-", [wall.limit for wall in walls]),
+        ("(b + B) / (T/2 + delay)", STABLE, DASHED, [formula(*each)[0] for each in displays]),
+        ("passive", PASSIVE, "-", [wall.passive_limit for wall in walls]),
+        ("(b − |B|) / (T/2 + delay)", PASSIVE, DASHED, [formula(*each)[1] for each in displays]),
     ):
         shown = np.where(np.array(values) > 0.0, values, np.nan)
         ax.plot(x, shown, color=colour, linestyle=style, linewidth=1.4 if style == "-" else 1.0, label=label)
     found = [haptic.simulated(panel.display(value)) for value in panel.at]
     ax.plot(panel.at, found, "o", color=FOUND, markersize=4.0, label="border in runs")
     for value, border in zip(panel.at, found, strict=True):
-        limits = panel.display(value).limits
-        numbers = (limits.stable, border, limits.formula_stable, limits.passive, limits.formula_passive)
+        display = panel.display(value)
+        stable, passive = formula(display, display.taps / display.rate)
+        numbers = (display.limit, border, stable, display.wall.passive_limit, passive)
         table.add_row(
             panel.title, f"{value:g} {panel.along.split('[')[1][:-1]}", *(f"{each:.5g}" for each in numbers)
         )

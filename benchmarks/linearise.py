@@ -128,9 +128,9 @@ def _pictures() -> None:
     lin = taut.linearise(Loop(taut.compile(law, arm, sensing=sensing), late, duration=1.0))
     lin.plot().savefig(IMAGES / "linearise_loop.png", dpi=110)
     law = laws.Impedance(K=(800.0, 30.0), zeta=0.7)
-    tip = taut.analysis.tip_impedance(Loop(taut.compile(law, arm), late, duration=1.0), direction=[0.0, 0.0, 1.0])
+    tool = taut.analysis.tool_impedance(Loop(taut.compile(law, arm), late, duration=1.0), direction=[0.0, 0.0, 1.0])
     omega = 2.0 * np.pi * np.array([0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0])
-    tip.plot(tip.measure(omega)).savefig(IMAGES / "linearise_tip.png", dpi=110)
+    tool.plot(tool.measure(omega)).savefig(IMAGES / "linearise_tip.png", dpi=110)
 
 
 if __name__ == "__main__":

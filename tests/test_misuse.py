@@ -392,7 +392,7 @@ MISUSE: list[tuple[str, Callable[[], Any], str]] = [
         "leave one of the two out",
     ),
     ("a rate in seconds", lambda: taut.compile(CTRL.law, ARM, rate=0.001), r"rate=1/0\.001"),
-    ("a rate in seconds of a bound", lambda: taut.analysis.stiffness_limits(mass=1.0, rate=0.002), r"rate=1/0\.002"),
+    ("a rate in seconds of a wall", lambda: taut.analysis.check_virtual_wall(mass=1.0, rate=0.002), r"rate=1/0\.002"),
     (
         "a rate in seconds of a design",
         lambda: taut.design(taut.laws.PID, ARM, zeta=1.0, omega_n=3.0, rate=0.01),

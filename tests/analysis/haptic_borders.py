@@ -1,4 +1,4 @@
-"""The haptic display of figure 10.17: one slide and a virtual wall, its borders by theory and by bisection over runs."""
+"""The haptic display of figure 10.17: one slide and a virtual wall, its stability limit by theory and by bisection over runs."""
 
 from __future__ import annotations
 
@@ -86,7 +86,6 @@ class Display:
     taps: int = 0
     velocity: str = "measured"  # or difference
     cutoff: float | None = None  # [Hz]
-    integrator: str = "exact"
 
     @property
     def velocities(self) -> Any:
@@ -99,15 +98,19 @@ class Display:
         )
 
     @property
-    def limits(self) -> taut.analysis.StiffnessLimits:
-        return taut.analysis.stiffness_limits(
+    def wall(self) -> taut.analysis.StiffnessCheck:
+        return taut.analysis.check_virtual_wall(
             mass=self.mass, damping=self.damping, B=self.B, rate=self.rate, delay=self.taps / self.rate,
-            velocity=self.velocities, integrator=self.integrator,
+            velocity=self.velocities,
         )  # fmt: skip
 
+    @property
+    def limit(self) -> float:
+        """Maximum stable stiffness [N/m]."""
+        return self.wall.limit
+
     def plant(self, thing: Thing = NOTHING, **options: Any) -> taut.RigidPlant:
-        exact = self.integrator == "exact"
-        options = {"integrator": "rk4" if exact else "semi-implicit-euler", **options}
+        options = {"integrator": "rk4", **options}
         return taut.RigidPlant(
             slide(self.mass + thing.m0, self.damping),
             environment=None if thing == NOTHING else Touch(thing=thing),
@@ -153,7 +156,7 @@ def border(grows_at: Callable[[float], bool], guess: float, steps: int = 9, widt
 
 def simulated(display: Display) -> float:
     """The stiffest wall that holds, by runs long enough to tell growth from decay."""
-    plant, guess = display.plant(), display.limits.stable
+    plant, guess = display.plant(), display.limit
     swing = 2.0 * np.pi * np.sqrt(display.mass / guess)
     duration = max(1000.0 / display.rate, 12.0 * display.mass / (display.damping + display.B), 60.0 * swing)
     return border(lambda K: grows(pressed(display, K, duration, plant)), guess)
@@ -172,9 +175,8 @@ def displays(seed: int, count: int) -> list[Display]:
             taps=int(rng.choice([0, 0, 1, 2, 5])),
             velocity=str(rng.choice(["measured", "difference"])),
             cutoff=float(rng.choice([30.0, 60.0])) if rng.uniform() < 0.4 else None,
-            integrator=str(rng.choice(["exact", "semi-implicit-euler"])),
         )  # fmt: skip
-        if display.limits.stable > 0.0:
+        if display.limit > 0.0:
             made.append(display)
     return made
 

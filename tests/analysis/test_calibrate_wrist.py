@@ -111,12 +111,11 @@ def test_gravity_may_point_anywhere() -> None:
     np.testing.assert_allclose([found.mass, *found.com], [TOOL.mass, *TOOL.com], rtol=1e-12)
 
 
-def test_what_it_found_prints_with_uncertainty() -> None:
-    text = str(taut.analysis.calibrate_wrist(read_by(SPREAD_OUT, seed=0), poses=SPREAD_OUT)).splitlines()
-    assert [line.split()[0] for line in text] == ["mass", "com", "bias", "bias", "residual"]
-    assert text[0].endswith("[kg]")
-    assert " +- " in text[0]
-    assert "in 5 poses; condition " in text[-1]
+def test_each_number_stands_in_the_table_with_its_uncertainty() -> None:
+    found = taut.analysis.calibrate_wrist(read_by(SPREAD_OUT, seed=0), poses=SPREAD_OUT)
+    rows = found.json()["tables"][""]
+    assert [row["quantity"].split()[0] for row in rows] == ["mass", *["com"] * 3, *["bias"] * 6]
+    assert [row["standard deviation"] for row in rows[1:4]] == pytest.approx(found.com_std)
 
 
 # -------------------------------------------------------------------- readings of plants
@@ -213,10 +212,7 @@ def test_mujocos_own_force_sensor_at_a_users_tool_is_calibrated() -> None:
     np.testing.assert_allclose(found.bias, BIAS, rtol=0.0, atol=1e-9)
     with pytest.raises(taut.errors.RangeError) as caught:
         taut.analysis.calibrate_wrist(-np.array(readings), poses=poses, gravity=model.opt.gravity, noise=NOISE)
-    assert str(caught.value) == (
-        f"the readings say that the tool weighs -0.75 +- {found.mass_std:.1g} kg; they must be the wrench of the tool "
-        "on the arm; give minus what a sensor reads that gives the arm on the tool"
-    )
+    assert caught.value.value == pytest.approx(-0.75)
 
 
 def test_a_sensor_at_the_flange_is_calibrated_in_its_own_frame() -> None:
@@ -284,21 +280,16 @@ def message(make: Callable[[], object], kind: type[taut.TautError]) -> str:
 def test_poses_that_do_not_turn_against_gravity_are_refused_with_what_would_help(poses: list[taut.Pose]) -> None:
     F = read_by(poses)
     k = len(poses)
-    assert message(lambda: taut.analysis.calibrate_wrist(F, poses=poses), taut.errors.NumericalError) == (
-        f"the {k} poses have the same orientation to gravity within 0.0 degrees, so that mass, com, the bias force "
-        "along gravity and the bias moment are not determined; add poses in which gravity points along other axes of "
-        "the sensor, such as (1.00, 0.00, 0.00) (turning about the vertical changes nothing)"
-    )
+    text = message(lambda: taut.analysis.calibrate_wrist(F, poses=poses), taut.errors.NumericalError)
+    assert f"the {k} poses" in text
+    assert "such as (1.00, 0.00, 0.00)" in text
 
 
 def test_two_directions_of_gravity_leave_the_centre_open_along_a_line_and_the_pose_that_is_named_helps() -> None:
     poses = turned((0, 0, 0), (1.0, 0, 0), (1.0, 0, 0))  # gravity along -z, and turned in the plane of y and z
     text = message(lambda: taut.analysis.calibrate_wrist(read_by(poses), poses=poses), taut.errors.NumericalError)
-    assert text == (
-        "gravity points along no more than two directions of the sensor's axes in the 3 poses, so that com along "
-        "(0.00, 0.88, -0.48) and the bias moment across it are not determined; add a pose in which gravity points "
-        "along (1.00, 0.00, 0.00)"
-    )
+    assert "com along (0.00, 0.88, -0.48)" in text
+    assert "gravity points along (1.00, 0.00, 0.00)" in text
     # What is said to be open is open: a centre moved along that line, with another bias moment, reads the same.
     u = [np.asarray(T.R).T @ G for T in poses]
     along = (u[1] - u[0]) / np.linalg.norm(u[1] - u[0])
@@ -311,34 +302,34 @@ def test_two_directions_of_gravity_leave_the_centre_open_along_a_line_and_the_po
 
 
 CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
-    (lambda: taut.analysis.calibrate_wrist([1.0] * 6, poses=SPREAD_OUT), taut.errors.ShapeError, "wrenches must have shape (k, 6) [N, N m]; got shape (6,)"),
-    (lambda: taut.analysis.calibrate_wrist([[np.nan] * 6], poses=SPREAD_OUT), taut.errors.RangeError, "wrenches[0, 0] must be finite [N, N m]; got nan"),
-    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT)), taut.errors.UsageError, "calibrate_wrist needs arm= with q=, or poses=, those of the sensor; got neither"),
-    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), arm=taut.load_arm("planar2")), taut.errors.UsageError, "calibrate_wrist needs q=, the positions at each reading, with the arm"),
-    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), arm=taut.load_arm("planar2"), q=[[0.0, 0.0]]), taut.errors.ShapeError, "q must have shape (5, 2) [rad | m]; got shape (1, 2)"),
-    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), arm=taut.load_arm("planar2"), poses=SPREAD_OUT), taut.errors.UsageError, "calibrate_wrist takes an arm with q=, or poses=; got both"),
-    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), arm="panda", q=[0.0]), taut.errors.UsageError, "arm must be an Arm from taut.load_arm; got str"),  # type: ignore[arg-type]
-    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), poses=SPREAD_OUT, frame="tool"), taut.errors.UsageError, "calibrate_wrist takes frame with arm= only; poses are those of the sensor"),
-    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), poses=SPREAD_OUT, axes="world"), taut.errors.UsageError, "calibrate_wrist takes axes='world' with arm= only; poses are those of the sensor"),
-    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), poses=SPREAD_OUT, axes="tool"), taut.errors.UsageError, "axes must be one of 'sensor', 'world'; got 'tool'"),  # type: ignore[arg-type]
-    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), poses=SPREAD_OUT[:3]), taut.errors.ShapeError, "poses must be as many as readings; got 3 poses and 5 readings"),
-    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), poses=[np.eye(4)] * 5), taut.errors.UsageError, "poses must be a list of taut.Pose"),  # type: ignore[list-item]
-    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), poses=SPREAD_OUT, gravity=[0.0] * 3), taut.errors.RangeError, "gravity must not be zero: without it a tool has no weight to read"),
-    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), poses=SPREAD_OUT, noise=0.1), taut.errors.ShapeError, "noise must be (force, moment) or six numbers [N, N m]; got shape ()"),
-    (lambda: taut.analysis.calibrate_wrist(np.clip(read_by(SPREAD_OUT), -9.0, 9.0), poses=SPREAD_OUT, range=(9.0, 9.0)), taut.errors.RangeError, "wrenches[1, 1] is at the end of the sensor's range of 9, so that what is really there is not known; leave that pose out, or use a lighter tool"),
-    (lambda: taut.analysis.calibration_poses(taut.load_arm("planar2"), count=2), taut.errors.RangeError, "count must be >= 3: three directions of gravity tell all numbers; got 2"),
-    (lambda: taut.analysis.calibration_poses(taut.load_arm("planar2"), count=2.5), taut.errors.UsageError, "count must be a whole number; got 2.5"),  # type: ignore[arg-type]
-    (lambda: taut.analysis.calibration_poses(taut.load_arm("planar2"), travel=0.0), taut.errors.RangeError, "travel must be > 0 [rad | m]; got 0.0"),
-    (lambda: taut.analysis.calibration_poses(taut.load_arm("gantry3")), taut.errors.NumericalError, "arm 'gantry3' turns its tool by too little against gravity within 1.5 rad of where it stands, so that readings of its wrist cannot tell mass and com from the bias; start from another q=, give more travel=, or measure the tool on a scale"),
-    (lambda: taut.analysis.calibration_poses(taut.load_arm("planar2").with_joints(effort=1e-3)), taut.errors.NumericalError, "arm 'planar2' can hold itself in 0 of 400 poses around where it stands, which are too few to choose 8 from; start from another q=, or give less travel="),
+    (lambda: taut.analysis.calibrate_wrist([1.0] * 6, poses=SPREAD_OUT), taut.errors.ShapeError, "wrenches"),
+    (lambda: taut.analysis.calibrate_wrist([[np.nan] * 6], poses=SPREAD_OUT), taut.errors.RangeError, "wrenches"),
+    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT)), taut.errors.UsageError, "arm"),
+    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), arm=taut.load_arm("planar2")), taut.errors.UsageError, "q"),
+    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), arm=taut.load_arm("planar2"), q=[[0.0, 0.0]]), taut.errors.ShapeError, "q"),
+    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), arm=taut.load_arm("planar2"), poses=SPREAD_OUT), taut.errors.UsageError, "poses"),
+    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), arm="panda", q=[0.0]), taut.errors.UsageError, "arm"),  # type: ignore[arg-type]
+    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), poses=SPREAD_OUT, frame="tool"), taut.errors.UsageError, "frame"),
+    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), poses=SPREAD_OUT, axes="world"), taut.errors.UsageError, "axes"),
+    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), poses=SPREAD_OUT, axes="tool"), taut.errors.UsageError, "axes"),  # type: ignore[arg-type]
+    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), poses=SPREAD_OUT[:3]), taut.errors.ShapeError, "poses"),
+    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), poses=[np.eye(4)] * 5), taut.errors.UsageError, "poses"),  # type: ignore[list-item]
+    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), poses=SPREAD_OUT, gravity=[0.0] * 3), taut.errors.RangeError, "gravity"),
+    (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), poses=SPREAD_OUT, noise=0.1), taut.errors.ShapeError, "noise"),
+    (lambda: taut.analysis.calibrate_wrist(np.clip(read_by(SPREAD_OUT), -9.0, 9.0), poses=SPREAD_OUT, range=(9.0, 9.0)), taut.errors.RangeError, "wrenches"),
+    (lambda: taut.analysis.calibration_poses(taut.load_arm("planar2"), count=2), taut.errors.RangeError, "count"),
+    (lambda: taut.analysis.calibration_poses(taut.load_arm("planar2"), count=2.5), taut.errors.UsageError, "count"),  # type: ignore[arg-type]
+    (lambda: taut.analysis.calibration_poses(taut.load_arm("planar2"), travel=0.0), taut.errors.RangeError, "travel"),
+    (lambda: taut.analysis.calibration_poses(taut.load_arm("gantry3")), taut.errors.NumericalError, "arm"),
+    (lambda: taut.analysis.calibration_poses(taut.load_arm("planar2").with_joints(effort=1e-3)), taut.errors.NumericalError, "arm"),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("make", "kind", "words"), CASES, ids=range(len(CASES)))
-def test_what_cannot_be_is_refused_in_words(
-    make: Callable[[], object], kind: type[taut.TautError], words: str
-) -> None:
-    assert message(make, kind) == words
+@pytest.mark.parametrize(("make", "kind", "name"), CASES, ids=range(len(CASES)))
+def test_bad_input_is_refused_by_name(make: Callable[[], object], kind: type[taut.TautError], name: str) -> None:
+    with pytest.raises(kind) as caught:
+        make()
+    assert (caught.value.name or "").startswith(name)
 
 
 def test_the_result_makes_a_wrist_whose_other_numbers_are_replaced() -> None:

@@ -37,13 +37,13 @@ def pandas() -> dict[tuple[str, str, float], taut.analysis.Coupling]:
 
 def test_a_gantry_has_no_coupling() -> None:
     found = coupling_of(taut.load_arm("gantry3"), kp=3000.0, kd=300.0, ki=500.0)
-    assert str(found).endswith("the weight moves no joint until the loop rests")
+    assert np.abs(found.droop).max() < 1e-9
     found = coupling_of(taut.load_arm("gantry3"), kp=3000.0, kd=300.0)
-    assert str(found).endswith("the weight moves 'z' by -0.00981 m until the loop rests")
+    assert found.droop[list(found.joints).index("z")] == pytest.approx(-0.00981, rel=1e-3)
     assert found.worst[1] != found.worst[2]
     assert found.inertia < 1e-12
     assert found.worst[0] < 1e-11  # of a resonance, whose size it is relative to
-    assert found.enough
+    assert found.ok
 
 
 def test_gears_decouple_and_a_payload_couples(pandas: dict[tuple[str, str, float], taut.analysis.Coupling]) -> None:
@@ -54,16 +54,16 @@ def test_gears_decouple_and_a_payload_couples(pandas: dict[tuple[str, str, float
             assert geared.worst[0] < direct.worst[0]
         for drive in ("direct", "geared"):
             assert pandas[drive, gravity, 2.0].inertia > pandas[drive, gravity, 0.0].inertia
-    assert not pandas["direct", "weight", 0.0].enough
-    assert pandas["geared", "weight", 2.0].enough
+    assert not pandas["direct", "weight", 0.0].ok
+    assert pandas["geared", "weight", 2.0].ok
 
 
 def test_weight_moves_the_joints_and_more_with_a_payload(
     pandas: dict[tuple[str, str, float], taut.analysis.Coupling],
 ) -> None:
     for drive in ("direct", "geared"):
-        assert np.abs(pandas[drive, "no weight", 2.0].sag).max() < 1e-9
-        sags = [np.abs(pandas[drive, "weight", mass].sag).max() for mass in (0.0, 2.0)]
+        assert np.abs(pandas[drive, "no weight", 2.0].droop).max() < 1e-9
+        sags = [np.abs(pandas[drive, "weight", mass].droop).max() for mass in (0.0, 2.0)]
         assert sags[1] > 1.2 * sags[0] > 0.01
 
 
@@ -73,18 +73,20 @@ def test_the_inertia_of_two_joints_is_their_correlation() -> None:
     assert coupling_of(arm, kp=30.0, kd=10.0).inertia == pytest.approx(abs(M[0, 1]) / np.sqrt(M[0, 0] * M[1, 1]))
 
 
-def test_it_says_so_in_words(pandas: dict[tuple[str, str, float], taut.analysis.Coupling]) -> None:
-    lines = str(pandas["direct", "weight", 2.0]).splitlines()
-    assert lines[0].startswith("decentralised control is not enough: joint 'panda_joint")
-    assert lines[0].endswith("and 10 % is the most")
-    assert lines[1].endswith("(0 is diagonal, 1 is singular)")
+def test_its_table_has_the_crosstalk_of_each_joint(
+    pandas: dict[tuple[str, str, float], taut.analysis.Coupling],
+) -> None:
+    found = pandas["direct", "weight", 2.0]
+    content = found.json()
+    assert content["faults"]
+    crosstalk = {row["joint"]: row["crosstalk [%]"] for row in content["tables"][""]}
+    assert crosstalk[found.worst[1]] == pytest.approx(100.0 * found.worst[0])
 
 
 def test_a_joint_alone_is_coupled_to_nothing() -> None:
     found = coupling_of(taut.load_arm("one_joint"), kp=30.0, kd=10.0)
-    assert found.enough
+    assert found.ok
     assert found.worst[0] == 0.0
-    assert str(found) == "joint 'joint1' is alone: there is nothing that it could be coupled to"
 
 
 def test_joints_of_metres_and_of_radians_have_no_common_share() -> None:
@@ -92,17 +94,14 @@ def test_joints_of_metres_and_of_radians_have_no_common_share() -> None:
     rail = taut.Arm.from_screws([np.eye(4)] * 3, [np.diag([0.1, 0.1, 0.1, 1.0, 1.0, 1.0])] * 2, S, np.zeros(3))
     with pytest.raises(taut.errors.UsageError) as caught:
         coupling_of(rail, kp=30.0, kd=10.0)
-    assert str(caught.value) == (
-        "coupling compares joints of one kind, and this arm has some in rad and some in m, whose shares of each other "
-        "have units; look at lin.frequency_response(omega, input='ref.q', output='q') of taut.linearise"
-    )
+    assert caught.value.name == "loop"
 
 
-def test_bad_input_gets_one_sentence() -> None:
+def test_bad_input_is_refused() -> None:
     arm = taut.load_arm("planar2")
     with pytest.raises(taut.errors.UsageError):
         coupling_of(arm, kp=300.0, kd=9000.0)
     ctrl = taut.compile(laws.TaskComputedTorque(kp=100.0, kd=20.0), arm)
     with pytest.raises(taut.errors.UsageError) as caught:
         taut.analysis.coupling(taut.Loop(ctrl, Plant(arm, friction=None), duration=1.0), at=[0.3, 0.5])
-    assert str(caught.value) == "coupling is for laws that follow joint positions; TaskComputedTorque does not"
+    assert "TaskComputedTorque" in str(caught.value)

@@ -101,7 +101,7 @@ def test_from_every_state_of_every_arm_it_comes_to_rest_at_the_target(
             run = taut.run(loop, q0=q0, v0=v0)
             assert run.outcome.kind == "completed", (name, q0, v0)
             found = taut.analysis.lyapunov(run)
-            assert found.falls, (name, q0, v0)
+            assert found.decreases, (name, q0, v0)
             left, rates = max(left, float(found.V[-1] / found.V[0])), max(rates, found.worst)
     assert left < 1e-4
     assert rates < TIGHT
@@ -120,7 +120,7 @@ def test_viscous_friction_and_a_law_without_a_spring() -> None:
     )
     assert found.worst < TIGHT
     assert pytest.approx(found.kinetic) == found.V
-    assert found.falls
+    assert found.decreases
 
 
 @pytest.mark.parametrize("kd", [9.0, 0.0])
@@ -149,15 +149,15 @@ def test_what_the_proof_does_not_assume_is_named() -> None:
         taut.run(ctrl, Plant(arm, friction=None), taut.JointMotion(q=[1.0, 1.0]), duration=0.2)
     )
     assert cut.notes == ("limits of the controller cut or changed what the law commands",)
-    assert str(cut).endswith(f"\n* {cut.notes[0]}")
+    assert cut.notes[0] in str(cut)
 
 
 def test_without_damping_its_rate_is_none_and_in_ticks_it_grows() -> None:
     arm = taut.load_arm("planar2")
     found = taut.analysis.lyapunov(run_of(laws.GravityCompensation(), arm, ref=None, v0=[1.0, 1.0], duration=0.5))
     assert found.worst == 0.0
-    assert not found.falls
-    assert "does not fall throughout" in str(found)
+    assert not found.decreases
+    assert found.json()["faults"]
 
 
 planar = taut.load_arm("planar2")
@@ -165,27 +165,25 @@ geared = planar.with_gears(ratio=100.0, motor_inertia=1e-4)
 MISUSE: dict[str, tuple[Callable[[], object], str]] = {
     "law": (
         lambda: taut.analysis.lyapunov(run_of(laws.ComputedTorque(kp=60.0, kd=9.0), planar)),
-        "eq. 10.24 is for PD control with gravity compensation, GravityPID or GravityCompensation alone; this run is "
-        "of ComputedTorque(kp=60.0, kd=9.0, ki=0.0)",
+        "run",
     ),
     "sum": (
         lambda: taut.analysis.lyapunov(
             run_of(laws.GravityPID(kp=60.0, kd=9.0) + laws.FrictionCompensation(), planar)
         ),
-        "eq. 10.24 is for PD control with gravity compensation, GravityPID or GravityCompensation alone; this run is "
-        "of GravityPID(kp=60.0, kd=9.0, ki=0.0) + FrictionCompensation(width=0.01, share=1.0)",
+        "run",
     ),
     "events": (
         lambda: taut.analysis.lyapunov(
             run_of(laws.GravityPID(kp=60.0, kd=9.0), planar, events=[taut.Event(t=0.1, set={"law.kp": 80.0})])
         ),
-        "eq. 10.24 is for gains that stay, and this run has events; run it without",
+        "run",
     ),
     "target speed": (
         lambda: taut.analysis.lyapunov(
             run_of(laws.GravityPID(kp=60.0, kd=9.0), planar, ref=taut.JointMotion(q=planar.home, v=[0.1, 0.0]))
         ),
-        "eq. 10.24 is for a set-point, and the reference of this run moves",
+        "run",
     ),
     "gears": (
         lambda: taut.analysis.lyapunov(
@@ -199,7 +197,7 @@ MISUSE: dict[str, tuple[Callable[[], object], str]] = {
                 ),
             )
         ),
-        "eq. 10.27 knows no gears that lose power, have play or give way; run it on a plant without a transmission",
+        "run",
     ),
     "gravity of the plant": (
         lambda: taut.analysis.lyapunov(
@@ -210,11 +208,11 @@ MISUSE: dict[str, tuple[Callable[[], object], str]] = {
                 duration=0.1,
             )
         ),
-        "eq. 10.24 is of a law that compensates gravity, and in this run the plant did; make both without adds",
+        "run",
     ),
     "integral": (
         lambda: taut.analysis.lyapunov(run_of(laws.GravityPID(kp=60.0, kd=9.0, ki=1.0), planar)),
-        "eq. 10.24 is for ki = 0; this run has law.ki = 1.0",
+        "law.ki",
     ),
     "reference": (
         lambda: taut.analysis.lyapunov(
@@ -224,7 +222,7 @@ MISUSE: dict[str, tuple[Callable[[], object], str]] = {
                 ref=taut.trajectories.Quintic(q0=planar.home, q1=planar.home + 0.1, duration=0.2),
             )
         ),
-        "eq. 10.24 is for a set-point, and the reference of this run moves",
+        "run",
     ),
     "dry": (
         lambda: taut.analysis.lyapunov(
@@ -234,15 +232,15 @@ MISUSE: dict[str, tuple[Callable[[], object], str]] = {
                 Plant(planar.with_friction(taut.Friction(coulomb=0.1))),
             )
         ),
-        "eq. 10.27 knows no dry friction, and the plant has plant.friction.coulomb; run it with friction=None",
+        "run",
     ),
-    "no run": (lambda: taut.analysis.lyapunov(3), "lyapunov takes a taut.Run; got int"),  # type: ignore[arg-type]
+    "no run": (lambda: taut.analysis.lyapunov(3), "run"),  # type: ignore[arg-type]
 }
 
 
 @pytest.mark.parametrize("case", MISUSE)
-def test_bad_input_gets_one_sentence(case: str) -> None:
-    call, text = MISUSE[case]
+def test_bad_input_is_refused_by_name(case: str) -> None:
+    call, name = MISUSE[case]
     with pytest.raises(taut.TautError) as caught:
         call()
-    assert str(caught.value) == text
+    assert caught.value.name == name

@@ -34,33 +34,31 @@ class TestTheChaptersDamper:
     def test_one_force_and_one_motion_determine_the_others_as_sums(self) -> None:
         answer = taut.analysis.check_specification(["V1", "F1"], B=DAMPER)
         assert answer.determined == {"V2": "-2 V1 + F1", "F2": "-V1 + F1"}
-        assert str(answer) == "V1 and F1 may be chosen; the environment determines V2 = -2 V1 + F1 and F2 = -V1 + F1"
+        assert answer.json()["tables"][""][0] == {
+            "determined by the environment": "V2", "sum": "-2 V1 + F1", "value": None,
+        }  # fmt: skip
 
     @pytest.mark.parametrize("order", [("F1", "2 V1 + V2"), ("2 V1 + V2", "F1")])
     def test_a_force_is_refused_together_with_the_motion_in_its_direction(self, order: tuple[str, str]) -> None:
         answer = taut.analysis.check_specification(order, B=DAMPER)
         assert not answer.ok
         assert answer.smallest < 1e-15
-        assert str(answer) == (
-            f"{order[0]} and {order[1]} may not be chosen together, for they are in the same direction and not "
-            f"independent: {order[1]} = {order[0]} in this environment; leave one out"
-        )
+        assert f"{order[1]} = {order[0]} in this environment" in answer.reason
+        assert answer.reason in str(answer)
 
     def test_all_six_pairs_are_listed(self) -> None:
         assert list(taut.analysis.possible_specifications(B=DAMPER)) == PAIRS
 
     def test_without_coupling_a_force_and_the_motion_along_it_are_not_listed(self) -> None:
-        assert taut.analysis.possible_specifications(B=[2.0, 1.0], axes=("x", "y")) == (
-            ("V_x", "V_y"), ("V_x", "F_y"), ("V_y", "F_x"), ("F_x", "F_y"),
+        assert taut.analysis.possible_specifications(B=[2.0, 1.0]) == (
+            ("V1", "V2"), ("V1", "F2"), ("V2", "F1"), ("F1", "F2"),
         )  # fmt: skip
 
     def test_it_is_warned_of_what_is_nearly_in_the_same_direction(self) -> None:
         answer = taut.analysis.check_specification({"F1": 1.0, "2 V1 + 1.0001 V2": 1.0}, B=DAMPER)
         assert answer.ok
-        assert answer.warning == (
-            "F1 and 2 V1 + 1.0001 V2 are nearly in the same direction (smallest singular value 2.8e-05): errors of what "
-            "is given grow up to 3.5e+04 times"
-        )
+        assert answer.smallest == pytest.approx(2.8e-5, rel=0.02)
+        assert "up to 3.5e+04 times" in answer.warning
         assert str(answer).endswith(answer.warning)
 
 
@@ -103,15 +101,15 @@ class TestLinearEnvironments:
         X, V, values = rng.normal(size=(3, 3))
         rows = rng.normal(size=(3, 6))
         for answer, G, F0 in (
-            (taut.analysis.check_specification(rows, values=values, B=B, K=K, X=X), B, K @ X),
-            (taut.analysis.check_specification(rows, values=values, M=M, B=B, K=K, X=X, V=V), M, B @ V + K @ X),
-            (taut.analysis.check_specification(rows, values=values, M=M, K=K, X=X), M, K @ X),
+            (taut.analysis.check_specification(rows, values=values, B=B, F0=K @ X), B, K @ X),
+            (taut.analysis.check_specification(rows, values=values, M=M, F0=B @ V + K @ X), M, B @ V + K @ X),
+            (taut.analysis.check_specification(rows, values=values, K=K, F0=X), K, X),
         ):
             got = np.array(list(answer.quantities.values()))
             np.testing.assert_allclose(got, all_of(G, F0, rows, values), rtol=1e-9)
 
     def test_the_reason_knows_what_the_spring_pushes_with(self) -> None:
-        answer = taut.analysis.check_specification(["F1", "2 V1 + V2"], B=DAMPER, K=1.0, X=[1.0, 2.0])
+        answer = taut.analysis.check_specification(["F1", "2 V1 + V2"], B=DAMPER, F0=[1.0, 2.0])
         assert "2 V1 + V2 = F1 - 1 in this environment" in answer.reason
 
     def test_of_a_spring_alone_displacements_are_chosen(self) -> None:
@@ -147,120 +145,54 @@ class TestWhatIsRefused:
     @pytest.mark.parametrize(
         ("given", "reason"),
         [
-            (["V1", "V2", "F1"], "n = 2 freedoms, got 3: V1, V2 and F1; leave out one"),
-            (["V1"], "n = 2 freedoms, got 1: V1; choose one more, such as V2"),
-            ([], "n = 2 freedoms, got none; choose two more, such as V1 and V2"),
-            (
-                ["V1", "V1"],
-                "V1 and V1 may not be chosen together, for they are in the same direction and not independent: V1 = V1 "
-                "in this environment; leave one out",
-            ),
-            (
-                ["F1 - 2 V1 - V2", "V1"],
-                "F1 - 2 V1 - V2 may not be chosen: it is 0 in this environment, whatever the motion",
-            ),
+            (["V1", "V2", "F1"], "n = 2 freedoms, got 3"),
+            (["V1"], "n = 2 freedoms, got 1"),
+            ([], "n = 2 freedoms, got none"),
+            (["V1", "V1"], "V1 and V1 are dependent"),
+            (["F1 - 2 V1 - V2", "V1"], "F1 - 2 V1 - V2 is 0 in this environment"),
         ],
     )
-    def test_what_may_not_be_chosen_has_a_reason(self, given: list[str], reason: str) -> None:
+    def test_what_is_not_admissible_has_a_reason(self, given: list[str], reason: str) -> None:
         answer = taut.analysis.check_specification(given, B=DAMPER)
-        assert (answer.ok, answer.reason, str(answer)) == (False, reason, reason)
+        assert not answer.ok
+        assert answer.reason.startswith(reason)
 
-    def test_a_force_that_no_motion_makes_may_not_be_chosen(self) -> None:
-        answer = taut.analysis.check_specification(["F2", "V1"], B=[1.0, 0.0], K=[0.0, 3.0], X=[1.0, 2.0])
-        assert answer.reason == "F2 may not be chosen: it is 6 in this environment, whatever the motion"
+    def test_a_force_that_no_motion_makes_is_not_admissible(self) -> None:
+        answer = taut.analysis.check_specification(["F2", "V1"], B=[1.0, 0.0], F0=[0.0, 6.0])
+        assert answer.reason.startswith("F2 is 6 in this environment")
 
     @pytest.mark.parametrize(
-        ("words", "error", "text"),
+        ("words", "error", "name"),
         [
-            (
-                {},
-                taut.errors.UsageError,
-                "an environment F = M V_dot + B V + K X needs one of B, K and M, such as B=[[2, 1], [1, 1]]",
-            ),
-            (
-                {"B": DAMPER, "K": 1.0},
-                taut.errors.UsageError,
-                "K beside B needs X=, the displacement at that instant",
-            ),
-            ({"M": 1.0, "B": DAMPER}, taut.errors.UsageError, "B beside M needs V=, the velocity at that instant"),
-            (
-                {"K": DAMPER, "X": [1, 2]},
-                taut.errors.UsageError,
-                "X is the displacement at that instant, for K beside a higher rate; here it has no part: leave it out",
-            ),
-            (
-                {"B": [1, 2], "M": np.eye(3)},
-                taut.errors.ShapeError,
-                r"B must be a number, (3,) or (3, 3); got shape (2,)",
-            ),
-            ({"B": [[1.0, np.nan]]}, taut.errors.RangeError, "B[0, 1] must be finite; got nan"),
-            (
-                {"B": DAMPER, "axes": ("x", "x")},
-                taut.errors.UsageError,
-                "axes must be 2 different words, such as ('x', 'y'); got ('x', 'x')",
-            ),
-            (
-                {"B": DAMPER, "given": ["V1", "V3"]},
-                taut.errors.UnknownNameError,
-                "the environment has no quantity 'V3'; it has 'V1', 'V2', 'F1', 'F2'",
-            ),
-            (
-                {"B": DAMPER, "given": ["V1", "2 * + V2"]},
-                taut.errors.UsageError,
-                "a quantity is a name or a sum such as '2 V1 + F2'; got '2 * + V2'",
-            ),
-            (
-                {"B": DAMPER, "given": [""]},
-                taut.errors.UsageError,
-                "a quantity is a name or a sum such as '2 V1 + F2'; got ''",
-            ),
-            (
-                {"B": DAMPER, "given": {"V1": 1.0}, "values": [1.0]},
-                taut.errors.UsageError,
-                "values stand in given already, which has names and values; give them once",
-            ),
-            (
-                {"B": DAMPER, "given": np.eye(3)},
-                taut.errors.ShapeError,
-                "given must have rows of 4 numbers, over V1, V2, F1 and F2; got shape (3, 3)",
-            ),
-            (
-                {"B": DAMPER, "given": "V1"},
-                taut.errors.UsageError,
-                "given must be names, names with values as {'V1': 0.1}, or rows of numbers; got 'V1'",
-            ),
-            ({"B": DAMPER, "given": {"V1": np.inf}}, taut.errors.RangeError, "given['V1'] must be finite; got inf"),
-            ({"B": DAMPER, "values": [1.0]}, taut.errors.ShapeError, "values must have shape (2,); got shape (1,)"),
+            ({}, taut.errors.UsageError, "B"),
+            ({"B": DAMPER, "K": 1.0}, taut.errors.UsageError, "B"),
+            ({"B": np.ones((2, 3))}, taut.errors.ShapeError, "B"),
+            ({"B": DAMPER, "F0": [1.0]}, taut.errors.ShapeError, "F0"),
+            ({"B": [[1.0, np.nan]]}, taut.errors.RangeError, "B"),
+            ({"B": DAMPER, "given": ["V1", "V3"]}, taut.errors.UnknownNameError, "V3"),
+            ({"B": DAMPER, "given": ["V1", "2 * + V2"]}, taut.errors.UsageError, "given"),
+            ({"B": DAMPER, "given": [""]}, taut.errors.UsageError, "given"),
+            ({"B": DAMPER, "given": {"V1": 1.0}, "values": [1.0]}, taut.errors.UsageError, "values"),
+            ({"B": DAMPER, "given": np.eye(3)}, taut.errors.ShapeError, "given"),
+            ({"B": DAMPER, "given": "V1"}, taut.errors.UsageError, "given"),
+            ({"B": DAMPER, "given": {"V1": np.inf}}, taut.errors.RangeError, "given"),
+            ({"B": DAMPER, "values": [1.0]}, taut.errors.ShapeError, "values"),
         ],
     )
-    def test_bad_input_is_refused_in_a_sentence(
-        self, words: dict[str, object], error: type[Exception], text: str
+    def test_bad_input_is_refused_by_name(
+        self, words: dict[str, object], error: type[taut.TautError], name: str
     ) -> None:
         words = {"given": ["V1", "F1"], **words}
         with pytest.raises(error) as caught:
             taut.analysis.check_specification(**words)  # type: ignore[arg-type]
-        assert str(caught.value) == text
+        assert name in (caught.value.name or "") or name in str(caught.value)
 
     def test_a_refused_specification_has_no_map_and_one_without_values_no_quantities(self) -> None:
-        with pytest.raises(
-            taut.errors.UsageError, match="a specification that is refused has no map: n = 2 freedoms, got 1"
-        ):
+        with pytest.raises(taut.errors.UsageError):
             _ = taut.analysis.check_specification(["V1"], B=DAMPER).map
-        with pytest.raises(taut.errors.UsageError) as caught:
+        with pytest.raises(taut.errors.UsageError):
             _ = taut.analysis.check_specification(["V1", "V2"], B=DAMPER).quantities
-        assert str(caught.value) == (
-            "a specification without values has no quantities; give them, as in {'V1': 0.1, 'F1': 3.0}"
-        )
 
-    def test_choices_are_listed_for_one_matrix_and_up_to_six_directions(self) -> None:
-        with pytest.raises(taut.errors.UsageError) as caught:
-            taut.analysis.possible_specifications(B=DAMPER, K=DAMPER)
-        assert str(caught.value) == (
-            "possible_specifications takes the matrix of the highest rate alone, for lower ones change nothing; got B "
-            "and K: keep B"
-        )
-        with pytest.raises(taut.errors.RangeError) as caught2:
+    def test_choices_are_listed_for_up_to_six_directions(self) -> None:
+        with pytest.raises(taut.errors.RangeError):
             taut.analysis.possible_specifications(B=np.eye(7))
-        assert str(caught2.value) == (
-            "choices are listed for up to 6 directions; got 7: ask taut.analysis.check_specification for one"
-        )

@@ -9,14 +9,15 @@ if TYPE_CHECKING:
     from taut.analysis.compare.compare import Comparison as Comparison
     from taut.analysis.compare.grading import Grade as Grade
     from taut.analysis.compare.truth import WrongModel as WrongModel
-    from taut.analysis.constraints.admissible import Admissible as Admissible
+    from taut.analysis.constraints.contact_modes import ForceMotionCheck as ForceMotionCheck
     from taut.analysis.constraints.contact_modes import FrictionMargin as FrictionMargin
-    from taut.analysis.constraints.freedom_words import FreedomRow as FreedomRow
+    from taut.analysis.constraints.contact_modes import Violation as Violation
+    from taut.analysis.constraints.natural_constraints import ConstraintRow as ConstraintRow
+    from taut.analysis.constraints.natural_constraints import ConstraintTable as ConstraintTable
+    from taut.analysis.constraints.natural_constraints import natural_constraints as natural_constraints
     from taut.analysis.constraints.specification import Specification as Specification
     from taut.analysis.constraints.specification import check_specification as check_specification
     from taut.analysis.constraints.specification import possible_specifications as possible_specifications
-    from taut.analysis.constraints.task_freedoms import Freedoms as Freedoms
-    from taut.analysis.constraints.task_freedoms import freedoms as freedoms
     from taut.analysis.design.design import Design as Design
     from taut.analysis.diagnosis.check import Check as Check
     from taut.analysis.diagnosis.check import Finding as Finding
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
     from taut.analysis.diagnosis.checks import CHECKS as CHECKS
     from taut.analysis.diagnosis.diagnosis import Diagnosis as Diagnosis
     from taut.analysis.diagnosis.examined_run import ExaminedRun as ExaminedRun
+    from taut.analysis.impedance_at_tool import ToolImpedance as ToolImpedance
+    from taut.analysis.impedance_at_tool import ToolMeasurement as ToolMeasurement
+    from taut.analysis.impedance_at_tool import tool_impedance as tool_impedance
     from taut.analysis.joint_coupling import Coupling as Coupling
     from taut.analysis.joint_coupling import coupling as coupling
     from taut.analysis.loci import RootLocus as RootLocus
@@ -32,25 +36,15 @@ if TYPE_CHECKING:
     from taut.analysis.loci import stability_map as stability_map
     from taut.analysis.lyapunov_function import Lyapunov as Lyapunov
     from taut.analysis.lyapunov_function import lyapunov as lyapunov
-    from taut.analysis.tool.environment import TipEnvironment as TipEnvironment
-    from taut.analysis.tool.impedance import check_impedance as check_impedance
-    from taut.analysis.tool.limits import StiffnessCheck as StiffnessCheck
-    from taut.analysis.tool.limits import StiffnessLimits as StiffnessLimits
-    from taut.analysis.tool.limits import check_stiffness as check_stiffness
-    from taut.analysis.tool.limits import stiffness_limits as stiffness_limits
-    from taut.analysis.tool.response import TipMeasurement as TipMeasurement
-    from taut.analysis.tool.response import TipRanking as TipRanking
-    from taut.analysis.tool.response import TipResponse as TipResponse
-    from taut.analysis.tool.response import rank_tips as rank_tips
-    from taut.analysis.tool.response import tip_impedance as tip_impedance
-    from taut.analysis.tool.stiffness import check_stiffness_at as check_stiffness_at
-    from taut.analysis.tool.stiffness import safe_stiffness as safe_stiffness
+    from taut.analysis.stiffness import StiffnessCheck as StiffnessCheck
+    from taut.analysis.stiffness import check_stiffness as check_stiffness
+    from taut.analysis.stiffness import check_virtual_wall as check_virtual_wall
     from taut.analysis.tune.tune import Tick as Tick
     from taut.analysis.tune.tune import Trial as Trial
     from taut.analysis.tune.tune import Tuned as Tuned
     from taut.analysis.wrist_calibration import WristCalibration as WristCalibration
     from taut.analysis.wrist_calibration import calibrate_wrist as calibrate_wrist
-    from taut.analysis.wrist_poses import calibration_poses as calibration_poses
+    from taut.analysis.wrist_calibration import calibration_poses as calibration_poses
     from taut.linear.joint_loop import SecondOrder as SecondOrder
     from taut.linear.joint_loop import second_order as second_order
     from taut.linear.judgement import Judgement as Judgement
@@ -58,7 +52,6 @@ if TYPE_CHECKING:
     from taut.linear.linearise import Linearisation as Linearisation
     from taut.linear.routh_table import RouthTable as RouthTable
     from taut.linear.routh_table import routh as routh
-    from taut.linear.sampled import SampledLoop as SampledLoop
     from taut.record.plots.friction_curves import plot_friction as plot_friction
     from taut.scenarios.compare_laws_by_name import grade as grade
 

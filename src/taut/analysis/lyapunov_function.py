@@ -12,6 +12,7 @@ import numpy as np
 from taut.arm.description import Arm
 from taut.base.errors import UsageError
 from taut.base.paths import subtree
+from taut.base.result import Content, Result, Table
 from taut.base.types import Float64Array, Vector
 from taut.codegen.layout import Block
 from taut.codegen.loop import FloatLoop, NativeLoop
@@ -31,8 +32,8 @@ GEARS: Final = "actuation.transmission."
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Lyapunov:
-    """V along a run, the rate at which the motion changes it, and the rate that the proof says.
+class Lyapunov(Result):
+    """V along a run, its rate by the equation of motion, and its rate by the proof.
 
     Args:
         t: (k,) [s].
@@ -41,7 +42,7 @@ class Lyapunov:
         rate: (k,) [W] dV/dt right after each tick, of the true arm under the torque that acted then:
             v . (M a + M-dot v / 2) - e . Kp v, with M-dot by differentiation and M a from the equation of motion.
         expected: (k,) [W] -v . Kd v, and what viscous friction takes besides.
-        notes: What of the proof's assumptions this run does not keep, in sentences.
+        notes: Assumptions of the proof that the run violates, in sentences.
     """
 
     t: Float64Array
@@ -53,7 +54,7 @@ class Lyapunov:
 
     @property
     def worst(self) -> float:
-        """The largest difference of both rates, over the largest of either: 0 where the proof's assumptions hold."""
+        """Largest difference of the rates, over the largest of either: 0 where the proof's assumptions hold."""
         off = float(np.abs(self.rate - self.expected).max(initial=0.0))
         size = max(float(np.abs(x).max(initial=0.0)) for x in (self.expected, self.rate))
         ticks = np.diff(self.t)
@@ -61,17 +62,22 @@ class Lyapunov:
         return off / size if size > rounding else 0.0
 
     @property
-    def falls(self) -> bool:
-        """Whether V never grows from one tick to the next by more than rounding."""
+    def decreases(self) -> bool:
+        """V never grows from one tick to the next by more than rounding."""
         return bool((np.diff(self.V) <= ROUNDING * max(float(self.V[0]), 1e-300)).all())
 
-    def __str__(self) -> str:
-        word = "falls throughout" if self.falls else "does not fall throughout"
-        first = (
-            f"V goes from {self.V[0]:.4g} J to {self.V[-1]:.4g} J and {word}; its rate differs from -v . Kd v by up "
-            f"to {self.worst:.2g} of the largest"
+    def content(self) -> Content:
+        """V at the start and at the end, and whether it decreases as the proof requires."""
+        verdict = "V decreases in every tick" if self.decreases else "V does not decrease in every tick"
+        rows = [("V at the start [J]", float(self.V[0])), ("V at the end [J]", float(self.V[-1]))]
+        rows.append(("largest difference of the rate to -v . Kd v, relative", self.worst))
+        return Content(
+            title="Lyapunov function of PD control with gravity compensation",
+            summary=[verdict] if self.decreases else [],
+            faults=[] if self.decreases else [verdict],
+            tables=[Table(columns=("quantity", "value"), rows=rows)],
+            notes=self.notes,
         )
-        return "\n".join([first, *(f"* {sentence}" for sentence in self.notes)])
 
 
 def lyapunov(run: Run) -> Lyapunov:
@@ -81,9 +87,9 @@ def lyapunov(run: Run) -> Lyapunov:
     Closed loop:  V-dot = -v . Kd v for a set-point, an exact g and no other friction              eqs. 10.25 to 10.27
                   M-dot - 2 C is skew, so that the Coriolis torques do no work
 
-    The rate is that at the instant of each tick, for which the law's torque is fresh; between two ticks it is held,
-    so that V falls by a little less or more than the integral. What the law does not know of the arm, such as
-    another payload, shows as a difference of both rates.
+    The rate is that at the instant of each tick; between ticks the torque is held, so that V decreases by slightly
+    less or more than the integral. A model error of the law, such as another payload, shows as a difference of the
+    rates.
 
     Args:
         run: Of `GravityPID` with ki = 0 or `GravityCompensation`, on a plant with viscous friction at most.
@@ -100,7 +106,7 @@ def lyapunov(run: Run) -> Lyapunov:
         >>> plant = taut.RigidPlant(arm, friction=None)
         >>> run = taut.run(ctrl, plant, taut.JointMotion(q=[0.5, -0.5]), duration=1.0)
         >>> found = taut.analysis.lyapunov(run)
-        >>> found.worst < 1e-6, found.falls
+        >>> found.worst < 1e-6, found.decreases
         (True, True)
 
     References:
@@ -133,7 +139,7 @@ def lyapunov(run: Run) -> Lyapunov:
 
 
 def _broken(run: Run, g: Float64Array) -> Iterator[str]:
-    """Which assumptions of the proof a run does not keep, as far as its record shows."""
+    """Assumptions of the proof that a run violates, as far as its record shows."""
     if not run.outcome.ok:
         yield f"the run ended in a fault: {run.outcome}"
 
@@ -216,17 +222,17 @@ def _check(run: Run, law: str, values: Any) -> None:
     dry = [path for path in values if path.startswith("plant.friction.") and path != VISCOUS]
     if dry:
         raise UsageError(
-            f"eq. 10.27 knows no dry friction, and the plant has {', '.join(sorted(dry))}; run it with friction=None",
+            f"eq. 10.27 is without dry friction, and the plant has {', '.join(sorted(dry))}; run it with "
+            "friction=None",
             name="run",
         )
     if any(path.startswith(GEARS) for path in values):
         raise UsageError(
-            "eq. 10.27 knows no gears that lose power, have play or give way; run it on a plant without a "
-            "transmission",
+            "eq. 10.27 is without losses, backlash and elasticity of gears; run it on a plant without a transmission",
             name="run",
         )
     if any(path.startswith(("environment.", "contact.")) for path in values):
-        raise UsageError("eq. 10.27 is of an arm that nothing touches, and this plant has an environment", name="run")
+        raise UsageError("eq. 10.27 is of an arm without contact, and this plant has an environment", name="run")
 
 
 def _matrix(value: Any, n: int) -> Float64Array:

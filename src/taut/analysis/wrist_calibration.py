@@ -1,4 +1,4 @@
-"""Calibration of a wrist sensor: bias, tool mass and centre from readings in a few poses at rest."""
+"""Calibration of a wrist sensor: bias, tool mass and centre of mass from readings in a few poses at rest."""
 
 from __future__ import annotations
 
@@ -10,68 +10,75 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from taut.arm.description import STANDARD_GRAVITY, Arm
-from taut.base.checks import finite_array, one_of, read_only, vector
+from taut.base.checks import finite_array, finite_scalar, one_of, read_only, vector
 from taut.base.errors import NumericalError, RangeError, ShapeError, UsageError
 from taut.base.quantity import FORCE_AND_MOMENT, Quantity, six_of
+from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.sensing.wrist import Wrist
 from taut.maths import dynamics as dyn
-from taut.maths.model import model_of
+from taut.maths.model import PayloadValues, model_of
 from taut.maths.wrist import sensor_place
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
-__all__ = ["WristCalibration", "calibrate_wrist"]
+__all__ = ["WristCalibration", "calibrate_wrist", "calibration_poses"]
 
-SPREAD: Final = 0.05  # rad, root mean square: gravity must turn by this much, about 3 degrees, to tell numbers apart
+MIN_SPREAD: Final = 0.05  # [rad] RMS, about 3 degrees: rotation of gravity that tells the numbers apart
 SIGNIFICANT: Final = 4.0  # standard deviations by which a mass must differ from zero
 AT_END: Final = 1.0 - 1e-9  # of the range
 NOISE: Final = Quantity(unit=FORCE_AND_MOMENT, rule="> 0", instead="leave it out to take it from the residual")
 RANGE: Final = Quantity(unit=FORCE_AND_MOMENT, rule="> 0", infinite=True)
 
+# Of suggested poses.
+CANDIDATES: Final = 400
+SEED: Final = 0
+MARGIN: Final = 0.05  # of a joint's range, to its limits
+MAX_LOAD: Final = 0.9  # of a joint's torque limit, under the weight of the arm in a pose
+TRAVEL_WEIGHT: Final = 0.5  # of the displacement from the start, against the logarithm of the information
+MIN_SUGGESTED_SPREAD: Final = 0.1  # [rad] RMS
+FLOOR: Final = 1e-3  # of the information, so that the first poses count too
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class WristCalibration:
-    """What a calibration found, with the standard deviation of each number.
+class WristCalibration(Result):
+    """Calibrated numbers of a wrist sensor, with the standard deviation of each.
 
     Frames:
         Bias and centre of mass are in the sensor's axes at its origin, force first.
     """
 
     bias: Float64Array  # (6,) [N, N m]
-    mass: float  # [kg] of what hangs beyond the sensor; 0 where it is too small to tell
-    com: Float64Array  # (3,) [m] its centre; zeros where the mass is too small to tell
+    mass: float  # [kg] of the tool beyond the sensor; 0 where it is not significant
+    com: Float64Array  # (3,) [m] its centre of mass; zeros where the mass is not significant
     bias_std: Float64Array  # (6,) [N, N m]
     mass_std: float  # [kg]
-    com_std: Float64Array  # (3,) [m]; infinite where the mass is too small to tell
-    residual: Float64Array  # (6,) root mean square of what the model leaves [N, N m]
-    spread: tuple[float, float]  # [rad] turning of gravity in the sensor's axes: in all, and off its main direction
-    condition: float  # of the least squares, 1 at best; numbers above 10 mean poses that are too much alike
+    com_std: Float64Array  # (3,) [m]; infinite where the mass is not significant
+    residual: Float64Array  # (6,) root mean square [N, N m]
+    spread: tuple[float, float]  # [rad] rotation of gravity in the sensor's axes: in all, and off its main direction
+    condition: float  # of the least squares, 1 at best; above 10 the poses are too much alike
     poses: int  # readings that were used
-    frame: str | None  # where the sensor stands: a frame of the arm; None for the tool's own, or without an arm
+    frame: str | None  # the sensor's frame; None for the tool's own, or without an arm
     range: Float64Array | None  # (6,) [N, N m]
 
     @property
     def wrist(self) -> Wrist:
-        """What `taut.Sensing(wrist=...)` takes; other numbers of it by `dataclasses.replace`."""
+        """For `taut.Sensing(wrist=...)`; other fields of it by `dataclasses.replace`."""
         return Wrist(bias=self.bias, mass=self.mass, com=self.com, range=self.range, frame=self.frame)
 
-    def __str__(self) -> str:
-        rows: list[tuple[str, Any, Any, str]] = [
-            ("mass", [self.mass], [self.mass_std], "kg"),
-            ("com", self.com, self.com_std, "m"),
-        ]
-        rows += [("bias force", self.bias[:3], self.bias_std[:3], "N")]
-        rows += [("bias moment", self.bias[3:], self.bias_std[3:], "N m")]
-        lines = [
-            f"{name:12}" + ", ".join(f"{x:.5g} +- {s:.2g}" for x, s in zip(xs, stds, strict=True)) + f"  [{unit}]"
-            for name, xs, stds, unit in rows
-        ]
-        force, moment = (float(np.sqrt(np.mean(part**2))) for part in (self.residual[:3], self.residual[3:]))
-        lines += [
-            f"residual    {force:.3g} N, {moment:.3g} N m in {self.poses} poses; condition {self.condition:.3g}"
-        ]
-        return "\n".join(lines)
+    def content(self) -> Content:
+        """Each number with its standard deviation, and the residual."""
+        names = ("mass [kg]", *(f"com {axis} [m]" for axis in "xyz"))
+        names += tuple(f"bias {axis} [{unit}]" for unit in ("N", "N m") for axis in "xyz")
+        values = [self.mass, *self.com.tolist(), *self.bias.tolist()]
+        deviations = [self.mass_std, *self.com_std.tolist(), *self.bias_std.tolist()]
+        rows = list(zip(names, values, deviations, strict=True))
+        force, torque = (float(np.sqrt(np.mean(part**2))) for part in (self.residual[:3], self.residual[3:]))
+        return Content(
+            title=f"calibration of a wrist sensor from {self.poses} readings",
+            tables=[Table(columns=("quantity", "value", "standard deviation"), rows=rows)],
+            notes=[f"residual {force:.3g} N, {torque:.3g} N m RMS; condition number {self.condition:.3g}"],
+        )
 
 
 def calibrate_wrist(
@@ -90,22 +97,22 @@ def calibrate_wrist(
 
     Law:          reading_i = bias + (m g_i, m c x g_i), with gravity g_i in the sensor's axes: linear in bias, m, m c
 
-    Poses must turn gravity in the sensor's axes: two directions tell the mass, three that are not on one line the
-    centre too, and turning about the vertical changes nothing. `taut.analysis.calibration_poses(arm)` suggests good
-    ones. A mass that cannot be told from zero is taken for none.
+    Poses must rotate gravity in the sensor's axes: two directions determine the mass, three that are not on one line
+    the centre of mass too, and a rotation about the vertical adds nothing. `taut.analysis.calibration_poses(arm)`
+    suggests good ones. A mass that is not significant is taken for none.
 
     Args:
-        wrenches: (k, 6) readings at rest with nothing touching, force first: the wrench of the tool on the arm, as
-            F_ext counts; the readings of a sensor that gives the arm on the tool are minus these.
+        wrenches: (k, 6) readings at rest without contact, force first: the wrench of the tool on the arm, as F_ext
+            counts; the readings of a sensor that gives the arm on the tool are minus these.
         arm: The arm, with q; or give poses.
         q: (k, n) measured positions at each reading [rad | m].
         poses: Instead, k poses of the sensor in the world.
         axes: "sensor" for readings in the sensor's axes at its origin; "world" for F_ext as `ctrl.step` takes it and
             runs record it, in world axes at the tool's origin, which needs the arm.
-        frame: Where the sensor stands: a frame of the tool's body; the tool's own if None. With the arm only.
+        frame: The sensor's frame, one of the tool's body; the tool's own if None. With the arm only.
         gravity: (3,) in the world [m/s^2]; the arm's, or 9.81 m/s^2 downwards.
-        noise: (6,) or (force, moment), standard deviation of a reading; from what the model leaves if None.
-        range: (6,) or (force, moment), where the sensor ends [N, N m]: readings there are refused, and
+        noise: (6,) or (force, moment), standard deviation of a reading; from the residual if None.
+        range: (6,) or (force, moment), range of the sensor [N, N m]: readings there are refused, and
             `WristCalibration.wrist` has it.
 
     Raises:
@@ -139,7 +146,8 @@ def calibrate_wrist(
         F, R = _by_arm(arm, q, F, axes, frame)
     else:
         F, R = _by_poses(poses, q, F, axes, frame)
-    g = vector("gravity", _gravity_of(arm) if gravity is None else gravity, 3, unit="m/s^2")
+    default = np.array(STANDARD_GRAVITY) if arm is None else arm.gravity
+    g = vector("gravity", default if gravity is None else gravity, 3, unit="m/s^2")
     if not g.any():
         raise RangeError("gravity must not be zero: without it a tool has no weight to read", name="gravity")
     end = None if range is None else six_of("range", RANGE, range)
@@ -149,11 +157,7 @@ def calibrate_wrist(
     return _fitted(F, np.array([turn.T @ g for turn in R]), std, frame, end)
 
 
-# -------------------------------------------------------------------- what is given
-
-
-def _gravity_of(arm: Arm | None) -> Float64Array:
-    return np.array(STANDARD_GRAVITY) if arm is None else arm.gravity
+# -------------------------------------------------------------------- readings and orientations
 
 
 def _by_arm(
@@ -175,7 +179,7 @@ def _by_arm(
 def _by_poses(
     poses: Iterable[Pose] | None, q: ArrayLike | None, F: Float64Array, axes: str, frame: str | None
 ) -> tuple[Float64Array, list[Float64Array]]:
-    """The same without an arm."""
+    """Readings in the sensor's axes, and its orientations, without an arm."""
     if poses is None:
         raise UsageError(
             "calibrate_wrist needs arm= with q=, or poses=, those of the sensor; got neither", name="arm"
@@ -198,8 +202,8 @@ def _require_within(F: Float64Array, end: Float64Array) -> None:
     if len(beyond):
         row, axis = (int(i) for i in beyond[0])
         raise RangeError(
-            f"wrenches[{row}, {axis}] is at the end of the sensor's range of {end[axis]:g}, so that what is really "
-            "there is not known; leave that pose out, or use a lighter tool",
+            f"wrenches[{row}, {axis}] is at the end of the sensor's range of {end[axis]:g}, so that the true "
+            "wrench is not known; leave that pose out, or use a lighter tool",
             name="wrenches",
             value=float(F[row, axis]),
         )
@@ -211,39 +215,43 @@ def _require_within(F: Float64Array, end: Float64Array) -> None:
 def _fitted(
     F: Float64Array, g: Float64Array, noise: Float64Array | None, frame: str | None, end: Float64Array | None
 ) -> WristCalibration:
-    """Least squares of force and moment, which have no number in common but the mass that divides m c."""
+    """Least squares of force and of moment, which share no unknown but the mass that divides m c."""
     size = float(np.linalg.norm(g[0]))
     spread = _require_determined(g / size)
-    A_f, A_m = _regressors(g)
-    x_f, cov_f, left_f = _least_squares(A_f, F[:, :3], None if noise is None else noise[:3])
-    x_m, cov_m, left_m = _least_squares(A_m, F[:, 3:], None if noise is None else noise[3:])
-    mass, mass_std = float(x_f[3]), math.sqrt(cov_f[3, 3])
-    least = max(SIGNIFICANT * mass_std, 1e-9 * float(np.abs(F).max()) / size)
-    if mass < -least:
+    force, moment = _regressors(g)
+
+    def fit(unknowns: slice) -> tuple[Any, Any, Float64Array]:
+        """Of force and moment: the solutions, their variances, and the residuals."""
+        parts = [
+            _least_squares(A[:, unknowns], y, None if noise is None else noise[part])
+            for A, y, part in ((force, F[:, :3], slice(0, 3)), (moment, F[:, 3:], slice(3, 6)))
+        ]
+        return [part[0] for part in parts], [part[1] for part in parts], np.hstack([part[2] for part in parts])
+
+    x, variance, residual = fit(slice(None))
+    mass, mass_std = float(x[0][3]), math.sqrt(variance[0][3])
+    smallest = max(SIGNIFICANT * mass_std, 1e-9 * float(np.abs(F).max()) / size)
+    if mass < -smallest:
         raise RangeError(
-            f"the readings say that the tool weighs {mass:.3g} +- {mass_std:.1g} kg; they must be the wrench of the "
-            "tool on the arm; give minus what a sensor reads that gives the arm on the tool",
+            f"the readings give a tool of {mass:.3g} +- {mass_std:.1g} kg; they must be the wrench of the tool on "
+            "the arm; give minus the readings of a sensor that gives the arm on the tool",
             name="wrenches",
             value=mass,
         )
-    if mass > least:
-        com = x_m[3:] / mass
-        com_std = np.sqrt(np.diag(cov_m)[3:] + com**2 * mass_std**2) / mass
-        bias, variance = np.concatenate([x_f[:3], x_m[:3]]), np.concatenate([np.diag(cov_f)[:3], np.diag(cov_m)[:3]])
+    if mass > smallest:
+        com = x[1][3:] / mass
+        com_std = np.sqrt(variance[1][3:] + com**2 * mass_std**2) / mass
     else:
-        x_f, cov_f, left_f = _least_squares(A_f[:, :3], F[:, :3], None if noise is None else noise[:3])
-        x_m, cov_m, left_m = _least_squares(A_m[:, :3], F[:, 3:], None if noise is None else noise[3:])
+        x, variance, residual = fit(slice(0, 3))
         mass, com, com_std = 0.0, np.zeros(3), np.full(3, np.inf)
-        bias, variance = np.concatenate([x_f, x_m]), np.concatenate([np.diag(cov_f), np.diag(cov_m)])
-    left = np.hstack([left_f, left_m])
     return WristCalibration(
-        bias=read_only(bias),
+        bias=read_only(np.concatenate([part[:3] for part in x])),
         mass=mass,
         com=read_only(com),
-        bias_std=read_only(np.sqrt(variance)),
+        bias_std=read_only(np.sqrt(np.concatenate([part[:3] for part in variance]))),
         mass_std=mass_std,
         com_std=read_only(com_std),
-        residual=read_only(np.sqrt(np.mean(left**2, axis=0))),
+        residual=read_only(np.sqrt(np.mean(residual**2, axis=0))),
         spread=spread,
         condition=max(float(np.linalg.cond(A)) for A in _regressors(g / size)),
         poses=len(F),
@@ -260,44 +268,44 @@ def _regressors(g: Float64Array) -> tuple[Float64Array, Float64Array]:
 
 
 def _least_squares(A: Float64Array, y: Float64Array, std: Float64Array | None) -> tuple[Any, Any, Float64Array]:
-    """The solution, its covariance, and (k, 3) what is left."""
+    """The solution, its variances, and (k, 3) the residuals."""
     weights = np.ones(y.size) if std is None else np.tile(1.0 / std, len(y))
     W = A * weights[:, np.newaxis]
     x = np.linalg.lstsq(W, y.ravel() * weights, rcond=None)[0]
-    left = y - (A @ x).reshape(y.shape)
+    residual = y - (A @ x).reshape(y.shape)
     free = y.size - A.shape[1]
-    variance = float(np.sum(left**2)) / free if std is None else 1.0
-    return x, variance * np.linalg.inv(W.T @ W), left
+    variance = float(np.sum(residual**2)) / free if std is None else 1.0
+    return x, variance * np.diag(np.linalg.inv(W.T @ W)), residual
 
 
 def _require_determined(u: Float64Array) -> tuple[float, float]:
-    """How far gravity turns in the sensor's axes [rad]: in all, and off the line along which it turns most.
+    """Rotation of gravity in the sensor's axes [rad]: in all, and off the line along which it is largest.
 
     Raises:
         NumericalError: Not far enough to tell the numbers apart.
     """
     middle = u.mean(axis=0)
-    values, ways = np.linalg.eigh((u - middle).T @ (u - middle) / len(u))
+    values, directions = np.linalg.eigh((u - middle).T @ (u - middle) / len(u))
     values = np.maximum(values, 0.0)
     whole, off = math.sqrt(values.sum()), math.sqrt(values[0] + values[1])
-    if whole < SPREAD:
+    if whole < MIN_SPREAD:
         across = _words(_perpendicular(u[0]))
         raise NumericalError(
             f"the {len(u)} poses have the same orientation to gravity within {math.degrees(whole):.1f} degrees, so "
             "that mass, com, the bias force along gravity and the bias moment are not determined; add poses in which "
-            f"gravity points along other axes of the sensor, such as {across} (turning about the vertical changes "
+            f"gravity points along other axes of the sensor, such as {across} (a rotation about the vertical adds "
             "nothing)",
             name="poses",
         )
-    if off < SPREAD:
-        main = ways[:, 2]
-        way = np.cross(main, middle)
-        size = float(np.linalg.norm(way))
-        help_ = _words(way / size if size > SPREAD else _perpendicular(main))
+    if off < MIN_SPREAD:
+        main = directions[:, 2]
+        normal = np.cross(main, middle)
+        size = float(np.linalg.norm(normal))
+        missing = _words(normal / size if size > MIN_SPREAD else _perpendicular(main))
         raise NumericalError(
             f"gravity points along no more than two directions of the sensor's axes in the {len(u)} poses, so that "
             f"com along {_words(main)} and the bias moment across it are not determined; add a pose in which "
-            f"gravity points along {help_}",
+            f"gravity points along {missing}",
             name="poses",
         )
     return whole, off
@@ -307,11 +315,99 @@ def _perpendicular(u: Float64Array) -> Float64Array:
     """A unit vector across another one, along the axis of the sensor that is the most across."""
     axis = np.eye(3)[int(np.argmin(np.abs(u)))]
     across = axis - u * (u @ axis)
-    out: Float64Array = across / np.linalg.norm(across)
-    return out
+    return np.asarray(across / np.linalg.norm(across))
 
 
 def _words(u: Float64Array) -> str:
     """A direction in the sensor's axes, whose sign does not matter."""
     sign = -1.0 if u[int(np.argmax(np.abs(u)))] < 0.0 else 1.0
     return "(" + ", ".join(f"{sign * x + 0.0:.2f}" for x in u) + ")"
+
+
+# -------------------------------------------------------------------- suggested poses
+
+
+def calibration_poses(
+    arm: Arm, *, count: int = 8, travel: float = 1.5, q: ArrayLike | None = None, frame: str | None = None
+) -> Float64Array:
+    """Poses for `taut.analysis.calibrate_wrist`, in which bias, mass and centre of mass are well determined.
+
+    The first is the arm's own. Each further one is the one of some hundred candidates around it that adds the most to
+    the determinant of the information on the centre of mass, less a little for the displacement. They keep a margin
+    to the limits of the joints and of their torques. Obstacles and self-collision are not considered: look at the
+    poses before a real arm goes there.
+
+    Args:
+        arm: The arm.
+        count: Number of poses, 3 at least.
+        travel: Largest displacement of a joint from q [rad | m].
+        q: (n,) where to start from; home if None.
+        frame: The sensor's frame, one of the tool's body; the tool's own if None.
+
+    Returns:
+        (count, n) positions [rad | m].
+
+    Raises:
+        RangeError: Fewer than three poses, no travel.
+        NumericalError: The arm cannot rotate its tool against gravity, or hold its own weight in enough poses.
+
+    Example:
+        >>> import taut
+        >>> calibration_poses(taut.load_arm("planar3"), count=4).shape
+        (4, 3)
+    """
+    if isinstance(count, bool) or not isinstance(count, int):
+        raise UsageError(f"count must be a whole number; got {count!r}", name="count")
+    if count < 3:
+        raise RangeError(
+            f"count must be >= 3: three directions of gravity determine all numbers; got {count}", name="count"
+        )
+    if finite_scalar("travel", travel, unit="rad | m") <= 0.0:
+        raise RangeError(f"travel must be > 0 [rad | m]; got {travel!r}", name="travel")
+    start = arm.home if q is None else finite_array("q", q, shape=(arm.n,), joints=arm.joint_names, unit="rad | m")
+    place, model = sensor_place(arm, frame, "calibration_poses"), model_of(arm)
+    near = _candidates(arm, start, travel)
+    gravity = np.array([(dyn.pose(model, row).R @ place.R_ES).T @ arm.gravity for row in near])
+    u = gravity / np.linalg.norm(arm.gravity)
+    cost = TRAVEL_WEIGHT * np.abs(near - start).max(axis=1) / travel
+    if len(near) < count:
+        raise NumericalError(
+            f"the torques of arm '{arm.name}' hold its weight in {len(near) - 1} of {CANDIDATES} poses around the "
+            f"start, which are too few to choose {count} from; start from another q=, or give less travel=",
+            name="arm",
+        )
+    chosen = [0]
+    for _ in range(count - 1):
+        sets = np.array([u[[*chosen, i]] for i in range(len(near))])
+        gain = np.linalg.slogdet(_information(sets) + FLOOR * np.eye(3))[1] - cost
+        gain[chosen] = -np.inf
+        chosen.append(int(np.argmax(gain)))
+    if np.linalg.eigvalsh(_information(u[chosen]))[0] < len(chosen) * MIN_SUGGESTED_SPREAD**2:
+        raise NumericalError(
+            f"arm '{arm.name}' rotates its tool too little against gravity within {travel:g} rad of the start to "
+            "tell mass and com from the bias; start from another q=, give more travel=, or weigh the tool",
+            name="arm",
+        )
+    return near[chosen]
+
+
+def _candidates(arm: Arm, start: Float64Array, travel: float) -> Float64Array:
+    """The start, and positions around it in which the torque limits hold the weight."""
+    rng = np.random.default_rng(SEED)
+    span = np.where(np.isfinite(arm.upper - arm.lower), arm.upper - arm.lower, 0.0)
+    low = np.maximum(arm.lower + MARGIN * span, start - travel)
+    high = np.minimum(arm.upper - MARGIN * span, start + travel)
+    low, high = np.minimum(low, start), np.maximum(high, start)  # for a start that is closer to a limit
+    drawn = rng.uniform(low, high, size=(CANDIDATES, arm.n))
+    drawn[: CANDIDATES // 2, : max(arm.n - 3, 0)] = start[: max(arm.n - 3, 0)]  # half of them move the wrist alone
+    payload = PayloadValues(mass=arm.payload.mass, com=arm.payload.com, inertia=arm.payload.inertia)
+    model = model_of(arm)
+    held = [row for row in drawn if (np.abs(dyn.gravity_torque(model, row, payload)) <= MAX_LOAD * arm.effort).all()]
+    return np.vstack([start, *held])
+
+
+def _information(u: Float64Array) -> Float64Array:
+    """(..., 3, 3) information of directions of gravity (..., k, 3) on a centre of mass beside an unknown bias."""
+    off = u - u.mean(axis=-2, keepdims=True)
+    S = np.swapaxes(off, -1, -2) @ off
+    return np.asarray(np.trace(S, axis1=-2, axis2=-1)[..., np.newaxis, np.newaxis] * np.eye(3) - S)

@@ -7,8 +7,8 @@ from typing import Any, Final
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from taut.analysis.constraints.natural_constraints import ConstraintTable, natural_constraints
 from taut.analysis.constraints.specification import check_specification
-from taut.analysis.constraints.task_freedoms import Freedoms, freedoms
 from taut.base.types import Float64Array
 from taut.book.drawing import arrow, canvas, words
 from taut.book.page import Entry, Page, row
@@ -48,7 +48,7 @@ def eraser() -> Constraint:
     return Constraint.plane(point=[0.0, 0.0, 0.0], normal=[0.0, 0.0, 1.0], face=[0.0, 0.0, -1.0])
 
 
-def counted(name: str, found: Freedoms, motions: int, forces: int, states: str) -> list[Any]:
+def counted(name: str, found: ConstraintTable, motions: int, forces: int, states: str) -> list[Any]:
     """Rows of how many motions and forces may be chosen."""
     return [
         row(f"{name}: motions that may be chosen", "", found.motions, motions, "the chapter", states=states),
@@ -62,16 +62,16 @@ def sec_10_4_1() -> Page:
     sharp = Constraint(lambda T: T.p[2], one_sided=True)
     at = Pose([0.4, 0.1, 0.0])
     rows = [
-        *counted("cabinet door", freedoms(door, at=Pose([0.4, 0.1, 0.3])), 1, 5, "1 + 5"),
-        *counted("chalk on a board", freedoms(chalk, at=at), 5, 1, "5 + 1"),
-        *counted("chalk that sticks", freedoms(sharp, at=at, mode="stick", friction=0.3), 3, 3, "3 + 3"),
-        *counted("chalk pulled away", freedoms(sharp, at=at, mode="apart"), 6, 0, "6 + 0"),
+        *counted("cabinet door", natural_constraints(door, at=Pose([0.4, 0.1, 0.3])), 1, 5, "1 + 5"),
+        *counted("chalk on a board", natural_constraints(chalk, at=at), 5, 1, "5 + 1"),
+        *counted("chalk that sticks", natural_constraints(sharp, at=at, mode="stick", friction=0.3), 3, 3, "3 + 3"),
+        *counted("chalk pulled away", natural_constraints(sharp, at=at, mode="apart"), 6, 0, "6 + 0"),
     ]
     return Page(rows=tuple(rows))
 
 
 def fig_10_16() -> Page:
-    found = freedoms(eraser(), at=Pose([0.4, 0.1, 0.0]))
+    found = natural_constraints(eraser(), at=Pose([0.4, 0.1, 0.0]))
     rows = counted("eraser", found, 3, 3, "3 + 3")
     wanted = {
         "phi_x-dot = 0": "F_phi_x",
@@ -81,9 +81,9 @@ def fig_10_16() -> Page:
         "F_y = 0": "y-dot",
         "z-dot = 0": "F_z",
     }
-    table = found.table().splitlines()
+    table = {row.natural: row.artificial for row in found.rows}
     for natural, artificial in wanted.items():
-        there = any(line.startswith(natural) and f" {artificial} =" in line for line in table)
+        there = table.get(natural) == artificial
         rows.append(
             row(
                 f"row {natural} beside {artificial}",

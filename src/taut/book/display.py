@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.optimize import brentq
 
-from taut.analysis.tool.limits import stiffness_limits
+from taut.analysis.stiffness import check_virtual_wall
 from taut.arm.load import load_arm
 from taut.book.drawing import arrow, box, legend, panels, words
 from taut.book.oracle import held_radius
@@ -38,21 +38,21 @@ def stiffest(rate: float) -> float:
 def fig_10_17() -> Page:
     rows: list[Row] = []
     rates = np.array([250.0, 500.0, 1000.0, 2000.0, 4000.0])
-    told = [
-        stiffness_limits(mass=MASS, damping=DAMPING, B=VIRTUAL, rate=float(rate), velocity="difference")
+    walls = [
+        check_virtual_wall(mass=MASS, damping=DAMPING, B=VIRTUAL, rate=float(rate), velocity="difference")
         for rate in rates
     ]
-    for limits, rate in zip(told, rates.tolist(), strict=True):
+    for wall, rate in zip(walls, rates.tolist(), strict=True):
         name = f"stiffest stable spring at {rate:g} Hz"
-        rows.append(row(name, "N/m", limits.stable, stiffest(rate), f"{POLES}, bisected", rel=1e-5))
+        rows.append(row(name, "N/m", wall.limit, stiffest(rate), f"{POLES}, bisected", rel=1e-5))
     passive = (DAMPING - VIRTUAL) * 2.0 * RATE
     name = "stiffest spring that is safe in any hand, 1 kHz"
-    rows.append(row(name, "N/m", told[2].passive, passive, "Colgate: (b - |B|) / (T / 2)", rel=1e-3))
+    rows.append(row(name, "N/m", walls[2].passive_limit, passive, "Colgate: (b - |B|) / (T / 2)", rel=1e-3))
     z = load_arm("gantry3").subset(["z"]).with_body("z", mass=MASS)
     slide = z.with_joints(viscous=DAMPING).with_gravity([0.0, 0.0, 0.0])
     ctrl = compile(PID(kp=1.0, kd=VIRTUAL), slide, rate=RATE, sensing=Sensing(velocity="difference"))
     for factor in (0.8, 1.2):
-        K = factor * told[2].stable
+        K = factor * walls[2].limit
         ctrl.parameters["law.kp"] = K
         rest = JointMotion(q=[0.0])
         out = simulated(ctrl, slide, rest, duration=0.4, q0=[1e-3], friction="arm", integrator="rk4")
@@ -64,8 +64,8 @@ def fig_10_17() -> Page:
     _display(left)
     prepared(right, "how stiff the environment may be", "K [N/m]", "servo rate [Hz]")
     for k, name, values in (
-        (0, "stable alone", [each.stable for each in told]),
-        (2, "safe in any hand", [each.passive for each in told]),
+        (0, "stable alone", [each.limit for each in walls]),
+        (2, "safe in any hand", [each.passive_limit for each in walls]),
     ):
         right.plot(rates, values, "o-", color=colour(k), markersize=4.0, linewidth=1.3, label=name)
     right.plot(

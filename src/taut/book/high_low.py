@@ -52,18 +52,18 @@ def kinds() -> Page:
     prepared(ax, "impedance of three kinds of control", "|F / X| [N/m]", "frequency [Hz]")
     every = np.geomspace(0.2, 20.0, 100)
     for k, (name, (law, ref, wanted, claim)) in enumerate(laws.items()):
-        tip = along_x(law, ref)
-        for f, told, want in zip(HERTZ, tip.Z(s.imag), wanted, strict=True):
+        tool = along_x(law, ref)
+        for f, told, want in zip(HERTZ, tool.Z(s.imag), wanted, strict=True):
             source = "the law and m x-ddot = F, written out"
             rows.append(row(f"{name}: |Z| at {f:g} Hz", "N/m", abs(told), abs(want), source, rel=3e-3, states=claim))
-        ax.loglog(every, np.abs(tip.Z(2.0 * math.pi * every)), color=colour(k), linewidth=1.4, label=name)
+        ax.loglog(every, np.abs(tool.Z(2.0 * math.pi * every)), color=colour(k), linewidth=1.4, label=name)
     legend(ax)
     out = simulated(motion, slides(), rest, rate=FAST, duration=1.0, environment=Pushed())
     moved = out.q[-1, 0] - slides().home[0]
     name, claim = "motion control: Delta X under a Delta F of 10 N", "Delta X = Y Delta F"
     rows.append(row(name, "m", moved, 10.0 / (KP * mass), "Delta F / Z(0)", rel=1e-3, states=claim))
     note = (
-        "A gantry of 21 kg along x at 10 kHz, by taut.analysis.tip_impedance. Chosen: motion control with kp = "
+        "A gantry of 21 kg along x at 10 kHz, by taut.analysis.tool_impedance. Chosen: motion control with kp = "
         "400, kd = 40; "
         "impedance control with K and B of equation 10.46 and the gantry's own inertia; force control of no force "
         "with Kfp = 2, Kdamp = 50 N s/m."

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.linalg import expm
 
-from taut.analysis.tool.response import TipResponse, tip_impedance
+from taut.analysis.impedance_at_tool import ToolImpedance, tool_impedance
 from taut.arm.description import Arm
 from taut.arm.load import load_arm
 from taut.base.errors import RangeError
@@ -115,19 +115,19 @@ def asked(w: Any) -> Any:
     return D * (1j * w) ** 2 + B * 1j * w + K
 
 
-def along_x(law: Law, ref: Sample, rate: float = FAST) -> TipResponse:
+def along_x(law: Law, ref: Sample, rate: float = FAST) -> ToolImpedance:
     """How the gantry's tool answers a force along x."""
     wrist = Pushed(force=0.0)
-    return tip_impedance(looped(law, slides(), ref, rate=rate, environment=wrist), direction=[1.0, 0.0, 0.0])
+    return tool_impedance(looped(law, slides(), ref, rate=rate, environment=wrist), direction=[1.0, 0.0, 0.0])
 
 
 def eq_10_47() -> Page:
     ws = np.geomspace(1.5, 90.0, 5)
-    tip = along_x(VIRTUAL, still(slides()))
-    measured, wanted = tip.measure(ws), asked(ws)
+    tool = along_x(VIRTUAL, still(slides()))
+    measured, wanted = tool.measure(ws), asked(ws)
     claims = {0: "dominated by the spring", 4: "dominated by the mass"}
     rows: list[Row] = []
-    for way, told in (("linearised", tip.Z(ws)), ("by a sweep of runs", measured.Z)):
+    for way, told in (("linearised", tool.Z(ws)), ("by a sweep of runs", measured.Z)):
         for k in (0, 2, 4):
             name = f"Z at {ws[k]:.3g} rad/s, {way}"
             size, turn = (abs(told[k]), abs(wanted[k])), (np.angle(told[k]), np.angle(wanted[k]))
@@ -147,9 +147,7 @@ def eq_10_47() -> Page:
     ax.loglog(fine, D * fine**2, color=colour(1), linewidth=0.9, linestyle=DASHED, label="m w²")
     ax.set_ylim(50.0, 4e4)
     legend(ax)
-    note = (
-        "Numbers of equation 10.46. taut.analysis.tip_impedance has both: the linearised loop, and a sweep of pushes."
-    )
+    note = "Numbers of equation 10.46. taut.analysis.tool_impedance has both: the linearised loop, and a sine sweep."
     return Page(rows=tuple(rows), figure=figure, note=note)
 
 

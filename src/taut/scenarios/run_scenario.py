@@ -17,11 +17,9 @@ from rich.cells import cell_len
 from rich.markup import escape
 from rich.table import Table
 
-from taut.analysis.constraints.task_freedoms import freedoms
-from taut.analysis.tool.impedance import check_impedance, impedance_of
+from taut.analysis.constraints.natural_constraints import natural_constraints
 from taut.base.errors import FileError, ScenarioError, TautError, UsageError
 from taut.control.laws.hybrid import HybridMotionForce
-from taut.control.laws.impedance import Impedance
 from taut.control.tasks.phases import Phases
 from taut.controller import Controller, compile
 from taut.maths.snapshot import Snapshot, snapshot
@@ -41,7 +39,7 @@ from taut.scenarios.scenario import SUFFIXES, PassFigure, Scenario
 __all__ = ["ScenarioResult", "run_scenario"]
 
 SECTIONS: Final = {"duration": "run", "ref": "reference"}  # which an error of a run is about, by its name
-READABLE: Final = 118  # letters of a line
+READABLE: Final = 100  # letters of a row
 COLUMNS = (
     "rms_error",
     "peak_error",
@@ -287,36 +285,24 @@ def _blamed(scenario: Scenario, trial: Trial) -> Iterator[None]:
 
 
 def _remark(ctrl: Controller, scenario: Scenario) -> str:
-    """What is to be said of a spring at the tool, or of a constraint, before it runs."""
+    """The natural constraints of hybrid laws, before a run."""
     q = scenario.arm.home if scenario.q0 is None else scenario.q0
     if isinstance(ctrl.law, HybridMotionForce):
-        return _freedoms_of(ctrl.law, snapshot(scenario.arm, q))
+        return _natural_constraints_of(ctrl.law, snapshot(scenario.arm, q))
     if isinstance(ctrl.law, Phases):
         x, laws = snapshot(scenario.arm, q), ctrl.law.laws
         hybrid = {name: law for name, law in laws.items() if isinstance(law, HybridMotionForce)}
-        return "\n".join(f"phase '{name}': {_freedoms_of(law, x)}" for name, law in hybrid.items())
-    found = impedance_of(ctrl.law)
-    if found is None or (isinstance(found[0], Impedance) and found[0].has("D")):
-        return ""
-    try:
-        check = check_impedance(ctrl, scenario.q0)
-        if not check.stable:
-            return f"its spring is {check.sentences[0]}, by the eigenvalues of the loop as it is sampled"
-        return "" if check.passive_in_band else f"its spring {check.sentences[2]}"
-    except TautError:  # a pose or a filter for which there is no such answer
-        return ""
+        return "\n".join(f"phase '{name}': {_natural_constraints_of(law, x)}" for name, law in hybrid.items())
+    return ""
 
 
-def _freedoms_of(law: HybridMotionForce, x: Snapshot) -> str:
-    """What may be chosen; without the rows of a table that nobody could read, such as of a chain of many joints."""
-    table = freedoms(law.natural, at=x)
-    head, *lines = str(table).splitlines()
-    if max(map(len, lines), default=0) > READABLE:
-        lines = [
-            "its rows are sums of many joints: taut.analysis.freedoms prints them",
-            *lines[1 + len(table.rows) :],
-        ]
-    return "\n".join([head, *lines])
+def _natural_constraints_of(law: HybridMotionForce, x: Snapshot) -> str:
+    """The table of natural constraints; without rows that are unreadable sums, as of a chain of many joints."""
+    table = natural_constraints(law.natural, at=x)
+    if max(len(row.natural) for row in table.rows) <= READABLE:
+        return str(table)
+    rows = "its rows are sums of many joints: taut.analysis.natural_constraints prints them"
+    return "\n".join([table.content().title, rows, *table.notes])
 
 
 # -------------------------------------------------------------------- files

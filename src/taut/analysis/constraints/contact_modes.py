@@ -1,4 +1,4 @@
-"""The modes of a contact, stick, slide and apart, and the cone of its friction: section 10.4.1."""
+"""Contact modes (slide, stick, apart), the friction cone, and checks of motions and forces against a contact."""
 
 from __future__ import annotations
 
@@ -8,25 +8,33 @@ from typing import Final, Literal
 
 import numpy as np
 
+from taut.base.checks import finite_scalar
 from taut.base.errors import RangeError, UsageError
+from taut.base.result import Content, Result, Table
 from taut.base.types import Float64Array
 from taut.maths.constraints.constraint import Constraint
+from taut.maths.snapshot import Snapshot
+from taut.trace.pose import Pose
 
-__all__ = ["MODES", "Contact", "FrictionMargin", "HeldRows", "Mode", "held_rows"]
+__all__ = [
+    "MODES", "Contact", "ForceMotionCheck", "FrictionMargin", "Mode", "Violation", "acting_rows", "contacts_of",
+    "rows_of",
+]  # fmt: skip
 
 Mode = Literal["slide", "stick", "apart"]
 MODES: Final[tuple[Mode, ...]] = ("slide", "stick", "apart")
-ON_LINE: Final = 1e-6  # [m]
-TOUCHING: Final = 1e-6  # [m, rad]
+NO_GRADIENT: Final = 1e-12
+NO_FORCE: Final = 1e-9  # of a row: it has a moment alone
+ON_LINE: Final = 1e-6  # [m] of the contact force's line
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True)
 class FrictionMargin:
-    """How far a wrench is inside the friction cone of a contact; print it for a sentence.
+    """Distance of a wrench to the friction cone of a contact.
 
     Args:
-        pressing: [N] into the surface.
-        tangential: [N] along it.
+        pressing: Force into the surface [N].
+        tangential: Force along it [N].
         friction: Coefficient mu.
     """
 
@@ -35,36 +43,78 @@ class FrictionMargin:
     friction: float
 
     @property
-    def most(self) -> float:
-        """[N] that friction bears."""
+    def max_tangential(self) -> float:
+        """Largest tangential force at which the contact sticks [N]."""
         return self.friction * max(self.pressing, 0.0)
 
     @property
     def margin(self) -> float:
-        """[N] of tangential force to spare; below 0 outside the cone."""
-        return self.most - self.tangential
+        """`max_tangential` less the tangential force [N]: below 0 outside the cone."""
+        return self.max_tangential - self.tangential
 
     @property
     def inside(self) -> bool:
-        """Whether the contact sticks under it."""
+        """The contact sticks under this wrench."""
         return self.margin >= -1e-9 * max(1.0, self.tangential)
 
+
+@dataclass(frozen=True, kw_only=True)
+class Violation:
+    """A motion or a force that violates a constraint.
+
+    Args:
+        quantity: A motion or a force along an axis, or a sum of them.
+        value: Its specified value.
+        rule: What the constraint says of it, as "= 0".
+        reason: Where the rule comes from.
+    """
+
+    quantity: str
+    value: float
+    rule: str
+    reason: str
+
     def __str__(self) -> str:
-        asked = f"{self.tangential:.4g} N along the surface"
-        cone = f"the friction cone of {self.friction:g} * {self.pressing:.4g} N"
-        if self.inside:
-            return f"{asked} is inside {cone}, with {max(self.margin, 0.0):.4g} N to spare"
-        return f"{asked} is outside {cone}; ask for less, or press with {self.tangential / self.friction:.4g} N"
+        return f"{self.quantity} = {self.value:.4g} violates {self.quantity} {self.rule}: {self.reason}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForceMotionCheck(Result):
+    """Check of a motion and of forces that are specified together against a rigid contact.
+
+    Args:
+        violations: The constraints that are violated; none where the specification is admissible.
+        cones: Of each contact that sticks: the distance of the forces to its friction cone.
+    """
+
+    violations: tuple[Violation, ...]
+    cones: tuple[FrictionMargin, ...]
+
+    @property
+    def ok(self) -> bool:
+        """The motion and the forces are admissible together."""
+        return not self.violations
+
+    def content(self) -> Content:
+        """The violations, and the margins of the friction cones."""
+        heads = ("into the surface [N]", "along it [N]", "friction", "margin [N]")
+        rows = [(cone.pressing, cone.tangential, cone.friction, cone.margin) for cone in self.cones]
+        return Content(
+            title="motion and forces against the contact",
+            faults=[str(each) for each in self.violations],
+            summary=["admissible"] if self.ok else [],
+            tables=[Table(title="friction cones", columns=heads, rows=rows)] if rows else [],
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Contact:
-    """One contact: which row of A it is, and the two rows along its surface.
+    """One contact with friction.
 
     Args:
         row: Of A.
         size: Length of the gradient of its phi.
-        along: (2, 6) per twist of the tool in world axes: the velocity of the point that touches, along the surface.
+        along: (2, 6) per twist of the tool in world axes: velocity of the contact point along the surface.
     """
 
     row: int
@@ -72,124 +122,76 @@ class Contact:
     along: Float64Array
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class HeldRows:
-    """What holds in a mode: A V + phi_t = 0.
-
-    Args:
-        A: (k, m) rows of the constraint that hold, and under them those of sticking.
-        phi_t: (k,) d phi / dt of a surface that moves.
-        one_sided: (k,) whether a row is that of a contact.
-        given: Which rows of the constraint the first rows are.
-        contacts: Where friction acts.
-        lifted: (j, m + 1) A and phi_t of contacts that do not hold apart, where the tool still touches.
-        whole: (c, m) all rows of the constraint.
-    """
-
-    A: Float64Array
-    phi_t: Float64Array
-    one_sided: tuple[bool, ...]
-    given: tuple[int, ...]
-    contacts: tuple[Contact, ...]
-    lifted: Float64Array
-    whole: Float64Array
-
-
-def held_rows(
-    constraint: Constraint,
-    A: Float64Array,
-    phi_t: Float64Array,
-    phi: Float64Array,
-    *,
-    mode: Mode,
-    friction: float,
-    origin: Float64Array | None,
-    point: Float64Array | None,
-) -> HeldRows:
-    """The rows that hold in a mode: apart, what belongs to a contact does not; sticking, friction holds two more.
-
-    Args:
-        constraint: The constraint.
-        A: (k, m) its rows.
-        phi_t: (k,) d phi / dt.
-        phi: (k,).
-        mode: The mode.
-        friction: Coefficient mu.
-        origin: (3,) of the frame that it is of; None for one of joints or of several frames.
-        point: (3,) where it touches, if not there.
-
-    Raises:
-        UsageError: No contact, and so no such mode; sticking or friction where no point is known.
-        RangeError: A point that is not on the contact.
-    """
-    sides = constraint.one_sided
-    if mode != "slide" and not any(sides):
-        raise UsageError(
-            f"mode='{mode}' is for a contact, and no row of this constraint is one: say one_sided=True", name="mode"
-        )
-    if friction and origin is None:
-        raise UsageError(
-            "friction is for contacts of the tool; this constraint is of joints or of several frames: leave it out",
-            name="friction",
-        )
-    kept = _kept_in(mode, constraint)
-    gone = [i for i in range(len(A)) if i not in kept and sides[i] and phi[i] <= TOUCHING]
-    whole, lifted = A, np.column_stack([A[gone], phi_t[gone]])
-    A, phi_t, own = A[kept], phi_t[kept], tuple(sides[i] for i in kept)
-    contacts = _contacts(A, own, origin, point) if friction and origin is not None else ()
-    if friction and mode != "apart" and not contacts:
-        raise UsageError(
-            "friction is for a contact that bears a force, and no row of this constraint is one: say one_sided=True, "
-            "or leave it out",
-            name="friction",
-        )
-    if mode == "stick":
-        A = np.vstack([A, *(contact.along for contact in contacts)])
-        more = len(A) - len(phi_t)
-        phi_t, own = np.append(phi_t, np.zeros(more)), (*own, *(False,) * more)
-    return HeldRows(A=A, phi_t=phi_t, one_sided=own, given=tuple(kept), contacts=contacts, lifted=lifted, whole=whole)
+def rows_of(
+    constraint: Constraint, at: Pose | Snapshot, t: float | None
+) -> tuple[Float64Array, Float64Array, Float64Array, Pose | None]:
+    """A, phi_t and phi of a constraint, and the pose of its frame."""
+    T: Pose | None
+    if isinstance(at, Snapshot):
+        if t is not None:
+            raise UsageError("t is for a pose; a snapshot has its time", name="t")
+        rows = constraint.at(at)
+        T = None if constraint.frame is None else at.T(constraint.frame[0])
+        matrices = (rows.A_q if T is None else rows.A, rows.phi_t, rows.phi)
+        A, phi_t, phi = (np.asarray(each, dtype=np.float64) for each in matrices)
+    elif isinstance(at, Pose):
+        if constraint.frame is None:
+            raise UsageError(
+                "a constraint of joints or of several frames needs the whole arm: at=taut.snapshot(arm, q)", name="at"
+            )
+        time = 0.0 if t is None else finite_scalar("t", t, unit="s")
+        A, phi_t = constraint.of_twist(at, time)
+        phi, T = constraint.of_pose(at, time), at
+    else:
+        raise UsageError(f"at must be a taut.Pose or a taut.snapshot(arm, q); got {type(at).__name__}", name="at")
+    for row, size in enumerate(np.linalg.norm(A, axis=1)):
+        if not np.isfinite(size) or size < NO_GRADIENT:
+            got = "zero" if np.isfinite(size) else "not a number"
+            raise RangeError(
+                f"row {row} of the constraint must have a gradient, and it is {got} there; take another pose",
+                name="constraint",
+                value=float(size),
+            )
+    return A, phi_t, phi, T
 
 
-def _kept_in(mode: Mode, constraint: Constraint) -> list[int]:
-    kept: list[int] = []
+def acting_rows(mode: Mode, constraint: Constraint) -> list[int]:
+    """The rows that act: apart, none of what belongs to a contact."""
+    rows: list[int] = []
     first = 0
     for piece in constraint.pieces:
         if mode != "apart" or not any(piece.one_sided):
-            kept += range(first, first + piece.count)
+            rows += range(first, first + piece.count)
         first += piece.count
-    return kept
+    return rows
 
 
-def _contacts(
-    A: Float64Array, one_sided: Sequence[bool], origin: Float64Array, point: Float64Array | None
-) -> tuple[Contact, ...]:
-    """The contacts among rows, each with a force along a line through a point: the tool's origin, or `point`.
+def contacts_of(A: Float64Array, unilateral: Sequence[bool], offset: Float64Array | None) -> tuple[Contact, ...]:
+    """The contacts among rows, each with a force along a line through a point.
+
+    Args:
+        A: (k, 6) rows.
+        unilateral: (k,) which of them are contacts.
+        offset: (3,) from the tool's origin to the point [m]; None for the origin.
 
     Raises:
-        UsageError: The line does not pass through the tool's origin, and no point is given.
-        RangeError: It does not pass through the point.
+        RangeError: The line does not pass through the point.
     """
-    found = []
+    contacts = []
     for i, row in enumerate(A):
         size = float(np.linalg.norm(row[:3]))
-        if not one_sided[i] or size < 1e-9:
+        if not unilateral[i] or size < NO_FORCE:
             continue
         n, moment = row[:3] / size, row[3:] / size
-        d = np.zeros(3) if point is None else point - origin
+        d = np.zeros(3) if offset is None else offset
         off = float(np.linalg.norm(moment - np.cross(d, n)))
         if off > ON_LINE:
-            if point is None:
-                raise UsageError(
-                    f"friction acts where the contact is, and the force of row {i} passes the frame's origin at "
-                    f"{off:.4g} m; give point=, where it touches",
-                    name="point",
-                )
             raise RangeError(
-                f"point must lie on the line of the contact force of row {i}; it is {off:.4g} m off [m]",
+                f"point must lie on the line of the contact force of row {i}; the "
+                f"{'origin of the frame' if offset is None else 'given one'} is {off:.4g} m off [m]",
                 name="point",
                 value=off,
             )
         left, _, _ = np.linalg.svd(n[:, None])
-        along = np.array([[*t, *np.cross(d, t)] for t in left[:, 1:].T])
-        found.append(Contact(row=i, size=size, along=along))
-    return tuple(found)
+        contacts.append(Contact(row=i, size=size, along=np.array([[*t, *np.cross(d, t)] for t in left[:, 1:].T])))
+    return tuple(contacts)

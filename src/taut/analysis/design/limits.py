@@ -13,7 +13,7 @@ from scipy.linalg import eigh
 from taut import laws
 from taut.analysis.design.directions import Direction, designed_part, fed_forward, weight_gradient
 from taut.analysis.design.trial import Bench, Numbers, Response
-from taut.analysis.tool.impedance import check_impedance
+from taut.analysis.stiffness import check_stiffness
 from taut.arm.description import Arm
 from taut.base.errors import UsageError
 from taut.base.types import Float64Array
@@ -462,9 +462,10 @@ def _stiffness(tried: Tried) -> Iterator[DesignLimit]:
     law: Any = tried.bench.law
     if not isinstance(law, (laws.Impedance, laws.Stiffness)) or (isinstance(law, laws.Impedance) and law.has("D")):
         return
-    check = check_impedance(tried.bench.ctrl, tried.x.q, delay=float(tried.bench.plant.actuation.delay))
-    held = "" if tried.bench.motion.exact else "of an arm that moves all the time, not in the steps of plant=: "
+    check = check_stiffness(tried.bench.ctrl, tried.x.q, delay=float(tried.bench.plant.actuation.delay))
+    exact = "" if tried.bench.motion.exact else "with exact integration, not in the steps of plant=: "
+    verdict = "stable" if check.stable else "unstable"
     yield DesignLimit(
-        name="stiffness", value=1.0, limit=check.stable_up_to, unit="K", ok=check.stable,
-        sentence=f"{held}{check.sentences[0]}; {check.sentences[2]}",
+        name="stiffness", value=1.0, limit=check.limit, unit="K", ok=check.stable,
+        sentence=f"{exact}{verdict} at the pose as it is sampled; the stability limit is {check.limit:.3g} K",
     )  # fmt: skip

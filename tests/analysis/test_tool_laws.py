@@ -79,8 +79,8 @@ LAWS: dict[str, tuple[Callable[[taut.Arm], taut.Law], str]] = {
     "ForceControl, feedforward": (lambda _: laws.ForceControl(kdamp=(50.0, 5.0), feedback="none"), FREE),
     "HybridMotionForce": (lambda arm: on_a_plane(arm, kfp=1.0, kdamp=50.0), TOUCHED),
 }
-PROMISING = frozenset(LAWS) - {"VelocityPI", "via_joint_space, drives", "TaskVelocity", "TaskPosition"}
-PROMISING -= {"HybridMotionForce"}
+SPECIFYING = frozenset(LAWS) - {"VelocityPI", "via_joint_space, drives", "TaskVelocity", "TaskPosition"}
+SPECIFYING -= {"HybridMotionForce"}
 HARD = frozenset({"VelocityPI", "via_joint_space, drives", "TaskVelocity", "TaskPosition"})
 DRIFTS = frozenset({"GravityCompensation", "ForceControl", "ForceControl, feedforward", "HybridMotionForce"})
 LED = frozenset({"Admittance", "Admittance, drives"})  # the inner loop, or the drive, is in it besides
@@ -111,16 +111,16 @@ def test_every_law_of_motion_and_force_is_here() -> None:
 
 
 @pytest.mark.bars
-def test_predicted_is_what_is_measured_and_near_what_is_asked(share: Callable[[int], int], bar: Bar) -> None:
+def test_predicted_is_what_is_measured_and_near_what_is_specified(share: Callable[[int], int], bar: Bar) -> None:
     pairs = [(law, name) for law in LAWS for name in ARMS]
     count = share(len(pairs)) if share(10) == 10 else share(len(pairs)) // 3
     chosen = np.random.default_rng(11).permutation(len(pairs))[:count]
     swept, promised = [], []
     for law, name in (pairs[i] for i in chosen):
-        tip = taut.analysis.tip_impedance(loop_of(law, taut.load_arm(name)), direction=Z_AXIS, within=2.0)
+        tip = taut.analysis.tool_impedance(loop_of(law, taut.load_arm(name)), direction=Z_AXIS, within=2.0)
         assert all(side.startswith("the loop has a kink near here") for side in tip.lin.sides), (law, name)
         assert tip.lin.sides == () or law.startswith("via_joint_space"), (law, name)
-        assert (tip.asked is not None) is (law in PROMISING and (law, name) not in OBLIQUE), (law, name)
+        assert (tip.specified is not None) is (law in SPECIFYING and (law, name) not in OBLIQUE), (law, name)
         Z, measured = tip.Z(OMEGA), tip.measure(OMEGA)
         if law in HARD:
             assert np.isinf(Z).all(), (law, name)
@@ -130,8 +130,8 @@ def test_predicted_is_what_is_measured_and_near_what_is_asked(share: Callable[[i
         assert off < (LOOSE if law in DRIFTS else SWEPT), (law, name)
         if law not in DRIFTS:
             swept.append(off)
-        if tip.asked is not None:
-            far = np.abs(tip.asked_Z(OMEGA) / Z - 1.0)
+        if tip.specified is not None:
+            far = np.abs(tip.specified_Z(OMEGA) / Z - 1.0)
             assert far[0] < (LATE if law in FELT else PROMISED), (law, name, far)
             if law not in FELT:
                 assert far[1] < PROMISED, (law, name, far)
@@ -157,19 +157,19 @@ def test_the_derivative_in_native_code_is_that_of_plain_python(share: Callable[[
 
 def test_an_admittance_that_stays_put_at_rest_gives_way_all_the_same() -> None:
     """At the very point both of its energies are zero, and its body stays: the model is of what it does beside it."""
-    tip = taut.analysis.tip_impedance(loop_of("Admittance, drives", taut.load_arm("panda")), direction=Z_AXIS)
+    tip = taut.analysis.tool_impedance(loop_of("Admittance, drives", taut.load_arm("panda")), direction=Z_AXIS)
     assert abs(tip.Z(OMEGA[0])[0]) == pytest.approx(800.0, rel=0.1)
     assert pytest.approx(tip.Z(OMEGA[:1]), rel=SWEPT) == tip.measure(OMEGA[:1]).Z
 
 
 @pytest.mark.parametrize("frame", ["world", "tool"])
-def test_a_spring_alone_promises_what_joints_with_their_damping_make_of_it(frame: str) -> None:
+def test_a_spring_alone_specifies_what_joints_with_their_damping_make_of_it(frame: str) -> None:
     arm = taut.load_arm("planar3")
     law = laws.Stiffness(K=[800.0, 300.0, 500.0, 30.0, 20.0, 10.0], kd=10.0 * own(arm), frame=frame)
     loop = taut.Loop(taut.compile(law, arm, rate=RATE), Plant(arm, friction=None), duration=0.5)
-    tip = taut.analysis.tip_impedance(loop, direction=[0.3, 0.0, 1.0])
+    tip = taut.analysis.tool_impedance(loop, direction=[0.3, 0.0, 1.0])
     omega = np.array([0.01, 3.0, 30.0])
-    assert tip.asked_Z(omega) == pytest.approx(tip.Z(omega), rel=PROMISED)
+    assert tip.specified_Z(omega) == pytest.approx(tip.Z(omega), rel=PROMISED)
 
 
 def closed_form(arm: taut.Arm, omega: Float64Array, kfp: float, kdamp: float) -> tuple[Float64Array, float]:
@@ -203,7 +203,7 @@ def test_hybrid_control_is_motion_along_its_constraint_and_force_against_it(name
     )
     (wanted, damping), slow = closed_form(arm, omega, kfp, 50.0), np.array([0.01, 0.1])
     for way, order in (([1.0, 0.0, 0.0], 0), (Z_AXIS, 1)):  # a spring along it, a damper against it
-        tip, d = taut.analysis.tip_impedance(loop, direction=way), np.array([*way, 0.0, 0.0, 0.0])
+        tip, d = taut.analysis.tool_impedance(loop, direction=way), np.array([*way, 0.0, 0.0, 0.0])
         assert tip.Z(omega) == pytest.approx(1.0 / (wanted @ d @ d), rel=HELD)
         assert pytest.approx(tip.Z(omega[1:]), rel=LOOSE) == tip.measure(omega[1:]).Z
         few, more = np.abs(tip.Z(slow))
@@ -216,7 +216,7 @@ def test_a_force_loop_adds_nothing_to_the_stiffness_of_what_it_presses_on() -> N
     arm, k = taut.load_arm("planar3"), 5000.0
     ctrl = taut.compile(on_a_plane(arm, kfi=5.0, kdamp=200.0), arm, rate=RATE)
     spring = taut.environments.Spring(stiffness=(k, 0.0), at=taut.snapshot(arm, arm.home).T())
-    tip = taut.analysis.tip_impedance(
+    tip = taut.analysis.tool_impedance(
         taut.Loop(ctrl, Plant(arm, friction=None, environment=spring), duration=0.5), direction=Z_AXIS
     )
     assert tip.lin.stable
@@ -233,10 +233,11 @@ def test_directions_are_those_of_the_world_however_the_arm_is_mounted(law: str) 
         ([0.0, 0.0, 0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, -1.0, 0.0, 0.0]),
     ):
         one, other = (
-            taut.analysis.tip_impedance(loop_of(law, arm), direction=way) for arm, way in zip(arms, ways, strict=True)
+            taut.analysis.tool_impedance(loop_of(law, arm), direction=way)
+            for arm, way in zip(arms, ways, strict=True)
         )
         assert one.Z(OMEGA) == pytest.approx(other.Z(OMEGA), rel=1e-9)
-        assert one.asked_Z(OMEGA) == pytest.approx(other.asked_Z(OMEGA), rel=1e-9)
+        assert one.specified_Z(OMEGA) == pytest.approx(other.specified_Z(OMEGA), rel=1e-9)
 
 
 class Wave(taut.environments.Environment):
@@ -275,7 +276,7 @@ def test_a_run_against_a_swinging_force_has_the_predicted_admittance(law: str) -
     arm, omega, dt = taut.load_arm("planar3"), 20.0, 1e-3
     way = np.array([0.6, 0.0, 0.8, 0.0, 0.0, 0.0])
     ctrl = taut.compile(LAWS[law][0](arm), arm)
-    tip = taut.analysis.tip_impedance(taut.Loop(ctrl, plant_of(arm, TOUCHED, True), duration=0.5), direction=way)
+    tip = taut.analysis.tool_impedance(taut.Loop(ctrl, plant_of(arm, TOUCHED, True), duration=0.5), direction=way)
     force = 1e-4 * abs(tip.Z(omega)[0])
     plant = Plant(arm, friction=None, environment=Wave(force * way, omega))
     run = taut.run(ctrl, plant, duration=4.0)

@@ -1,4 +1,4 @@
-"""The task frame: axes and an origin in which a constraint forbids some axes and leaves the others free."""
+"""Task frame of a rigid contact: axes and an origin along each of which either the motion or the force is free."""
 
 from __future__ import annotations
 
@@ -15,38 +15,38 @@ from taut.trace.pose import Pose
 
 __all__ = ["TaskBasis", "row_space"]
 
-SAME: Final = 1e-9  # rows of length 1: below it they depend, and entries are zero
+TOLERANCE: Final = 1e-9  # of rows of length 1: below it they are dependent, and entries are zero
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TaskBasis:
-    """Constraint rows along the axes of a task frame, solved for as many of them.
+    """Rows of a constraint along the axes of a task frame, each solved for one axis.
 
     Args:
-        frame: The task frame in the world; None where the axes are joints, or poses of several frames.
+        frame: The task frame in the world; None where the axes are joints.
         to_task: (m, m) from V to the motion along the axes.
-        solved: (r, m) A V = right along the axes, with a unit matrix in the columns `held`.
-        right: (r,) how fast these are held to move.
-        held: Axes whose force is free; the motion of the others is.
+        solved: (r, m) A V = right along the axes, with a unit matrix in the columns `constrained`.
+        right: (r,) velocities that the constraint prescribes.
+        constrained: Axes whose motion is constrained and whose force is free.
     """
 
     frame: Pose | None
     to_task: Float64Array
     solved: Float64Array
     right: Float64Array
-    held: tuple[int, ...]
+    constrained: tuple[int, ...]
 
     @classmethod
     def of(
         cls, A: Float64Array, phi_t: Float64Array, T: Pose | None, frame: Pose | Literal["world", "tool"] | None
     ) -> TaskBasis:
-        """That of A V + phi_t = 0.
+        """The basis of A V + phi_t = 0.
 
         Args:
             A: (k, m).
             phi_t: (k,).
-            T: Pose of the frame that A is of, with m = 6; None for one of joints.
-            frame: The task frame, or whose axes it has; the one in which rows are of axes alone if left out.
+            T: Pose of the constrained frame, with m = 6; None for a constraint of joints.
+            frame: The task frame, or whose axes it has; one in which each row has a single axis if left out.
         """
         rows = row_space(A)
         right = rows @ np.linalg.lstsq(A, -phi_t, rcond=None)[0] if len(A) else np.zeros(0)
@@ -57,18 +57,19 @@ class TaskBasis:
             if isinstance(frame, Pose):
                 task = frame
             else:
-                found = _task_frame(rows, T) if frame is None else None
-                task = found or Pose.of(np.asarray(T.R) if frame == "tool" else np.eye(3), p)
-            to_task = _seen_from(task, p)
-        solved, right, held = _reduced(rows @ np.linalg.inv(to_task), right)
+                separating = _separating_frame(rows, T) if frame is None else None
+                task = separating or Pose.of(np.asarray(T.R) if frame == "tool" else np.eye(3), p)
+            to_task = _twist_at(task, p)
+        solved, right, constrained = _reduced(rows @ np.linalg.inv(to_task), right)
         return cls(
-            frame=task, to_task=read_only(to_task), solved=read_only(solved), right=read_only(right), held=tuple(held)
-        )
+            frame=task, to_task=read_only(to_task), solved=read_only(solved), right=read_only(right),
+            constrained=tuple(constrained),
+        )  # fmt: skip
 
     @property
     def free(self) -> tuple[int, ...]:
         """Axes whose motion is free."""
-        return tuple(i for i in range(len(self.to_task)) if i not in self.held)
+        return tuple(i for i in range(len(self.to_task)) if i not in self.constrained)
 
     @property
     def from_task(self) -> Float64Array:
@@ -80,7 +81,7 @@ class TaskBasis:
         """(m, m - r) along the axes: a basis of the free motions, whose coordinates are those of `free`."""
         N = np.zeros((len(self.to_task), len(self.free)))
         N[list(self.free)] = np.eye(len(self.free))
-        N[list(self.held)] = -self.solved[:, list(self.free)]
+        N[list(self.constrained)] = -self.solved[:, list(self.free)]
         return N
 
 
@@ -89,13 +90,13 @@ def row_space(A: Float64Array) -> Float64Array:
     if not len(A):
         return A
     _, values, rows = np.linalg.svd(A / np.linalg.norm(A, axis=1)[:, None], full_matrices=False)
-    return np.asarray(rows[values > SAME * values[0]])
+    return np.asarray(rows[values > TOLERANCE * values[0]])
 
 
 def _reduced(rows: Float64Array, right: Float64Array) -> tuple[Float64Array, Float64Array, list[int]]:
     """rows V = right solved for as many entries of V: (r, m) with a unit matrix in some columns, and those columns.
 
-    The columns are those of the largest numbers, so that what lies along an axis stands alone in its row.
+    The columns are those of the largest numbers, so that a constraint along an axis has that axis alone in its row.
     """
     A, c = rows.copy(), right.copy()
     pivots: list[int] = []
@@ -109,26 +110,26 @@ def _reduced(rows: Float64Array, right: Float64Array) -> tuple[Float64Array, Flo
                 c[other], A[other] = c[other] - A[other, column] * c[i], A[other] - A[other, column] * A[i]
         pivots.append(column)
     order = np.argsort(pivots)
-    A = np.where(np.abs(A) < SAME, 0.0, A)
-    return A[order], np.where(np.abs(c[order]) < SAME, 0.0, c[order]), sorted(pivots)
+    A = np.where(np.abs(A) < TOLERANCE, 0.0, A)
+    return A[order], np.where(np.abs(c[order]) < TOLERANCE, 0.0, c[order]), sorted(pivots)
 
 
-def _seen_from(frame: Pose, origin: Float64Array) -> Float64Array:
+def _twist_at(frame: Pose, origin: Float64Array) -> Float64Array:
     """(6, 6) from a twist at a point, in world axes, to that of the same body at a frame's origin, in its axes."""
-    turn = np.kron(np.eye(2), np.asarray(frame.R, dtype=np.float64).T)
+    rotation = np.kron(np.eye(2), np.asarray(frame.R, dtype=np.float64).T)
     shift = np.eye(6)
     shift[:3, 3:] = -skew(np.asarray(frame.p, dtype=np.float64) - origin)
-    return np.asarray(turn @ shift)
+    return np.asarray(rotation @ shift)
 
 
-def _aligned(rows: Float64Array) -> bool:
-    """Whether orthonormal rows span coordinate axes alone."""
+def _single_axes(rows: Float64Array) -> bool:
+    """Orthonormal rows span coordinate axes alone."""
     projector = rows.T @ rows
-    return bool(np.all(np.abs(projector - np.round(projector)) < SAME))
+    return bool(np.all(np.abs(projector - np.round(projector)) < TOLERANCE))
 
 
-def _task_frame(rows: Float64Array, T: Pose) -> Pose | None:
-    """The frame nearest to the world's axes, then the tool's, in which constraint rows are of axes alone.
+def _separating_frame(rows: Float64Array, T: Pose) -> Pose | None:
+    """The frame nearest to the world's axes, then the tool's, in which each constraint row has a single axis.
 
     Args:
         rows: (r, 6) orthonormal, per twist of the tool in world axes.
@@ -144,24 +145,24 @@ def _task_frame(rows: Float64Array, T: Pose) -> Pose | None:
     origin = p + away
     for R in (np.eye(3), np.asarray(T.R, dtype=np.float64)):
         frame = Pose.of(read_only(R), read_only(origin))
-        if _aligned(row_space(rows @ np.linalg.inv(_seen_from(frame, p)))):
+        if _single_axes(row_space(rows @ np.linalg.inv(_twist_at(frame, p)))):
             return frame
-    axes = _axes(row_space(rows @ np.linalg.inv(_seen_from(Pose.of(np.eye(3), origin), p))))
+    axes = _axes(row_space(rows @ np.linalg.inv(_twist_at(Pose.of(np.eye(3), origin), p))))
     return None if axes is None else Pose.of(read_only(axes), read_only(origin))
 
 
-def _parts(rows: Float64Array) -> tuple[Float64Array, Float64Array]:
+def _forces_and_couples(rows: Float64Array) -> tuple[Float64Array, Float64Array]:
     """(r1, 6) rows with independent forces, and (r2, 3) couples, that span the same."""
     left, values, _ = np.linalg.svd(rows[:, :3])
-    rank = int(np.sum(values > SAME))
+    rank = int(np.sum(values > TOLERANCE))
     return left[:, :rank].T @ rows, left[:, rank:].T @ rows[:, 3:]
 
 
 def _center(rows: Float64Array) -> Float64Array | None:
-    """(3,) from the tool to the nearest point at which forces and couples part; None where there is none."""
+    """(3,) from the tool to the nearest point at which forces and couples separate; None if there is none."""
     if not len(rows):
         return np.zeros(3)
-    forces, couples = _parts(rows)
+    forces, couples = _forces_and_couples(rows)
     own = row_space(couples) if len(couples) else np.zeros((0, 3))
     rest = np.eye(3) - own.T @ own
     if not len(forces):
@@ -169,18 +170,18 @@ def _center(rows: Float64Array) -> Float64Array | None:
     lever = np.vstack([rest @ skew(f[:3]) for f in forces])
     moments = np.concatenate([rest @ f[3:] for f in forces])
     d = np.linalg.lstsq(lever, -moments, rcond=1e-9)[0]
-    found = np.linalg.norm(lever @ d + moments) <= SAME * (1.0 + float(np.linalg.norm(moments)))
-    return np.where(np.abs(d) < 1e-12, 0.0, d) if found else None
+    exact = np.linalg.norm(lever @ d + moments) <= TOLERANCE * (1.0 + float(np.linalg.norm(moments)))
+    return np.where(np.abs(d) < 1e-12, 0.0, d) if exact else None
 
 
 def _axes(rows: Float64Array) -> Float64Array | None:
-    """(3, 3) axes nearest to the world's along which forces and couples are of axes alone."""
-    forces, couples = _parts(rows)
+    """(3, 3) axes nearest to the world's along each of which there is a force, a couple, or neither."""
+    forces, couples = _forces_and_couples(rows)
     lines = row_space(forces[:, :3])
-    turns = row_space(couples) if len(couples) else couples
-    kinds, vectors = np.linalg.eigh(lines.T @ lines + 2.0 * turns.T @ turns)
+    moments = row_space(couples) if len(couples) else couples
+    kinds, vectors = np.linalg.eigh(lines.T @ lines + 2.0 * moments.T @ moments)
     kind = np.round(kinds)
-    if np.any(np.abs(kinds - kind) > SAME):
+    if np.any(np.abs(kinds - kind) > TOLERANCE):
         return None
 
     def fit(order: tuple[int, ...]) -> float:

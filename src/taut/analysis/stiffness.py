@@ -1,0 +1,569 @@
+"""Maximum stable and maximum passive stiffness of a sampled loop: an arm under its controller, or a virtual wall."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taut.base.checks import finite_array, finite_scalar, positive_scalar, rate_in_hertz, require_at_least
+from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.paths import subtree
+from taut.base.result import Cell, Content, Result, Table
+from taut.base.types import ArrayLike, Float64Array
+from taut.control.describe import all_laws
+from taut.control.laws.friction import FrictionCompensation
+from taut.controller import Controller
+from taut.linear.joint_loop import VelocityKind, joint_matrix, pid
+from taut.linear.linear_system import LinearSystem, names
+from taut.linear.period import Period
+from taut.loop import Loop
+from taut.maths.model import PayloadValues
+from taut.maths.snapshot import Snapshot
+from taut.plant.rigid import RigidPlant
+from taut.trace.derivative import jacobian
+
+__all__ = ["StiffnessCheck", "check_stiffness", "check_virtual_wall", "passivity_margin"]
+
+Complex = NDArray[np.complex128]
+LawOf = Callable[[float], LinearSystem]
+"""Factor on the stiffness -> the sampled law from q and v to command."""
+
+STIFFNESS: Final = ("K", "kp")  # names of stiffness gains
+OF_JOINTS: Final = "viscous friction of the joints"
+AXES: Final = tuple(f"{kind} {axis}" for kind in ("translation", "rotation") for axis in "xyz")
+NO_GROWTH: Final = 1e-2  # [1/s] a growth that rounding of central differences may show: a factor e in 100 s
+NO_COMPENSATION: Final = 1e12  # [rad/s] of speed over which dry friction is compensated: none is
+REACH: Final = 1e-9  # of the largest mobility: below it the tool cannot move in a direction
+SHOWN: Final = 0.2  # [-] smallest fraction of a mode that a sentence names
+POINTS: Final = 256  # frequencies of a grid, for each period of delay
+LOWEST: Final = 1e-4  # [rad] omega T: below it the condition has reached its limit for slow motion
+ZOOMS: Final = 3  # each is 64 times finer
+ROUNDING: Final = 1e-9  # of the largest damping
+MIN_FACTOR: Final = 2.0**-14
+MAX_FACTOR: Final = 2.0**40
+INTEGRATOR: Final = 1e-9  # [-] distance in z of a pole to 1
+
+
+# -------------------------------------------------------------------- the result
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StiffnessCheck(Result):
+    """Stability and passivity of the sampled loop of an inertia and a law, in all directions at once.
+
+    Args:
+        M: (n, n) inertia [kg m^2 | kg].
+        damping: (n, n) physical damping [N m s/rad | N s/m].
+        gravity: (n, n) derivative of the gravity torques that are not compensated [N m/rad | N/m].
+        law_of: The sampled law with its stiffness times a factor.
+        delay: [s] from the tick to the torque, beyond the zero-order hold.
+        band: Highest frequency [Hz] of motions of which passivity is asked; None for every passive environment.
+        joints: n names.
+        J: (6, n) Jacobian of the tool in world axes; None without an arm.
+        growth: [1/s] up to which growth counts as rounding.
+        tolerance: Relative, of the limits.
+        source: The physical damping in words.
+    """
+
+    M: Float64Array
+    damping: Float64Array
+    gravity: Float64Array
+    law_of: LawOf
+    delay: float
+    band: float | None
+    joints: tuple[str, ...]
+    J: Float64Array | None = None
+    growth: float = 0.0
+    tolerance: float = 1e-8
+    source: str = "physical damping"
+
+    @cached_property
+    def law(self) -> LinearSystem:
+        """The sampled law: from q and v to command."""
+        return self.law_of(1.0)
+
+    @cached_property
+    def system(self) -> LinearSystem:
+        """The closed loop, from tick to tick."""
+        return self._closed(self.law)
+
+    @cached_property
+    def stable(self) -> bool:
+        """The loop is stable by itself."""
+        return self._is_stable(self.system)
+
+    @cached_property
+    def limit(self) -> float:
+        """Largest factor on the stiffness up to which the loop is stable; 0 where no smaller one makes it stable.
+
+        The first limit on a grid of factors of 2 from 1 on: a loop that is stable again above it is not counted.
+        """
+        return _largest_factor(lambda factor: self._is_stable(self._closed(self.law_of(factor))), self.tolerance)
+
+    @cached_property
+    def damping_margin(self) -> float:
+        """Physical damping above the least that passivity needs [N m s/rad | N s/m]; negative where it is too small.
+
+        In the worst direction and at the worst frequency: see `passivity_margin`.
+        """
+        return self._margin(self.law)
+
+    @property
+    def passive(self) -> bool:
+        """No passive environment makes the loop unstable; with a band, no motion in it gets energy out of it."""
+        return (self.stable or self.band is None) and self.damping_margin >= -self._rounding
+
+    @cached_property
+    def passive_limit(self) -> float:
+        """Largest factor on the stiffness up to which the loop is passive; 0 where no factor helps."""
+        if self.damping_margin == -math.inf:
+            return 0.0
+        factor = _largest_factor(lambda f: self._margin(self.law_of(f)) >= -self._rounding, self.tolerance)
+        return factor if self.band is None else min(factor, self.limit)
+
+    @cached_property
+    def relies_on(self) -> tuple[str, ...]:
+        """The physical damping without which one of the verdicts would be another; empty where none is needed."""
+        if not self.damping.any():
+            return ()
+        bare = dataclasses.replace(self, damping=np.zeros_like(self.damping))
+        return (self.source,) if (self.stable, self.passive) != (bare.stable, bare.passive) else ()
+
+    @cached_property
+    def direction(self) -> Mapping[str, float]:
+        """Fraction of each joint in the mode that becomes unstable first, by name, the largest first."""
+        participation = self._critical_mode[0]
+        parts = [sum(participation.get(f"plant.{x}[{i}]", 0.0) for x in "qv") for i in range(len(self.joints))]
+        return _sorted_fractions(self.joints, np.array(parts))
+
+    @cached_property
+    def tool_direction(self) -> Mapping[str, float]:
+        """Fraction of each axis of the tool in that mode, by kinetic energy (world axes); empty without an arm."""
+        if self.J is None:
+            return {}
+        velocity = np.abs(self.J @ self._critical_mode[1]) ** 2  # of a mode, v = (z - 1) q / dt in every joint
+        mobility = np.diag(self.J @ np.linalg.solve(self.M, self.J.T))
+        energy = np.divide(velocity, mobility, out=np.zeros(6), where=mobility > REACH * mobility.max())
+        return _sorted_fractions(AXES, energy)
+
+    def content(self) -> Content:
+        """Verdicts, limits and the direction that limits the stiffness."""
+        who = "every passive environment" if self.band is None else f"motions below {self.band:g} Hz"
+        verdicts = [(self.stable, "stable", "unstable by itself"), (self.passive, f"passive against {who}", "")]
+        rows: list[list[Cell]] = [
+            ["stable by itself", self.stable, self.limit],
+            [f"passive against {who}", self.passive, self.passive_limit],
+        ]
+        parts = [f"{name} {100 * x:.0f} %" for name, x in self.direction.items() if x >= SHOWN]
+        tool = [f"{name} {100 * x:.0f} %" for name, x in self.tool_direction.items() if x >= SHOWN]
+        where = f"the stiffness is limited along {', '.join(parts)}" + (f"; tool: {', '.join(tool)}" if tool else "")
+        notes = [where] if parts else []
+        notes += [f"the verdict relies on the {each}" for each in self.relies_on]
+        return Content(
+            title=f"stiffness of a loop sampled at {1.0 / self._dt:g} Hz",
+            faults=[] if self.stable else ["the loop is unstable by itself"],
+            summary=[yes for good, yes, _ in verdicts if good],
+            tables=[Table(columns=("", "holds", "largest factor on the stiffness"), rows=rows)],
+            notes=notes,
+        )
+
+    # ---------------------------------------------------------------- its parts
+
+    @property
+    def _dt(self) -> float:
+        assert self.law.dt is not None
+        return self.law.dt
+
+    @property
+    def _rounding(self) -> float:
+        return ROUNDING * float(np.abs(self.damping).max())
+
+    @cached_property
+    def _plant(self) -> LinearSystem:
+        n = len(self.M)
+        rates = np.linalg.solve(self.M, np.hstack([-self.gravity, -self.damping, np.eye(n)]))
+        return LinearSystem(
+            A=np.block([[np.zeros((n, n)), np.eye(n)], [rates[:, : 2 * n]]]),
+            B=np.vstack([np.zeros((n, n)), rates[:, 2 * n :]]), C=np.eye(2 * n), inputs=names("command", n),
+            states=(*names("plant.q", n), *names("plant.v", n)), outputs=(*names("q", n), *names("v", n)),
+        ).zoh(self._dt, self.delay)  # fmt: skip
+
+    def _closed(self, law: LinearSystem) -> LinearSystem:
+        return self._plant.feedback(law)
+
+    def _is_stable(self, system: LinearSystem) -> bool:
+        return system.stable or (self.growth > 0.0 and system.decay_rate > -self.growth)
+
+    def _margin(self, law: LinearSystem) -> float:
+        return passivity_margin(law, self.damping, delay=self.delay, band=self.band)
+
+    @cached_property
+    def _critical_mode(self) -> tuple[Mapping[str, float], Complex]:
+        """Participation of the states, and the shape of the joints (n,), of the mode that grows first."""
+        system = self.system
+        if self.stable and 0.0 < self.limit < math.inf:
+            system = self._closed(self.law_of(1.01 * self.limit))
+        modes = [mode for mode in system.modes if not mode.resting]
+        if not modes:
+            return {}, np.zeros(len(self.M), dtype=np.complex128)
+        return modes[0].participation, modes[0].shape[system.state_places("plant.q")]
+
+
+def _sorted_fractions(labels: tuple[str, ...], parts: Float64Array) -> dict[str, float]:
+    total = float(parts.sum()) or 1.0
+    return {labels[i]: float(parts[i] / total) for i in np.argsort(-parts)}
+
+
+def _largest_factor(holds: Callable[[float], bool], tolerance: float) -> float:
+    """The first limit of factors that hold, from 1 on by factors of 2 and by bisection; 0 or infinite without one."""
+    low, high = 1.0, 1.0
+    if holds(1.0):
+        while holds(high := 2.0 * low):
+            low = high
+            if low > MAX_FACTOR:
+                return math.inf
+    else:
+        while not holds(low := 0.5 * high):
+            high = low
+            if high < MIN_FACTOR:
+                return 0.0
+    while high / low > 1.0 + tolerance:
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low
+
+
+# -------------------------------------------------------------------- passivity
+
+
+def passivity_margin(
+    law: LinearSystem, damping: Float64Array, *, delay: float = 0.0, band: float | None = None
+) -> float:
+    """Physical damping above the least that keeps a sampled loop passive, in the worst direction and frequency.
+
+    Law:          with H(z) of positions, command = -H q, z = exp(j theta), and D = z^-d (1 - s + s z^-1) of a delay
+                  of d + s periods, the loop is stable with every passive environment if and only if
+                  damping - p D - (p D)^H - (1 - |D|^2) p^H damping^-1 p > 0   for all theta in (0, pi],
+                  p = j T H exp(-j theta/2) / (4 sin(theta/2))
+                  For whole periods this is Colgate and Schenkel's damping > T/2 Re((1 - z^-1) H z^-d) / (1 - cos
+                  theta); for H = K + B (1 - z^-1) / T without delay damping > K T/2 + |B|.
+                  With a band, of sinusoidal motions below it: damping + He(H_0) > 0,
+                  H_0 = exp(-j omega delay) (1 - z^-1)/(j omega T) (H + j omega H_v) / (j omega),
+                  the force's first harmonic over the velocity; H_v is that of a measured velocity
+
+    A measured velocity has no bound for every environment: its samples contain nothing of the motion between ticks,
+    so that resonances of the environment far above the rate can beat any damping; then the margin is minus infinity.
+    With an integral it is minus infinity too: a slow enough motion gets more energy out of it than any damping takes.
+
+    Args:
+        law: From q and v to command, sampled.
+        damping: (n, n) physical damping [N m s/rad | N s/m].
+        delay: [s] from the tick to the torque, beyond the hold; whole periods or not.
+        band: [Hz], at most half the rate; None for every passive environment.
+
+    Returns:
+        [N m s/rad | N s/m]; negative where the loop is not passive.
+
+    References:
+        Colgate and Schenkel, Passivity of a class of sampled-data systems: application to haptic interfaces (1997),
+        theorem 1. Its proof for a fraction of a period is ours: the aliases of the environment's response are discs,
+        their weighted sum is one, and its centre moves with the fraction while its radius stays.
+    """
+    assert law.dt is not None
+    T = law.dt
+    if (np.abs(law.poles - 1.0) < INTEGRATOR).any():
+        return -math.inf
+    periods = delay / T
+    whole = round(periods) if abs(periods - round(periods)) < INTEGRATOR else math.floor(periods)
+    part = periods - whole if periods - whole > INTEGRATOR else 0.0
+
+    def every_environment(theta: Float64Array) -> Float64Array:
+        D: Complex = np.exp(-1j * whole * theta) * (1.0 - part + part * np.exp(-1j * theta))
+        p = _matrices(-0.25j * T * np.exp(-0.5j * theta) / np.sin(0.5 * theta)) * _response(law, theta, "q")
+        pD = p * _matrices(D)
+        margin = damping - pD - _adjoint(pD)
+        if not part:
+            return np.asarray(np.linalg.eigvalsh(margin)[:, 0])
+        # The Schur complement of this matrix is the condition, without an inverse of damping.
+        off = _matrices(np.sqrt(1.0 - np.abs(D) ** 2)) * p
+        own = np.broadcast_to(damping, p.shape)
+        rows = [np.concatenate(row, axis=2) for row in ((margin, _adjoint(off)), (off, own))]
+        return np.asarray(np.linalg.eigvalsh(np.concatenate(rows, axis=1))[:, 0])
+
+    def in_band(theta: Float64Array) -> Float64Array:
+        s = 1j * theta / T
+        H: Complex = -_response(law, theta, "q") - _matrices(s) * _response(law, theta, "v")
+        z = _matrices(np.exp(-s * delay) * (1.0 - np.exp(-1j * theta)) / (s * s * T)) * H
+        return np.asarray(np.linalg.eigvalsh(damping + 0.5 * (z + _adjoint(z)))[:, 0])
+
+    count = round(POINTS * (1.0 + periods))
+    if band is not None:
+        return _smallest(in_band, min(2.0 * math.pi * band * T, math.pi), count)
+    if np.abs(law.B[:, law.columns("v")]).any() or np.abs(law.D[np.ix_(law.rows("command"), law.columns("v"))]).any():
+        return -math.inf
+    return _smallest(every_environment, math.pi, count)
+
+
+def _smallest(function: Callable[[Float64Array], Float64Array], top: float, count: int) -> float:
+    """The smallest value of a function of theta up to a frequency, on a grid that zooms in."""
+    theta = np.linspace(LOWEST, top, count)
+    smallest = math.inf
+    for _ in range(ZOOMS + 1):
+        values = function(theta)
+        i = int(values.argmin())
+        smallest = min(smallest, float(values[i]))
+        theta = np.linspace(theta[max(i - 1, 0)], theta[min(i + 1, len(theta) - 1)], 65)
+    return smallest
+
+
+def _response(law: LinearSystem, theta: Float64Array, input: str) -> Complex:
+    """(k, n, n) from an input to the command, at the angles theta = omega T."""
+    assert law.dt is not None
+    response = law.frequency_response(theta / law.dt, input=input, output="command")
+    return response.reshape(len(theta), len(law.rows("command")), -1)
+
+
+def _matrices(numbers: ArrayLike) -> Complex:
+    """(k, 1, 1) of (k,) factors."""
+    return np.asarray(numbers, dtype=np.complex128)[:, np.newaxis, np.newaxis]
+
+
+def _adjoint(matrices: Complex) -> Complex:
+    return matrices.conj().swapaxes(1, 2)
+
+
+# -------------------------------------------------------------------- a virtual wall
+
+
+def check_virtual_wall(
+    *,
+    mass: ArrayLike,
+    damping: ArrayLike = 0.0,
+    K: ArrayLike = 1.0,
+    B: ArrayLike = 0.0,
+    rate: float = 1000.0,
+    delay: float = 0.0,
+    velocity: VelocityKind = "measured",
+    band: float | None = None,
+) -> StiffnessCheck:
+    """Stability and passivity of a virtual wall: a mass that sees a spring and a damper once in a period.
+
+    Law:          command = -K x - B v, held for a period
+    Closed loop:  mass a + damping v = command(t - delay) + F_ext, sampled exactly
+
+    Args:
+        mass: A number, (n,) or (n, n) [kg | kg m^2]: Lambda of an arm at its tool.
+        damping: Physical damping, likewise [N s/m | N m s/rad].
+        K: Stiffness, likewise [N/m | N m/rad]; with 1 the limits are stiffnesses.
+        B: Damping of the virtual damper, likewise [N s/m | N m s/rad]; negative for a negative damper.
+        rate: [Hz].
+        delay: [s] from the tick to the force, beyond the zero-order hold; whole periods or not.
+        velocity: "measured", "difference", `taut.sensors.LowPass(...)`, `taut.sensors.Difference(cutoff=...)`.
+        band: [Hz], at most half the rate: passivity for motions below it; for every passive environment if left out.
+
+    Raises:
+        RangeError, ShapeError, UsageError: A number without meaning, by name.
+
+    Example:
+        >>> import taut
+        >>> wall = taut.analysis.check_virtual_wall(mass=0.2, damping=1.0, B=0.5, velocity="difference")
+        >>> round(wall.limit), round(wall.passive_limit)  # [N/m]
+        (2995, 1000)
+
+    References:
+        Colgate and Schenkel, Passivity of a class of sampled-data systems (1997). Chapter, section 10.5.1.
+    """
+    n = max((len(np.atleast_1d(np.asarray(x))) for x in (mass, damping, K, B) if np.ndim(x)), default=1)
+    M, b = joint_matrix("mass", mass, n, "kg"), joint_matrix("damping", damping, n, "N s/m")
+    for name, matrix, positive in (("mass", M, True), ("damping", b, False), ("K", joint_matrix("K", K, n), False)):
+        smallest = float(np.linalg.eigvalsh(matrix)[0])
+        if smallest < 0.0 or (positive and smallest == 0.0):
+            rule = "positive definite" if positive else "positive semidefinite"
+            raise RangeError(
+                f"{name} must be {rule}; its smallest eigenvalue is {smallest:g}",
+                name=name,
+                value=smallest,
+                rule=rule,
+            )
+    rate = rate_in_hertz(rate)
+    if not isinstance(velocity, str) or velocity in ("measured", "difference"):
+        spring, none = joint_matrix("K", K, n, "N/m"), np.zeros((n, n))
+        return StiffnessCheck(
+            M=M, damping=b, gravity=none, delay=_checked_delay(delay),
+            band=_checked_band(band, rate),
+            law_of=lambda factor: pid(n, kp=factor * spring, kd=B, rate=rate, velocity=velocity),
+            joints=("mass",) if n == 1 else tuple(f"direction {i + 1}" for i in range(n)),
+        )  # fmt: skip
+    raise UsageError(
+        "velocity must be 'measured', 'difference', taut.sensors.LowPass(...) or taut.sensors.Difference(...); got "
+        f"{velocity!r}",
+        name="velocity",
+    )
+
+
+def _checked_band(band: float | None, rate: float) -> float | None:
+    if band is None:
+        return None
+    value = positive_scalar("band", band, unit="Hz")
+    if value > 0.5 * rate:
+        raise RangeError(
+            f"band must be at most {0.5 * rate:g} [Hz], half the rate; got {value:g}", name="band", value=value
+        )
+    return value
+
+
+def _checked_delay(delay: float) -> float:
+    value = finite_scalar("delay", delay, unit="s")
+    require_at_least("delay", np.array(value), 0.0, unit="s")
+    return value
+
+
+# -------------------------------------------------------------------- an arm under its controller
+
+
+def check_stiffness(
+    ctrl: Controller,
+    at: ArrayLike | None = None,
+    damping: ArrayLike | None = None,
+    *,
+    delay: float = 0.0,
+    band: float | None = None,
+) -> StiffnessCheck:
+    """Stability and passivity of a controller at a pose of its arm, with gains, payload and sensing as they are now.
+
+    Law:          command = law(q, v, its memory), linear about rest at the pose, held for a period
+    Closed loop:  M dv/dt + damping v = command(t - delay), sampled exactly, with dg/dq dq on the left where gravity
+                  is not compensated; a law that compensates it does so between ticks too
+
+    Limits are factors on the law's stiffness, its gains K and kp. All motions of the joints count, those in the null
+    space too. Dry friction, its compensation and limits of torque are left out. A damper of the law acts once in a
+    period and is no physical damping. Passive means: against every passive environment at the joints, which for
+    redundant arms is more than at the tool.
+
+    Args:
+        ctrl: A controller whose law gives torques and reads no wrist sensor.
+        at: (n,) positions [rad | m]; home if left out.
+        damping: (n,) or a number, viscous friction of the joints [N m s/rad | N s/m]; the arm's own if left out, 0
+            for a verdict that relies on none. The verdict names it in `relies_on`.
+        delay: [s] from the tick to the torque, beyond the zero-order hold; whole periods or not.
+        band: [Hz], at most half the rate: passivity for motions below it, such as 20 for hands; for every passive
+            environment if left out.
+
+    Raises:
+        UsageError: No controller, a law that commands velocities or positions, or that reads a wrist sensor.
+        ShapeError, RangeError: A number without meaning, by name.
+
+    Example:
+        >>> import taut
+        >>> ctrl = taut.compile(taut.laws.Impedance(K=(800.0, 30.0), zeta=0.7), taut.load_arm("panda"))
+        >>> check = taut.analysis.check_stiffness(ctrl)
+        >>> check.stable, check.limit > 10.0, check.passive
+        (True, True, False)
+
+    References:
+        Colgate and Schenkel, Passivity of a class of sampled-data systems (1997). Chapter, section 10.5.1.
+    """
+    if not isinstance(ctrl, Controller):  # callers without a type checker
+        raise UsageError(f"a controller from taut.compile is needed; got {type(ctrl).__name__}", name="ctrl")
+    if ctrl.side.probe.kind != "torque" or "F_ext" in ctrl.side.needs:
+        why = f"commands a {ctrl.side.probe.kind}" if ctrl.side.probe.kind != "torque" else "reads the wrist sensor"
+        raise UsageError(
+            f"check_stiffness is for laws from joint motion to torque, and {type(ctrl.law).__name__} {why}; judge "
+            "the whole loop with taut.linearise",
+            name="ctrl",
+        )
+    arm = ctrl.arm
+    q = arm.home if at is None else finite_array("at", at, shape=(arm.n,), joints=arm.joint_names)
+    friction = arm.viscous if damping is None else finite_array("damping", damping, unit="N m s/rad | N s/m")
+    if friction.shape not in ((), (arm.n,)):
+        raise ShapeError(f"damping must be a number or ({arm.n},); got shape {friction.shape}", name="damping")
+    require_at_least("damping", friction, 0.0, unit="N m s/rad | N s/m")
+    payload = PayloadValues.of(subtree(ctrl.parameters, "model.payload"))
+    x = Snapshot(ctrl.side.model, q=q, v=np.zeros(arm.n), payload=payload)
+    gravity = np.asarray(jacobian(lambda q: Snapshot(x.model, q=q, v=np.zeros(arm.n), payload=payload).g, q))
+    law = _LawAtPose(ctrl, q)
+    none = np.zeros_like(gravity)
+    compensates = not ctrl.side.adds.gravity and np.allclose(law.at_rest, x.g, rtol=1e-6, atol=1e-6)
+    law.compensated = gravity if compensates else none
+    return StiffnessCheck(
+        M=np.asarray(x.M, dtype=np.float64), damping=np.diag(np.broadcast_to(friction, (arm.n,))),
+        gravity=none if compensates or ctrl.side.adds.gravity else gravity, law_of=law.times,
+        delay=_checked_delay(delay), band=_checked_band(band, ctrl.rate), joints=arm.joint_names,
+        J=np.asarray(x.J(), dtype=np.float64), growth=NO_GROWTH, tolerance=1e-3,
+        source=OF_JOINTS,
+    )  # fmt: skip
+
+
+class _LawAtPose:
+    """The law of a controller at a pose as a linear system, from the derivative of a control period.
+
+    Args:
+        ctrl: The controller.
+        q: (n,) the pose [rad | m].
+
+    Attributes:
+        at_rest: (n,) its command at rest [N m | N].
+        compensated: (n, n) derivative of the gravity torques in its command, which is no stiffness [N m/rad | N/m].
+    """
+
+    def __init__(self, ctrl: Controller, q: Float64Array) -> None:
+        loop = _LOOPS.get(ctrl)
+        if loop is None:
+            plant = RigidPlant(ctrl.arm, friction=None, adds=ctrl.side.adds)
+            loop = _LOOPS[ctrl] = Loop(ctrl, plant, duration=1.0)
+        values: dict[str, Any] = dict(ctrl.parameters)
+        for path, law in all_laws(ctrl.law, "law"):
+            if isinstance(law, FrictionCompensation):
+                values[f"{path}.width"] = NO_COMPENSATION
+        self._period = Period(loop, q, values)
+        self._stiffness = {
+            path: np.asarray(value)
+            for path, value in values.items()
+            if path.startswith("law.") and ".null." not in path and path.rpartition(".")[2] in STIFFNESS
+        }
+        start = self._period.start
+        memory = self._period.after(start, start.memory[np.newaxis])[0]  # what begins in the first tick has begun
+        for path in ("plant.q", "plant.v"):
+            self._period.memory.views(memory)[path][...] = self._period.memory.views(start.memory)[path]
+        self._point = dataclasses.replace(start, memory=memory)
+        self.at_rest = self._period.command(self._point)
+        self.compensated = np.zeros((len(q), len(q)))
+
+    def times(self, factor: float) -> LinearSystem:
+        """The law with its stiffness times a factor."""
+        period, n = self._period, len(self.at_rest)
+        changes = {path: factor * value for path, value in self._stiffness.items()}
+        found = period.derivative(period.changed(self._point, changes))
+        C, coordinates = found.C[-n:].copy(), period.state_coordinates
+        motion = [*range(coordinates.places["plant.q"].start, coordinates.places["plant.q"].stop)]
+        motion += range(coordinates.places["plant.v"].start, coordinates.places["plant.v"].stop)
+        C[:, motion[:n]] -= self.compensated
+        states = _memory_of_law(found.A, C, motion)
+        return LinearSystem(
+            A=found.A[np.ix_(states, states)], B=found.A[np.ix_(states, motion)], C=C[:, states], D=C[:, motion],
+            dt=period.dt, states=[coordinates.names[i] for i in states],
+            inputs=(*names("q", n), *names("v", n)), outputs=names("command", n),
+        )  # fmt: skip
+
+
+_LOOPS: Final[WeakKeyDictionary[Controller, Loop]] = WeakKeyDictionary()
+
+
+def _memory_of_law(A: Float64Array, C: Float64Array, motion: list[int]) -> list[int]:
+    """The states through which motion reaches the command; no constants, such as a posture at rest."""
+    law = np.ones(len(A), dtype=bool)
+    law[motion] = False
+    reached = law & (A[:, motion] != 0.0).any(axis=1)
+    shown = law & (C != 0.0).any(axis=0)
+    for _ in range(len(A)):
+        reached |= law & (A[:, reached] != 0.0).any(axis=1)
+        shown |= law & (A[shown] != 0.0).any(axis=0)
+    return np.flatnonzero(reached & shown).tolist()

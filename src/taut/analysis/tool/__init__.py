@@ -1,1 +1,0 @@
-"""Stiffness and impedance at the tool."""
