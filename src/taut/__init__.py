@@ -65,6 +65,8 @@ if TYPE_CHECKING:
     from taut.control.trajectories.task_reference import TaskMotion as TaskMotion
     from taut.controller import Controller as Controller
     from taut.controller import compile as compile
+    from taut.linear.joint_loop import error_dynamics as error_dynamics
+    from taut.linear.linear_system import LinearSystem as LinearSystem
     from taut.linear.linearise import linearise as linearise
     from taut.loop import Loop as Loop
     from taut.maths.constraints.constraint import Constraint as Constraint

@@ -393,7 +393,7 @@ def test_margins_are_those_of_python_control(late: taut.analysis.LinearLoop) -> 
     omega = np.logspace(-2, np.log10(np.pi / late.dt), 4000)
     known = control.frd(np.ravel(control.frequency_response(opened, omega).complex), omega, smooth=True, dt=late.dt)
     gains, phases, _, _, at_phase, _ = control.stability_margins(known, returnall=True)
-    mine = late.margins.joints[0]
+    mine = late.margins.signals[0]
     above = min(gain for gain in gains if gain > 1.0)
     below = max([gain for gain in gains if 1e-6 < gain < 1.0], default=0.0)
     assert mine.gain == pytest.approx((below, above), rel=1e-3, abs=1e-6)
@@ -409,7 +409,7 @@ def test_the_loop_turns_unstable_at_its_gain_margin() -> None:
     arm = weightless("one_joint").with_friction(taut.Friction(viscous=0.1))
     plant = Plant(arm, substeps=4, actuation=taut.drives.Actuation(delay=2e-3))
     loop = loop_of(laws.PID(kp=40.0, kd=3.0, ki=20.0), arm, plant)
-    most = taut.linearise(loop).margins.joints[0].gain[1]
+    most = taut.linearise(loop).margins.signals[0].gain[1]
     for factor, stable in ((0.999, True), (1.001, False)):
         for path, value in (("law.kp", 40.0), ("law.kd", 3.0), ("law.ki", 20.0)):
             loop.parameters[path] = most * factor * value

@@ -371,7 +371,7 @@ class LinearLoop:
         gone = int((np.abs(self.poles) <= AT_ONCE).sum())
         if gone:
             lines.append(f"   and {gone} pole{'s' if gone > 1 else ''} at z = 0, gone in a period each")
-        lines += ["", str(self.margins)]
+        lines += ["", str(self.margins.table())]
         if self.sides or self.drifting:
             lines += ["", *(f"* {sentence}" for sentence in self.sides)]
             lines += [

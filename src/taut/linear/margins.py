@@ -1,4 +1,8 @@
-"""Margins of stability of a sampled loop: broken at one joint's command, and at all of them at once."""
+"""Stability margins: gain, phase and delay of each signal alone, and the disk margin of all of them at once.
+
+All are read off the sensitivity S = (I + L)^-1 where signals are added to those at which a loop is opened, so that a
+joint in closed form and a linearised arm need the same code.
+"""
 
 from __future__ import annotations
 
@@ -12,32 +16,34 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
+from taut.base.result import Cell, Table
 from taut.base.types import Float64Array
 
-__all__ = ["DiskMargin", "JointMargins", "Margins", "common_delay", "frequency_grid", "margins_of", "scaled_norm"]
+__all__ = ["DiskMargin", "Margins", "SignalMargins", "common_delay", "frequency_grid", "margins_of", "scaled_norm"]
 
 Complex = NDArray[np.complex128]
 Sensitivity = Callable[[Float64Array], Complex]
-GRID: Final = 1000  # frequencies from a ten-thousandth of half the rate on
-DECADES: Final = 5.0
-NEAR: Final = np.array([0.9, 0.97, 0.99, 1.0, 1.01, 1.03, 1.1])  # about each pole
+GRID: Final = 1000  # frequencies of the grid, besides those about poles
+DECADES_BELOW: Final = 5.0  # of the grid, below half the rate
+DECADES_AROUND: Final = 4.0  # of the grid in continuous time, below the slowest and above the fastest pole
+NEAR: Final = np.array([0.9, 0.97, 0.99, 1.0, 1.01, 1.03, 1.1])  # [-] frequencies about each pole
 BALANCING: Final = 60  # sweeps of the scaling that makes the bound tight
-BALANCED: Final = 1e-4  # where they end
+BALANCED: Final = 1e-4  # [-] change of the scaling at which they end
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointMargins:
-    """Of the loop broken at one joint's command, with the others closed.
+class SignalMargins:
+    """Margins of the loop opened at one signal, with the others closed.
 
     Args:
-        joint: Its name.
-        gain: The least and the greatest factor on the command between which it is stable; 0 and infinity for none.
-        phase: [deg] that the command may be turned either way; infinite for a loop that never has gain one.
-        delay: [s] that the command may be late besides.
-        crossover: [rad/s] where the phase margin is.
+        signal: Its name.
+        gain: Smallest and largest factor on the signal between which the loop is stable [-]; 0 and infinity for none.
+        phase: Phase margin [deg], lead or lag; infinite for a loop whose gain never is one.
+        delay: Delay margin [s].
+        crossover: Frequency of the phase margin [rad/s]; NaN without one.
     """
 
-    joint: str
+    signal: str
     gain: tuple[float, float]
     phase: float
     delay: float
@@ -46,14 +52,14 @@ class JointMargins:
 
 @dataclass(frozen=True, kw_only=True)
 class DiskMargin:
-    """Of all commands at once: each may be multiplied by any complex number of a disk, each by another.
+    """Margin of all signals at once: each may be multiplied by any complex number of a disk, each by another.
 
-    The disk is (1 + d alpha / 2) / (1 - d alpha / 2) with d inside the unit circle. The alpha here is on the safe
-    side: the loop is stable for at least that much.
+    The disk is (1 + d alpha / 2) / (1 - d alpha / 2) with d inside the unit circle. The alpha here is a lower bound:
+    the loop is stable for at least that much.
 
     Args:
-        alpha: Its size; at most 2.
-        omega: [rad/s] where it is tightest.
+        alpha: Size of the disk [-]; at most 2.
+        omega: Frequency at which it is smallest [rad/s].
 
     References:
         Seiler, Packard and Gahinet, An introduction to disk margins, IEEE Control Systems Magazine 40 (2020).
@@ -64,75 +70,95 @@ class DiskMargin:
 
     @property
     def gain(self) -> tuple[float, float]:
-        """Factors on all commands at once, each another one, between which it is stable."""
+        """Factors on all signals at once, each another one, between which the loop is stable [-]."""
         half = 0.5 * self.alpha
         return (1.0 - half) / (1.0 + half), (1.0 + half) / (1.0 - half) if half < 1.0 else np.inf
 
     @property
     def phase(self) -> float:
-        """[deg] that all commands may be turned, each another way."""
+        """Phase by which all signals may be rotated, each by another [deg]."""
         return float(np.degrees(2.0 * np.arctan(0.5 * self.alpha)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Margins:
-    """How far a loop is from instability; all zero for one that is unstable."""
+    """Stability margins of a loop; all zero for an unstable one.
 
-    joints: tuple[JointMargins, ...]
+    Args:
+        signals: Margins of the loop opened at each signal alone.
+        disk: That of all signals at once.
+    """
+
+    signals: tuple[SignalMargins, ...]
     disk: DiskMargin
 
-    def __str__(self) -> str:
-        width = max(len(each.joint) for each in self.joints)
-        lines = [f"   {'joint':<{width}}   gain               phase [deg]   delay [ms]   at [rad/s]"]
-        for each in self.joints:
-            gain = f"{each.gain[0]:.3g} to {each.gain[1]:.3g}"
-            lines.append(
-                f"   {each.joint:<{width}}   {gain:<17}  {_told(each.phase):>11}   {_told(1e3 * each.delay):>10}   "
-                f"{'-' if math.isnan(each.crossover) else f'{each.crossover:.4g}':>10}"
-            )
-        low, high = self.disk.gain
-        lines.append(
-            f"   all at once (disk, alpha {self.disk.alpha:.3g}): gain {low:.3g} to {high:.3g}, "
-            f"phase {self.disk.phase:.3g} deg, at {self.disk.omega:.4g} rad/s"
-        )
-        return "\n".join(lines)
+    @property
+    def gain(self) -> tuple[float, float]:
+        """Factors on any one signal between which the loop is stable [-]."""
+        return max(each.gain[0] for each in self.signals), min(each.gain[1] for each in self.signals)
+
+    @property
+    def phase(self) -> float:
+        """The smallest phase margin [deg]."""
+        return min(each.phase for each in self.signals)
+
+    @property
+    def delay(self) -> float:
+        """The smallest delay margin [s]."""
+        return min(each.delay for each in self.signals)
+
+    def table(self) -> Table:
+        """A row for each signal, and one for all of them at once."""
+        rows: list[list[Cell]] = [
+            [each.signal, *each.gain, each.phase, 1e3 * each.delay, each.crossover] for each in self.signals
+        ]
+        rows.append(["all at once (disk)", *self.disk.gain, self.disk.phase, None, self.disk.omega])
+        columns = ("signal", "gain from [-]", "to [-]", "phase [deg]", "delay [ms]", "at [rad/s]")
+        return Table(title="margins", columns=columns, rows=rows, note=f"disk margin alpha = {self.disk.alpha:.4g}")
 
 
-def _told(margin: float) -> str:
-    return "any" if math.isinf(margin) else f"{margin:.3g}"
+def frequency_grid(dt: float | None, poles: Float64Array) -> Float64Array:
+    """Frequencies [rad/s], closer together about those of poles; up to half the rate of a sampled system.
 
-
-def frequency_grid(dt: float, poles: Float64Array) -> Float64Array:
-    """Frequencies up to half the rate, closer together about those of the poles [rad/s]."""
-    most = np.pi / dt
-    wide = most * np.logspace(-DECADES, 0.0, GRID)
-    apart = np.unique(np.round(np.log(poles[poles > wide[0]]), 2))  # to 1 %: joints have many alike
+    Args:
+        dt: Period [s], or None.
+        poles: (k,) natural frequencies [rad/s].
+    """
+    some = poles[poles > 0.0]
+    if dt:
+        highest = np.pi / dt
+        wide = highest * np.logspace(-DECADES_BELOW, 0.0, GRID)
+    else:
+        low, high = (float(some.min()), float(some.max())) if len(some) else (1.0, 1.0)
+        highest = high * 10.0**DECADES_AROUND
+        wide = np.geomspace(low / 10.0**DECADES_AROUND, highest, 2 * GRID)
+    apart = np.unique(np.round(np.log(some[some > wide[0]]), 2))  # to 1 %: joints have many alike
     near = np.outer(np.exp(apart), NEAR).ravel()
-    return np.unique(np.concatenate([wide, near[(near > wide[0]) & (near < most)]]))
+    return np.unique(np.concatenate([wide, near[(near > wide[0]) & (near < highest)]]))
 
 
 def margins_of(
-    sensitivity: Sensitivity, joints: tuple[str, ...], dt: float, poles: Float64Array, *, stable: bool
+    sensitivity: Sensitivity, signals: tuple[str, ...], dt: float | None, poles: Float64Array, *, stable: bool
 ) -> Margins:
-    """Margins from the sensitivity at the commands.
+    """Margins from the sensitivity at some signals.
 
     Args:
         sensitivity: Gives (k, n, n) at (k,) frequencies [rad/s].
-        joints: Names.
-        dt: Period [s].
-        poles: Their frequencies [rad/s], about which to look closely.
+        signals: n names.
+        dt: Period [s], or None.
+        poles: Natural frequencies of the poles [rad/s], about which the grid is closer.
         stable: Whether the loop is stable; an unstable one has no margin.
     """
     if not stable:
-        none = tuple(JointMargins(joint=j, gain=(1.0, 1.0), phase=0.0, delay=0.0, crossover=0.0) for j in joints)
-        return Margins(joints=none, disk=DiskMargin(alpha=0.0, omega=0.0))
+        none = tuple(SignalMargins(signal=j, gain=(1.0, 1.0), phase=0.0, delay=0.0, crossover=0.0) for j in signals)
+        return Margins(signals=none, disk=DiskMargin(alpha=0.0, omega=0.0))
     omega = frequency_grid(dt, poles)
     S = sensitivity(omega)
-    each = tuple(_of_joint(name, i, sensitivity, omega, S[:, i, i]) for i, name in enumerate(joints))
-    return Margins(joints=each, disk=_disk(sensitivity, omega, S))
+    each = tuple(_of_signal(name, i, sensitivity, omega, S[:, i, i]) for i, name in enumerate(signals))
+    return Margins(signals=each, disk=_disk(sensitivity, omega, S))
 
 
-def _of_joint(name: str, i: int, sensitivity: Sensitivity, omega: Float64Array, S: Complex) -> JointMargins:
+def _of_signal(name: str, i: int, sensitivity: Sensitivity, omega: Float64Array, S: Complex) -> SignalMargins:
     def loop(w: float) -> complex:
         s = complex(sensitivity(np.array([w]))[0, i, i])
         return 1.0 / s - 1.0
@@ -153,8 +179,8 @@ def _of_joint(name: str, i: int, sensitivity: Sensitivity, omega: Float64Array, 
         delay = min(delay, late / w)
         if np.degrees(turn) < phase:
             phase, crossover = float(np.degrees(turn)), w
-    return JointMargins(
-        joint=name, gain=(float(low), float(high)), phase=phase, delay=float(delay), crossover=crossover
+    return SignalMargins(
+        signal=name, gain=(float(low), float(high)), phase=phase, delay=float(delay), crossover=crossover
     )
 
 
@@ -168,7 +194,7 @@ def _crossings(function: Callable[[float], float], omega: Float64Array, values: 
 
 
 def common_delay(sensitivity: Sensitivity, dt: float, poles: Float64Array) -> float:
-    """How many periods more all commands may be late, not whole, of a stable loop: where it first is not.
+    """Delay margin of all signals delayed together, in periods, not whole, of a stable loop.
 
     Law:          det(I + L z^-d) = 0: an eigenvalue of L has modulus 1 and d omega dt = arg + pi, modulo 2 pi
     """

@@ -1,0 +1,429 @@
+"""Joints under PID as linear systems: the chapter's error dynamics, in continuous time and at a servo rate."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import Final, Literal
+
+import numpy as np
+import scipy.linalg
+import scipy.signal
+from scipy.optimize import brentq
+
+from taut.base.checks import finite_array, finite_scalar, positive_scalar, rate_in_hertz, require_at_least, rounded_up
+from taut.base.checks import symmetric_psd as require_symmetric_psd
+from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.types import ArrayLike, Float64Array
+from taut.control.sensing.filters import LowPass, check_filter
+from taut.control.sensing.velocity import Difference
+from taut.linear.linear_system import LinearSystem, names
+from taut.linear.step_response import BAND
+
+__all__ = ["Case", "SecondOrder", "VelocityKind", "error_dynamics", "joint_matrix", "pid", "second_order"]
+
+Case = Literal["overdamped", "critically damped", "underdamped"]
+VelocityKind = Literal["measured", "difference"] | LowPass | Difference
+CRITICAL: Final = 1e-14  # [-] of zeta^2 about 1: rounding of a critically damped design
+FASTEST: Final = math.log(1.0 / BAND) / math.hypot(math.log(1.0 / BAND), math.pi)
+"""The damping ratio, 0.78, whose overshoot is the settling band: none settles earlier at its natural frequency."""
+
+
+# -------------------------------------------------------------------- the standard second-order form
+
+
+@dataclass(frozen=True, kw_only=True)
+class SecondOrder:
+    """Gains of a joint and the standard second-order form of its error dynamics.
+
+    Closed loop:  M e_ddot + (b + kd) e_dot + kp e = 0, or e_ddot + 2 zeta omega_n e_dot + omega_n^2 e = 0   eq. 10.8
+
+    Args:
+        M: Inertia [kg m^2 | kg]; 1 for gains in units of acceleration.
+        b: Viscous friction [N m s/rad | N s/m].
+        kp: Proportional gain [N m/rad | N/m].
+        kd: Derivative gain [N m s/rad | N s/m].
+    """
+
+    M: float
+    b: float
+    kp: float
+    kd: float
+
+    @property
+    def omega_n(self) -> float:
+        """Natural frequency sqrt(kp / M) [rad/s]: eq. 10.9."""
+        return math.sqrt(self.kp / self.M)
+
+    @property
+    def zeta(self) -> float:
+        """Damping ratio (b + kd) / (2 sqrt(kp M)) [-]: eq. 10.9; NaN without kp."""
+        return (self.b + self.kd) / (2.0 * math.sqrt(self.kp * self.M)) if self.kp else math.nan
+
+    @property
+    def case(self) -> Case:
+        """Which of the chapter's three cases of section 10.2.1.1."""
+        beyond = self.zeta * self.zeta - 1.0 if self.kp else 1.0
+        if abs(beyond) <= CRITICAL:
+            return "critically damped"
+        return "overdamped" if beyond > 0.0 else "underdamped"
+
+    @property
+    def largest_ki(self) -> float:
+        """Integral gain (b + kd) kp / M below which the error dynamics with an integral are stable (Routh)."""
+        return (self.b + self.kd) * self.kp / self.M
+
+
+def second_order(
+    *,
+    M: float = 1.0,
+    b: float = 0.0,
+    kp: float | None = None,
+    kd: float | None = None,
+    zeta: float | None = None,
+    omega_n: float | None = None,
+    settling: float | None = None,
+    overshoot: float | None = None,
+) -> SecondOrder:
+    """Gains of a joint from two of kp, kd, zeta, omega_n, settling and overshoot.
+
+    Closed loop:  M e_ddot + (b + kd) e_dot + kp e = 0
+                  zeta = (b + kd) / (2 sqrt(kp M)),  omega_n = sqrt(kp / M)                         eq. 10.9
+
+    Args:
+        M: Inertia [kg m^2 | kg]; 1 for gains in units of acceleration, as in equation 10.19.
+        b: Viscous friction [N m s/rad | N s/m].
+        kp: Proportional gain [N m/rad | N/m].
+        kd: Derivative gain [N m s/rad | N s/m].
+        zeta: Damping ratio [-].
+        omega_n: Natural frequency [rad/s].
+        settling: Exact 2 % settling time of a step [s]; with omega_n or kp the largest damping that settles so.
+        overshoot: Of a step [%]; 0 for critical damping.
+
+    Raises:
+        UsageError: Not two of them, or two that determine the same.
+        RangeError: A number without meaning, or a specification that cannot be met.
+
+    Example:
+        >>> second_order(M=0.5, b=0.1, kd=2.0, zeta=1.0).kp
+        2.205
+        >>> d = second_order(omega_n=10.0, zeta=0.7)
+        >>> d.kp, d.kd
+        (100.0, 14.0)
+
+    References:
+        Chapter, section 10.2.1.1, equations 10.8 to 10.10.
+    """
+    M = positive_scalar("M", M, unit="kg m^2")
+    b = finite_scalar("b", b, unit="N m s/rad")
+    require_at_least("b", np.array(b), 0.0, unit="N m s/rad")
+    units = {"kp": "N m/rad", "kd": "N m s/rad", "zeta": "", "omega_n": "rad/s", "settling": "s", "overshoot": "%"}
+    values = zip(units, (kp, kd, zeta, omega_n, settling, overshoot), strict=True)
+    given = {name: finite_scalar(name, value, unit=units[name]) for name, value in values if value is not None}
+    _require_two(given)
+    for name, value in given.items():
+        if name in ("omega_n", "settling"):
+            positive_scalar(name, value, unit=units[name])
+        require_at_least(name, np.array(value), 0.0, unit=units[name])
+    if given.get("overshoot", 0.0) >= 100.0:
+        raise RangeError("overshoot must be below 100 %, that of no damping", name="overshoot", value=overshoot)
+    zeta, omega_n = given.get("zeta"), given.get("omega_n")
+    if "overshoot" in given:
+        zeta = _zeta_of_overshoot(given["overshoot"])
+    if "kp" in given:
+        omega_n = math.sqrt(given["kp"] / M)
+    if zeta == 0.0 and ("settling" in given or "kd" in given):
+        raise RangeError("zeta must be > 0 with settling or kd: without damping nothing settles", name="zeta")
+    if "settling" in given and zeta is not None:
+        omega_n = settling_angle(zeta) / given["settling"]
+    elif "settling" in given and omega_n is not None:
+        zeta = _zeta_that_settles(given["settling"] * omega_n)
+    if omega_n is None:
+        omega_n = (b + given["kd"]) / (2.0 * M * zeta)  # type: ignore[operator]  # kd and one of zeta and overshoot
+    kp = given.get("kp", M * omega_n**2)
+    if "kd" in given:
+        if "kp" not in given and zeta is not None:
+            kp = (b + given["kd"]) ** 2 / (4.0 * M * zeta**2)
+        return SecondOrder(M=M, b=b, kp=kp, kd=given["kd"])
+    assert zeta is not None
+    kd = 2.0 * zeta * math.sqrt(kp * M) - b
+    if kd < 0.0:
+        least = b / (2.0 * math.sqrt(kp * M)) if kp else math.inf
+        raise RangeError(
+            f"zeta must be at least {rounded_up(least)}, which the friction b = {b:g} alone gives with kp = {kp:.4g}"
+            f"; got {zeta:.4g}; a larger kp or omega_n allows less",
+            name="zeta",
+            value=zeta,
+        )
+    return SecondOrder(M=M, b=b, kp=kp, kd=kd)
+
+
+def _require_two(given: dict[str, float]) -> None:
+    """Refuse what does not determine two gains, by name."""
+    for one, other in (("kp", "omega_n"), ("zeta", "overshoot"), ("kd", "settling")):
+        if one in given and other in given:
+            raise UsageError(
+                f"{one} and {other} do not determine both gains; leave one of them out and give another of kp, kd, "
+                "zeta, omega_n, settling and overshoot",
+                name=one,
+            )
+    if len(given) != 2:
+        raise UsageError(
+            "two of kp, kd, zeta, omega_n, settling and overshoot determine the gains; got "
+            f"{', '.join(given) if given else 'none'}",
+            name=[*given][-1] if given else None,
+        )
+
+
+def _zeta_of_overshoot(percent: float) -> float:
+    """Damping ratio of an overshoot [%]: that of exp(-pi zeta / sqrt(1 - zeta^2)); 1 for none."""
+    if percent == 0.0:
+        return 1.0
+    decrement = math.log(100.0 / percent)
+    return decrement / math.hypot(decrement, math.pi)
+
+
+def _error(zeta: float, angle: float) -> float:
+    """Error after a step at omega_n t = angle, for any damping, without a difference of large numbers."""
+    square = (zeta - 1.0) * (zeta + 1.0)
+    root = math.sqrt(abs(square))
+    if square <= 0.0:
+        return math.exp(-zeta * angle) * (
+            math.cos(root * angle) + zeta * angle * float(np.sinc(root * angle / np.pi))
+        )
+    slow, x = -1.0 / (zeta + root), 2.0 * root * angle
+    ratio = -math.expm1(-x) / x if x else 1.0
+    return math.exp(slow * angle) * (0.5 * (1.0 + math.exp(-x)) + zeta * angle * ratio)
+
+
+@cache
+def settling_angle(zeta: float) -> float:
+    """omega_n times the exact 2 % settling time of a step of second-order dynamics, zeta > 0.
+
+    Between two extremes of the error, exp(-k pi zeta / sqrt(1 - zeta^2)) high, it crosses the band once.
+    """
+    low, high, level = 0.0, 16.0 * zeta, BAND
+    if zeta < 1.0:
+        damped = math.sqrt((1.0 - zeta) * (1.0 + zeta))
+        extremes = max(math.ceil(math.log(1.0 / BAND) * damped / (math.pi * zeta)) - 1, 0)
+        low, high = extremes * math.pi / damped, (extremes + 1) * math.pi / damped
+        level = -BAND if extremes % 2 else BAND
+    return float(brentq(lambda angle: _error(zeta, angle) - level, low, high, xtol=1e-15 * high, rtol=1e-15))
+
+
+def _zeta_that_settles(angle: float) -> float:
+    """The largest damping ratio whose settling time is angle / omega_n."""
+    low = FASTEST * (1.0 + 1e-12)  # just below it the last crossing is half an oscillation later
+    least = settling_angle(low)
+    if angle < least * (1.0 - 1e-9):
+        raise RangeError(
+            f"settling must be at least {rounded_up(least)} / omega_n, the fastest, with zeta = {FASTEST:.2f}; got "
+            f"{angle:.4g} / omega_n",
+            name="settling",
+            value=angle,
+        )
+    if angle <= least:
+        return low
+    return float(brentq(lambda zeta: settling_angle(zeta) - angle, low, max(10.0, angle), xtol=1e-15, rtol=1e-14))
+
+
+# -------------------------------------------------------------------- joints under PID
+
+
+def joint_matrix(name: str, value: ArrayLike, n: int, unit: str = "") -> Float64Array:
+    """(n, n) of a number, of one number for each joint, or of a symmetric matrix.
+
+    Raises:
+        ShapeError, RangeError: Another shape, not finite, or not symmetric.
+    """
+    given = finite_array(name, value, unit=unit)
+    if given.shape not in ((), (n,), (n, n)):
+        raise ShapeError(f"{name} must be a number, ({n},) or ({n}, {n}); got shape {given.shape}", name=name)
+    matrix = given if given.ndim == 2 else np.diag(np.broadcast_to(given, (n,)))
+    if not np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-9 * float(np.abs(matrix).max(initial=0.0))):
+        raise RangeError(f"{name} must be a symmetric matrix", name=name, value=given, rule="symmetric")
+    return 0.5 * (matrix + matrix.T)
+
+
+def pid(
+    n: int,
+    *,
+    kp: ArrayLike,
+    kd: ArrayLike = 0.0,
+    ki: ArrayLike = 0.0,
+    rate: float | None = None,
+    velocity: VelocityKind = "measured",
+) -> LinearSystem:
+    """PID of n joints as a system from measured and desired motion to the command and the error.
+
+    Law:          command = kp e + ki int(e) + kd e_dot,  e = ref.q - q,  e_dot = ref.v - v              eq. 10.6
+                  sampled: int(e) sums e dt, this tick's included; v as the controller estimates it
+
+    Args:
+        n: Number of joints.
+        kp: A number, (n,) or (n, n) [N m/rad | N/m].
+        kd: Likewise [N m s/rad | N s/m].
+        ki: Likewise [N m/(rad s) | N/(m s)].
+        rate: [Hz]; None in continuous time.
+        velocity: "measured", "difference" of positions, `taut.sensors.LowPass(...)` of the measured one, or
+            `taut.sensors.Difference(cutoff=...)`.
+
+    Returns:
+        Inputs q, v, ref.q, ref.v; outputs command, e.
+    """
+    P, D = joint_matrix("kp", kp, n, "N m/rad"), joint_matrix("kd", kd, n, "N m s/rad")
+    Ki, eye, none = joint_matrix("ki", ki, n, "N m/(rad s)"), np.eye(n), np.zeros((n, n))
+    q, v, q_des, v_des = (np.hstack([eye if i == k else none for i in range(4)]) for k in range(4))
+    e = q_des - q
+    blocks: list[tuple[str, Float64Array, Float64Array, Float64Array]] = []  # states, A, B, their part of command
+    command = P @ e + D @ (v_des - v)
+    if rate is not None:
+        dt, differenced = 1.0 / rate, velocity == "difference" or isinstance(velocity, Difference)
+        if differenced:
+            command = P @ e + D @ (v_des - q / dt)
+            blocks.append(("sensing.q_last", none, q, D / dt))
+        if Ki.any():
+            command = command + dt * Ki @ e
+            blocks.append(("law.e_int", eye, dt * e, Ki))
+    elif Ki.any():
+        blocks.append(("law.e_int", none, e, Ki))
+    A = scipy.linalg.block_diag(*(block[1] for block in blocks)) if blocks else np.zeros((0, 0))
+    B = np.vstack([np.zeros((0, 4 * n)), *(block[2] for block in blocks)])
+    C = np.hstack([np.zeros((n, 0)), *(block[3] for block in blocks)])
+    law = LinearSystem(
+        A=A, B=B, C=np.vstack([C, np.zeros((n, len(A)))]), D=np.vstack([command, e]),
+        dt=None if rate is None else 1.0 / rate,
+        states=tuple(name for block in blocks for name in names(block[0], n)),
+        inputs=(*names("q", n), *names("v", n), *names("ref.q", n), *names("ref.v", n)),
+        outputs=(*names("command", n), *names("e", n)),
+    )  # fmt: skip
+    return law if rate is None else _filtered(law, n, D, rate, velocity)
+
+
+def _filtered(law: LinearSystem, n: int, D: Float64Array, rate: float, velocity: VelocityKind) -> LinearSystem:
+    """The law with a low-pass in the velocity that it sees: v_filtered in the place of v in its command."""
+    if isinstance(velocity, str) or velocity.cutoff is None:
+        return law
+    check_filter(velocity, "velocity", rate, n)
+    cutoffs = np.broadcast_to(np.asarray(velocity.cutoff, dtype=float), (n,))
+    if (cutoffs != cutoffs[0]).any():
+        raise UsageError("velocity.cutoff must be one number here, for all joints", name="velocity")
+    one = scipy.signal.tf2ss(*scipy.signal.butter(velocity.order, float(cutoffs[0]), fs=rate))
+    a, b, c, d = (np.kron(np.asarray(part), np.eye(n)) for part in one)
+    differenced = isinstance(velocity, Difference)
+    raw_state, raw = np.zeros((n, len(law.A))), np.zeros((n, law.B.shape[1]))  # the velocity before the filter
+    if differenced:
+        raw_state[:, law.state_places("sensing.q_last")] = -rate * np.eye(n)
+        raw[:, law.columns("q")] = rate * np.eye(n)
+    else:
+        raw[:, law.columns("v")] = np.eye(n)
+    C, feed = law.C.copy(), law.D.copy()
+    C[:n] -= D @ (d - np.eye(n)) @ raw_state
+    feed[:n] -= D @ (d - np.eye(n)) @ raw
+    shown = np.vstack([-D @ c, np.zeros((n, len(a)))])
+    return LinearSystem(
+        A=np.block([[law.A, np.zeros((len(law.A), len(a)))], [b @ raw_state, a]]), B=np.vstack([law.B, b @ raw]),
+        C=np.hstack([C, shown]), D=feed, dt=law.dt,
+        states=(*law.states, *names("sensing.velocity", len(a))), inputs=law.inputs, outputs=law.outputs,
+    )  # fmt: skip
+
+
+def error_dynamics(
+    *,
+    M: ArrayLike = 1.0,
+    b: ArrayLike = 0.0,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
+    ki: ArrayLike = 0.0,
+    zeta: float | None = None,
+    omega_n: float | None = None,
+    settling: float | None = None,
+    overshoot: float | None = None,
+    rate: float | None = None,
+    delay: float = 0.0,
+    velocity: VelocityKind = "measured",
+) -> LinearSystem:
+    """Joints of inertia M and viscous friction b under PID, in continuous time or sampled.
+
+    Law:          tau = kp e + ki int(e) + kd e_dot                                                      eq. 10.6
+    Closed loop:  M e_ddot + (b + kd) e_dot + kp e + ki int(e) = tau_dist                                eq. 10.12
+                  stable for 0 <= ki < (b + kd) kp / M (Routh); sampled: exact zero-order hold and delay
+
+    The gains are kp, kd and ki; or of one joint two of kp, kd, zeta, omega_n, settling and overshoot, as of
+    `taut.analysis.second_order`, and ki: first a good transient response, then a small ki, as the chapter advises.
+    Directions of a coupled arm at its tool are joints too, with Lambda in the place of M.
+
+    Args:
+        M: Inertia, a number, (n,) or (n, n) [kg m^2 | kg]; 1 for gains in units of acceleration, as in eq. 10.19.
+        b: Viscous friction, likewise [N m s/rad | N s/m].
+        kp: Proportional gain, likewise [N m/rad | N/m].
+        kd: Derivative gain, likewise [N m s/rad | N s/m]; 0 if left out beside kp alone.
+        ki: Integral gain, likewise [N m/(rad s) | N/(m s)].
+        zeta: Damping ratio of one joint [-].
+        omega_n: Its natural frequency [rad/s].
+        settling: Its exact 2 % settling time [s].
+        overshoot: Its overshoot [%].
+        rate: Servo rate [Hz]; None in continuous time.
+        delay: [s] from the tick to the torque, beyond the hold; any number of periods.
+        velocity: "measured", "difference", `taut.sensors.LowPass(...)`, `taut.sensors.Difference(cutoff=...)`.
+
+    Returns:
+        States plant.q, plant.v and the memories. Inputs disturbance.command [N m | N], ref.q, ref.v; outputs q, v,
+        command, e.
+
+    Raises:
+        UsageError, RangeError, ShapeError: Numbers without meaning, by name.
+
+    Example:
+        >>> import taut
+        >>> d = taut.error_dynamics(M=0.5, b=0.1, kp=2.205, kd=2.0)  # figure 10.6
+        >>> d.poles.real.round(6).tolist(), round(d.step().settling_time, 3)
+        ([-2.1, -2.1], 2.778)
+        >>> taut.error_dynamics(M=0.5, b=0.1, kd=120.0, zeta=1.0, rate=100.0).stable
+        False
+
+    References:
+        Chapter, section 10.2.1.1, equations 10.8 to 10.14 and figures 10.4 to 10.8.
+    """
+    if any(value is not None for value in (zeta, omega_n, settling, overshoot)):
+        numbers = {"M": M, "b": b, "kp": kp, "kd": kd}
+        scalars = {name: None if value is None else finite_scalar(name, value) for name, value in numbers.items()}
+        found = second_order(
+            M=scalars["M"] or 0.0, b=scalars["b"] or 0.0, kp=scalars["kp"], kd=scalars["kd"],
+            zeta=zeta, omega_n=omega_n, settling=settling, overshoot=overshoot,
+        )  # fmt: skip
+        kp, kd = found.kp, found.kd
+    if kp is None:
+        raise UsageError("kp is needed, or two of kp, kd, zeta, omega_n, settling and overshoot", name="kp")
+    kd = 0.0 if kd is None else kd
+    shapes = [np.asarray(value).shape for value in (M, b, kp, kd, ki)]
+    n = max((shape[0] for shape in shapes if shape), default=1)
+    inertia, damping = joint_matrix("M", M, n, "kg m^2"), joint_matrix("b", b, n, "N m s/rad")
+    smallest = float(np.linalg.eigvalsh(inertia)[0])
+    if smallest <= 0.0:
+        raise RangeError("M must be positive definite [kg m^2]", name="M", value=smallest, rule="positive definite")
+    require_symmetric_psd("b", damping, unit="N m s/rad")
+    for name, value, unit in (("kp", kp, "N m/rad"), ("ki", ki, "N m/(rad s)")):
+        require_symmetric_psd(name, joint_matrix(name, value, n, unit), unit=unit)
+    if rate is None and (delay or velocity != "measured"):
+        raise UsageError("a delay, and a differenced or filtered velocity, are those of a servo; give rate= [Hz]",
+                         name="rate")  # fmt: skip
+    if not isinstance(velocity, (LowPass, Difference)) and velocity not in ("measured", "difference"):
+        raise UsageError(
+            "velocity must be 'measured', 'difference', taut.sensors.LowPass(...) or "
+            f"taut.sensors.Difference(...); got {velocity!r}",
+            name="velocity",
+        )
+    eye, none = np.eye(n), np.zeros((n, n))
+    plant = LinearSystem(
+        A=np.block([[none, eye], [none, -np.linalg.solve(inertia, damping)]]),
+        B=np.vstack([none, np.linalg.inv(inertia)]), C=np.eye(2 * n),
+        states=(*names("plant.q", n), *names("plant.v", n)), inputs=names("command", n),
+        outputs=(*names("q", n), *names("v", n)),
+    )  # fmt: skip
+    if rate is None:
+        return plant.feedback(pid(n, kp=kp, kd=kd, ki=ki))
+    rate = rate_in_hertz(rate)
+    law = pid(n, kp=kp, kd=kd, ki=ki, rate=rate, velocity=velocity)
+    return plant.zoh(1.0 / rate, delay).feedback(law)

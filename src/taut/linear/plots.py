@@ -1,0 +1,168 @@
+"""Figures of a linear system: poles, step response, Bode and Nyquist diagram."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taut.linear.margins import frequency_grid
+from taut.linear.step_response import BAND
+from taut.record.plots.style import DASHED, INK, SMALL, WIDTH, colour, prepared
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from taut.linear.linear_system import LinearSystem
+
+__all__ = ["bode", "nyquist", "overview", "pole_axes", "poles", "step"]
+
+POINTS: Final = 600  # of a continuous step response
+MARGIN: Final = 1.15  # [-] of the farthest pole: the size of its axes
+SETTLED: Final = 1.3  # [-] settling times that a step response shows
+MAX_SIGNALS: Final = 8  # in one picture
+NYQUIST_SIZE: Final = 2.5  # [-] of the Nyquist diagram about -1
+HEIGHT: Final = 2.7  # [inch] of a row of panels
+
+
+def overview(system: LinearSystem) -> Figure:
+    """All figures of a system in one: those for which it has the signals."""
+    drawn = [_draw_step] * _has(system, "ref.q[0]", "q[0]") + [_draw_poles]
+    loop = _has(system, "disturbance.command[0]", "command[0]")
+    rows = 2 if loop else 1
+    figure = _figure(rows * HEIGHT)
+    grid = figure.add_gridspec(2 * rows, 2)
+    for k, draw in enumerate(drawn):
+        draw(figure.add_subplot(grid[:2, k if len(drawn) > 1 else slice(None)]), system)
+    if loop:
+        _draw_bode(figure.add_subplot(grid[2, 0]), figure.add_subplot(grid[3, 0]), system)
+        _draw_nyquist(figure.add_subplot(grid[2:, 1]), system)
+    return figure
+
+
+def poles(system: LinearSystem) -> Figure:
+    """Poles in s, or in z with the unit circle."""
+    figure = _figure(HEIGHT, 0.5)
+    _draw_poles(figure.subplots(), system)
+    return figure
+
+
+def step(system: LinearSystem) -> Figure:
+    """Step response of the first joint, with its settling band and time."""
+    figure = _figure(HEIGHT, 0.6)
+    _draw_step(figure.subplots(), system)
+    return figure
+
+
+def bode(system: LinearSystem) -> Figure:
+    """Bode diagram of the loop opened at each command, the others closed."""
+    figure = _figure(1.5 * HEIGHT, 0.7)
+    size, phase = figure.subplots(2, 1, sharex=True)
+    _draw_bode(size, phase, system)
+    return figure
+
+
+def nyquist(system: LinearSystem) -> Figure:
+    """Nyquist diagram of the loop opened at each command, the others closed."""
+    figure = _figure(HEIGHT, 0.5)
+    _draw_nyquist(figure.subplots(), system)
+    return figure
+
+
+def _figure(height: float, width: float = 1.0) -> Figure:
+    from matplotlib.figure import Figure as NewFigure
+
+    return NewFigure(figsize=(width * WIDTH, height), dpi=150, layout="constrained", facecolor="white")
+
+
+def _has(system: LinearSystem, input: str, output: str) -> bool:
+    return input in system.inputs and output in system.outputs
+
+
+def pole_axes(ax: Axes, shown: NDArray[np.complex128], dt: float | None) -> None:
+    """Axes for poles with equal scales; the unstable half-plane is tinted, the unit circle drawn."""
+    name = "s [1/s]" if dt is None else "z"
+    prepared(ax, f"poles in {name[0]}", f"Im {name}", f"Re {name}")
+    ax.axhline(0.0, color=INK, linewidth=0.6)
+    ax.axvline(0.0, color=INK, linewidth=0.6)
+    if dt is None:
+        size = MARGIN * max(float(np.abs(shown).max(initial=0.0)), 1e-9)
+        right = max(0.25 * size, MARGIN * float(shown.real.max(initial=0.0)))
+        height = max(0.6 * size, MARGIN * float(np.abs(shown.imag).max(initial=0.0)))
+        ax.axvspan(0.0, right, color=colour(1), alpha=0.10, linewidth=0.0)
+        ax.set_xlim(min(-size, -right), right)
+        ax.set_ylim(-height, height)
+    else:
+        circle = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 200))
+        ax.plot(circle.real, circle.imag, color=INK, linewidth=0.9)
+        size = MARGIN * max(1.0, float(np.abs(shown).max(initial=0.0)))
+        ax.set_xlim(-size, size)
+        ax.set_ylim(-size, size)
+    ax.set_aspect("equal", adjustable="box")
+
+
+def _draw_poles(ax: Axes, system: LinearSystem) -> None:
+    pole_axes(ax, system.poles, system.dt)
+    ax.plot(system.poles.real, system.poles.imag, "x", color=colour(0), markersize=6.0, markeredgewidth=1.5)
+
+
+def _draw_step(ax: Axes, system: LinearSystem) -> None:
+    """The error after a unit step of the first joint's reference."""
+    found = system.step()
+    settled = (
+        found.settling_time if np.isfinite(found.settling_time) else 10.0 / max(float(system.omega_n.min()), 1e-3)
+    )
+    h = system.dt or SETTLED * settled / POINTS
+    sampled = system if system.dt else system.zoh(h)
+    count = max(2, min(int(SETTLED * settled / h) + 1, 10 * POINTS))
+    column, row = sampled.columns("ref.q[0]")[0], sampled.rows("q[0]")[0]
+    x, y = np.zeros(len(sampled.A)), np.zeros(count)
+    for k in range(count):
+        y[k] = sampled.C[row] @ x + sampled.D[row, column]
+        x = sampled.A @ x + sampled.B[:, column]
+    prepared(ax, "step response", "q / reference", "t [s]")
+    ax.axhspan(1.0 - BAND, 1.0 + BAND, color=colour(2), alpha=0.25, linewidth=0.0)
+    ax.axhline(1.0, color=INK, linewidth=0.6)
+    style = "." if system.dt and count < POINTS else "-"
+    ax.plot(h * np.arange(count), y, style, color=colour(0), linewidth=1.5, markersize=4.0)
+    if np.isfinite(found.settling_time):
+        label = f"settled, {found.settling_time:.3g} s"
+        ax.axvline(found.settling_time, color=colour(1), linewidth=1.0, linestyle=DASHED, label=label)
+        ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK, loc="lower right")
+
+
+def _loops(system: LinearSystem) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
+    """(k,) frequencies and (k, n) L at each command."""
+    omega = frequency_grid(system.dt, system.omega_n[np.isfinite(system.omega_n)])
+    S = np.diagonal(system.sensitivity(omega), axis1=1, axis2=2)[:, :MAX_SIGNALS]
+    return omega, 1.0 / S - 1.0
+
+
+def _draw_bode(size: Axes, phase: Axes, system: LinearSystem) -> None:
+    omega, L = _loops(system)
+    prepared(size, "Bode diagram of the open loop", "|L|", "")
+    prepared(phase, "", "phase [deg]", "omega [rad/s]")
+    for i, name in enumerate(system.outputs[k] for k in system.rows("command")[:MAX_SIGNALS]):
+        size.loglog(omega, np.abs(L[:, i]), color=colour(i), linewidth=1.3, label=name)
+        angle = np.degrees(np.unwrap(np.angle(L[:, i])))
+        middle = angle[np.argmin(np.abs(np.log(np.abs(L[:, i]) + 1e-300)))]
+        phase.semilogx(omega, angle - 360.0 * np.ceil(middle / 360.0), color=colour(i), linewidth=1.3)
+    size.axhline(1.0, color=INK, linewidth=0.8, linestyle=DASHED)
+    phase.axhline(-180.0, color=INK, linewidth=0.8, linestyle=DASHED)
+    if L.shape[1] > 1:
+        size.legend(fontsize=SMALL, frameon=False, labelcolor=INK, loc="best")
+
+
+def _draw_nyquist(ax: Axes, system: LinearSystem) -> None:
+    _, L = _loops(system)
+    prepared(ax, "Nyquist diagram", "Im L", "Re L")
+    circle = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 200))
+    ax.plot(circle.real, circle.imag, color=INK, linewidth=0.6, linestyle=DASHED)
+    for i in range(L.shape[1]):
+        ax.plot(L[:, i].real, L[:, i].imag, color=colour(i), linewidth=1.3)
+    ax.plot(-1.0, 0.0, "+", color=colour(1), markersize=8.0, markeredgewidth=1.5)
+    ax.set_xlim(-NYQUIST_SIZE, NYQUIST_SIZE - 1.0)
+    ax.set_ylim(-NYQUIST_SIZE, NYQUIST_SIZE)
+    ax.set_aspect("equal", adjustable="box")
