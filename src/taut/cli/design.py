@@ -76,7 +76,9 @@ def design_of(arguments: argparse.Namespace) -> Design:
     from taut.analysis.design.design import design
     from taut.arm.load import load_arm
 
-    given: dict[str, Any] = {name: _numbers(name, text) for name in NUMBERS if (text := getattr(arguments, name)) is not None}
+    given: dict[str, Any] = {
+        name: _numbers(name, text) for name in NUMBERS if (text := getattr(arguments, name)) is not None
+    }
     if arguments.at:
         given["at"] = [_numbers("at", text) for text in arguments.at]
     if arguments.friction:
@@ -107,7 +109,11 @@ def _law(name: str, constraint: str | None) -> type[Law] | Law:
     from taut.base.errors import UsageError, unknown_name
     from taut.control.law import Law
 
-    known = [each for each in laws.__all__ if isinstance(getattr(laws, each), type) and issubclass(getattr(laws, each), Law)]
+    known = [
+        each
+        for each in laws.__all__
+        if isinstance(getattr(laws, each), type) and issubclass(getattr(laws, each), Law)
+    ]
     if name not in known:
         raise unknown_name("taut design", "law", name, known)
     if name == "HybridMotionForce":

@@ -113,12 +113,13 @@ class ClosedLoop:
         r = min(len(moving), self.x.n)
         if sizes[r - 1] < SINGULAR * sizes[0]:
             axis = self.names[int(moving[np.argmax(np.abs(left[:, r - 1]))])]
+            fraction = sizes[r - 1] / sizes[0]
             raise RangeError(
                 f"'{self.x.arm.name}' is singular at q = {np.round(self.x.q, 4).tolist()}, or nearly so: its "
-                f"tool can hardly move along {axis}, with {sizes[r - 1] / sizes[0]:.2g} of the largest singular value; choose "
-                "another pose",
+                f"tool can hardly move along {axis}, with {fraction:.2g} of the largest singular value; "
+                "choose another pose",
                 name="at",
-                value=float(sizes[r - 1] / sizes[0]),
+                value=float(fraction),
                 rule=f">= {SINGULAR:g} of the largest singular value",
             )
         basis = np.zeros((len(self.J), r))

@@ -28,12 +28,14 @@ STATIC: Final = 0.01  # [-] likewise of a stiffness
 OVERSHOOT: Final = 1.0  # [%] of the step that an overshoot may differ besides
 BAND: Final = 0.02  # [-] of a step: the settling band; a mode with a smaller part in a step is not seen in it
 SMALL_PART: Final = 1e-4  # [-] of a step: a mode with a smaller part is not one of its two poles
-SAME: Final = 1e-5  # [-] of a pole: two that are nearer are one
+SAME: Final = 0.02  # [-] of a pole: nearer ones are one, which rounding sets apart where several directions have it
+REAL: Final = 1e-5  # [-] of a pole: a smaller imaginary part is rounding
 TIME_CONSTANTS: Final = 12.0  # of the slowest placed pole, for which a step is followed
 MIN_TICKS, MAX_TICKS = 50, 40_000  # of a step
 NO_COMMAND: Final = 1e-9  # [-] of the largest command of a step: rounding
 RANK: Final = 1e-9  # [-] of the largest singular value, or of a step: less is rounding
 INSTANT: Final = 1e-6  # [-] modulus in z of a mode that is over within a period
+ROUNDING: Final = 1e-9  # [-] of the imaginary part of a pole in z: that of a real one
 TINY: Final = 1e-12  # [1/s^2] above zero
 DROOP: Final = 1e-9  # [rad | m] of a steady-state error: rounding
 UNITS: Final = {name: quantity.unit.replace("-", "") for name, quantity in QUANTITIES.items()}
@@ -134,11 +136,14 @@ class Achieved:
             start = np.zeros((len(lin.A), motions.shape[1]))
             start[[lin.states.index(f"plant.v[{i}]") for i in range(len(motions))]] = motions
             return start, self._seen("v"), np.zeros_like(motions)
-        names, moved = ("ref.q",), motions
+        names: tuple[str, ...] = ("ref.q",)
+        moved: Float64Array = np.asarray(motions)
         if self.law.reference is not JointMotion:
-            names, moved = ("ref.p", "ref.rotation"), self.stated.x.J(self.law.controlled_frame) @ motions
+            names = ("ref.p", "ref.rotation")
+            moved = np.asarray(self.stated.x.J(self.law.controlled_frame) @ motions)
         if self.law.reference is TaskForce:
-            names, moved = ("ref.F_world",), square("contact", self.specification.contact, self.stated) @ moved
+            names = ("ref.F_world",)
+            moved = np.asarray(square("contact", self.specification.contact, self.stated) @ moved)
         columns, rows = [i for name in names for i in lin.columns(name)], self._seen("q")
         start = np.linalg.lstsq(np.eye(len(lin.A)) - lin.A, lin.B[:, columns] @ moved, rcond=RANK)[0]
         command = list(lin.rows("command"))
@@ -160,7 +165,7 @@ class Achieved:
         for k in range(count):
             e[k], commands[k] = np.diag(rows @ x), end - command @ x
             x = lin.A @ x
-        return Steps(t=lin.dt * np.arange(count), e=e, command=commands)
+        return Steps(t=np.asarray(lin.dt * np.arange(count)), e=e, command=commands)
 
     @property
     def _slowest_placed(self) -> float:
@@ -178,21 +183,20 @@ class Achieved:
 
     @cached_property
     def _modes(self) -> tuple[NDArray[np.complex128], Float64Array]:
-        """(m,) poles [1/s], of a pair the upper one, and (m, r) the part of each in the steps; equal poles are one."""
+        """(m,) poles [1/s], of a pair the upper one, and (m, r) their parts in the steps; equal poles are one."""
         start, rows, _ = self._ahead
-        z, shapes = np.linalg.eig(self.system.A)
-        parts = (rows @ shapes).T * np.linalg.lstsq(shapes, start.astype(np.complex128), rcond=None)[0]
-        upper = (z.imag >= 0.0) & (np.abs(z) > INSTANT)
-        poles: list[complex] = []
-        sums: list[NDArray[np.complex128]] = []
-        for s, part in zip(np.log(z[upper]) / self.system.dt, parts[upper], strict=True):
-            same = next((k for k, each in enumerate(poles) if abs(each - s) <= SAME * abs(s)), None)
-            if same is None:
-                poles.append(complex(s))
-                sums.append(part)
-            else:
-                sums[same] = sums[same] + part
-        return np.array(poles), np.abs(np.array(sums))
+        z, shapes = np.linalg.eig(self.system.A.astype(np.complex128))
+        parts = (rows @ shapes).T * np.linalg.lstsq(shapes, start, rcond=None)[0]
+        upper = (z.imag >= -ROUNDING) & (np.abs(z) > INSTANT)
+        groups: list[tuple[list[complex], list[NDArray[np.complex128]]]] = []
+        for s, part in zip((np.log(z[upper]) / self.system.dt).tolist(), parts[upper], strict=True):
+            poles, members = next((g for g in groups if abs(g[0][0] - s) <= SAME * abs(s)), ([], []))
+            if not poles:
+                groups.append((poles, members))
+            poles.append(s)
+            members.append(part)
+        means = np.array([np.mean(poles) for poles, _ in groups])
+        return means, np.abs([np.sum(members, axis=0) for _, members in groups])
 
     def damping_and_frequency(self, direction: int) -> tuple[float, float]:
         """zeta and omega_n of a direction: of the two poles with the largest parts in its step.
@@ -205,7 +209,7 @@ class Achieved:
         if self.stated.single_pole == "always" or self.specification.damping_ratio is None:
             return 1.0, float(np.abs(poles[part > BAND]).min())
         first = poles[order[0]]
-        oscillates = np.abs(poles.imag) > SAME * np.abs(poles)
+        oscillates = np.abs(poles.imag) > REAL * np.abs(poles)
         second = first.conjugate()
         if not oscillates[order[0]]:
             second = next((poles[k] for k in order[1:] if not oscillates[k]), first)
@@ -239,7 +243,9 @@ class Achieved:
         got: dict[str, list[float]] = {name: [math.nan] * r for name in UNITS}
         if self.system.stable:
             pairs = [(*self.damping_and_frequency(i), *self.overshoot_and_settling(i)) for i in range(r)]
-            got |= dict(zip(("zeta", "omega_n", "overshoot", "settling"), map(list, zip(*pairs, strict=True)), strict=True))
+            got |= dict(
+                zip(("zeta", "omega_n", "overshoot", "settling"), map(list, zip(*pairs, strict=True)), strict=True)
+            )
             if "K" in given:
                 got["K"] = self.stiffness().tolist()
         for name in ("zeta", "overshoot", "omega_n", "settling"):

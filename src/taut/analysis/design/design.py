@@ -31,6 +31,7 @@ from taut.plant.drives.actuation import Actuation
 from taut.plant.environments.push import Push
 from taut.plant.environments.springs import Spring
 from taut.plant.rigid import RigidPlant
+from taut.runtime.judgement import judged
 
 __all__ = ["Design", "Limit", "Requirement", "design"]
 
@@ -116,6 +117,8 @@ def design(
     )  # fmt: skip
     if friction is not None:
         one_of("friction", friction, ("arm",))
+    if plant is not None and not isinstance(plant, RigidPlant):  # callers without a type checker
+        raise UsageError(f"plant must be a taut.RigidPlant; got {type(plant).__name__}", name="plant")
     poses, rate = poses_of(arm, at), rate_in_hertz(rate)
     given = law if isinstance(law, Law) else any_of(law)
     loops = [closed_loop_of(given, snapshot(arm, q)) for q in poses]
@@ -131,19 +134,20 @@ def design(
     found = [achieved(made, loop, q, specification, pose=k, several=len(poses) > 1) for k, q in enumerate(poses)]
     requirements = tuple(row for each in found for row in each.requirements())
     unstable = next((each for each in found if not each.system.stable), None)
+    message, factors = ("", ()) if unstable is None else blamed(loop, unstable)
     missed = next((row.pose for row in requirements if not row.met), 0)
     return Design(
         law=made,
         specification=specification,
         requirements=requirements,
-        limits=() if unstable else worst([limit for each in found for limit in each.limits()]),
+        limits=factors if unstable else worst([limit for each in found for limit in each.limits()]),
         arm=arm.name,
         rate=rate,
         poses=poses,
         systems=tuple(each.system for each in found),
         directions=tuple(found[0].stated.directions),
         steps=None if unstable else found[missed].steps,
-        unstable="" if unstable is None else unstable.system.why,
+        unstable=message,
     )
 
 
@@ -181,8 +185,8 @@ def closed_loop_of(law: Law, x: Snapshot) -> ClosedLoop:
     stated = law.closed_loop(x)
     if stated is None:
         raise UsageError(
-            f"{type(law).__name__} states no closed loop of its own to place poles in; find its gains with taut.tune, "
-            "or design the feedback beside it: taut.design(taut.laws.FeedForward() + taut.laws.PID(kp=1.0), arm, ...)",
+            f"{type(law).__name__} states no closed loop to place poles in; find its gains with taut.tune, or design "
+            "the feedback beside it: taut.design(taut.laws.FeedForward() + taut.laws.PID(kp=1.0), arm, ...)",
             name="law",
         )
     return stated
@@ -212,8 +216,8 @@ def poses_of(arm: Arm, at: ArrayLike | None) -> Float64Array:
         if outside.size:
             i = int(outside[0])
             raise RangeError(
-                f"at must be within the limits of the joints; got {q[i]:g} for '{arm.joint_names[i]}', which goes from "
-                f"{arm.lower[i]:g} to {arm.upper[i]:g} {arm.units[i]}",
+                f"at must be within the limits of the joints; got {q[i]:g} for '{arm.joint_names[i]}', which goes "
+                f"from {arm.lower[i]:g} to {arm.upper[i]:g} {arm.units[i]}",
                 name="at",
                 joint=arm.joint_names[i],
                 value=float(q[i]),
@@ -254,8 +258,11 @@ def plant_for(ctrl: Controller, specification: Specification, friction: Literal[
         environment = Push(peak=np.zeros(6), duration=1.0)
     if kind != "torque":
         return RigidPlant(
-            arm, takes=kind, actuation=Actuation(bandwidth=DRIVE), environment=environment
-        )  # fmt: skip
+            arm,
+            takes=kind,  # type: ignore[arg-type]  # the kinds of commands are those of plants
+            actuation=Actuation(bandwidth=DRIVE),
+            environment=environment,
+        )
     arm = arm.with_friction(Friction(viscous=arm.viscous if friction else 0.0))
     J, Minv = np.asarray(x.J()), np.linalg.inv(np.asarray(x.M))
     fastest = max(
@@ -273,10 +280,10 @@ def achieved(
     law: Law, loop: Loop, q: Float64Array, specification: Specification, *, pose: int, several: bool
 ) -> Achieved:
     """The linear model of the loop about its equilibrium at a pose, and the closed loop that its law states there."""
-    system = linearise(loop, at=q, within=ANYWHERE)
-    x, plant = snapshot(loop.side.arm, system.q), loop.plant
-    drives = loop.side.probe.kind != "torque"
-    carries = isinstance(plant, RigidPlant) and Adds.of(plant.adds).gravity
+    system, plant = linearise(loop, at=q, within=ANYWHERE), loop.plant
+    assert isinstance(plant, RigidPlant)
+    x, drives = snapshot(loop.side.arm, system.q), loop.side.probe.kind != "torque"
+    carries = Adds.of(plant.adds).gravity
     return Achieved(
         law=loop.side.law,
         stated=closed_loop_of(law, x),
@@ -287,6 +294,15 @@ def achieved(
         pose=pose,
         several=several,
     )
+
+
+def blamed(loop: Loop, unstable: Achieved) -> tuple[str, tuple[Limit, ...]]:
+    """Why a loop is unstable, and the largest factors on single gains with which it would be stable."""
+    found = judged(loop, loop.plant, unstable.system.q, None)
+    if isinstance(found, str) or not found.unstable:
+        return unstable.system.why, ()
+    factors = [Limit(name="largest factor", value=x, unit="-", where=path) for path, x in found.largest.items()]
+    return found.message, tuple(factors)
 
 
 def worst(limits: Sequence[Limit]) -> tuple[Limit, ...]:

@@ -110,7 +110,9 @@ class Design(Result):
                 for i, row in enumerate(np.asarray(value) if np.ndim(value) == 2 else [value])
             ],
         )
-        words = ", ".join(f"{name} = {np.asarray(value).tolist()}" for name, value in self.specification.given.items())
+        words = ", ".join(
+            f"{name} = {np.asarray(value).tolist()}" for name, value in self.specification.given.items()
+        )
         return Content(
             title=f"{type(self.law).__name__} on {self.arm} at {self.rate:g} Hz, for {words}",
             faults=faults,

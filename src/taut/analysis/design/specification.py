@@ -17,7 +17,7 @@ from taut.base.quantity import Quantity
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.closed_loop import ClosedLoop, PlacedGains
 from taut.control.law import Law
-from taut.linear.second_order_response import settling_angle, zeta_of_overshoot
+from taut.linear.joint_loop import second_order
 
 __all__ = ["QUANTITIES", "Specification", "place_poles", "square"]
 
@@ -43,8 +43,8 @@ class Specification:
     Args:
         zeta: Damping ratio of every mode.
         overshoot: Of a step [%], in place of zeta.
-        omega_n: Natural frequency [rad/s]: a number, one for each direction, or (linear, angular) at the tool. Without
-            a damping, the single pole of each direction.
+        omega_n: Natural frequency [rad/s]: a number, one for each direction, or (linear, angular) at the tool;
+            without a damping, the single pole of each direction.
         settling: Exact 2 % settling time of a step [s], likewise.
         K: Stiffness [N/m, N m/rad]: one for each direction, (linear, angular), or a matrix; of joints also a number.
         contact: Stiffness of what a law of force presses on, likewise.
@@ -105,17 +105,15 @@ class Specification:
     @property
     def damping_ratio(self) -> float | None:
         """By either name."""
-        return self.zeta if self.overshoot is None else zeta_of_overshoot(self.overshoot)
+        return self.zeta if self.overshoot is None else second_order(omega_n=1.0, overshoot=self.overshoot).zeta
 
     def frequencies(self, loop: ClosedLoop) -> Float64Array:
         """(k,) natural frequency of each coordinate; the single pole where no damping is given [rad/s]."""
-        zeta = self.damping_ratio
-        angle = math.log(BAND) if zeta is None else settling_angle(zeta)
-        name, value = "settling", self.settling
         if self.omega_n is not None:
-            name, value = "omega_n", self.omega_n
-        each = per_coordinate(name, value, loop)
-        return each if name == "omega_n" else angle / each
+            return per_coordinate("omega_n", self.omega_n, loop)
+        zeta = self.damping_ratio
+        angle = math.log(BAND) if zeta is None else second_order(zeta=zeta, settling=1.0).omega_n
+        return angle / per_coordinate("settling", self.settling, loop)
 
     def check(self, law: str, loop: ClosedLoop) -> None:
         """What is asked for must be what the closed loop of a law has.
@@ -205,9 +203,7 @@ def place_poles(
     if specification.K is not None:
         K = compact(square("K", specification.K, loops[0]))
     zeta = specification.damping_ratio
-    return loops[0].gains(
-        PlacedGains(K=K, D=D, Ki=Ki, zeta=1.0 if zeta is None else zeta, force=specification.force)
-    )
+    return loops[0].gains(PlacedGains(K=K, D=D, Ki=Ki, zeta=1.0 if zeta is None else zeta, force=specification.force))
 
 
 def placed(loop: ClosedLoop, specification: Specification, *, coupled: bool, viscous: Float64Array) -> PlacedGains:
