@@ -364,9 +364,7 @@ class Spring(taut.Law):
         def gains(g: Any) -> Spring:
             return Spring(kp=g.K, kd=g.D)
 
-        from taut.control.closed_loop import ClosedLoop
-
-        return ClosedLoop.of_joints(x, gains, inertia=x.M, stiffness=True, decentralised=True)
+        return laws.ClosedLoop.of_joints(x, gains, inertia=x.M, stiffness=True, decentralised=True)
 
     def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
         return taut.Torque(P=self.kp @ x.difference(ref.q), D=-(self.kd @ x.v), gravity=x.g)

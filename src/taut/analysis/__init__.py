@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from taut.analysis.constraints.specification import possible_specifications as possible_specifications
     from taut.analysis.constraints.task_freedoms import Freedoms as Freedoms
     from taut.analysis.constraints.task_freedoms import freedoms as freedoms
-    from taut.analysis.design.design import Design as Design
+    from taut.analysis.design.achieved import Requirement as Requirement
+    from taut.analysis.design.result import Design as Design
     from taut.analysis.diagnosis.diagnosis import Diagnosis as Diagnosis
     from taut.analysis.diagnosis.finding import Finding as Finding
     from taut.analysis.joint_coupling import Coupling as Coupling

@@ -133,9 +133,9 @@ class Achieved:
         """
         lin, motions = self.system, self.stated.motions
         if self.law.ignores_reference:
-            start = np.zeros((len(lin.A), motions.shape[1]))
-            start[[lin.states.index(f"plant.v[{i}]") for i in range(len(motions))]] = motions
-            return start, self._seen("v"), np.zeros_like(motions)
+            moving = np.zeros((len(lin.A), motions.shape[1]))
+            moving[[lin.states.index(f"plant.v[{i}]") for i in range(len(motions))]] = motions
+            return moving, self._seen("v"), np.zeros_like(motions)
         names: tuple[str, ...] = ("ref.q",)
         moved: Float64Array = np.asarray(motions)
         if self.law.reference is not JointMotion:
@@ -145,7 +145,8 @@ class Achieved:
             names = ("ref.F_world",)
             moved = np.asarray(square("contact", self.specification.contact, self.stated) @ moved)
         columns, rows = [i for name in names for i in lin.columns(name)], self._seen("q")
-        start = np.linalg.lstsq(np.eye(len(lin.A)) - lin.A, lin.B[:, columns] @ moved, rcond=RANK)[0]
+        inputs = np.asarray(lin.B[:, columns] @ moved)
+        start = np.linalg.lstsq(np.eye(len(lin.A)) - lin.A, inputs, rcond=RANK)[0]
         command = list(lin.rows("command"))
         end = lin.C[command] @ start + lin.D[np.ix_(command, columns)] @ moved
         final = np.diag(rows @ start)

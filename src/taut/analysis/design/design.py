@@ -105,7 +105,7 @@ def design(
         >>> d.law
         PID(kp=[50.0], kd=[10.0], ki=[0.0])
         >>> d.met, d.got("zeta").round(3).tolist()
-        (True, [1.003])
+        (True, [1.002])
 
     References:
         Chapter, sections 10.2.1.1 to 10.2.1.5, 10.2.2, 10.3 and 10.5. Sampled loops: Astrom and Wittenmark,
