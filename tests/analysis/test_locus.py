@@ -185,7 +185,7 @@ def test_the_border_of_a_compiled_loop_is_where_its_pole_crosses_the_circle() ->
     ctrl = taut.compile(taut.laws.PID(kp=kp, kd=kd, ki=1.0), arm, rate=1.0 / T)
     loop = taut.Loop(ctrl, taut.RigidPlant(arm, integrator="rk4"), taut.JointMotion(q=[0.0]), duration=1.0)
 
-    def compiled(ki: float) -> taut.analysis.LinearLoop:
+    def compiled(ki: float) -> taut.analysis.Linearisation:
         loop.parameters["law.ki"] = ki
         return taut.linearise(loop, at=[0.0])
 

@@ -168,7 +168,7 @@ class Whole:
     make: Callable[..., taut.Loop]
     q: tuple[float, ...]
 
-    def linear(self, **numbers: float) -> taut.analysis.LinearLoop:
+    def linear(self, **numbers: float) -> taut.analysis.Linearisation:
         loop = self.make(**numbers)
         kept, loop.ref = loop.ref, taut.hold()
         try:

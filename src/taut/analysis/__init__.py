@@ -49,7 +49,9 @@ if TYPE_CHECKING:
     from taut.analysis.wrist_calibration import calibrate_wrist as calibrate_wrist
     from taut.analysis.wrist_poses import calibration_poses as calibration_poses
     from taut.linear.error_dynamics import ErrorDynamics as ErrorDynamics
-    from taut.linear.linear_loop import LinearLoop as LinearLoop
+    from taut.linear.judgement import Judgement as Judgement
+    from taut.linear.judgement import judge as judge
+    from taut.linear.linearise import Linearisation as Linearisation
     from taut.linear.routh_table import RouthTable as RouthTable
     from taut.linear.routh_table import routh as routh
     from taut.linear.sampled import SampledLoop as SampledLoop

@@ -11,7 +11,8 @@ from taut.base.checks import positive_scalar
 from taut.base.errors import UsageError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
-from taut.linear.linearise import WITHIN, linearise
+from taut.linear.equilibrium import WITHIN
+from taut.linear.linearise import linearise
 from taut.linear.margins import frequency_grid
 from taut.loop import Loop
 from taut.maths.model import PayloadValues, model_of
@@ -118,7 +119,7 @@ def coupling(loop: Loop, *, at: ArrayLike | None = None, share: float = ENOUGH, 
         )
     if not lin.stable:
         raise UsageError(
-            f"the loop is unstable ({lin.why}), so that its joints have no crosstalk to speak of; lower the gains",
+            f"crosstalk is that of a stable loop, and this one is not: {lin.system.unstable_because}; lower the gains",
             name="loop",
         )
     payload = PayloadValues.of(subtree(loop.parameters, "plant.payload"))
@@ -127,7 +128,7 @@ def coupling(loop: Loop, *, at: ArrayLike | None = None, share: float = ENOUGH, 
     scaled = M / np.outer(root, root)
     omega = frequency_grid(lin.dt, np.abs(np.angle(lin.poles)) / lin.dt)
     columns, rows = list(lin.columns("ref.q")), list(lin.rows("q"))
-    T = lin.response(omega, lin.B[:, columns], lin.C[rows], lin.D[np.ix_(rows, columns)])
+    T = lin.system.response(omega, lin.B[:, columns], lin.C[rows], lin.D[np.ix_(rows, columns)])
     return Coupling(
         joints=lin.joints,
         inertia=1.0 - float(np.linalg.eigvalsh(scaled)[0]),

@@ -9,12 +9,12 @@ import numpy as np
 
 from taut.base.errors import RangeError
 from taut.base.types import Float64Array
-from taut.codegen.coordinates import small_turns
 from taut.codegen.loop import FloatLoop, NativeLoop
+from taut.linear.equilibrium import WITHIN
 from taut.linear.frequency import Complex
-from taut.linear.linear_loop import LinearLoop
-from taut.linear.linearise import WITHIN, rest_of
+from taut.linear.linearise import Linearisation, rest_of
 from taut.linear.loop_map import loop_map
+from taut.linear.period import small_rotations
 from taut.loop import Loop
 from taut.plant.disturbance import WRENCH
 
@@ -27,7 +27,9 @@ MOST: Final = 2_000_000  # ticks of one run
 SLOW: Final = 1.0 - 1e-9  # a pole of this modulus does not die out
 
 
-def swept(loop: Loop, lin: LinearLoop, direction: Float64Array, omega: Float64Array, sizes: Float64Array) -> Complex:
+def swept(
+    loop: Loop, lin: Linearisation, direction: Float64Array, omega: Float64Array, sizes: Float64Array
+) -> Complex:
     """(k,) X / F along a direction, by runs of the loop itself.
 
     Args:
@@ -72,7 +74,7 @@ def swept(loop: Loop, lin: LinearLoop, direction: Float64Array, omega: Float64Ar
             if made.run(rows, point.parameters, memory, record) < len(some):
                 raise RangeError(f"the run of the sweep at {w:.3g} rad/s diverged", name="omega", value=float(w))
             views = made.outputs.views(record)
-            tool = np.hstack([views["tip.p"] - first["tip.p"], small_turns(views["tip.R"] @ first["tip.R"].T)])
+            tool = np.hstack([views["tip.p"] - first["tip.p"], small_rotations(views["tip.R"] @ first["tip.R"].T)])
             moved[k : k + BLOCK] = tool @ direction
         late = wave[settling:]
         basis = np.stack([late.imag, late.real, np.ones(len(late))], axis=1)

@@ -18,8 +18,7 @@ from taut.book.page import ODE, ROOTS, Entry, Page, Row, row
 from taut.book.simulation import looped, two_poles
 from taut.control.laws.joint import PID
 from taut.control.trajectories.reference import JointMotion
-from taut.linear.linear_loop import LinearLoop
-from taut.linear.linearise import linearise
+from taut.linear.linearise import Linearisation, linearise
 from taut.linear.second_order import second_order
 from taut.record.plots.style import DASHED, INK, SMALL, colour, prepared
 from taut.record.run import Run
@@ -104,7 +103,7 @@ def eq_10_14() -> Page:
     ctrl = controller(PID(kp=KP, kd=KD, ki=KI), plane)
     loop = looped(ctrl, plane, JointMotion(q=[0.0]), friction="arm", integrator="rk4")
 
-    def compiled(ki: float) -> LinearLoop:
+    def compiled(ki: float) -> Linearisation:
         loop.parameters["law.ki"] = ki
         return linearise(loop, at=[0.0])
 

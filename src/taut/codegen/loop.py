@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import ctypes
 import functools
+from typing import Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -11,11 +14,12 @@ from taut.base.types import Float64Array
 from taut.codegen.kernel import verified
 from taut.codegen.layout import Block, Field
 from taut.codegen.native import NativeModule, compiled, level_for
-from taut.codegen.period import Period, write_period
+from taut.codegen.period import PeriodCode, write_period
 from taut.codegen.program import Function
 from taut.codegen.text import Writer
+from taut.loop import Loop
 
-__all__ = ["FloatLoop", "NativeLoop"]
+__all__ = ["FloatLoop", "NativeLoop", "compiled_loop"]
 
 COMMAND = "command"  # the output that must be finite as memory must be
 
@@ -96,7 +100,7 @@ class NativeLoop:
         example: tuple[Float64Array, Float64Array, Float64Array],
         ticks: int | None = None,
     ) -> None:
-        period = Period(step, substep, repeats, inputs, parameters, memory)
+        period = PeriodCode(step, substep, repeats, inputs, parameters, memory)
         self.outputs = period.step.outputs
         row, values, state = (part.copy() for part in example)  # a run goes on in the arrays that it began with
         example = row, values, state
@@ -151,6 +155,42 @@ class NativeLoop:
                 outputs.shape[1],
             )
         )
+
+
+# A loop keeps its code, so that it is traced once however often it runs. The code is that of a twin of the loop: code
+# that held the loop itself would never be released.
+_COMPILED: Final[WeakKeyDictionary[Loop, NativeLoop | FloatLoop]] = WeakKeyDictionary()
+
+
+def compiled_loop(
+    loop: Loop,
+    blocks: tuple[Block, Block, Block],
+    example: tuple[Float64Array, Float64Array, Float64Array],
+    *,
+    sound: bool = True,
+) -> NativeLoop | FloatLoop:
+    """The code of a loop for its engine, made once.
+
+    Args:
+        loop: The loop.
+        blocks: Of inputs, parameters and memory.
+        example: A state of each, flat.
+        sound: Whether engines can be compared at the example; plain Python that is not kept if they cannot.
+    """
+    made = _COMPILED.get(loop)
+    if made is not None:
+        if isinstance(made, NativeLoop):
+            made.expect(loop.ticks)
+        return made
+    twin = copy.copy(loop)
+    functions = twin.step, twin.substep, loop.plant.substeps - 1
+    if loop.engine == "native" and sound:
+        made = NativeLoop(*functions, *blocks, example, loop.ticks)
+    else:
+        made = FloatLoop(*functions, *blocks, example)
+    if sound:
+        _COMPILED[loop] = made
+    return made
 
 
 def _samples(

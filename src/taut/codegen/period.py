@@ -7,10 +7,10 @@ from taut.codegen.llvm import declarations, kernel
 from taut.codegen.program import Function, Program, trace
 from taut.codegen.text import Writer
 
-__all__ = ["Period", "write_period"]
+__all__ = ["PeriodCode", "write_period"]
 
 
-class Period:
+class PeriodCode:
     """A step function and its substeps, traced.
 
     Args:

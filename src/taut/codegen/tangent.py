@@ -15,7 +15,7 @@ import numpy as np
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
 from taut.codegen.native import QUICK, available, compiled
-from taut.codegen.period import Period, write_period
+from taut.codegen.period import PeriodCode, write_period
 from taut.codegen.program import Function, Program, Values
 from taut.codegen.text import Writer
 from taut.trace.array import traced_array
@@ -109,7 +109,7 @@ class StepTangent:
     ) -> None:
         blocks = (tangent_block(inputs), tangent_block(parameters, directed), tangent_block(memory))
         self.inputs, self.parameters, self.memory = blocks
-        self._period = Period(with_tangent(step, outputs), with_tangent(substep, ()), repeats, *blocks)
+        self._period = PeriodCode(with_tangent(step, outputs), with_tangent(substep, ()), repeats, *blocks)
         self.outputs, self.operations = self._period.step.outputs, self._period.operations
         self._native: Callable[..., None] | None = None
         if engine == "native" and available():

@@ -15,7 +15,6 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from taut.base.checks import finite_array, finite_scalar, positive_scalar, read_only, require_at_least
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["LinearSystem", "Mode", "names"]
 
 Complex = NDArray[np.complex128]
+BALANCING: Final = 12  # sweeps
 SINGULAR: Final = 1e-12  # [-] of the largest singular value: smaller ones are zero
 CRITICAL: Final = 1e-14  # [-] of the discriminant of a double pole: rounding of the coefficients
 UNDAMPED: Final = 1e-9  # [-] damping ratio below which an oscillation is sustained
@@ -168,7 +168,7 @@ class LinearSystem(Result):
         A position that nothing moves is a vector of the null space of A - I (of A in continuous time). Without that
         space, a pole that still is at z = 1 is one that drifts, so that a multiple pole needs no tolerance.
         """
-        A, _ = scipy.linalg.matrix_balance(self.A, permute=False)
+        A = _balanced(self.A)
         change = A - np.eye(len(A)) if self.dt else A
         _, sizes, rows = np.linalg.svd(change)
         free = int((sizes <= SINGULAR * max(float(sizes.max(initial=0.0)), float(self.dt is not None))).sum())
@@ -264,6 +264,8 @@ class LinearSystem(Result):
     @cached_property
     def modes(self) -> tuple[Mode, ...]:
         """The modes, the slowest first, one for each complex pair, without those that are over within a period."""
+        import scipy.linalg
+
         if not len(self.A):
             return ()
         poles, left, right = scipy.linalg.eig(self.A, left=True, right=True)
@@ -300,6 +302,8 @@ class LinearSystem(Result):
             UsageError: The system is sampled already.
             RangeError: A period that is not positive, a negative delay.
         """
+        import scipy.linalg
+
         if self.dt is not None:
             raise UsageError(f"the system is sampled already, with the period {self.dt:g} s", name="dt")
         dt = positive_scalar("dt", dt, unit="s")
@@ -447,19 +451,25 @@ class LinearSystem(Result):
             limit = f"between 0 and {highest:.6g} rad/s, half the rate" if self.dt else "at least 0"
             raise RangeError(f"omega must be {limit}; got {value:g} rad/s", name="omega", value=value)
         rows, columns = self.rows(output), self.columns(input)
-        B, C, D = self.B[:, columns], self.C[rows], self.D[np.ix_(rows, columns)]
-        z = np.exp(1j * w * self.dt) if self.dt else 1j * w
-        out = np.zeros((len(z), len(rows), len(columns)), dtype=np.complex128)
+        out = self.response(w, self.B[:, columns], self.C[rows], self.D[np.ix_(rows, columns)])
+        return out[:, 0, 0] if input in self.inputs and output in self.outputs else out
+
+    def response(self, omega: Float64Array, B: Float64Array, C: Float64Array, D: Float64Array) -> Complex:
+        """(k, p, m) C (z I - A)^-1 B + D of other inputs and outputs at the same states, at (k,) frequencies."""
+        z = np.exp(1j * omega * self.dt) if self.dt else 1j * omega
+        out = np.zeros((len(z), len(C), B.shape[1]), dtype=np.complex128)
         size = 1.0 if self.dt else max(self._fastest, 1e-300)
         near = np.abs(z[:, np.newaxis] - self.poles).min(axis=1, initial=np.inf) < NEAR_POLE * size
         out[~near] = self._transfer(z[~near], B, C) + D
         for k in np.flatnonzero(near):
             out[k] = self._beside_pole(complex(z[k]), B, C, size) + D
-        return out[:, 0, 0] if input in self.inputs and output in self.outputs else out
+        return out
 
     @cached_property
     def _schur(self) -> tuple[Complex, Complex]:
         """A = Q T Q^H with T triangular, so that a frequency costs one substitution."""
+        import scipy.linalg
+
         T, Q = scipy.linalg.schur(self.A, output="complex")
         return T, Q
 
@@ -511,6 +521,8 @@ class LinearSystem(Result):
             raise UsageError(f"count must be a whole number of at least 1; got {count!r}", name="count")
         if (dt is None) == (self.dt is None):
             raise UsageError("dt= is the time between samples of a continuous system, and of no other", name="dt")
+        import scipy.linalg
+
         step = self.A if dt is None else np.asarray(scipy.linalg.expm(self.A * positive_scalar("dt", dt, unit="s")))
         x = np.array(finite_array("state", state, shape=(len(self.states),)))
         out = np.zeros((count, len(self.outputs)))
@@ -639,6 +651,18 @@ def _eigenvalues(A: Float64Array) -> Complex:
         return np.asarray(half + 1j * np.sqrt(-square) * np.array([1.0, -1.0]), dtype=np.complex128)
     far = half + np.copysign(np.sqrt(square), half)
     return np.array([far, float(a * d - b * c) / far], dtype=np.complex128)
+
+
+def _balanced(A: Float64Array) -> Float64Array:
+    """A in units of its states in which rows and columns have one size (Osborne): rounding is of all alike."""
+    scale = np.ones(len(A))
+    for _ in range(BALANCING):
+        sizes = np.abs(A * scale / scale[:, np.newaxis])
+        np.fill_diagonal(sizes, 0.0)
+        rows, columns = sizes.sum(axis=1), sizes.sum(axis=0)
+        both = (rows > 0.0) & (columns > 0.0)
+        scale[both] *= np.exp2(np.round(0.5 * np.log2(rows[both] / columns[both])))
+    return A * scale / scale[:, np.newaxis]
 
 
 def _places(kind: str, name: str, known: Sequence[str]) -> list[int]:

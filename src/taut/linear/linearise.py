@@ -1,41 +1,209 @@
-"""taut.linearise: a loop about an equilibrium or along a run, exactly, by automatic differentiation."""
+"""taut.linearise: the exact linear model of a loop about an equilibrium or along a run."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Final, overload
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final, overload
 
 import numpy as np
 
 from taut.arm.angles import require_radians
-from taut.base.checks import finite_array, positive_scalar
+from taut.base.checks import finite_array, positive_scalar, read_only
 from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.paths import subtree
+from taut.base.result import Content, Result
 from taut.base.types import ArrayLike, Float64Array
+from taut.control.trajectories.feed import ReferenceFeed
 from taut.control.trajectories.reference import Hold, Sample
-from taut.linear.equilibrium import Rest, moving_states, resting, telling
-from taut.linear.linear_loop import LinearLoop
-from taut.linear.loop_map import Derivative, LoopMap, Point, beside, finite_derivative, loop_map, starting
-from taut.linear.sides import sides_of, smooth
+from taut.linear.equilibrium import WITHIN, Rest, driven_states, equilibrium, observed_states
+from taut.linear.linear_system import Complex, LinearSystem, Mode
+from taut.linear.loop_map import LoopMap, beside, finite_derivative, loop_map, starting
+from taut.linear.margins import Margins
+from taut.linear.non_smooth import branches_of, smooth
+from taut.linear.period import Derivative, Point
 from taut.loop import Loop
-from taut.record.run import Run
-from taut.runtime.fused import FusedRun
 
-__all__ = ["linearise", "rest_of"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-WITHIN: Final = 0.5  # [rad | m]
+    from taut.record.run import Run
+
+__all__ = ["Linearisation", "linearise", "rest_of"]
+
 SAME: Final = 1e-9  # [rad | m] between a run and its repetition
-UNSEEN: Final = "nothing depends on it"
-UNMOVED: Final = "nothing moves it"
+AT_REST: Final = 1e-8  # [rad | m] a smaller displacement is rounding
+NO_EFFECT: Final = "nothing depends on it"
+NOT_DRIVEN: Final = "nothing moves it"
+JOINT_STATES: Final = ("plant.q", "plant.v", "plant.q_motor", "plant.v_motor")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Linearisation(Result):
+    """The linear system of a loop about one point, and the point.
+
+    States, inputs and outputs are deviations from the point, by path and index: "plant.q[0]", "law.e_int[2]"; a
+    rotation has three, a small rotation vector in world axes. An input is held until the next tick. Inputs: the
+    reference, "disturbance.command" (added to the law's command, before the drives), "disturbance.torque" (on the
+    joints), "disturbance.wrench" (on the tool, force first, world axes), noise (1 is one standard deviation),
+    parameters. Outputs: q, v and the tool's pose and twist (world axes), true at the tick, and the law's command.
+    Against a reference that is held, the error of an output is minus its deviation.
+
+    Args:
+        system: The linear system; `lin.poles`, `lin.stable`, `lin.A`, ... are its own.
+        joints: Names of the arm's joints.
+        q: (n,) joint positions of the point [rad | m].
+        t: Its time [s]; 0 at an equilibrium.
+        moved: (n,) displacement of the joints from `at=` to the equilibrium (droop); zero along a run.
+        branches: Sentences: non-smooth points, and the branch of each that the model is of.
+        left_out: States without which the model is complete, with the reason.
+        drifting: States that go on changing there without any effect, and by how much in a period.
+
+    Example:
+        >>> import taut
+        >>> arm = taut.load_arm("one_joint")
+        >>> ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)
+        >>> loop = taut.Loop(ctrl, taut.RigidPlant(arm, friction=None), duration=1.0)
+        >>> lin = taut.linearise(loop, at=arm.home)
+        >>> [round(mode.s.real, 2) for mode in lin.modes], lin.states
+        ([-9.09, -11.11], ('plant.q[0]', 'plant.v[0]'))
+
+    References:
+        Astrom and Wittenmark, Computer-controlled systems (1997), chapter 3.
+    """
+
+    system: LinearSystem
+    joints: tuple[str, ...]
+    q: Float64Array
+    t: float = 0.0
+    moved: Float64Array
+    branches: tuple[str, ...] = ()
+    left_out: Mapping[str, str]
+    drifting: Mapping[str, float]
+
+    # -------------------------------------------------------------------- the system's own
+
+    @property
+    def A(self) -> Float64Array:
+        """(n, n)."""
+        return self.system.A
+
+    @property
+    def B(self) -> Float64Array:
+        """(n, m)."""
+        return self.system.B
+
+    @property
+    def C(self) -> Float64Array:
+        """(p, n)."""
+        return self.system.C
+
+    @property
+    def D(self) -> Float64Array:
+        """(p, m)."""
+        return self.system.D
+
+    @property
+    def dt(self) -> float:
+        """Period [s]."""
+        assert self.system.dt is not None
+        return self.system.dt
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the n states."""
+        return self.system.states
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the m inputs."""
+        return self.system.inputs
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the p outputs."""
+        return self.system.outputs
+
+    @property
+    def poles(self) -> Complex:
+        """(n,) poles in z, the slowest decay first."""
+        return self.system.poles
+
+    @property
+    def radius(self) -> float:
+        """Spectral radius [-]."""
+        return self.system.radius
+
+    @property
+    def stable(self) -> bool:
+        """Whether all deviations decay, but for positions that stay where they are put."""
+        return self.system.stable
+
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        """The modes, the slowest first."""
+        return self.system.modes
+
+    def columns(self, input: str) -> list[int]:
+        """Places of an input, by its name or that of its group."""
+        return self.system.columns(input)
+
+    def rows(self, output: str) -> list[int]:
+        """Places of an output, likewise."""
+        return self.system.rows(output)
+
+    def frequency_response(self, omega: ArrayLike, *, input: str, output: str) -> Complex:
+        """`LinearSystem.frequency_response`."""
+        return self.system.frequency_response(omega, input=input, output=output)
+
+    def margins(self) -> Margins:
+        """Margins of the loop opened at each joint's command, the others closed, and at all at once (disk)."""
+        found = self.system.margins()
+        named = zip(found.signals, self.joints, strict=True)
+        return replace(found, signals=tuple(replace(each, signal=joint) for each, joint in named))
+
+    def joint_of(self, mode: Mode) -> str | None:
+        """The joint whose position and velocity take most part in a mode; None where no joint takes part."""
+        parts = np.zeros(len(self.joints))
+        for name, part in mode.participation.items():
+            head, _, index = name.partition("[")
+            if head in JOINT_STATES:
+                parts[int(index[:-1])] += part
+        return self.joints[int(np.argmax(parts))] if parts.any() else None
+
+    def to_control(self) -> Any:
+        """The system as `control.StateSpace` of python-control."""
+        return self.system.to_control()
+
+    def content(self) -> Content:
+        """The system's content, with the point and its non-smooth elements."""
+        of_system, i = self.system.content(), int(np.argmax(np.abs(self.moved)))
+        place = f"at t = {self.t:g} s of a run" if self.t else "about an equilibrium"
+        summary = [*of_system.summary, f"q = {np.round(self.q, 4).tolist()}"]
+        if np.abs(self.moved).max(initial=0.0) > AT_REST:
+            summary.append(f"joint '{self.joints[i]}' moved {self.moved[i]:.4g} from at= until the loop rested")
+        tables = list(of_system.tables)
+        if self.stable:
+            tables[1] = self.margins().table()
+        drifts = [f"{name} changes by {x:.3g} in each period, without effect" for name, x in self.drifting.items()]
+        return replace(
+            of_system, title=f"{of_system.title}, {place}", summary=summary, tables=tables,
+            notes=[*self.branches, *drifts],
+        )  # fmt: skip
+
+    def plot(self) -> Figure:
+        """Step response, poles, Bode and Nyquist diagram of the loop at each joint's command."""
+        return self.system.plot()
 
 
 @overload
 def linearise(
     loop: Loop, *, at: ArrayLike | None = None, with_respect_to: str | Iterable[str] = (), within: float = WITHIN
-) -> LinearLoop: ...
+) -> Linearisation: ...
 @overload
 def linearise(
     loop: Loop, *, along: Run, times: ArrayLike, with_respect_to: str | Iterable[str] = ()
-) -> tuple[LinearLoop, ...]: ...
+) -> tuple[Linearisation, ...]: ...
 def linearise(
     loop: Loop,
     *,
@@ -44,21 +212,22 @@ def linearise(
     times: ArrayLike | None = None,
     with_respect_to: str | Iterable[str] = (),
     within: float = WITHIN,
-) -> LinearLoop | tuple[LinearLoop, ...]:
+) -> Linearisation | tuple[Linearisation, ...]:
     """The linear model of a loop from tick to tick, with all its memory: filters, delays, integrals, substeps.
 
-    Derivatives are exact, of the loop as it is simulated: they are taken of its program, compiled once for a loop
-    and a choice of parameters, and called for each direction.
+    Law:    x[k+1] = f(x[k], u[k]), A = df/dx, B = df/du, exactly, of the loop as it is simulated
 
-    At an equilibrium: from the state that a run begins with at `at`, Newton finds where the loop rests, its reference
-    held. A law without gravity compensation sags, one with an integral does not; `lin.moved` says how far. Memory
-    that goes on changing without any effect, such as an integral with ki = 0, is named in `lin.drifting`.
+    The program of the loop is differentiated, compiled once for a loop and a choice of parameters.
 
-    Along a run of this loop: about the state of each time, which the loop passes through; a model says how a small
-    deviation there grows in one period.
+    At an equilibrium: from the state in which a run begins at `at`, Newton's method finds where the loop rests, its
+    reference held. A law without gravity compensation droops, one with an integral does not: `lin.moved`. Memory that
+    goes on changing without any effect, such as an integral with ki = 0, is named in `lin.drifting`.
 
-    A kink, such as a limit that is reached or a joint that sticks, has a derivative on each side; `lin.sides` says
-    on which side of what the model stands. Steps of encoders and amplifiers count by their mean slope.
+    Along a run of this loop: about the state at each time; the product of the models carries a small deviation to the
+    end.
+
+    A non-smooth point, such as a limit that is reached or stiction, has a derivative on each branch; `lin.branches`
+    states which one the model is of. Quantisation of encoders and amplifiers counts by its mean slope.
 
     Args:
         loop: The loop. Its parameters count as they are now.
@@ -66,13 +235,13 @@ def linearise(
         along: A run of this loop, from its own start, without events.
         times: (k,) or one [s], with `along`: of the ticks nearest to them.
         with_respect_to: Paths of parameters that are inputs of the model too: "law.kp", "plant.payload.mass".
-        within: [rad | m] how far from `at` the equilibrium may be.
+        within: Maximum distance of the equilibrium from `at` [rad | m].
 
     Returns:
         The model at the equilibrium; along a run, one for each time.
 
     Raises:
-        RangeError: No equilibrium near `at`: by how much it is not, and which joint; a time outside of the run.
+        RangeError: No equilibrium near `at`: the joint and its distance; a time outside of the run.
         UsageError: A reference that moves and no `along`; a run of another loop.
         UnknownNameError: No such parameter.
 
@@ -82,7 +251,7 @@ def linearise(
         >>> ctrl = taut.compile(taut.laws.PID(kp=100.0, kd=20.0), arm)
         >>> loop = taut.Loop(ctrl, taut.RigidPlant(arm, friction=None), duration=1.0)
         >>> lin = taut.linearise(loop, at=[0.3, 0.5])
-        >>> lin.stable, lin.moved.round(3).tolist()  # it sags, for nothing holds its weight but the error
+        >>> lin.stable, lin.moved.round(3).tolist()  # droop: only the error balances the weight
         (True, [-0.229, -0.034])
 
     References:
@@ -102,20 +271,20 @@ def linearise(
 
 
 def rest_of(loop: Loop, map_: LoopMap, at: ArrayLike | None, within: float) -> Rest:
-    """Where a loop rests near joint positions, its reference held."""
+    """The equilibrium of a loop near joint positions, its reference held."""
     q = _pose(loop, at)
     within = positive_scalar("within", within, unit="rad | m")
     if not isinstance(loop.ref, (Sample, Hold)):
         raise UsageError(
-            f"an equilibrium needs a reference that stays, and that of this loop is a {type(loop.ref).__name__}; "
+            f"an equilibrium needs a reference that is held, and that of this loop is a {type(loop.ref).__name__}; "
             "make the loop with a sample or taut.hold(), or linearise along a run: along=run, times=...",
             name="loop",
         )
-    return resting(map_, starting(loop, map_, q), within)
+    return equilibrium(map_, starting(loop, map_, q), within)
 
 
 def _pose(loop: Loop, at: ArrayLike | None) -> Float64Array:
-    """(n,) where to begin: home if nothing is given."""
+    """(n,) joint positions of the start: home if nothing is given."""
     arm = loop.plant.arm
     if at is None:
         return arm.home
@@ -124,8 +293,8 @@ def _pose(loop: Loop, at: ArrayLike | None) -> Float64Array:
     return q
 
 
-def _along(loop: Loop, map_: LoopMap, run: Run, times: ArrayLike) -> tuple[LinearLoop, ...]:
-    if not isinstance(run, Run):  # callers without a type checker
+def _along(loop: Loop, map_: LoopMap, run: Run, times: ArrayLike) -> tuple[Linearisation, ...]:
+    if not hasattr(run, "info"):  # callers without a type checker
         raise UsageError(f"along= takes a taut.Run; got {type(run).__name__}", name="along")
     wanted = finite_array("times", times, unit="s")
     if wanted.ndim > 1 or not wanted.size:
@@ -148,17 +317,11 @@ def _along(loop: Loop, map_: LoopMap, run: Run, times: ArrayLike) -> tuple[Linea
     if run.info.get("events"):
         raise UsageError("along= takes a run without events; a change of parameters is another loop", name="along")
     # A run keeps no memory of filters and integrals: its ticks are taken once more.
-    again = FusedRun(loop, run.q[0], run.v[0], int(run.info["seed"]), (), dict(run.info))
-    again.go(lambda _: None, None)
-    rows, values = again.tape.input_rows, map_.values(loop.parameters)
-    inputs = np.zeros(map_.inputs.size)
-    inputs[: rows.shape[1]] = rows[0]
-    memory = map_.start(run.q[0], run.v[0], inputs, values)
-    models: dict[int, LinearLoop] = {}
+    rows, values = _inputs_of(loop, map_, run), map_.values(loop.parameters)
+    memory = map_.start(run.q[0], run.v[0], rows[0], values)
+    models: dict[int, Linearisation] = {}
     for k in range(int(ticks.max()) + 1):
-        point = Point(
-            inputs=np.append(rows[k], np.zeros(map_.inputs.size - rows.shape[1])), parameters=values, memory=memory
-        )
+        point = Point(inputs=rows[k], parameters=values, memory=memory)
         if k in ticks:
             off = np.abs(map_.memory.views(memory)["plant.q"] - run.q[k])
             if off.max() > SAME:
@@ -176,6 +339,22 @@ def _along(loop: Loop, map_: LoopMap, run: Run, times: ArrayLike) -> tuple[Linea
     return tuple(models[int(k)] for k in ticks)
 
 
+def _inputs_of(loop: Loop, map_: LoopMap, run: Run) -> Float64Array:
+    """(ticks, size) time, reference and noise of each tick of a run, as `taut.run` made them."""
+    side, rows = loop.side, np.zeros((len(run), map_.inputs.size))
+    views = map_.inputs.views(rows)
+    views["t"][...] = run.t
+    for name, column in subtree(views, "noise").items():
+        column[...] = np.random.default_rng([int(run.info["seed"]), *name.encode()]).standard_normal(column.shape)
+    feed = ReferenceFeed(loop.ref, side.law.reference, side.arm, loop.dt, side.at_rest(run.q[0]))
+    if feed.next_question(0) is not None:
+        raise UsageError(
+            "along= takes a run whose reference does not depend on it; this one streams from a source", name="along"
+        )
+    feed.fill(subtree(views, "ref"), 0, lambda: None)
+    return rows
+
+
 def _model(
     map_: LoopMap,
     point: Point,
@@ -183,44 +362,35 @@ def _model(
     *,
     start: Float64Array,
     t: float = 0.0,
-    drifting: dict[str, float] | None = None,
-) -> LinearLoop:
+    drifting: Mapping[str, float] | None = None,
+) -> Linearisation:
     """The states that matter, and their matrices."""
     names, outputs = map_.state_coordinates.names, map_.output_coordinates.names
-    # Of all states first: on a kink that only rounding sees, the law may take another way at the very point, so that
-    # some seem to have no effect.
+    # Of all states first: where a law is non-smooth by rounding alone, its branch at the very point may differ from
+    # that beside it, so that some states seem to have no effect.
     whole, slopes = smooth(map_, point, found, list(range(len(names))))
-    seen, moved = telling(whole.A, whole.C), moving_states(whole.A, whole.B)
-    needed = seen & moved
-    for path in ("plant.q", "plant.v"):  # also of an arm that sticks
+    observed, driven = observed_states(whole.A, whole.C), driven_states(whole.A, whole.B)
+    needed = observed & driven
+    for path in ("plant.q", "plant.v"):  # also of an arm in stiction
         needed[map_.state_coordinates.places[path]] = True
     keep = [int(i) for i in np.flatnonzero(needed)]
     slopes = slopes.among(keep)
     if whole is not found:
-        nearer = beside(map_, point, found, keep)  # the fewer are moved, the more exact
+        nearer = beside(map_, point, found, keep)  # the fewer states are moved, the more exact
         found = whole if slopes.misses(nearer) else nearer
-    left = {name: UNMOVED if seen[i] else UNSEEN for i, name in enumerate(names) if not needed[i]}
+    left = {name: NOT_DRIVEN if observed[i] else NO_EFFECT for i, name in enumerate(names) if not needed[i]}
     q = np.array(map_.memory.views(point.memory)["plant.q"])
-    return LinearLoop(
-        A=_frozen(found.A[np.ix_(keep, keep)]),
-        B=_frozen(found.B[keep]),
-        C=_frozen(found.C[:, keep]),
-        D=_frozen(found.D),
-        dt=map_.dt,
-        states=tuple(names[i] for i in keep),
-        inputs=map_.input_names,
-        outputs=outputs,
+    system = LinearSystem(
+        A=found.A[np.ix_(keep, keep)], B=found.B[keep], C=found.C[:, keep], D=found.D, dt=map_.dt,
+        states=[names[i] for i in keep], inputs=map_.input_names, outputs=outputs,
+    )  # fmt: skip
+    return Linearisation(
+        system=system,
         joints=map_.side.arm.joint_names,
-        q=_frozen(q),
+        q=read_only(q),
         t=t,
-        moved=_frozen(q - start),
-        sides=sides_of(map_, point, found, slopes),
+        moved=read_only(q - start),
+        branches=branches_of(map_, point, found, slopes),
         left_out=left,
         drifting={} if drifting is None else drifting,
     )
-
-
-def _frozen(array: Float64Array) -> Float64Array:
-    out = np.ascontiguousarray(array)
-    out.flags.writeable = False
-    return out

@@ -1,70 +1,45 @@
-"""A loop as a map from one tick to the next, with its exact derivative, in coordinates that have names."""
+"""The exact derivative of a control period, by automatic differentiation of the loop's program."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import Any, Final
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from taut.base.errors import RangeError, UsageError, unknown_name
-from taut.base.paths import subtree
 from taut.base.types import Float64Array, Vector
-from taut.codegen.coordinates import BlockCoordinates
 from taut.codegen.layout import Block
 from taut.codegen.tangent import TANGENT, StepTangent, tangent_block
 from taut.control.tasks.phases import Phases
-from taut.control.trajectories.feed import ReferenceFeed
+from taut.linear.period import (
+    RESOLUTION,
+    BlockCoordinates,
+    Derivative,
+    PeriodMap,
+    Point,
+    Side,
+    held_reference,
+    smooth_plant,
+)
 from taut.loop import DT, Loop, Values
 from taut.maths import dynamics as dyn
 from taut.maths.model import model_of
 from taut.plant.disturbance import COMMAND, disturbance_shapes
 from taut.plant.rigid import RigidPlant
 
-__all__ = [
-    "Derivative",
-    "LoopMap",
-    "Point",
-    "beside",
-    "finite_derivative",
-    "loop_map",
-    "starting",
-]
+__all__ = ["LoopMap", "beside", "finite_derivative", "loop_map", "starting"]
 
 OUTPUTS: Final = ("q", "v", "tip.p", "tip.R", "tip.twist", "command")
-STEPS: Final = ".resolution"
-BESIDE: Final = 1e-7  # of a state's size: how far beside a point without a derivative one is taken
+BESIDE: Final = 1e-7  # [-] of a state's size: distance of a derivative beside a point that has none
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Point:
-    """Where a loop is in a tick."""
+class LoopMap(PeriodMap):
+    """One control period of a loop, compiled with its exact derivative.
 
-    inputs: Float64Array
-    parameters: Float64Array
-    memory: Float64Array
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Derivative:
-    """The derivative of a loop's map at a point, in all its coordinates; and the map itself."""
-
-    A: Float64Array
-    B: Float64Array
-    C: Float64Array
-    D: Float64Array
-    residual: Float64Array  # (states,) what a period changes
-    memory: Float64Array  # after the period
-    record: Float64Array  # all that the tick records
-
-
-class LoopMap:
-    """The map of a loop from the memory in one tick to that in the next, compiled with its derivative.
-
-    Steps of encoders and amplifiers count by their mean slope, which is one: they are left out.
+    Quantisation of encoders and amplifiers counts by its mean slope, which is one: it is left out.
 
     Args:
         loop: The loop.
@@ -75,6 +50,8 @@ class LoopMap:
         UnknownNameError: No such parameter.
     """
 
+    tolerance = 0.0
+
     def __init__(self, loop: Loop, with_respect_to: tuple[str, ...] = ()) -> None:
         side, plant = loop.side, loop.plant
         if isinstance(side.law, Phases):
@@ -83,7 +60,7 @@ class LoopMap:
                 "guards; make a taut.Loop with the law and the reference of the phase that is wanted",
                 name="loop",
             )
-        self.steps = tuple(path for path in loop.parameters if path.endswith(STEPS))
+        self.steps = tuple(path for path in loop.parameters if path.endswith(RESOLUTION))
         for path in with_respect_to:
             if path not in loop.parameters:
                 raise unknown_name("the loop", "parameter", path, loop.parameters)
@@ -94,8 +71,8 @@ class LoopMap:
                     name=path,
                 )
         self.side, self.engine, self.dt = side, loop.engine, loop.dt  # and not the loop, which may go
-        self.plant = _without_steps(plant)
-        self._stepped = Loop(_Side(side, side.parameters, loop.engine), self.plant, loop.ref, duration=loop.duration)
+        self.plant = smooth_plant(plant, side.needs) if self.steps else plant
+        self._stepped = Loop(Side(side, side.parameters, loop.engine), self.plant, loop.ref, duration=loop.duration)
         shapes = loop.input_shapes()
         pushes = disturbance_shapes(side.arm.n)
         if not isinstance(plant, RigidPlant):
@@ -214,22 +191,6 @@ def _repeated(block: Block, flat: Float64Array, count: int) -> Float64Array:
     return rows
 
 
-@dataclass(frozen=True)
-class _Side:
-    """A controller as a loop takes it."""
-
-    side: Any
-    parameters: Mapping[str, Float64Array]
-    engine: str
-
-
-def _without_steps(plant: Any) -> Any:
-    """The plant without the steps of its amplifiers; those of sensors go with their parameters."""
-    if isinstance(plant, RigidPlant) and plant.actuation.resolution is not None:
-        return dataclasses.replace(plant, actuation=dataclasses.replace(plant.actuation, resolution=None))
-    return plant
-
-
 _MAPS: Final[WeakKeyDictionary[Loop, dict[tuple[str, ...], LoopMap]]] = WeakKeyDictionary()
 
 
@@ -258,54 +219,41 @@ def loop_map(loop: Loop, with_respect_to: Iterable[str] = ()) -> LoopMap:
 
 
 def starting(loop: Loop, map_: LoopMap, q: Float64Array) -> Point:
-    """Where a loop begins from rest at joint positions (n,), in the sample of its reference there.
+    """The start of a loop at rest at joint positions (n,), in the sample of its reference there.
 
     Raises:
         RangeError: It may not start there.
     """
-    side, values = loop.side, map_.values(loop.parameters)
-    side.check_start(q, {**loop.parameters, DT: loop.dt}, loop.ref)
-    inputs = np.zeros((1, map_.inputs.size))
-    feed = ReferenceFeed(loop.ref, side.law.reference, side.arm, loop.dt, side.at_rest(q))
-    feed.fill(subtree(map_.inputs.views(inputs), "ref"), 0, lambda: None)
-    memory = map_.start(q, np.zeros_like(q), inputs[0], values)
-    return Point(inputs=inputs[0], parameters=values, memory=memory)
+    loop.side.check_start(q, {**loop.parameters, DT: loop.dt}, loop.ref)
+    inputs, values = held_reference(loop, map_.inputs, q, loop.ref), map_.values(loop.parameters)
+    memory = map_.start(q, np.zeros_like(q), inputs, values)
+    return Point(inputs=inputs, parameters=values, memory=memory)
 
 
 def beside(map_: LoopMap, at: Point, found: Derivative, states: Iterable[int]) -> Derivative:
-    """The mean derivative of two points a little to either side, for one that itself has none.
+    """The mean derivative of two points on either side, for a point that itself has none.
 
-    So it is where a law takes the length of an error that is zero, or compares two energies that are.
+    A law that takes the length of an error that is zero, or compares two energies that are, has such a point.
     """
     coordinates = map_.state_coordinates
-    values, which = coordinates.read(at.memory, at.memory[np.newaxis])[0], list(states)
+    values, which = coordinates.numbers(at.memory), list(states)
     by = np.zeros(len(coordinates))
     by[which] = BESIDE * (1.0 + np.abs(values[which])) * np.cos(np.arange(len(which)))
-    places = (coordinates.moved(at.memory, way) for way in (by, -by))
+    places = (coordinates.moved(at.memory, change) for change in (by, -by))
     one, other = (map_.derivative(dataclasses.replace(at, memory=memory)) for memory in places)
     means = {name: 0.5 * (getattr(one, name) + getattr(other, name)) for name in "ABCD"}
     return dataclasses.replace(found, **means)
 
 
-def finite_derivative(map_: LoopMap, at: Point) -> Derivative:
+def finite_derivative(map_: PeriodMap, at: Point) -> Derivative:
     """The derivative at a point; beside it, where it is not finite there.
 
     Raises:
-        RangeError: Nor is it there.
+        RangeError: Nor is it there; the message names a state.
     """
-    found = map_.derivative(at)
-    if not all(np.isfinite(x).all() for x in (found.A, found.B, found.C, found.D)):
-        found = beside(map_, at, found, range(len(map_.state_coordinates)))
-    _require_finite(found, map_.state_coordinates.names)
-    return found
-
-
-def _require_finite(found: Derivative, names: tuple[str, ...]) -> None:
-    """Refuse a map, or a derivative of it, that is not finite.
-
-    Raises:
-        RangeError: It is not; the message names a state.
-    """
+    found, names = map_.derivative(at), map_.state_coordinates.names
+    if isinstance(map_, LoopMap) and not all(np.isfinite(x).all() for x in (found.A, found.B, found.C, found.D)):
+        found = beside(map_, at, found, range(len(names)))
     for matrix in (found.residual[np.newaxis].T, found.A, found.B):
         wrong = ~np.isfinite(matrix).all(axis=1)
         if wrong.any():
@@ -315,3 +263,4 @@ def _require_finite(found: Derivative, names: tuple[str, ...]) -> None:
                 "finite; linearise at another pose",
                 name=name,
             )
+    return found

@@ -14,7 +14,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq, minimize_scalar
 
 from taut.base.result import Cell, Table
 from taut.base.types import Float64Array
@@ -186,6 +185,8 @@ def _of_signal(name: str, i: int, sensitivity: Sensitivity, omega: Float64Array,
 
 def _crossings(function: Callable[[float], float], omega: Float64Array, values: Float64Array) -> list[float]:
     """Where a function changes its sign, between the frequencies at which it is known."""
+    from scipy.optimize import brentq
+
     places = np.flatnonzero(np.isfinite(values[:-1] * values[1:]) & (values[:-1] * values[1:] < 0.0))
     ends = [(omega[k], omega[k + 1]) for k in places]
     # A value that is zero but for rounding has one sign here and another there, and crosses nothing.
@@ -218,6 +219,8 @@ def common_delay(sensitivity: Sensitivity, dt: float, poles: Float64Array) -> fl
 
 def _disk(sensitivity: Sensitivity, omega: Float64Array, S: Complex) -> DiskMargin:
     """alpha = 1 / max over omega of mu(S - I / 2), mu from above by a scaled norm."""
+    from scipy.optimize import minimize_scalar
+
     eye = np.eye(S.shape[1])
     sizes = scaled_norm(S - 0.5 * eye)
     k = int(np.argmax(sizes))

@@ -11,9 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from taut.base.result import Table
 from taut.base.types import Float64Array
@@ -90,6 +88,9 @@ def step_response(
         s_poles: (n,) poles [1/s].
         final: The final value, for the result.
     """
+    import scipy.linalg
+    from scipy.optimize import brentq
+
     some = s_poles[np.isfinite(s_poles.real) & (s_poles.real < 0.0)]
     horizon = TIME_CONSTANTS / float(-some.real.max(initial=-np.inf)) if len(some) else 0.0
     h = dt or min(horizon / POINTS, 1.0 / (PER_RADIAN * max(float(np.abs(some.imag).max(initial=0.0)), 1e-300)))

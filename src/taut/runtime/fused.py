@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import copy
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping
 from time import monotonic
 from typing import Any, Final
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from taut.arm.description import Arm
 from taut.base.errors import NumericalError, RangeError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
-from taut.codegen.coordinates import BlockCoordinates
 from taut.codegen.layout import Block
-from taut.codegen.loop import FloatLoop, NativeLoop
+from taut.codegen.loop import compiled_loop
 from taut.control.limiting import take_up
 from taut.control.tasks.phase_feed import PhaseFeed
 from taut.control.tasks.phases import Phases
 from taut.control.trajectories.feed import ReferenceFeed, plain_snapshot
-from taut.control.trajectories.reference import Hold
 from taut.loop import DT, Loop
 from taut.maths.snapshot import Snapshot
 from taut.plant.swing import check_swing
@@ -30,72 +25,11 @@ from taut.record.outcome import Outcome
 from taut.runtime.events import Event
 from taut.runtime.tape import LOG_PERIOD, RowLog, Tape
 
-__all__ = ["FusedRun", "Period"]
+__all__ = ["FusedRun"]
 
 BLOCK: Final = 4096  # ticks between two visits of Python
 TASK_BLOCK: Final = 256  # the same for a task, in which a block may have to be taken back
 FIRST_BLOCK: Final = 16  # of a run with a log, which is written by time: how long a tick takes is not known yet
-
-# A loop keeps its code, so that it is traced once however often it runs. The code is that of a twin of the loop: code
-# that held the loop itself would never be released.
-_COMPILED: Final[WeakKeyDictionary[Loop, NativeLoop | FloatLoop]] = WeakKeyDictionary()
-
-
-class Period:
-    """One control period of a loop as a function of its memory, the reference and the clock held, without noise.
-
-    Args:
-        run: The compiled loop.
-        inputs: (1, i) the inputs of the period.
-        parameters: Block of the parameters.
-        numbers: (p,) their values.
-        memory: Block of the memory.
-        start: (m,) the memory at the start.
-        arm: The true arm.
-        dt: Control period [s].
-    """
-
-    def __init__(
-        self,
-        run: NativeLoop | FloatLoop,
-        inputs: Float64Array,
-        parameters: Block,
-        numbers: Float64Array,
-        memory: Block,
-        start: Float64Array,
-        arm: Arm,
-        dt: float,
-    ) -> None:
-        self._run, self._inputs, self._block, self._numbers = run, inputs, parameters, numbers
-        self.coordinates = BlockCoordinates(memory)
-        self.values = {path: np.array(value) for path, value in parameters.views(numbers).items()}
-        self.start, self.arm, self.dt = start, arm, dt
-
-    def numbers(self, memory: Float64Array) -> Float64Array:
-        """(N,) the numbers of a memory in its coordinates."""
-        return np.asarray(self.coordinates.read(memory, memory[np.newaxis])[0])
-
-    def command(self, memory: Float64Array) -> Float64Array:
-        """(n,) what the law commands in the period."""
-        row = np.zeros((1, self._run.outputs.size))
-        self._run.run(self._inputs, self._numbers, memory.copy(), row)
-        return np.array(self._run.outputs.views(row[0])["command"])
-
-    def after(self, changed: Mapping[str, Any]) -> Callable[[Float64Array], Float64Array]:
-        """The map from the memory before the period to that after it, with some parameters changed by path.
-
-        Where the memory after it is not finite, it is NaN.
-        """
-        numbers, row = self._numbers.copy(), np.zeros((1, self._run.outputs.size))
-        for path, value in changed.items():
-            self._block.views(numbers)[path][...] = value
-
-        def map_(memory: Float64Array) -> Float64Array:
-            new = np.array(memory)
-            done = self._run.run(self._inputs, numbers, new, row)
-            return new if done else np.full_like(new, np.nan)
-
-        return map_
 
 
 class FusedRun:
@@ -151,25 +85,11 @@ class FusedRun:
         memory = self._started(q, v, first)
         self._memory = Block.of({path: np.shape(value) for path, value in memory.items()})
         self._state = self._memory.pack(memory)
-        self._run = self._compiled(memory, first[0])
+        # A sensor that fails at once is no state to compare engines at.
+        blocks, example = (self._inputs, self._parameters, self._memory), (first[0], self._values, self._state)
+        self._run = compiled_loop(loop, blocks, example, sound=self._sound(memory, first[0]))
         self.tape = Tape(side, loop.plant, loop.ticks, self._inputs, self._run.outputs, info)
         self.tape.input_rows[0] = first[0]
-
-    def period(self) -> Period:
-        """A control period of the loop, its reference held where the run starts, at rest."""
-        side, q = self._loop.side, self._q
-        row = np.zeros((1, self._inputs.size))
-        views = self._inputs.views(row)
-        at_rest = side.at_rest(q)
-        feed = ReferenceFeed(Hold(), side.law.reference, side.arm, self._loop.dt, at_rest)
-        feed.fill(subtree(views, "ref"), 0, lambda: None)
-        start = self._state.copy()
-        if self._v.any() or self._loop.plant.noise:
-            values = self._inputs.views(row[0]), self._parameters.views(self._values)
-            start = self._memory.pack(self._loop.start(q, np.zeros_like(q), *values))
-        return Period(
-            self._run, row, self._parameters, self._values, self._memory, start, self._loop.plant.arm, self._loop.dt
-        )
 
     def _started(self, q: Float64Array, v: Float64Array, first: Float64Array) -> dict[str, Any]:
         """Memory in the first tick, whose reference and noise (1, ...) are filled in here, before there is a tape."""
@@ -178,26 +98,6 @@ class FusedRun:
         row, plant = self._inputs.views(first[0]), self._loop.plant_at_start(q, v, parameters)
         self._feed.fill(subtree(views, "ref"), 0, lambda: self._seen(plant, None, row))
         return self._loop.start(q, v, row, parameters)
-
-    def _compiled(self, memory: Mapping[str, Any], row: Float64Array) -> NativeLoop | FloatLoop:
-        """The loop's code; plain Python where a sensor fails at once: that is no state to compare engines at."""
-        loop = self._loop
-        made = _COMPILED.get(loop)
-        if made is not None:
-            if isinstance(made, NativeLoop):
-                made.expect(loop.ticks)
-            return made
-        sound = self._sound(memory, row)
-        twin = copy.copy(loop)
-        functions = twin.step, twin.substep, loop.plant.substeps - 1
-        blocks, example = (self._inputs, self._parameters, self._memory), (row, self._values, self._state)
-        if loop.engine == "native" and sound:
-            made = NativeLoop(*functions, *blocks, example, loop.ticks)
-        else:
-            made = FloatLoop(*functions, *blocks, example)
-        if sound:
-            _COMPILED[loop] = made
-        return made
 
     def _sound(self, memory: Mapping[str, Any], row: Float64Array) -> bool:
         """Whether all that is measured in the first tick is finite."""

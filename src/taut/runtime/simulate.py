@@ -14,6 +14,7 @@ from taut.base.types import ArrayLike
 from taut.control.tasks.phase import Phase
 from taut.control.trajectories.reference import Hold, Reference, as_reference
 from taut.controller import Controller, compile
+from taut.linear.judgement import Judgement, judge_start
 from taut.loop import Loop, ModelPlant, check_fit, duration_of_ticks, require_no_reference, state_at_start
 from taut.record.progress import Progress
 from taut.record.report.arm_numbers import DYNAMICS, arm_json
@@ -25,7 +26,6 @@ from taut.runtime.events import Event, sorted_events
 from taut.runtime.fused import FusedRun
 from taut.runtime.host import HostPlant, RealArm
 from taut.runtime.hosted import HostedRun
-from taut.runtime.judgement import Judgement, judged
 from taut.runtime.tool_info import tool_info
 
 __all__ = ["run"]
@@ -113,6 +113,7 @@ def run(
         **around_info(target, q, length),
     }
     going: FusedRun | HostedRun
+    at_once = {path: value for tick, event in due if tick == 0 for path, value in event.set.items()}
     if isinstance(target, ModelPlant):
         loop = (
             ctrl
@@ -121,13 +122,12 @@ def run(
         )
         info["parameters"] = {path: value.tolist() for path, value in loop.parameters.items()}
         going = FusedRun(loop, q, v, int(seed), due, info)
-        unstable = _judged(judged(ctrl, target, q, going), target, info)
+        unstable = _judged(judge_start(loop, target, q, at_once), target, info)
     else:
         assert isinstance(ctrl, Controller)
         both = {**ctrl.parameters, **target.parameters}
         info["parameters"] = {path: value.tolist() for path, value in both.items()}
-        at_once = {path: value for tick, event in due if tick == 0 for path, value in event.set.items()}
-        unstable = _judged(judged(ctrl, target, q, None, at_once), target, info)
+        unstable = _judged(judge_start(ctrl, target, q, at_once), target, info)
         going = HostedRun(ctrl, target, reference, ticks, q, v, due, info)
     going.tape.unstable = unstable
     return _recorded(going, log, progress)
@@ -139,8 +139,8 @@ def _judged(verdict: Judgement | str, plant: Plant, info: dict[str, Any]) -> str
     Raises:
         RangeError: It is, and the plant is a real arm.
     """
-    info["stability"] = {"stable": None, "message": verdict} if isinstance(verdict, str) else verdict.json()
-    if isinstance(verdict, str) or not verdict.unstable:
+    info["stability"] = {"stable": None, "message": verdict} if isinstance(verdict, str) else verdict.record()
+    if isinstance(verdict, str) or verdict.stable:
         return ""
     if isinstance(plant, RealArm) and plant.real:
         raise RangeError(f"{verdict.message} (plant '{plant.name}' is a real arm: nothing was sent)", name="law")

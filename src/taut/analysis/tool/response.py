@@ -17,9 +17,9 @@ from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.describe import title
+from taut.linear.equilibrium import WITHIN
 from taut.linear.frequency import Complex, checked_frequencies
-from taut.linear.linear_loop import LinearLoop
-from taut.linear.linearise import WITHIN, linearise
+from taut.linear.linearise import Linearisation, linearise
 from taut.loop import Loop
 from taut.maths.model import PayloadValues
 from taut.maths.snapshot import Snapshot
@@ -73,7 +73,7 @@ class TipResponse:
     """
 
     loop: Loop
-    lin: LinearLoop
+    lin: Linearisation
     direction: Float64Array
     asked: AskedAdmittance | None
     reach: Float64Array
@@ -91,7 +91,9 @@ class TipResponse:
         """
         w, d = checked_frequencies(omega, self.lin.dt), self.direction
         B, C, D = self._tool
-        return self.lin.response(w, (B @ d)[:, np.newaxis], (d @ C)[np.newaxis], (d @ D @ d).reshape(1, 1))[:, 0, 0]
+        return self.lin.system.response(w, (B @ d)[:, np.newaxis], (d @ C)[np.newaxis], (d @ D @ d).reshape(1, 1))[
+            :, 0, 0
+        ]
 
     def Z(self, omega: ArrayLike) -> Complex:
         """(k,) predicted impedance F / X [N/m | N m/rad]; infinite where the tool does not move, as of stiff drives.
@@ -105,7 +107,7 @@ class TipResponse:
 
     def matrix(self, omega: ArrayLike) -> Complex:
         """(k, 6, 6) predicted response of the tool, position first, to a wrench, force first; in world axes."""
-        return self.lin.response(checked_frequencies(omega, self.lin.dt), *self._tool)
+        return self.lin.system.response(checked_frequencies(omega, self.lin.dt), *self._tool)
 
     @property
     def _tool(self) -> tuple[Float64Array, Float64Array, Float64Array]:
@@ -162,7 +164,8 @@ class TipResponse:
             )
         if not self.lin.stable:
             raise RangeError(
-                f"the loop is unstable ({self.lin.why}), so that no sine settles; measure a loop that is stable",
+                f"the loop is unstable ({self.lin.system.unstable_because}), so that no sine settles; measure a loop "
+                "that is stable",
                 name="loop",
                 value=self.lin.radius,
             )
@@ -175,7 +178,7 @@ class TipResponse:
 
     def with_environment(
         self, *, mass: float = 0.0, damping: ArrayLike = 0.0, stiffness: ArrayLike = 0.0, within: float = WITHIN
-    ) -> LinearLoop:
+    ) -> Linearisation:
         """The linear model of the loop with something at its tool: its poles are those of both together.
 
         The environment is a `taut.environments.Handle` where it has mass, else a spring and a damper to where the

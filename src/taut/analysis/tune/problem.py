@@ -302,7 +302,7 @@ class Problem:
         kept, q = loop.ref, self.at_start(loop)[0]
         try:
             loop.ref = Hold()
-            return float(linearise(loop, at=q).margins.disk.alpha)
+            return float(linearise(loop, at=q).margins().disk.alpha)
         finally:
             loop.ref = kept
 

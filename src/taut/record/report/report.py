@@ -63,7 +63,7 @@ def report(
 
     Args:
         x: A `taut.Run`, a `taut.analysis.Comparison`, a `taut.analysis.Grade`, a `taut.analysis.Design`, a
-        `taut.analysis.LinearLoop`; or anything with
+        `taut.analysis.Linearisation`; or anything with
             `plot()` or `report()`, or a dataclass with a print of its own, such as error dynamics, a map, a
             coupling: its words, its figure, and `tables()` if it has that. What has `report_page()` says itself what
             its report holds, such as the doctor's `taut.analysis.Diagnosis`.

@@ -132,11 +132,13 @@ def rich() -> taut.Loop:
 
 
 @pytest.fixture(scope="module")
-def rich_model(rich: taut.Loop) -> taut.analysis.LinearLoop:
+def rich_model(rich: taut.Loop) -> taut.analysis.Linearisation:
     return taut.linearise(rich)
 
 
-def test_the_derivative_is_that_of_the_native_kernel(rich: taut.Loop, rich_model: taut.analysis.LinearLoop) -> None:
+def test_the_derivative_is_that_of_the_native_kernel(
+    rich: taut.Loop, rich_model: taut.analysis.Linearisation
+) -> None:
     """Central differences of the kernel that runs use: code that knows nothing of derivatives."""
     made = loop_map(rich)
     rest = rest_of(rich, made, None, 0.5)
@@ -167,16 +169,16 @@ def test_the_derivative_is_that_of_the_native_kernel(rich: taut.Loop, rich_model
         assert slope == pytest.approx(column, abs=1e-6 * max(1.0, np.abs(column).max())), name
 
 
-def test_all_memory_is_in_the_model(rich_model: taut.analysis.LinearLoop) -> None:
+def test_all_memory_is_in_the_model(rich_model: taut.analysis.Linearisation) -> None:
     heads = {name.partition("[")[0] for name in rich_model.states}
     assert {"plant.q", "plant.v", "plant.motor", "plant.delay", "law.rotation", "law.inner.e_int"} <= heads
     assert any(head.startswith("sensing.velocity") for head in heads)
     assert rich_model.stable
     assert rich_model.drifting == {}
-    assert rich_model.sides == ()
+    assert rich_model.branches == ()
 
 
-def test_what_the_tool_does_is_the_jacobian_of_what_the_joints_do(rich_model: taut.analysis.LinearLoop) -> None:
+def test_what_the_tool_does_is_the_jacobian_of_what_the_joints_do(rich_model: taut.analysis.Linearisation) -> None:
     J = taut.snapshot(taut.load_arm("panda"), rich_model.q).J()
     q, v = ([rich_model.states.index(f"plant.{name}[{i}]") for i in range(7)] for name in ("q", "v"))
     C = rich_model.C
@@ -261,7 +263,7 @@ def test_poles_fitted_from_a_decaying_run_are_the_predicted_ones() -> None:
     fitted, wanted = (np.log(np.sort_complex(z)) / lin.dt for z in (np.linalg.eigvals(A), lin.poles))
     assert len(np.unique(np.round(wanted, 3))) == 4
     assert np.abs(fitted - wanted).max() < FIT * np.abs(wanted).min()
-    assert lin.free_response(len(run), x0)[:, lin.rows("q")] == pytest.approx(run.q - at, abs=1e-3 * x0[0])
+    assert lin.system.free_response(len(run), x0)[:, lin.rows("q")] == pytest.approx(run.q - at, abs=1e-3 * x0[0])
 
 
 def test_models_along_a_run_carry_a_deviation_to_its_end() -> None:
@@ -300,7 +302,7 @@ def test_steps_count_by_their_mean_slope() -> None:
     assert stepped.states == plain.states
     assert pytest.approx(plain.A, abs=1e-9) == stepped.A
     said = {"steps of actuation.resolution count by their mean slope"}
-    assert said | {"steps of sensors.position.resolution count by their mean slope"} == set(stepped.sides)
+    assert said | {"steps of sensors.position.resolution count by their mean slope"} == set(stepped.branches)
 
 
 def test_a_joint_at_its_limit_is_told_and_hangs_without_control() -> None:
@@ -308,7 +310,7 @@ def test_a_joint_at_its_limit_is_told_and_hangs_without_control() -> None:
     plant = Plant(arm.with_payload(0.3), friction=None)
     loop = loop_of(laws.GravityPID(kp=100.0, kd=20.0), arm, plant, limits=taut.Limits(tau=[25.0, 1000.0]))
     lin = taut.linearise(loop, at=[0.0, 0.0])
-    assert [text for text in lin.sides if text.startswith("joint 'joint1' is at its torque limit")]
+    assert [text for text in lin.branches if text.startswith("joint 'joint1' is at its torque limit")]
     row = lin.C[lin.rows("command")[0]]
     assert np.abs(row).max() == 0.0
 
@@ -316,10 +318,10 @@ def test_a_joint_at_its_limit_is_told_and_hangs_without_control() -> None:
 def test_a_joint_that_sticks_is_told_and_does_not_move() -> None:
     arm = weightless("one_joint").with_friction(taut.Friction(coulomb=1.0))
     lin = taut.linearise(loop_of(laws.PID(kp=10.0, kd=1.0), arm, Plant(arm)))
-    assert "dry friction holds joint 'joint1': a small push does not move it" in lin.sides
+    assert "dry friction holds joint 'joint1': a small push does not move it" in lin.branches
     loop = loop_of(laws.PID(kp=10.0, kd=1.0), arm, Plant(arm))
     loop.parameters["plant.friction.coulomb"] = 0.0
-    assert taut.linearise(loop).sides == ()  # as its parameters are now
+    assert taut.linearise(loop).branches == ()  # as its parameters are now
     assert pytest.approx(np.array([[1.0, 0.0], [0.0, 0.0]]), abs=1e-12) == lin.A
     assert lin.stable
     assert "nan" not in str(lin)
@@ -332,11 +334,17 @@ def test_what_drifts_is_told_as_that_and_what_grows_as_that() -> None:
     arm = weightless("one_joint")
     free = taut.linearise(loop_of(laws.GravityCompensation(kd=0.0), arm, Plant(arm, friction=None)))
     assert not free.stable
-    assert free.why == "what is set off drifts on for ever, for nothing draws it back: plant.q[0], plant.v[0]"
-    assert f"UNSTABLE: {free.why}" in str(free)
+    assert (
+        free.system.unstable_because
+        == "what is set off drifts on for ever, for nothing draws it back: plant.q[0], plant.v[0]"
+    )
+    assert f"UNSTABLE: {free.system.unstable_because}" in str(free)
     stiff = taut.linearise(loop_of(laws.PID(kp=1e7, kd=1.0), arm, Plant(arm, friction=None)))
-    assert stiff.why == f"the largest pole has modulus {stiff.radius:.6g}"
-    assert taut.linearise(loop_of(laws.PID(kp=10.0, kd=1.0), arm, Plant(arm, friction=None))).why == ""
+    assert stiff.system.unstable_because == f"the largest pole has modulus {stiff.radius:.6g}"
+    assert (
+        taut.linearise(loop_of(laws.PID(kp=10.0, kd=1.0), arm, Plant(arm, friction=None))).system.unstable_because
+        == ""
+    )
 
 
 def test_the_two_sides_of_a_wall_are_told() -> None:
@@ -344,11 +352,11 @@ def test_the_two_sides_of_a_wall_are_told() -> None:
     tip = taut.snapshot(arm, arm.home).T().p
     wall = taut.environments.StiffWall(point=tip, normal=[0.0, 0.0, 1.0], stiffness=1000.0)
     lin = taut.linearise(loop_of(laws.PID(kp=500.0, kd=50.0), arm, Plant(arm, friction=None, environment=wall)))
-    assert any("kink in plant.q" in text for text in lin.sides)
+    assert any("kink in plant.q" in text for text in lin.branches)
     away = taut.linearise(
         loop_of(laws.PID(kp=500.0, kd=50.0), arm, Plant(arm, friction=None, environment=wall)), at=arm.home + 0.1
     )
-    assert away.sides == ()
+    assert away.branches == ()
 
 
 def test_via_joint_space_is_the_law_that_it_holds_about_where_its_reference_rests() -> None:
@@ -359,7 +367,7 @@ def test_via_joint_space_is_the_law_that_it_holds_about_where_its_reference_rest
     for name in ("disturbance.torque", "disturbance.wrench"):
         mine, own = (lin.frequency_response(30.0, input=name, output="q")[0] for lin in (held, alone))
         assert mine == pytest.approx(own, rel=1e-9, abs=1e-15)
-    assert held.sides == ()
+    assert held.branches == ()
     follows = held.frequency_response(0.0, input="ref.p", output="tip.p")[0]
     assert follows[np.ix_([0, 2], [0, 2])] == pytest.approx(np.eye(2), abs=1e-9)
 
@@ -369,7 +377,7 @@ def test_a_law_that_paces_what_jumps_is_told() -> None:
     arm = taut.load_arm("planar2")
     law = taut.laws.via_joint_space(laws.ComputedTorque(kp=100.0, kd=20.0))
     lin = taut.linearise(loop_of(law, arm, rate=4000.0), at=[0.3, 0.9])
-    assert lin.sides == (
+    assert lin.branches == (
         "the loop has a kink near here, 1e-06 of law.q_des[0] away or less, as where a law paces what jumps; the model "
         "is of smaller deviations",
     )
@@ -379,7 +387,7 @@ def test_a_law_that_paces_what_jumps_is_told() -> None:
 
 
 @pytest.fixture(scope="module")
-def late() -> taut.analysis.LinearLoop:
+def late() -> taut.analysis.Linearisation:
     """One joint with a delay, a filter and an integral."""
     arm = weightless("one_joint").with_friction(taut.Friction(viscous=0.1))
     plant = Plant(arm, substeps=4, actuation=taut.drives.Actuation(delay=2e-3, bandwidth=300.0))
@@ -387,13 +395,13 @@ def late() -> taut.analysis.LinearLoop:
     return taut.linearise(loop_of(laws.PID(kp=40.0, kd=3.0, ki=20.0), arm, plant, **options))
 
 
-def test_margins_are_those_of_python_control(late: taut.analysis.LinearLoop) -> None:
+def test_margins_are_those_of_python_control(late: taut.analysis.Linearisation) -> None:
     row, column = late.C[list(late.rows("command"))], late.B[:, list(late.columns("disturbance.command"))]
     opened = control.ss(late.A - column @ row, column, -row, 0.0, late.dt)  # the command no longer acts
     omega = np.logspace(-2, np.log10(np.pi / late.dt), 4000)
     known = control.frd(np.ravel(control.frequency_response(opened, omega).complex), omega, smooth=True, dt=late.dt)
     gains, phases, _, _, at_phase, _ = control.stability_margins(known, returnall=True)
-    mine = late.margins.signals[0]
+    mine = late.margins().signals[0]
     above = min(gain for gain in gains if gain > 1.0)
     below = max([gain for gain in gains if 1e-6 < gain < 1.0], default=0.0)
     assert mine.gain == pytest.approx((below, above), rel=1e-3, abs=1e-6)
@@ -402,20 +410,20 @@ def test_margins_are_those_of_python_control(late: taut.analysis.LinearLoop) -> 
     assert mine.crossover == pytest.approx(at_phase[k], rel=1e-4)
     assert mine.delay == pytest.approx(np.radians(phases[k]) / at_phase[k], rel=1e-4)
     alpha = control.disk_margins(opened, omega, skew=0.0)[0]
-    assert late.margins.disk.alpha == pytest.approx(float(alpha), rel=1e-3)
+    assert late.margins().disk.alpha == pytest.approx(float(alpha), rel=1e-3)
 
 
 def test_the_loop_turns_unstable_at_its_gain_margin() -> None:
     arm = weightless("one_joint").with_friction(taut.Friction(viscous=0.1))
     plant = Plant(arm, substeps=4, actuation=taut.drives.Actuation(delay=2e-3))
     loop = loop_of(laws.PID(kp=40.0, kd=3.0, ki=20.0), arm, plant)
-    most = taut.linearise(loop).margins.signals[0].gain[1]
+    most = taut.linearise(loop).margins().signals[0].gain[1]
     for factor, stable in ((0.999, True), (1.001, False)):
         for path, value in (("law.kp", 40.0), ("law.kd", 3.0), ("law.ki", 20.0)):
             loop.parameters[path] = most * factor * value
         lin = taut.linearise(loop)
         assert lin.stable is stable
-        assert (lin.margins.disk.alpha > 0.0) is stable
+        assert (lin.margins().disk.alpha > 0.0) is stable
 
 
 def test_one_joint_is_broken_while_the_others_stay_closed() -> None:
@@ -430,7 +438,7 @@ def test_one_joint_is_broken_while_the_others_stay_closed() -> None:
         z = np.exp(1j * w * lin.dt)
         L = -C @ np.linalg.solve(z * np.eye(4) - opened, B)
         left = 1.0 + L[1, 1]
-        S = lin.sensitivity(w, joint=0)[0]
+        S = lin.system.sensitivity(w, input="disturbance.command[0]", output="command[0]")[0, 0, 0]
         assert pytest.approx(1.0 / S, rel=1e-9) == np.linalg.det(np.eye(2) + L) / left
 
 
@@ -450,7 +458,7 @@ def test_the_bound_of_the_structured_singular_value_is_tight_where_it_is_known()
         assert np.abs(np.linalg.eigvals(U @ M)).max() <= bound * (1.0 + 1e-9)
 
 
-def test_python_control_has_the_same_poles_and_responses(late: taut.analysis.LinearLoop) -> None:
+def test_python_control_has_the_same_poles_and_responses(late: taut.analysis.Linearisation) -> None:
     system = late.to_control()
     assert system.dt == late.dt
     assert np.sort(np.abs(system.poles())) == pytest.approx(np.sort(np.abs(late.poles)), abs=1e-9)
@@ -467,7 +475,7 @@ def test_at_a_pole_a_response_is_infinite_or_its_limit() -> None:
     damped = taut.linearise(loop_of(laws.PID(kp=0.0, kd=kd), arm))
     assert np.isinf(damped.frequency_response(0.0, output="q[0]", **push)[0])
     assert damped.frequency_response(0.0, output="v[0]", **push)[0] == pytest.approx(1.0 / kd, rel=1e-9)
-    assert damped.sensitivity(0.0)[0] == pytest.approx(0.0, abs=1e-9)
+    assert damped.system.sensitivity(0.0)[0, 0, 0] == pytest.approx(0.0, abs=1e-9)
     free = taut.linearise(loop_of(laws.PID(kp=0.0, kd=0.0), arm))
     for output in ("q[0]", "v[0]"):
         assert np.isinf(free.frequency_response(0.0, output=output, **push)[0])
@@ -494,8 +502,9 @@ def test_modes_say_which_joint_and_how() -> None:
     mass = np.diag(taut.snapshot(arm, arm.home).M)
     assert len(lin.modes) == 3
     for mode in lin.modes:
-        assert mode.joint is not None
-        j = arm.joint_names.index(mode.joint)
+        joint = lin.joint_of(mode)
+        assert joint is not None
+        j = arm.joint_names.index(joint)
         kp, kd = (4e3, 2e3, 1e3)[j], (30.0, 20.0, 10.0)[j]
         assert mode.omega_n == pytest.approx(np.sqrt(kp / mass[j]), rel=0.02)
         assert mode.zeta == pytest.approx(kd / (2.0 * np.sqrt(kp * mass[j])), abs=0.03)
@@ -511,14 +520,14 @@ def test_a_motion_that_is_left_free_does_not_grow_and_one_that_is_pushed_on_does
     assert not taut.linearise(loop_of(laws.PID(kp=0.0, kd=0.0), arm)).stable
 
 
-def test_the_report_names_what_there_is(rich_model: taut.analysis.LinearLoop) -> None:
+def test_the_report_names_what_there_is(rich_model: taut.analysis.Linearisation) -> None:
     text = str(rich_model)
     assert text.startswith("73 states, 1000 Hz, equilibrium at q = [")
     for words in ("stable", "panda_joint7", "omega_n", "all at once (disk", "poles at z = 0"):
         assert words in text
 
 
-def test_the_picture_has_poles_sensitivities_and_the_tool(late: taut.analysis.LinearLoop) -> None:
+def test_the_picture_has_poles_sensitivities_and_the_tool(late: taut.analysis.Linearisation) -> None:
     axes = late.plot().axes
     assert [ax.get_title(loc="left") for ax in axes][:2] == ["poles, z", "modes, s = log z / dt"]
     poles = axes[0].lines[1].get_xydata()
@@ -653,7 +662,7 @@ def test_bad_input_gets_one_sentence(case: str) -> None:
     assert str(caught.value) == text
 
 
-def slide(kp: float, kd: float, rate: float) -> taut.analysis.LinearLoop:
+def slide(kp: float, kd: float, rate: float) -> taut.analysis.Linearisation:
     """A slide without weight under a spring and a damper, and one beside it that only a damper holds."""
     arm = taut.load_arm("gantry3", gravity=(0.0, 0.0, 0.0)).subset(["x", "y"])
     ctrl = taut.compile(laws.GravityPID(kp=[kp, 0.0], kd=[kd, kd]), arm, rate=rate)
@@ -665,7 +674,7 @@ def test_a_slow_pole_beside_one_that_stays_is_no_second_pole_at_one() -> None:
     lin = slide(kp=20.0, kd=400.0, rate=4000.0)
     assert sorted(np.abs(lin.poles - 1.0))[:2] == pytest.approx([0.0, 0.05 / 4000.0], rel=1e-2, abs=1e-12)
     assert lin.stable
-    assert lin.why == ""
+    assert lin.system.unstable_because == ""
 
 
 def test_a_motion_that_nothing_damps_is_not_stable_and_says_so() -> None:
@@ -675,4 +684,6 @@ def test_a_motion_that_nothing_damps_is_not_stable_and_says_so() -> None:
     arm = taut.load_arm("gantry3")
     lin = taut.linearise(taut.Loop(taut.compile(free, arm), Plant(arm, friction=None), duration=1.0))
     assert not lin.stable
-    assert lin.why.startswith("what is set off drifts on for ever, for nothing draws it back: plant.q[0]")
+    assert lin.system.unstable_because.startswith(
+        "what is set off drifts on for ever, for nothing draws it back: plant.q[0]"
+    )

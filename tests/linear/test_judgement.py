@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 from typing import Any
 
@@ -10,8 +9,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.runtime.fused import FusedRun
-from taut.runtime.judgement import Judgement, judged
+from taut.linear.judgement import Judgement, judge_start
 
 WHOLE = bool(os.environ.get("TAUT_BARS"))  # `make bars`
 LAWS = taut.laws
@@ -31,7 +29,7 @@ def verdict_of(
     ctrl = taut.compile(law, arm, rate=rate, sensing=sensing)
     loop = taut.Loop(ctrl, taut.RigidPlant(arm, **plant), duration=1.0)
     start = arm.home if q is None else np.asarray(q)
-    return judged(loop, loop.plant, start, FusedRun(loop, start, np.zeros(arm.n), 0, (), {})), loop
+    return judge_start(loop, loop.plant, start), loop
 
 
 def without_friction(name: str) -> taut.Arm:
@@ -58,7 +56,7 @@ class TestGainsThatAreTooLarge:
         arm = without_friction(name)
         found, loop = verdict_of(law, arm)
         assert isinstance(found, Judgement)
-        assert found.unstable
+        assert not found.stable
         assert list(found.largest) == [gain]
         assert next(iter(found.joints)) == joint
         factor, value = found.largest[gain], loop.parameters[gain]
@@ -99,7 +97,7 @@ class TestGainsThatAreTooLarge:
             taut.Loop(taut.compile(LAWS.PID(kp=0.05, kd=0.1), arm), taut.RigidPlant(arm), duration=1.0), at=up
         )
         assert isinstance(found, Judgement)
-        assert found.unstable is not lin.stable
+        assert found.stable is lin.stable
         assert found.largest == {}
 
 
@@ -149,13 +147,13 @@ class TestAgreement:
             return
         assert isinstance(found, Judgement)
         assert found.radius == pytest.approx(lin.radius, rel=1e-5)
-        assert found.unstable == (lin.radius > 1.0 + 1e-8)
+        assert found.stable == (lin.radius <= 1.0 + 1e-8)
 
     def test_what_drifts_is_not_unstable(self) -> None:
         for name in ("ur10", "xarm7", "panda"):
             found, _ = verdict_of(LAWS.GravityCompensation(), without_friction(name))
             assert isinstance(found, Judgement)
-            assert not found.unstable
+            assert found.stable
 
     def test_steps_of_sensors_and_amplifiers_are_left_out(self) -> None:
         arm = without_friction("panda")
@@ -170,7 +168,7 @@ class TestAgreement:
         assert isinstance(found, Judgement)
         assert isinstance(smooth, Judgement)
         assert found.radius == pytest.approx(smooth.radius, rel=1e-9)
-        assert "without steps" in found.plant
+        assert "without quantisation" in found.plant
 
 
 class TestFriction:
@@ -180,7 +178,7 @@ class TestFriction:
         arm = taut.load_arm("xarm7")
         found, loop = verdict_of(DAMPED, arm)
         assert isinstance(found, Judgement)
-        assert found.unstable
+        assert not found.stable
         assert found.relies_on == ("dry friction",)
         assert taut.linearise(loop).stable  # it sticks
         with pytest.warns(taut.StabilityWarning, match="hides it at rest"):
@@ -194,8 +192,8 @@ class TestFriction:
         bare, _ = verdict_of(STIFF, taut.load_arm("xarm7"), friction=None)
         assert isinstance(found, Judgement)
         assert isinstance(bare, Judgement)
-        assert not found.unstable
-        assert bare.unstable
+        assert found.stable
+        assert not bare.stable
         assert found.relies_on == ("the viscous friction of the joints",)
 
     def test_compensated_dry_friction_is_left_out_on_both_sides(self) -> None:
@@ -203,7 +201,7 @@ class TestFriction:
         law = LAWS.GravityPID(kp=20.0, kd=2.0) + LAWS.FrictionCompensation(at="meas", share=0.9)
         found, _ = verdict_of(law, arm)
         assert isinstance(found, Judgement)
-        assert not found.unstable
+        assert found.stable
 
 
 class TestWhatIsNotJudged:
@@ -221,7 +219,7 @@ class TestWhatIsNotJudged:
         arm = without_friction("panda")
         found, _ = verdict_of(LAWS.PID(kp=0.1, kd=0.1), arm)
         assert isinstance(found, str)
-        assert "does not rest" in found
+        assert "not an equilibrium" in found
 
 
 def test_a_changed_gain_and_payload_are_those_that_are_judged() -> None:
@@ -244,5 +242,5 @@ def test_noise_and_the_phase_of_the_start_change_nothing() -> None:
     b, _ = verdict_of(DAMPED, arm)
     assert isinstance(a, Judgement)
     assert isinstance(b, Judgement)
-    assert dataclasses.replace(a, radius=0.0).unstable == b.unstable
+    assert a.stable == b.stable
     assert a.radius == pytest.approx(b.radius, rel=1e-9)

@@ -1,0 +1,456 @@
+"""Judgement of a sampled loop: stable or not, how far from the limit, in which direction, and which gain is to blame.
+
+The map of one control period is the compiled loop that simulates it; its derivative is taken by central differences.
+Dry friction is left out of the map, in the plant and in its compensation: it has no slope while a joint slides, and
+stiction hides an unstable loop only until a disturbance sets the joint free. Limits and noise are left out too.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taut.base.errors import RangeError, TautError, UsageError
+from taut.base.result import Cell, Content, Result, Table
+from taut.base.types import ArrayLike, Float64Array
+from taut.control.describe import all_laws
+from taut.control.laws.friction import FrictionCompensation
+from taut.control.lawside import LawSide
+from taut.linear.equilibrium import Rest, equilibrium, observed_states, standing_states
+from taut.linear.linear_system import LinearSystem
+from taut.linear.period import EMPTY, RESOLUTION, STEP, Period, Point, Side, smooth_plant
+from taut.loop import AnyPlant, HasLawSide, Loop
+from taut.maths.snapshot import snapshot
+from taut.plant.rigid import RigidPlant
+
+__all__ = ["Judgement", "judge", "judge_start"]
+
+ROUNDING: Final = 1e-9  # [-] of a modulus of one
+RANK: Final = 1e-9  # [-] of the largest mobility of the tool: an axis with less does not move
+SMALLER: Final = 2.0 ** -np.arange(1, 15)  # [-] factors on a gain, at which an unstable loop may be stable
+LARGER: Final = 2.0 ** np.arange(1, 15)  # [-] factors on a gain, at which a stable loop may be unstable
+BALANCING: Final = 12  # sweeps
+FINE: Final = 0.01  # [-] of the largest stable factor
+PART: Final = 0.2  # [-] the least fraction of a mode that a sentence names
+HUGE: Final = 1e12  # a limit that is never reached
+DRY: Final = ("coulomb", "static", "load_motor", "load_external", "load_motor_static", "load_external_static")
+VISCOUS: Final = "plant.friction.viscous"
+EFFICIENCY: Final = "actuation.transmission.efficiency"
+AXES: Final = tuple(f"{kind} {axis}" for kind in ("translation", "rotation") for axis in "xyz")
+
+Changes = Mapping[str, Any]
+"""Parameters by path that differ from those of the loop."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Judgement(Result):
+    """Stability of a sampled loop about its equilibrium next to a start pose, without limits and dry friction.
+
+    Args:
+        system: The linear model from tick to tick, of the states on which the joints' motion depends.
+        stable: Whether deviations do not grow, as far as the model is known.
+        radius: Spectral radius of the one-period map [-].
+        decay_rate: Slowest decay of what does not stay where it is put [1/s]; negative for growth.
+        q: (n,) the equilibrium [rad | m].
+        joints: Fraction of each joint in the least stable mode, by name, the largest first; empty in a run that is
+            stable.
+        tool: Fraction of each axis of the tool in it, by kinetic energy (world axes), likewise.
+        largest: Largest factor on a gain, by path, with which the loop is stable, the others as they are. Of an
+            unstable loop for all gains for which there is one; on all of them, "law", where only that helps. Of a
+            stable loop for those that were asked for; infinite where no limit was found.
+        gains: The gains of `largest` as they are, by path.
+        relies_on: Friction of the plant that keeps deviations from growing: viscous friction without which a stable
+            loop is unstable; dry friction that holds an unstable loop while it is at rest.
+        plant: Name of the plant that it was judged with.
+    """
+
+    system: LinearSystem
+    stable: bool
+    radius: float
+    decay_rate: float
+    q: Float64Array
+    joints: Mapping[str, float]
+    tool: Mapping[str, float]
+    largest: Mapping[str, float]
+    gains: Mapping[str, Float64Array]
+    relies_on: tuple[str, ...]
+    plant: str
+
+    @property
+    def direction(self) -> str:
+        """The least stable mode in words: joints and axes of the tool with more than 20 % of it."""
+        joints = ", ".join(f"'{name}'" for name, part in self.joints.items() if part >= PART)
+        tool = ", ".join(name for name, part in self.tool.items() if part >= PART)
+        return (f"joint {joints}" + (f" (tool: {tool})" if tool else "")) if joints else "the law's memory"
+
+    @property
+    def message(self) -> str:
+        """The verdict and the remedy in one sentence."""
+        assert self.system.dt is not None
+        where = f"at the start pose, judged with {self.plant} at {1.0 / self.system.dt:g} Hz"
+        friction = " and ".join(self.relies_on)
+        if self.stable:
+            return f"the sampled loop is stable {where}" + (f"; it relies on {friction}" if friction else "")
+        hidden = f"; {friction} hides it at rest" if friction else ""
+        along = ("in " if self.direction.startswith("the") else "along ") + self.direction
+        return f"the sampled loop is unstable {where}: deviations {along} grow {self._growth}{hidden}; {self._remedy}"
+
+    @property
+    def _growth(self) -> str:
+        if self.radius > 1.1:
+            return f"{self.radius:.3g} times a period (spectral radius)"
+        return f"by a factor e in {-1.0 / self.decay_rate:.3g} s (spectral radius 1 + {self.radius - 1.0:.2g})"
+
+    @property
+    def _remedy(self) -> str:
+        if not self.largest:
+            return "no smaller gain that was tried makes it stable; change the law, its gains or the rate"
+        if "law" in self.largest:
+            return f"no single smaller gain makes it stable, and all gains times {self.largest['law']:.3g} do"
+        gains = " or ".join(f"{path} = {_times(x, self.gains[path])}" for path, x in self.largest.items())
+        return f"the largest gain that is stable is {gains}, the others as they are; use less, or a higher rate"
+
+    def content(self) -> Content:
+        """The verdict, the least stable mode and the largest stable gains."""
+        tables = []
+        for kind, parts in (("joint", self.joints), ("axis of the tool", self.tool)):
+            rows: list[list[Cell]] = [[name, part] for name, part in parts.items()]
+            tables.append(Table(title=f"least stable mode by {kind}", columns=(kind, "fraction [-]"), rows=rows))
+        if self.largest:
+            factors: list[list[Cell]] = [[path, factor] for path, factor in self.largest.items()]
+            tables.append(Table(title="largest stable factors", columns=("gain", "factor [-]"), rows=factors))
+        return Content(
+            title="judgement of the sampled loop",
+            summary=(self.message,) if self.stable else (),
+            faults=() if self.stable else (self.message,),
+            tables=tables,
+        )
+
+    def record(self) -> dict[str, Any]:
+        """As plain values, for the record of a run."""
+        return {
+            "stable": self.stable,
+            "radius": float(f"{self.radius:.9g}"),
+            "joints": {name: round(part, 3) for name, part in self.joints.items() if part >= PART},
+            "tool": {name: round(part, 3) for name, part in self.tool.items() if part >= PART},
+            "largest": dict(self.largest),
+            "relies_on": list(self.relies_on),
+            "plant": self.plant,
+            "message": self.message,
+        }
+
+
+def judge(loop: Loop, *, at: ArrayLike | None = None, gains: Iterable[str] = ()) -> Judgement:
+    """Judge a sampled loop about the equilibrium next to a start pose, its reference held there.
+
+    Law:    x[k+1] = f(x[k]), A = df/dx where f(x) = x; stable where no eigenvalue of A is outside the unit circle
+
+    Args:
+        loop: The loop. Its parameters count as they are now.
+        at: (n,) start pose [rad | m]; home if left out.
+        gains: Paths of gains of which the largest stable factor is found of a stable loop too.
+
+    Raises:
+        RangeError: No equilibrium near, or a map without a derivative.
+        UsageError: A command that depends on nothing measured.
+
+    Example:
+        >>> import taut
+        >>> arm = taut.load_arm("one_joint").with_friction(taut.Friction())
+        >>> ctrl = taut.compile(taut.laws.GravityPID(kp=100.0, kd=2000.0), arm)
+        >>> found = taut.analysis.judge(taut.Loop(ctrl, taut.RigidPlant(arm), duration=1.0))
+        >>> found.stable, [*found.largest]
+        (False, ['law.kd'])
+    """
+    plant = loop.plant
+    q = plant.arm.home if at is None else np.asarray(at, dtype=np.float64)
+    if any(path.endswith(RESOLUTION) for path in plant.parameters):
+        name = f"{plant.name} without quantisation"
+        loop = _smooth_loop(loop, plant, loop.parameters)
+    else:
+        name = plant.name
+    with np.errstate(all="ignore"):  # numbers that no float can hold are refused where a run meets them
+        return _judged(Period(loop, q), name, tuple(gains))
+
+
+def judge_start(ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, changes: Changes = EMPTY) -> Judgement | str:
+    """The judgement of a run at its start, or a sentence why there is none.
+
+    An engine or a robot is judged with a model plant of the same arm.
+
+    Args:
+        ctrl: The controller, or the loop of a model plant.
+        plant: What it runs against.
+        q: (n,) the start pose [rad | m].
+        changes: Parameters by path that events change at the start.
+    """
+    if ctrl.engine != "native":
+        return "not judged: plain Python is for debugging, and the loop is judged where it is compiled"
+    name = plant.name
+    try:
+        if isinstance(ctrl, Loop) and not any(path.endswith(RESOLUTION) for path in plant.parameters):
+            loop = ctrl
+        else:
+            loop = _smooth_loop(ctrl, plant, {**plant.parameters, **ctrl.parameters})
+            changes = {path: value for path, value in changes.items() if path in loop.parameters}
+            same = isinstance(plant, RigidPlant)
+            name = f"{plant.name} without quantisation" if same else f"{loop.plant.name} in place of {plant.name}"
+        with np.errstate(all="ignore"):
+            return _judged(Period(loop, q, changes), name)
+    except np.linalg.LinAlgError:
+        return "not judged: the derivative of a period is no matrix that has eigenvalues"
+    except TautError as error:
+        return f"not judged: {error}"
+
+
+# One for each plant, so that a controller which runs again on it is not traced again; a loop does not hold its key.
+_SMOOTH: Final[WeakKeyDictionary[AnyPlant, Loop]] = WeakKeyDictionary()
+
+
+def _smooth_loop(ctrl: HasLawSide, plant: AnyPlant, parameters: Changes) -> Loop:
+    """The loop of the same controller with a model plant without quantisation, and the same parameters."""
+    side = ctrl.side
+    try:
+        loop = _SMOOTH.get(plant)
+    except TypeError:  # a plant of the user's own that has no hash
+        loop = None
+    if loop is None or loop.side is not side:
+        loop = Loop(Side(side, side.parameters, ctrl.engine), smooth_plant(plant, side.needs), duration=side.dt)
+        with contextlib.suppress(TypeError):
+            _SMOOTH[plant] = loop
+    for path, value in parameters.items():
+        if path in loop.parameters:
+            loop.parameters[path] = value
+    return loop
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Model:
+    """The derivative of a period at its equilibrium, its error, and the states that it is of."""
+
+    rest: Rest
+    A: Float64Array
+    error: Float64Array
+    states: NDArray[np.intp]
+
+    @classmethod
+    def at(cls, period: Period, start: Point) -> _Model:
+        """At the equilibrium next to a start, by central differences of two steps (Richardson)."""
+        rest = equilibrium(period, start)
+        found, coordinates = rest.found, period.state_coordinates
+        acting = observed_states(found.A, found.C) & ~standing_states(found, period.tolerance)
+        for path in ("plant.q", "plant.v"):
+            acting[coordinates.places[path]] = True
+        states = np.flatnonzero(acting)
+        block = np.ix_(states, states)
+        far = period.derivative(rest.point, 2.0 * STEP).A
+        return cls(
+            rest=rest, A=((4.0 * found.A - far) / 3.0)[block], error=np.abs(found.A - far)[block], states=states
+        )
+
+
+def _judged(period: Period, plant: str, limits: tuple[str, ...] | None = None) -> Judgement:
+    """The judgement; without the direction of a stable mode, and without limits of gains, where `limits` is None."""
+    values = period.values(period.start)
+    left_out = _left_out(period.side, values)
+    start = period.changed(period.start, left_out)
+    begun = period.after(start, start.memory[np.newaxis])[0]  # memories that begin in the first tick have begun
+    model = _Model.at(period, Point(inputs=start.inputs, parameters=start.parameters, memory=begun))
+    coordinates, point = period.state_coordinates, model.rest.point
+    z, slack, left, right = _eigenvalues(model.A, model.error)
+    stable = not _grows(z, slack)
+    nearby = point.memory + STEP * coordinates.basis(point.memory).sum(axis=0)
+    beside = Point(inputs=point.inputs, parameters=point.parameters, memory=nearby)
+    if np.array_equal(period.command(point), period.command(beside)):
+        raise UsageError("nothing that is measured changes the command")
+    elsewhere = period.after(point, nearby[np.newaxis])
+
+    def stable_with(changed: Changes) -> bool:
+        other = period.changed(point, {**left_out, **changed})
+        if np.array_equal(period.after(other, nearby[np.newaxis]), elsewhere):
+            return stable  # the gains of a phase that does not act, say
+        try:
+            found = _Model.at(period, other)
+        except RangeError:
+            return False
+        return not _grows(*_eigenvalues(found.A, found.error)[:2])
+
+    def stable_times(path: str, factor: float) -> bool:
+        return stable_with({path: factor * values[path]})
+
+    # A position that stays where it is put is the least stable mode only where there is no other.
+    moving = np.where(np.abs(z - 1.0) > slack, np.abs(z), 0.0)
+    worst = int(np.argmax(np.abs(z) if not stable or not moving.any() else moving))
+    joints: Mapping[str, float] = {}
+    tool: Mapping[str, float] = {}
+    if limits is not None or not stable:
+        joints, tool = _directions(period, model, left[:, worst], right[:, worst])
+    gains = _gains(period.side, values)
+    relies_on: tuple[str, ...] = ()
+    if stable:
+        largest = {path: _limit(partial(stable_times, path)) for path in limits or ()}
+        if VISCOUS in values and np.any(values[VISCOUS]):
+            needed = not stable_with({VISCOUS: np.zeros_like(values[VISCOUS])})
+            relies_on = ("the viscous friction of the joints",) if needed else ()
+    else:
+        largest = _largest_gains(gains, stable_with)
+        dry = {path: values[path] for path in left_out if _is_dry(path)}
+        if any(np.any(dry[path] != left_out[path]) for path in dry) and stable_with(dry):
+            relies_on = ("dry friction",)
+    names = coordinates.names
+    n = period.arm.n
+    system = LinearSystem(
+        A=model.A, C=model.rest.found.C[:, model.states], dt=period.dt, states=[names[i] for i in model.states],
+        outputs=[f"{name}[{i}]" for name in ("q", "v", "command") for i in range(n)],
+    )  # fmt: skip
+    return Judgement(
+        system=system,
+        stable=stable,
+        radius=float(np.abs(z).max()),
+        decay_rate=-float(np.log(np.abs(z[worst]))) / period.dt,
+        q=coordinates.numbers(point.memory)[coordinates.places["plant.q"]],
+        joints=joints,
+        tool=tool,
+        largest=largest,
+        gains={path: values[path] for path in largest if path != "law"},
+        relies_on=relies_on,
+        plant=plant,
+    )
+
+
+def _left_out(side: LawSide, values: Changes) -> dict[str, Any]:
+    """Parameters that leave limits and dry friction out of a loop, those of its compensation included."""
+    out = {path: np.full_like(values[path], path == EFFICIENCY) for path in values if _is_dry(path)}
+    out |= {f"limits.{name}": HUGE for name in ("tau", "tau_dot", "v") if f"limits.{name}" in values}
+    for path, law in all_laws(side.law, "law"):
+        if isinstance(law, FrictionCompensation):
+            out[f"{path}.width"] = HUGE
+    return out
+
+
+def _is_dry(path: str) -> bool:
+    return path == EFFICIENCY or (path.startswith("plant.friction.") and path.rpartition(".")[2] in DRY)
+
+
+# -------------------------------------------------------------------- eigenvalues
+
+
+def _eigenvalues(A: Float64Array, error: Float64Array) -> tuple[Any, Float64Array, Any, Any]:
+    """Eigenvalues of A, how far each is uncertain by the error of A, left and right eigenvectors."""
+    scale = np.ones(len(A))
+    for _ in range(BALANCING):  # Osborne's: rows and columns of one size, so that rounding is of all states alike
+        sizes = np.abs(A * scale / scale[:, np.newaxis])
+        np.fill_diagonal(sizes, 0.0)
+        rows, columns = sizes.sum(axis=1), sizes.sum(axis=0)
+        both = (rows > 0.0) & (columns > 0.0)
+        scale[both] *= (rows[both] / columns[both]) ** 0.25
+    balanced = A * scale / scale[:, np.newaxis]
+    z, right = np.linalg.eig(balanced)
+    try:
+        left = np.linalg.inv(right).conj().T
+    except np.linalg.LinAlgError:  # of poles that coincide there are too few eigenvectors
+        left = np.linalg.pinv(right).conj().T
+    left /= np.linalg.norm(left, axis=0)
+    aligned = np.abs(np.einsum("ij,ij->j", left.conj(), right))
+    rounding = np.finfo(float).eps / STEP * max(1.0, float(np.abs(balanced).max()))
+    noise = rounding + float(np.linalg.norm(error * scale / scale[:, np.newaxis], 2))
+    slack = ROUNDING + noise / np.maximum(aligned, 1e-300)
+    return z, np.minimum(slack, np.sqrt(noise)), left, right
+
+
+def _grows(z: Any, slack: Float64Array) -> bool:
+    return bool((np.abs(z) > 1.0 + slack).any())
+
+
+# -------------------------------------------------------------------- direction and gains
+
+
+def _directions(period: Period, model: _Model, left: Any, right: Any) -> tuple[dict[str, float], dict[str, float]]:
+    """Fractions of the joints, and of the axes of the tool, in a mode."""
+    coordinates, arm = period.state_coordinates, period.arm
+    places = coordinates.places
+    parts = np.zeros(len(coordinates))
+    parts[model.states] = np.abs(left) * np.abs(right)
+    of_joints = sum((parts[places[path]] for path in ("plant.q", "plant.v")), np.zeros(arm.n))
+    total = float(parts.sum()) or 1.0
+    joints = {arm.joint_names[i]: float(of_joints[i] / total) for i in np.argsort(-of_joints)}
+    shape = np.zeros(len(coordinates), dtype=np.complex128)
+    shape[model.states] = right
+    x = snapshot(arm, coordinates.numbers(model.rest.point.memory)[places["plant.q"]])
+    J = np.asarray(x.J())
+    velocity = np.abs(J @ shape[places["plant.q"]]) ** 2  # of a mode, v = (z - 1) q / dt in every joint
+    mobility = np.diag(J @ np.linalg.solve(np.asarray(x.M), J.T))
+    energy = np.divide(velocity, mobility, out=np.zeros(6), where=mobility > RANK * mobility.max(initial=0.0))
+    whole = float(energy.sum()) or 1.0
+    return joints, {AXES[i]: float(energy[i] / whole) for i in np.argsort(-energy)}
+
+
+def _gains(side: LawSide, values: Changes) -> dict[str, Any]:
+    """The gains of the law by path: its parameters that are 0 or more, and so no points, axes or bounds."""
+    of_law = {path: value for path, value in values.items() if path.startswith("law.") and np.any(value)}
+    return {
+        path: value for path, value in of_law.items() if side.law.gain_field(path[len("law.") :])[0].minimum == 0.0
+    }
+
+
+def _largest_gains(gains: Changes, stable_with: Callable[[Changes], bool]) -> dict[str, float]:
+    """The largest factor on each gain that alone makes an unstable loop stable; else "law": the one on all."""
+    out: dict[str, float] = {}
+    for path in gains:
+        factor = _largest_factor(lambda f, path=path: stable_with({path: f * gains[path]}))  # type: ignore[misc]
+        if factor is not None:
+            out[path] = factor
+    if out or len(gains) < 2:
+        return out
+    factor = _largest_factor(lambda f: stable_with({path: f * value for path, value in gains.items()}))
+    return {} if factor is None else {"law": factor}
+
+
+def _largest_factor(stable_at: Callable[[float], bool]) -> float | None:
+    """The largest factor below one at which a loop is stable, of those tried, in three digits; None for none."""
+    high = 1.0
+    for low in SMALLER.tolist():
+        if stable_at(low):
+            return _bisected(stable_at, low, high)
+        high = low
+    return None
+
+
+def _limit(stable_at: Callable[[float], bool]) -> float:
+    """The largest factor above one up to which a stable loop is stable; infinite where no limit was found."""
+    low = 1.0
+    for high in LARGER.tolist():
+        if not stable_at(high):
+            return _bisected(stable_at, low, high)
+        low = high
+    return float("inf")
+
+
+def _bisected(stable_at: Callable[[float], bool], low: float, high: float) -> float:
+    """The stable side of the limit between a stable and an unstable factor, in three digits."""
+    while high / low > 1.0 + FINE:
+        middle = float(f"{np.sqrt(low * high):.3g}")
+        if not low < middle < high:
+            break
+        low, high = (middle, high) if stable_at(middle) else (low, middle)
+    return float(low)
+
+
+def _times(factor: float, value: Any) -> str:
+    """A gain times a factor: the number, (linear, angular), or numbers of joints; of a matrix the factor alone."""
+    flat = factor * np.asarray(value, dtype=float)
+    if flat.ndim == 2:
+        return f"{factor:.3g} times what it is"
+    if flat.shape == (6,) and np.ptp(flat[:3]) == np.ptp(flat[3:]) == 0.0:
+        flat = flat[[0, 3]]
+    digits = 10.0 ** (np.floor(np.log10(np.maximum(np.abs(flat), 1e-300))) - 3.0)
+    down = np.floor(flat / digits + 1e-9) * digits  # what is printed is no more than what was tried
+    numbers = ", ".join(f"{x:.4g}" for x in np.atleast_1d(down))
+    return numbers if flat.size == 1 else f"({numbers})"
