@@ -18,7 +18,7 @@ from taut.control.closed_loop import ClosedLoop
 from taut.control.law import Law
 from taut.control.trajectories.reference import JointMotion
 from taut.control.trajectories.task_force import TaskForce
-from taut.linear.linear_loop import LinearLoop
+from taut.linear.linearise import Linearisation
 from taut.linear.margins import common_delay
 
 __all__ = ["Achieved", "Limit", "Requirement", "Steps", "force_pole"]
@@ -115,7 +115,7 @@ class Achieved:
 
     law: Law
     stated: ClosedLoop
-    system: LinearLoop
+    system: Linearisation
     specification: Specification
     delay: float
     hold: Float64Array | None
@@ -321,9 +321,9 @@ class Achieved:
         if drives:
             return
         angles = np.abs(np.angle(lin.poles[np.abs(lin.poles) > INSTANT])) / lin.dt
-        margin = common_delay(lin.input_sensitivity, lin.dt, angles)
+        margin = common_delay(lin.system.sensitivity, lin.dt, angles)
         yield Limit(name="delay margin", value=margin * lin.dt, unit="s", where="all torques together")
-        disk = lin.margins.disk
+        disk = lin.margins().disk
         yield Limit(name="gain margin", value=disk.gain[1], unit="-", where="all torques independently (disk margin)")
         moved = np.abs(lin.moved)
         if moved.max() > DROOP:

@@ -16,22 +16,24 @@ from taut.arm.angles import require_radians
 from taut.arm.description import Arm
 from taut.arm.friction import Friction
 from taut.base.checks import finite_array, one_of, rate_in_hertz
-from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.errors import RangeError, ShapeError, TautError, UsageError
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.closed_loop import ClosedLoop
 from taut.control.gains import Gain
 from taut.control.law import Law
 from taut.control.sensing.sensing import Sensing
 from taut.controller import Controller, compile
-from taut.linear.linearise import linearise
-from taut.loop import Loop
+from taut.linear.judgement import judge
+from taut.linear.linear_system import LinearSystem
+from taut.linear.linearise import Linearisation, linearise, rest_of
+from taut.linear.loop_map import finite_derivative, loop_map
+from taut.loop import DT, Loop
 from taut.maths.adds import Adds
 from taut.maths.snapshot import Snapshot, snapshot
 from taut.plant.drives.actuation import Actuation
 from taut.plant.environments.push import Push
 from taut.plant.environments.springs import Spring
 from taut.plant.rigid import RigidPlant
-from taut.runtime.judgement import judged
 
 __all__ = ["Design", "Limit", "Requirement", "design"]
 
@@ -39,6 +41,8 @@ ANYWHERE: Final = 1e3  # [rad | m] from the reference: an equilibrium is taken w
 DRIVE: Final = 1e4  # [rad/s] bandwidth of drives that are as good as ideal
 ACCURATE: Final = 0.3  # [-] of a step of rk4 times the fastest rate in it: its error is below 1e-4
 MAX_SUBSTEPS: Final = 50
+MIN_RATE: Final = 4.0  # [Hz] below which no lower servo rate is looked for
+FINE: Final = 0.01  # [-] of the lowest rate
 
 
 def design(
@@ -133,21 +137,29 @@ def design(
                     sensing=sensing, friction=friction, plant=plant)  # fmt: skip
     found = [achieved(made, loop, q, specification, pose=k, several=len(poses) > 1) for k, q in enumerate(poses)]
     requirements = tuple(row for each in found for row in each.requirements())
-    unstable = next((each for each in found if not each.system.stable), None)
-    message, factors = ("", ()) if unstable is None else blamed(loop, unstable)
+    limits = [limit for each in found if each.system.stable for limit in each.limits()]
+    unstable = ""
+    for q, each in zip(poses, found, strict=True):
+        if each.system.stable:
+            slowest = lowest_rate(loop, q, each.system)
+            if slowest:
+                limits.append(Limit(name="lowest rate", value=slowest, unit="Hz", where="all joints"))
+        elif not unstable:
+            unstable, factors = blamed(loop, q, each.system)
+            limits += factors
     missed = next((row.pose for row in requirements if not row.met), 0)
     return Design(
         law=made,
         specification=specification,
         requirements=requirements,
-        limits=factors if unstable else worst([limit for each in found for limit in each.limits()]),
+        limits=worst(limits),
         arm=arm.name,
         rate=rate,
         poses=poses,
         systems=tuple(each.system for each in found),
         directions=tuple(found[0].stated.directions),
         steps=None if unstable else found[missed].steps,
-        unstable=message,
+        unstable=unstable,
     )
 
 
@@ -296,13 +308,38 @@ def achieved(
     )
 
 
-def blamed(loop: Loop, unstable: Achieved) -> tuple[str, tuple[Limit, ...]]:
+def lowest_rate(loop: Loop, q: Float64Array, system: Linearisation) -> float:
+    """[Hz] the servo rate down to which the loop is stable with the same gains; 0 for none that was found."""
+    map_ = loop_map(loop)
+    point = rest_of(loop, map_, q, ANYWHERE).point
+    states = [map_.state_coordinates.names.index(name) for name in system.states]
+
+    def stable(rate: float) -> bool:
+        parameters = point.parameters.copy()
+        map_.parameters.views(parameters)[DT][...] = 1.0 / rate
+        A = finite_derivative(map_, dataclasses.replace(point, parameters=parameters)).A
+        return LinearSystem(A=A[np.ix_(states, states)], dt=1.0 / rate).stable
+
+    high = 1.0 / system.dt
+    low = 0.5 * high
+    while low > MIN_RATE and stable(low):
+        high, low = low, 0.5 * low
+    if low <= MIN_RATE:
+        return 0.0
+    while high > low * (1.0 + FINE):
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if stable(middle) else (middle, high)
+    return high
+
+
+def blamed(loop: Loop, q: Float64Array, system: Linearisation) -> tuple[str, list[Limit]]:
     """Why a loop is unstable, and the largest factors on single gains with which it would be stable."""
-    found = judged(loop, loop.plant, unstable.system.q, None)
-    if isinstance(found, str) or not found.unstable:
-        return unstable.system.why, ()
+    try:
+        found = judge(loop, at=q)
+    except TautError:  # no equilibrium near the reference
+        return system.system.unstable_because, []
     factors = [Limit(name="largest factor", value=x, unit="-", where=path) for path, x in found.largest.items()]
-    return found.message, tuple(factors)
+    return system.system.unstable_because if found.stable else found.message, factors
 
 
 def worst(limits: Sequence[Limit]) -> tuple[Limit, ...]:

@@ -12,7 +12,7 @@ from taut.analysis.design.specification import Specification
 from taut.base.result import Content, Result, Table
 from taut.base.types import Float64Array
 from taut.control.law import Law
-from taut.linear.linear_loop import LinearLoop
+from taut.linear.linearise import Linearisation
 from taut.record.plots.style import INK, SMALL, WIDTH, colour, prepared
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class Design(Result):
     arm: str
     rate: float
     poses: Float64Array
-    systems: tuple[LinearLoop, ...]
+    systems: tuple[Linearisation, ...]
     directions: tuple[str, ...]
     steps: Steps | None
     unstable: str
