@@ -96,7 +96,7 @@ def test_coupled_joints_miss_what_matrices_meet() -> None:
     assert alike.got("zeta") == pytest.approx(0.7, rel=SAMPLED)
 
 
-@pytest.mark.parametrize("name", ["panda", "ur10", "kinova"])
+@pytest.mark.parametrize("name", ["panda", "ur10"])
 def test_impedance_keeps_its_stiffness_and_stiffness_control_gets_damping_for_every_mode(name: str) -> None:
     arm = taut.load_arm(name)
     x = taut.snapshot(arm, arm.home)
