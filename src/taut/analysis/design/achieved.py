@@ -10,7 +10,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh
 
 from taut.analysis.design.specification import QUANTITIES, Specification, per_coordinate, square
 from taut.base.types import Float64Array
@@ -30,13 +29,12 @@ BAND: Final = 0.02  # [-] of a step: the settling band; a mode with a smaller pa
 SMALL_PART: Final = 1e-4  # [-] of a step: a mode with a smaller part is not one of its two poles
 SAME: Final = 0.02  # [-] of a pole: nearer ones are one, which rounding sets apart where several directions have it
 REAL: Final = 1e-5  # [-] of a pole: a smaller imaginary part is rounding
-TIME_CONSTANTS: Final = 12.0  # of the slowest placed pole, for which a step is followed
+TIME_CONSTANTS: Final = 8.0  # of the slowest mode that is seen in a step, for which it is followed
 MIN_TICKS, MAX_TICKS = 50, 40_000  # of a step
 NO_COMMAND: Final = 1e-9  # [-] of the largest command of a step: rounding
 RANK: Final = 1e-9  # [-] of the largest singular value, or of a step: less is rounding
 INSTANT: Final = 1e-6  # [-] modulus in z of a mode that is over within a period
 ROUNDING: Final = 1e-9  # [-] of the imaginary part of a pole in z: that of a real one
-TINY: Final = 1e-12  # [1/s^2] above zero
 DROOP: Final = 1e-9  # [rad | m] of a steady-state error: rounding
 UNITS: Final = {name: quantity.unit.replace("-", "") for name, quantity in QUANTITIES.items()}
 
@@ -158,29 +156,17 @@ class Achieved:
 
     @cached_property
     def steps(self) -> Steps:
-        """Steps followed for some time constants of the slowest pole that was placed."""
+        """Steps followed for some time constants of the slowest mode that is seen in them."""
         lin, (x, rows, end) = self.system, self._ahead
-        count = int(np.clip(TIME_CONSTANTS / self._slowest_placed / lin.dt, MIN_TICKS, MAX_TICKS))
+        poles, parts = self._modes
+        slowest = float(-poles.real[(parts > BAND).any(axis=1)].max())
+        count = int(np.clip(TIME_CONSTANTS / slowest / lin.dt, MIN_TICKS, MAX_TICKS))
         command = lin.C[list(lin.rows("command"))]
         e, commands = np.zeros((count, x.shape[1])), np.zeros((count, *end.shape))
         for k in range(count):
             e[k], commands[k] = np.diag(rows @ x), end - command @ x
             x = lin.A @ x
         return Steps(t=np.asarray(lin.dt * np.arange(count)), e=e, command=commands)
-
-    @property
-    def _slowest_placed(self) -> float:
-        """[1/s] by the specification, of the real part."""
-        loop, zeta = self.stated, self.specification.damping_ratio
-        if self.specification.K is None and loop.contact is None:
-            omega = float(self.specification.frequencies(loop).min())
-        else:
-            name = "K" if loop.contact is None else "contact"
-            K = loop.inside(square(name, getattr(self.specification, name), loop))
-            omega = math.sqrt(max(float(eigh(K, loop.apparent, eigvals_only=True)[0]), TINY))
-        if zeta is None or zeta <= 1.0:
-            return omega * (zeta or 1.0)
-        return omega / (zeta + math.sqrt(zeta**2 - 1.0))
 
     @cached_property
     def _modes(self) -> tuple[NDArray[np.complex128], Float64Array]:
@@ -308,7 +294,7 @@ class Achieved:
         effort, hold = (arm.velocity, np.zeros(arm.n)) if self.hold is None else (arm.effort, self.hold)
         for i, direction in enumerate(self.stated.directions):
             used = command[:, :, i]
-            room = np.where(used > 0.0, effort - hold, effort + hold)
+            room = np.maximum(np.where(used > 0.0, effort - hold, effort + hold), 0.0)
             size = np.divide(room, np.abs(used), out=np.full(used.shape, np.inf), where=np.abs(used) > NO_COMMAND)
             joint, axis = arm.joint_names[int(np.argmin(size.min(axis=0)))], self.stated.axes[i]
             unit, scale = self.stated.units[axis], 1.0
