@@ -1,4 +1,4 @@
-"""Draw the pictures of docs/error_dynamics.md and print its tables.
+"""Draw the pictures of docs/error_dynamics.md and print its table.
 
 Run it in this folder: `python error_dynamics.py [FOLDER]`.
 """
@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 import taut
-from taut.analysis.stability_plots import draw_locus, draw_map
+from taut.analysis.loci import bisected
 from taut.record.plots.style import COLOURS, DASHED, INK, SMALL, WIDTH, prepared
 
 IMAGES = Path(__file__).parent.parent / "docs" / "images"
@@ -28,10 +28,15 @@ def main() -> None:
     """Draw, and print."""
     mpl.use("Agg")
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else IMAGES
-    taut.analysis.second_order(**CHAPTER, kp=2.205, kd=2.0, ki=1.0).plot().savefig(folder / "error_dynamics.png")
+    taut.error_dynamics(**CHAPTER, kp=2.205, kd=2.0, ki=1.0).plot().savefig(folder / "error_dynamics.png")
     loci().savefig(folder / "root_loci.png", dpi=150)
     maps().savefig(folder / "stability_maps.png", dpi=150)
     Console(width=110).print(rates())
+
+
+def joint(**gains: float) -> taut.LinearSystem:
+    """The chapter's link."""
+    return taut.error_dynamics(**CHAPTER, **gains)
 
 
 def loci() -> Figure:
@@ -39,23 +44,22 @@ def loci() -> Figure:
     figure = Figure(figsize=(WIDTH, 2.9), layout="constrained", facecolor="white")
     left, middle, right = figure.subplots(1, 3)
     points = [10.1**2 / (4.0 * 0.5 * zeta**2) for zeta in (1.5, 1.0, 0.5)]
-    over_kp = taut.analysis.locus(
-        lambda kp: taut.analysis.second_order(**CHAPTER, kp=kp, kd=10.0), [0.0, 230.0], name="kp"
-    )
-    draw_locus(left, over_kp, np.array(points))
+    values = np.unique([*np.linspace(0.0, 230.0, 200), *points])
+    taut.analysis.root_locus(lambda kp: joint(kp=kp, kd=10.0), values, label="kp").draw(left, mark=points)
     responses(middle, points)
-    pd = taut.analysis.second_order(**CHAPTER, kp=2.205, kd=2.0)
-    draw_locus(right, taut.analysis.locus("ki", [0.0, 12.0], of=pd), np.zeros(0))
+    values = 12.0 * np.linspace(0.0, 1.0, 200) ** 2
+    taut.analysis.root_locus(lambda ki: joint(kp=2.205, kd=2.0, ki=ki), values, label="ki").draw(right)
     return figure
 
 
 def responses(ax: Axes, points: list[float]) -> None:
     """The right half of figure 10.5."""
     prepared(ax, "error from 1", "e", "t [s]")
-    t = np.linspace(0.0, 1.6, 400)
+    dt = 4e-3
     for k, kp in enumerate(points):
-        d = taut.analysis.second_order(**CHAPTER, kp=kp, kd=10.0)
-        ax.plot(t, d.response(t)[0], color=COLOURS[k], linewidth=1.5, label=f"{k + 1}: zeta = {d.zeta:.2g}")
+        d = joint(kp=kp, kd=10.0)
+        e = d.free_response(400, [1.0, 0.0], dt=dt)[:, d.rows("q[0]")[0]]
+        ax.plot(dt * np.arange(400), e, color=COLOURS[k], linewidth=1.5, label=f"{k + 1}: kp = {kp:.3g}")
     ax.axhline(0.0, color=INK, linewidth=0.6)
     ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
 
@@ -64,46 +68,50 @@ def maps() -> Figure:
     """Damping against rate, and delay against rate for one design."""
     figure = Figure(figsize=(WIDTH, 2.9), layout="constrained", facecolor="white")
     left, right = figure.subplots(1, 2)
-
-    def damped(rate: float, kd: float) -> taut.analysis.SampledErrorDynamics:
-        return taut.analysis.second_order(M=0.5, b=0.1, kd=kd, zeta=1.0).sampled(rate=rate, velocity="difference")
-
     found = taut.analysis.stability_map(
-        damped, {"rate": np.geomspace(20.0, 1000.0, 13), "kd": np.geomspace(5.0, 1000.0, 13)}
+        lambda rate, kd: joint(kd=kd, zeta=1.0, rate=rate, velocity="difference"),
+        np.geomspace(20.0, 1000.0, 13),
+        np.geomspace(5.0, 1000.0, 13),
+        labels=("rate [Hz]", "kd [N m s/rad]"),
     )
-    draw_map(left, found, ("Hz", "N m s/rad"), log=True)
+    found.draw(left, log=True)
     rate = np.array([20.0, 1000.0])
     left.plot(rate, rate, color=COLOURS[1], linewidth=1.0, linestyle=DASHED, label="2 M / dt, measured velocity")
     left.set_title("differenced velocity, zeta = 1", fontsize=SMALL, loc="left", color=INK)
     left.legend(fontsize=SMALL, frameon=False, labelcolor=INK, loc="upper left")
-
-    def late(delay: float, kd: float) -> taut.analysis.SampledErrorDynamics:
-        return taut.analysis.second_order(M=0.5, b=0.1, kd=kd, zeta=1.0).sampled(rate=1000.0, delay=1e-3 * delay)
-
     found = taut.analysis.stability_map(
-        late, {"delay": np.geomspace(1.0, 20.0, 11), "kd": np.geomspace(10.0, 1000.0, 13)}
+        lambda delay, kd: joint(kd=kd, zeta=1.0, rate=1000.0, delay=1e-3 * delay),
+        np.geomspace(1.0, 20.0, 11),
+        np.geomspace(10.0, 1000.0, 13),
+        labels=("delay [ms]", "kd [N m s/rad]"),
     )
-    draw_map(right, found, ("ms", "N m s/rad"), log=True)
-    right.set_title("1 kHz, late, zeta = 1", fontsize=SMALL, loc="left", color=INK)
+    found.draw(right, log=True)
+    right.set_title("1 kHz, delayed, zeta = 1", fontsize=SMALL, loc="left", color=INK)
     return figure
+
+
+def delay_limit(rate: float) -> float:
+    """The delay [s] up to which the design is stable, parts of a period included; 0 if it is not without delay."""
+
+    def stable(delay: float) -> bool:
+        return joint(kd=120.0, zeta=1.0, rate=rate, delay=delay).stable
+
+    return bisected(stable, 0.0, 0.02) if stable(0.0) else 0.0
 
 
 def rates() -> Table:
     """One design at six rates."""
-    table = Table("rate [Hz]", "largest pole", "poles as s", "overshoot [%]", "settling [s]", "most delay [ms]")
-    d = taut.analysis.second_order(**CHAPTER, kd=120.0, zeta=1.0)
+    table = Table("rate [Hz]", "spectral radius", "slowest pole as s", "overshoot [%]", "settling [s]", "delay [ms]")
     for rate in RATES:
-        at = d.sampled(rate=rate)
-        slow = complex(at.s_poles[0])
-        settling = f"{at.settling_time:.4g}" if at.stable else "none"
-        overshoot = f"{at.overshoot:.3g}" if at.stable else "none"
+        d = joint(kd=120.0, zeta=1.0, rate=rate)
+        step = d.step()
         table.add_row(
             f"{rate:g}",
-            f"{at.radius:.4g}",
-            f"{slow:.4g}",
-            overshoot,
-            settling,
-            f"{1e3 * at.largest_stable_delay:.4g}",
+            f"{d.radius:.4g}",
+            f"{complex(d.s_poles[0]):.4g}",
+            f"{step.overshoot:.3g}",
+            f"{step.settling_time:.4g}",
+            f"{1e3 * delay_limit(rate):.4g}",
         )
     return table
 

@@ -400,7 +400,7 @@ MISUSE: list[tuple[str, Callable[[], Any], str]] = [
     ),
     (
         "a rate in seconds of error dynamics",
-        lambda: taut.analysis.second_order(M=1.0, kp=1.0, kd=1.0).sampled(rate=0.01),
+        lambda: taut.error_dynamics(M=1.0, kp=1.0, kd=1.0, rate=0.01),
         r"rate=1/0\.01",
     ),
     ("a run of no period", lambda: simulate(duration=1e-4), r"duration must be >= 0\.001"),

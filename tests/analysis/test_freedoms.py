@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 import taut
 from taut import Constraint, Pose
-from taut.analysis.constraints.linear_words import combination
+from taut.linear.linear_words import combination
 from taut.trace import math as tm
 
 AXES = ("x", "y", "z", "phi_x", "phi_y", "phi_z")

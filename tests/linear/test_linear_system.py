@@ -75,7 +75,7 @@ def test_python_control_has_the_same_poles_step_and_margins(rate: float | None, 
     )  # fmt: skip
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=25)
 @given(
     delay=st.floats(0.0, 0.031),
     decay=st.floats(0.0, 20.0),

@@ -136,7 +136,7 @@ CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
         lambda: Actuation(delay=0.0015).taps(1e-3),
         taut.errors.RangeError,
         "actuation.delay must be a whole number of control periods of 0.001 s, at most 1000; got 0.0015 s; a part of a "
-        "period needs a higher control rate, or taut.analysis.SampledLoop(delay=...), which takes any",
+        "period needs a higher control rate, or taut.error_dynamics(rate=..., delay=...), which takes any",
     ),
     (
         lambda: Actuation(delay=2.0).taps(1e-3),

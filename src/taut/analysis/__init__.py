@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     from taut.analysis.diagnosis.finding import Finding as Finding
     from taut.analysis.joint_coupling import Coupling as Coupling
     from taut.analysis.joint_coupling import coupling as coupling
+    from taut.analysis.loci import RootLocus as RootLocus
+    from taut.analysis.loci import StabilityMap as StabilityMap
+    from taut.analysis.loci import root_locus as root_locus
+    from taut.analysis.loci import stability_map as stability_map
     from taut.analysis.lyapunov_function import Lyapunov as Lyapunov
     from taut.analysis.lyapunov_function import lyapunov as lyapunov
-    from taut.analysis.root_locus import Locus as Locus
-    from taut.analysis.root_locus import locus as locus
-    from taut.analysis.stability_regions import StabilityMap as StabilityMap
-    from taut.analysis.stability_regions import stability_map as stability_map
     from taut.analysis.tool.environment import TipEnvironment as TipEnvironment
     from taut.analysis.tool.impedance import check_impedance as check_impedance
     from taut.analysis.tool.limits import StiffnessCheck as StiffnessCheck
@@ -48,15 +48,14 @@ if TYPE_CHECKING:
     from taut.analysis.wrist_calibration import WristCalibration as WristCalibration
     from taut.analysis.wrist_calibration import calibrate_wrist as calibrate_wrist
     from taut.analysis.wrist_poses import calibration_poses as calibration_poses
-    from taut.linear.error_dynamics import ErrorDynamics as ErrorDynamics
+    from taut.linear.joint_loop import SecondOrder as SecondOrder
+    from taut.linear.joint_loop import second_order as second_order
     from taut.linear.judgement import Judgement as Judgement
     from taut.linear.judgement import judge as judge
     from taut.linear.linearise import Linearisation as Linearisation
     from taut.linear.routh_table import RouthTable as RouthTable
     from taut.linear.routh_table import routh as routh
     from taut.linear.sampled import SampledLoop as SampledLoop
-    from taut.linear.sampled_errors import SampledErrorDynamics as SampledErrorDynamics
-    from taut.linear.second_order import second_order as second_order
     from taut.record.plots.friction_curves import plot_friction as plot_friction
     from taut.scenarios.compare_laws_by_name import grade as grade
 

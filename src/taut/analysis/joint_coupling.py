@@ -119,7 +119,7 @@ def coupling(loop: Loop, *, at: ArrayLike | None = None, share: float = ENOUGH, 
         )
     if not lin.stable:
         raise UsageError(
-            f"crosstalk is that of a stable loop, and this one is not: {lin.system.unstable_because}; lower the gains",
+            f"crosstalk is that of a stable loop; this one is {lin.system.unstable_because}; lower the gains",
             name="loop",
         )
     payload = PayloadValues.of(subtree(loop.parameters, "plant.payload"))

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from scipy.optimize import brentq
 
-from taut.analysis.root_locus import locus
+from taut.analysis.loci import bisected
 from taut.book.drawing import legend, panels
 from taut.book.link import KD, KI, KP, B, M, controller, link, on_link
 from taut.book.oracle import held_radius
@@ -17,8 +17,8 @@ from taut.book.simulation import two_poles
 from taut.control.laws.joint import PID
 from taut.control.trajectories.joint import Sine
 from taut.control.trajectories.reference import JointMotion
-from taut.linear.sampled_errors import SampledErrorDynamics
-from taut.linear.second_order import second_order
+from taut.linear.joint_loop import error_dynamics, second_order
+from taut.linear.linear_system import LinearSystem
 from taut.plant.drives.actuation import Actuation
 from taut.record.plots.style import colour, prepared
 from taut.record.run import Run
@@ -67,8 +67,6 @@ def following() -> Page:
 
 
 def delayed() -> Page:
-    d = second_order(M=M, b=B, kp=KP, kd=KD)
-
     def gain(w: float) -> float:
         s = 1j * w
         return abs((KP + KD * s) / (M * s**2 + B * s)) - 1.0
@@ -77,7 +75,7 @@ def delayed() -> Page:
     s = 1j * crossover
     margin = math.pi + float(np.angle((KP + KD * s) / (M * s**2 + B * s)))
     border = (margin % (2.0 * math.pi)) / crossover
-    found = d.sampled(rate=RATE).largest_stable_delay
+    found = error_dynamics(M=M, b=B, kp=KP, kd=KD, rate=RATE).margins().delay
     rows = [
         row(
             "delay up to which PD control is stable",
@@ -108,26 +106,31 @@ def delayed() -> Page:
 def bounded() -> Page:
     """Critically damped designs at 100 Hz with differenced positions: in the book any of them is stable."""
 
-    def sampled(omega_n: float) -> SampledErrorDynamics:
-        return second_order(M=M, b=B, omega_n=omega_n, zeta=1.0).sampled(rate=RATE, velocity="difference")
+    def sampled(omega_n: float) -> LinearSystem:
+        return error_dynamics(M=M, b=B, omega_n=omega_n, zeta=1.0, rate=RATE, velocity="difference")
 
     def radius(omega_n: float) -> float:
         return held_radius(M, B, M * omega_n**2, 2.0 * M * omega_n - B, RATE)
 
-    (border,) = locus(sampled, [1.0, 100.0]).borders
+    limit = bisected(lambda omega_n: sampled(omega_n).stable, 1.0, 100.0)
+    gains = second_order(M=M, b=B, omega_n=limit, zeta=1.0)
     wanted = brentq(lambda omega_n: radius(omega_n) - 1.0, 1.0, 100.0)
     source = "poles of the held link, bisected"
     claim = "instability due to the finite servo rate"
     rows = [
-        row("omega_n up to which zeta = 1 is stable at 100 Hz", "rad/s", border.value, wanted, source, rel=1e-6),
-        row("Kp there", "N m/rad", sampled(border.value).gains.kp, M * wanted**2, source, rel=1e-6),
+        row("omega_n up to which zeta = 1 is stable at 100 Hz", "rad/s", limit, wanted, source, rel=1e-6),
+        row("Kp there", "N m/rad", gains.kp, M * wanted**2, source, rel=1e-6),
         row(
-            "the same in continuous time: stable", "0 or 1", sampled(border.value).continuous.stable, 1.0, "Re s < 0"
+            "the same in continuous time: stable",
+            "0 or 1",
+            error_dynamics(M=M, b=B, kp=gains.kp, kd=gains.kd).stable,
+            1.0,
+            "Re s < 0",
         ),
     ]
     plane, rest = link(gravity=False), JointMotion(q=[0.0])
     for factor in (0.95, 1.05):
-        omega_n = factor * border.value
+        omega_n = factor * limit
         law = PID(kp=M * omega_n**2, kd=2.0 * M * omega_n - B)
         run = on_link(
             controller(law, plane, rate=RATE, differenced=True), plant=plane, ref=rest, duration=1.5, q0=[1e-3],

@@ -9,8 +9,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from taut.analysis.design.design import design
-from taut.analysis.root_locus import locus
-from taut.analysis.stability_plots import draw_locus
+from taut.analysis.loci import root_locus
 from taut.arm.load import load_arm
 from taut.book.drawing import legend, panels
 from taut.book.link import FAST, KD, B, M, link, on_link
@@ -18,9 +17,10 @@ from taut.book.page import ROOTS, Entry, Page, Row, row
 from taut.book.simulation import looped, two_poles
 from taut.control.laws.joint import PID
 from taut.control.trajectories.reference import JointMotion
+from taut.linear.joint_loop import error_dynamics, second_order
+from taut.linear.linear_system import LinearSystem
 from taut.linear.linearise import linearise
 from taut.linear.routh_table import routh
-from taut.linear.second_order import second_order
 from taut.record.plots.style import DASHED, DOTTED, INK, SMALL, colour, prepared
 
 __all__ = ["ENTRIES", "settling"]
@@ -70,7 +70,7 @@ def eq_10_9() -> Page:
 
 
 def eq_10_10() -> Page:
-    d = second_order(M=M, b=B, kp=5.0, kd=KD)
+    d = error_dynamics(M=M, b=B, kp=5.0, kd=KD)
     wanted = np.roots([1.0, (B + KD) / M, 5.0 / M])
     upper = wanted[wanted.imag.argmax()]
     got = d.poles[d.poles.imag.argmax()]
@@ -124,7 +124,7 @@ def sec_10_2_1_1() -> Page:
         ),
     ]
     for zeta in (0.25, 0.5, 0.78, 1.0, 1.5):
-        d = second_order(omega_n=1.0, zeta=zeta)
+        d = error_dynamics(omega_n=1.0, zeta=zeta).step()
         slowest = zeta if zeta <= 1.0 else zeta - math.sqrt(zeta**2 - 1.0)
         rows.append(
             row(
@@ -133,7 +133,7 @@ def sec_10_2_1_1() -> Page:
             )
         )  # fmt: skip
     for zeta in (0.2, 0.5, 0.8):
-        d = second_order(omega_n=1.0, zeta=zeta)
+        d = error_dynamics(omega_n=1.0, zeta=zeta).step()
         wanted = 100.0 * math.exp(-math.pi * zeta / math.sqrt(1.0 - zeta**2))
         rows.append(row(f"overshoot, zeta = {zeta:g}", "%", d.overshoot, wanted, "exp(-pi zeta / sqrt(1 - zeta^2))"))
     note = (
@@ -197,22 +197,34 @@ def fig_10_4() -> Page:
 
 def fig_10_5() -> Page:
     designs = [second_order(M=M, b=B, kd=STIFF_KD, zeta=zeta) for zeta in ZETAS]
-    found = locus("kp", [0.0, 1.3 * designs[-1].kp], of=designs[0])
-    meeting = found.meetings[0]
+
+    def joint(kp: float) -> LinearSystem:
+        return error_dynamics(M=M, b=B, kp=kp, kd=STIFF_KD)
+
+    values = np.unique([*np.linspace(0.0, 1.3 * designs[-1].kp, 200), *(d.kp for d in designs)])
+    found = root_locus(joint, values, label="Kp [N m/rad]")
+    meeting = found.breakaways[0]
     critical = (B + STIFF_KD) ** 2 / (4.0 * M)
     rows = [
         row("Kp where the roots meet", "N m/rad", meeting.value, critical, "(b + Kd)^2 / 4 M", rel=1e-6),
         row("where they meet", "1/s", meeting.pole.real, -(B + STIFF_KD) / (2.0 * M), "-(b + Kd) / 2 M", rel=1e-6),
     ]
     figure, (left, right) = panels(2, 2.9)
-    draw_locus(left, found, np.array([d.kp for d in designs]), "N m/rad")
+    found.draw(left, mark=[d.kp for d in designs])
     prepared(right, "error after a step of 1 rad", "error [rad]", "t [s]")
     for k, (zeta, d) in enumerate(zip(ZETAS, designs, strict=True)):
         wanted = np.roots([M, B + STIFF_KD, d.kp])
         slow = wanted[wanted.real.argmax()]
         rows += [
             row(f'"{k + 1}", zeta = {zeta:g}: Kp', "N m/rad", d.kp, critical / zeta**2, "critical Kp / zeta^2"),
-            row(f'"{k + 1}": real part of the slower root', "1/s", max(d.poles.real), slow.real, ROOTS, rel=1e-6),
+            row(
+                f'"{k + 1}": real part of the slower root',
+                "1/s",
+                max(joint(d.kp).poles.real),
+                slow.real,
+                ROOTS,
+                rel=1e-6,
+            ),
         ]
         run = on_link(
             PID(kp=d.kp, kd=STIFF_KD), plant=link(gravity=False), ref=JointMotion(q=[1.0]), duration=6.0, q0=[0.0]

@@ -9,8 +9,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from taut.analysis.root_locus import locus
-from taut.analysis.stability_plots import draw_locus
+from taut.analysis.loci import bisected, root_locus
 from taut.arm.load import load_arm
 from taut.book.drawing import arrow, legend, panels, words
 from taut.book.link import KD, KI, KP, SAMPLED, B, M, R, controller, link, on_link, solved, weight
@@ -18,8 +17,9 @@ from taut.book.page import ODE, ROOTS, Entry, Page, Row, row
 from taut.book.simulation import looped, two_poles
 from taut.control.laws.joint import PID
 from taut.control.trajectories.reference import JointMotion
-from taut.linear.linearise import Linearisation, linearise
-from taut.linear.second_order import second_order
+from taut.linear.joint_loop import error_dynamics, second_order
+from taut.linear.linear_system import LinearSystem
+from taut.linear.linearise import linearise
 from taut.record.plots.style import DASHED, INK, SMALL, colour, prepared
 from taut.record.run import Run
 
@@ -103,16 +103,16 @@ def eq_10_14() -> Page:
     ctrl = controller(PID(kp=KP, kd=KD, ki=KI), plane)
     loop = looped(ctrl, plane, JointMotion(q=[0.0]), friction="arm", integrator="rk4")
 
-    def compiled(ki: float) -> Linearisation:
+    def stable(ki: float) -> bool:
         loop.parameters["law.ki"] = ki
-        return linearise(loop, at=[0.0])
+        return linearise(loop, at=[0.0]).stable
 
-    (border,) = locus(compiled, [0.8 * BOUND, 1.2 * BOUND]).borders
+    limit = bisected(stable, 0.8 * BOUND, 1.2 * BOUND, tolerance=1e-6)
     rows.append(
         row(
             "Ki at which taut.laws.PID loses stability",
             "N m/(rad s)",
-            border.value,
+            limit,
             BOUND,
             "(b + Kd) Kp / M",
             rel=2e-4,
@@ -228,9 +228,13 @@ def fig_10_6() -> Page:
 
 
 def fig_10_7() -> Page:
-    found = locus("ki", [0.0, 1.5 * BOUND], of=second_order(M=M, b=B, kp=KP, kd=KD))
-    border = found.borders[0]
-    breakaway = found.meetings[-1]
+
+    def joint(ki: float) -> LinearSystem:
+        return error_dynamics(M=M, b=B, kp=KP, kd=KD, ki=ki)
+
+    values = np.unique([*(1.5 * BOUND * np.linspace(0.0, 1.0, 300) ** 2), KI])
+    found = root_locus(joint, values, label="Ki [N m/(rad s)]")
+    border, breakaway = found.limits[0], found.breakaways[-1]
     half = 0.5 * (B + KD) / M  # the two collocated roots are at -half, with Ki = 0 beside a third at the origin
     s = -half * 2.0 / 3.0 + math.sqrt((half * 2.0 / 3.0) ** 2 - KP / M / 3.0)  # where d Ki / d s = 0
     rows = (
@@ -256,14 +260,14 @@ def fig_10_7() -> Page:
         row(
             "the third root there",
             "1/s",
-            min(found.at(breakaway.value).real),
+            min(joint(breakaway.value).poles.real),
             -(B + KD) / M - 2.0 * s,
             "-(b + Kd) / M, less the two",
             rel=1e-6,
         ),
     )
     figure, (ax,) = panels(1, 3.1)
-    draw_locus(ax, found, np.array([KI]), "N m/(rad s)")
+    found.draw(ax, mark=[KI])
     note = 'Gains of figure 10.6: both roots of PD control at -2.1 1/s. "1" marks Ki = 1, that of figure 10.6.'
     return Page(rows=rows, figure=figure, note=note)
 

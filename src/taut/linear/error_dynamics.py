@@ -11,24 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from taut.base.checks import finite_array, finite_scalar, one_of, rate_in_hertz
+from taut.base.checks import finite_array, finite_scalar
 from taut.base.errors import ShapeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
 from taut.linear import characteristic
-from taut.linear.error_left import INPUTS, ErrorLeft, Input
 from taut.linear.error_numbers import ErrorNumbers
 from taut.linear.joint_gains import JointGains
 from taut.linear.linear_response import NEVER, StepShape, companion, step_shape
 from taut.linear.routh_table import RouthTable, routh
-from taut.linear.sampled import Integrator, VelocityKind
 from taut.linear.second_order_response import shape, swing
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
-    from taut.linear.sampled_errors import SampledErrorDynamics
-
-__all__ = ["CASES", "INPUTS", "Case", "ErrorDynamics", "Input"]
+__all__ = ["CASES", "Case", "ErrorDynamics"]
 
 Case = Literal["overdamped", "critically damped", "underdamped"]
 CASES: Final[tuple[Case, ...]] = ("overdamped", "critically damped", "underdamped")
@@ -37,7 +33,7 @@ Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ErrorDynamics(ErrorNumbers, ErrorLeft):
+class ErrorDynamics(ErrorNumbers):
     """Linear error dynamics a_n e^(n) + ... + a_1 e_dot + a_0 e = 0: poles, response, and what the chapter reads off.
 
     Print it for a report. `taut.analysis.second_order` makes it of gains and specifications; `from_poles`,
@@ -60,11 +56,6 @@ class ErrorDynamics(ErrorNumbers, ErrorLeft):
     Raises:
         ShapeError, RangeError: Coefficients that make no dynamics.
 
-    Example:
-        >>> import taut
-        >>> d = taut.analysis.ErrorDynamics(coefficients=[0.5, 2.1, 2.205])
-        >>> d.case, round(d.omega_n, 3), round(d.settling_time, 3), round(d.settling_by_rule, 3)
-        ('critically damped', 2.1, 2.778, 1.905)
 
     References:
         Chapter, section 10.2.1.1, equations 10.8 to 10.14.
@@ -118,10 +109,6 @@ class ErrorDynamics(ErrorNumbers, ErrorLeft):
             poles: (n,) real, or complex in conjugate pairs [1/s].
             integral: Whether the lowest coefficient is that of the error's integral.
 
-        Example:
-            >>> d = ErrorDynamics.from_poles([-10.0 + 5.0j, -10.0 - 5.0j])
-            >>> d.kp, d.kd
-            (125.0, 20.0)
         """
         return cls(coefficients=characteristic.from_poles(poles), integral=integral)
 
@@ -136,39 +123,8 @@ class ErrorDynamics(ErrorNumbers, ErrorLeft):
         Args:
             A: (n, n) [1/s].
 
-        Example:
-            >>> ErrorDynamics.from_matrix([[0.0, 1.0], [-100.0, -20.0]]).case
-            'critically damped'
         """
         return cls(coefficients=characteristic.from_matrix(A))
-
-    @classmethod
-    def of(cls, system: Any) -> ErrorDynamics:
-        """Of a system of python-control in continuous time: a closed loop from desired to actual position.
-
-        Its error is that of the desired position less the actual one, 1 - T(s), and its step one of the desired
-        position, as that of `control.step_info`: zeros of T count. Where T follows a step at once or not for long,
-        with as many zeros as poles or one at the origin, it is an error of 1 at the start.
-
-        Args:
-            system: `control.TransferFunction` or `control.StateSpace`, one input and one output.
-
-        Raises:
-            MissingExtraError: python-control is not installed.
-            UsageError: Not such a system, in discrete time, or with several inputs or outputs.
-        """
-        from taut.linear.control_systems import read
-
-        numerator, denominator = read(system)
-        numerator = np.concatenate([np.zeros(len(denominator) - len(numerator)), numerator])
-        difference = denominator - numerator
-        difference[np.abs(difference) <= EQUAL * np.abs(denominator)] = 0.0
-        zeros = np.trim_zeros(numerator, "f")
-        pid = len(zeros) == 2 and len(denominator) == 4 and np.allclose(zeros, denominator[-2:], rtol=EQUAL, atol=0.0)
-        known = len(zeros) == 1 or pid or len(zeros) == len(denominator) or not zeros[-1:].any()
-        return cls(
-            coefficients=denominator, integral=bool(pid), reference=difference, setpoint=None if known else zeros
-        )
 
     @property
     def _s(self) -> Float64Array:
@@ -294,13 +250,7 @@ class ErrorDynamics(ErrorNumbers, ErrorLeft):
         return JointGains(kp=kp, kd=kd, ki=ki[0] if ki else 0.0)
 
     def replaced(self, **numbers: float) -> ErrorDynamics:
-        """The same joint with other numbers: M, b, kp, kd, ki.
-
-        Example:
-            >>> import taut
-            >>> taut.analysis.second_order(M=0.5, b=0.1, kd=2.0, zeta=1.0).replaced(ki=10.0).stable
-            False
-        """
+        """The same joint with other numbers: M, b, kp, kd, ki."""
         unknown = sorted(set(numbers) - {"M", "b", "kp", "kd", "ki"})
         if unknown:
             raise UsageError(
@@ -326,10 +276,6 @@ class ErrorDynamics(ErrorNumbers, ErrorLeft):
         Returns:
             e and v, of the shape of t.
 
-        Example:
-            >>> e, v = ErrorDynamics(coefficients=[1.0, 2.0, 1.0]).response(1.0)
-            >>> float(e), float(v)  # 2 / exp(1), -1 / exp(1)
-            (0.73575888..., -0.36787944...)
         """
         times = finite_array("t", t, unit="s")
         e0 = finite_scalar("e0", e0, unit="rad")
@@ -396,72 +342,3 @@ class ErrorDynamics(ErrorNumbers, ErrorLeft):
     def settling_by_rule(self) -> float:
         """[s] the chapter's rule of thumb, four of the slowest time constants."""
         return 4.0 * self.time_constant
-
-    # ---------------------------------------------------------------- sampled, and ways out
-
-    def sampled(
-        self,
-        *,
-        rate: float,
-        delay: float = 0.0,
-        velocity: VelocityKind = "measured",
-        integrator: Integrator = "exact",
-        substeps: int = 1,
-    ) -> SampledErrorDynamics:
-        """The same gains at a servo rate: what the joint does that sees its law once in a period.
-
-        Args:
-            rate: [Hz].
-            delay: [s] from the tick to the torque, beyond the hold.
-            velocity: "measured", "difference", `taut.sensors.LowPass(...)`, `taut.sensors.Difference(cutoff=...)`.
-            integrator: "exact" for a continuous joint, "semi-implicit-euler" as `RigidPlant` steps it.
-            substeps: Of that integrator in a period.
-
-        Raises:
-            UsageError, RangeError, ShapeError: No gains, or a number that has no meaning, by name.
-
-        Example:
-            >>> import taut
-            >>> d = taut.analysis.second_order(M=0.5, b=0.1, kd=120.0, zeta=1.0)
-            >>> d.stable, d.sampled(rate=100.0).stable, round(d.sampled(rate=100.0).lowest_stable_rate)
-            (True, False, 120)
-        """
-        from taut.linear.sampled_errors import SampledErrorDynamics
-
-        return SampledErrorDynamics(
-            continuous=self,
-            rate=rate_in_hertz(rate),
-            delay=delay,
-            velocity=velocity,
-            integrator=integrator,
-            substeps=substeps,
-        )
-
-    def to_control(self, of: Literal["setpoint", "reference", "disturbance"] = "setpoint") -> Any:
-        """A `control.TransferFunction`, of which python-control makes anything else.
-
-        Args:
-            of: "setpoint": the actual over the desired position where its steps have no velocity, so that
-                `control.step_info` gives the chapter's numbers; "reference" or "disturbance": the error over these.
-
-        Raises:
-            MissingExtraError: python-control is not installed.
-        """
-        from taut.linear.control_systems import transfer_function
-
-        one_of("of", of, ("setpoint", "reference", "disturbance"))
-        own = self._a[-1 - int(self.integral) :] if self.setpoint is None else self._s
-        numerator = own if of == "setpoint" else self._numerator(of)
-        return transfer_function(numerator, self._a)
-
-    def report(self) -> str:
-        """Everything of it in a few lines; `print(d)` is the same."""
-        from taut.linear.error_words import of_continuous
-
-        return of_continuous(self)
-
-    def plot(self) -> Figure:
-        """Its response to a step, with the exact settling time and the rule's, beside its poles."""
-        from taut.linear.error_plots import of_continuous
-
-        return of_continuous(self)

@@ -33,13 +33,6 @@ class ErrorNumbers(ABC):
     def step(self) -> StepShape:
         """Overshoot, settling, rise and peak of the error after a step."""
 
-    @abstractmethod
-    def report(self) -> str:
-        """Everything of it in a few lines; `print(d)` is the same."""
-
-    def __str__(self) -> str:
-        return self.report()
-
     @property
     def kp(self) -> float:
         """Proportional gain: [N m/rad], or [1/s^2] where no inertia was given."""

@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 
 from taut.base.types import Float64Array
 from taut.linear.second_order_response import EARLY, LATE, swing
-from taut.record.step import BAND
+from taut.linear.step_response import BAND
 
 __all__ = ["NEVER", "StepShape", "companion", "powers", "sampled_shape", "step_shape"]
 

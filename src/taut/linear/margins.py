@@ -38,7 +38,7 @@ class SignalMargins:
         signal: Its name.
         gain: Smallest and largest factor on the signal between which the loop is stable [-]; 0 and infinity for none.
         phase: Phase margin [deg], lead or lag; infinite for a loop whose gain never is one.
-        delay: Delay margin [s].
+        delay: Delay margin [s]; of a sampled loop exact for whole periods, since a part of one acts within the hold.
         crossover: Frequency of the phase margin [rad/s]; NaN without one.
     """
 

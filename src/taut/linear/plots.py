@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from taut.base.plot_style import DASHED, INK, SMALL, WIDTH, colour, prepared
 from taut.linear.margins import frequency_grid
 from taut.linear.step_response import BAND
-from taut.record.plots.style import DASHED, INK, SMALL, WIDTH, colour, prepared
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,4 +1,4 @@
-"""Routh's table: how many roots of a polynomial lie to the right, in exact arithmetic."""
+"""Routh's table: the number of roots of a polynomial in the right half-plane, in exact arithmetic."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from taut.base.checks import finite_array
 from taut.base.errors import RangeError, ShapeError, count_of
+from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike
 
 __all__ = ["RouthRow", "RouthTable", "routh"]
@@ -30,8 +31,8 @@ class RouthRow:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RouthTable:
-    """Routh's table of a polynomial; print it for the table and what it says.
+class RouthTable(Result):
+    """Routh's table of a polynomial.
 
     Args:
         rows: From the highest power to 0.
@@ -44,47 +45,35 @@ class RouthTable:
     on_axis: int
 
     @property
-    def first_column(self) -> tuple[float, ...]:
-        """(n + 1,) first entries, whose changes of sign count."""
-        return tuple(float(row.entries[0]) for row in self.rows)
-
-    @property
     def stable(self) -> bool:
         """Whether every root has a negative real part."""
         return self.right == 0 and self.on_axis == 0
 
-    @property
-    def sentence(self) -> str:
-        """What the table says."""
-        if self.stable:
-            return "stable: no change of sign in the first column"
-        roots = [
-            f"{count_of(count, 'root')} {where}"
-            for count, where in ((self.right, "in the right half-plane"), (self.on_axis, "on the imaginary axis"))
-            if count
+    def content(self) -> Content:
+        """The table, and the verdict."""
+        places = ((self.right, "in the right half-plane"), (self.on_axis, "on the imaginary axis"))
+        roots = [f"{count_of(count, 'root')} {place}" for count, place in places if count]
+        width = len(self.rows[0].entries)
+        rows: list[list[Cell]] = [
+            [f"s^{row.power}", *map(float, row.entries), *[None] * (width - len(row.entries)), row.note]
+            for row in self.rows
         ]
-        return f"not stable: {' and '.join(roots)}"
-
-    def __str__(self) -> str:
-        cells = [[f"{float(entry):.6g}" for entry in row.entries] for row in self.rows]
-        width = max(len(cell) for row in cells for cell in row)
-        names = [f"s^{row.power}" for row in self.rows]
-        across = max(len(row) for row in cells)
-        lines = []
-        for name, row, made in zip(names, cells, self.rows, strict=True):
-            numbers = "  ".join(cell.rjust(width) for cell in row)
-            note = f"{' ' * ((across - len(row)) * (width + 2))}   {made.note}" if made.note else ""
-            lines.append(f"{name.ljust(len(names[0]))} | {numbers}{note}")
-        return "\n".join([*lines, self.sentence])
+        columns = ("power", *(f"entry {k + 1}" for k in range(width)), "note")
+        return Content(
+            title=f"Routh's table of order {self.rows[0].power}",
+            summary=("stable: no change of sign in the first column",) if self.stable else (),
+            faults=() if self.stable else (f"not stable: {' and '.join(roots)}",),
+            tables=(Table(columns=columns, rows=rows),),
+        )
 
 
 def routh(coefficients: ArrayLike) -> RouthTable:
     """Routh's table of a_n s^n + ... + a_1 s + a_0, any order, special cases included.
 
-    The numbers are taken as they are, bit by bit, and computed with as fractions, so that nothing is decided by a
-    tolerance. A zero at the head of a row that has other numbers: the row is added to itself, shifted to the left by
-    its k zeros, with the sign (-1)^k. A row of zeros: the derivative of the row above takes its place; that row's
-    polynomial divides the whole, and holds every pair of roots that lie opposite each other.
+    The numbers are taken as exact fractions, so that no tolerance decides. A zero at the head of a row that has other
+    numbers: the row is added to itself, shifted to the left by its k zeros, with the sign (-1)^k. A row of zeros: the
+    derivative of the row above takes its place; that row's polynomial divides the whole, and has every pair of roots
+    that lie opposite each other.
 
     Args:
         coefficients: (n + 1,) from the highest power down; the first is not zero.
@@ -94,12 +83,9 @@ def routh(coefficients: ArrayLike) -> RouthTable:
         RangeError: NaN, infinite, or a leading zero.
 
     Example:
-        >>> print(routh([0.5, 2.1, 2.205, 1.0]))
-        s^3 |    0.5   2.205
-        s^2 |    2.1       1
-        s^1 | 1.9669
-        s^0 |      1
-        stable: no change of sign in the first column
+        >>> table = routh([0.5, 2.1, 2.205, 1.0])
+        >>> table.stable, [round(float(row.entries[0]), 4) for row in table.rows]
+        (True, [0.5, 2.1, 1.9669, 1.0])
         >>> routh([1.0, 1.0, 2.0, 2.0]).on_axis
         2
 
@@ -136,7 +122,7 @@ def routh(coefficients: ArrayLike) -> RouthTable:
 
 
 def _mended(power: int, entries: list[Fraction], above: list[Fraction] | tuple[Fraction, ...]) -> RouthRow:
-    """A row as the table takes it, where it begins with a zero or has nothing else."""
+    """A row as the table takes it, where it begins with a zero or is all zeros."""
     zeros = next((k for k, entry in enumerate(entries) if entry), len(entries))
     if zeros == 0:
         return RouthRow(power=power, entries=tuple(entries))

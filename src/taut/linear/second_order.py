@@ -62,17 +62,6 @@ def second_order(
         UsageError: Too few of them, or such as determine one thing twice.
         RangeError: A number that has no meaning, or a specification that these cannot meet.
 
-    Example:
-        >>> second_order(M=0.5, b=0.1, kd=2.0, zeta=1.0).kp
-        2.205
-        >>> d = second_order(omega_n=10.0, zeta=0.7)
-        >>> d.kp, d.kd
-        (100.0, 14.0)
-        >>> print(second_order(M=0.5, b=0.1, kp=2.205, kd=2.0, ki=1.0))
-        error dynamics 0.5 s^3 + 2.1 s^2 + 2.205 s + 1 = 0
-          stable           no change of sign in the first column
-          poles            -0.6367 +- 0.5273j, -2.927 1/s
-        ...
 
     References:
         Chapter, section 10.2.1.1, equations 10.8 to 10.14 and figures 10.4 to 10.7.

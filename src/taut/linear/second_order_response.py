@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from taut.base.types import Float64Array
-from taut.record.step import BAND
+from taut.linear.step_response import BAND
 
 __all__ = ["FASTEST", "overshoot_of", "settling_angle", "shape", "swing", "zeta_of_overshoot"]
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from taut.analysis.constraints.contact_modes import FrictionMargin, HeldRows, Mode
 from taut.analysis.constraints.freedom_words import axis_words, rubbed
-from taut.analysis.constraints.linear_words import written
 from taut.analysis.constraints.task_axes import TaskBasis
 from taut.base.checks import finite_array
 from taut.base.errors import UsageError
@@ -18,6 +17,7 @@ from taut.base.types import ArrayLike, Float64Array
 from taut.control.trajectories.hybrid_motion import HybridMotion
 from taut.control.trajectories.reference import Sample, Trajectory
 from taut.control.trajectories.task_reference import TaskMotion
+from taut.linear.linear_words import written
 
 __all__ = ["Admissible", "asked", "judged"]
 

@@ -9,10 +9,10 @@ from typing import Final, Literal
 import numpy as np
 
 from taut.analysis.constraints.contact_modes import Contact, HeldRows, Mode
-from taut.analysis.constraints.linear_words import written
 from taut.analysis.constraints.task_axes import TaskBasis
 from taut.base.errors import count_of
 from taut.base.types import Float64Array
+from taut.linear.linear_words import written
 from taut.maths.constraints.constraint import Constraint
 from taut.maths.snapshot import Snapshot
 from taut.trace.pose import Pose

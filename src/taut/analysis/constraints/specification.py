@@ -9,11 +9,11 @@ from typing import Final
 
 import numpy as np
 
-from taut.analysis.constraints.linear_environment import LinearEnvironment
-from taut.analysis.constraints.linear_words import and_list, combination, written
 from taut.base.checks import finite_array, finite_scalar, read_only, vector
 from taut.base.errors import RangeError, ShapeError, UsageError, count_of
 from taut.base.types import ArrayLike, Float64Array
+from taut.linear.linear_environment import LinearEnvironment
+from taut.linear.linear_words import and_list, combination, written
 
 __all__ = ["Specification", "check_specification", "possible_specifications"]
 

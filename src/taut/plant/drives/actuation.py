@@ -174,7 +174,7 @@ class Actuation:
         taps = self.delay / dt
         whole = abs(taps - round(taps)) <= 1e-6
         if not whole or round(taps) > MOST_TAPS:
-            other = "a higher control rate, or taut.analysis.SampledLoop(delay=...), which takes any"
+            other = "a higher control rate, or taut.error_dynamics(rate=..., delay=...), which takes any"
             way_out = "" if whole else f"; a part of a period needs {other}"
             raise RangeError(
                 f"actuation.delay must be a whole number of control periods of {dt:g} s, at most {MOST_TAPS}; "

@@ -81,7 +81,7 @@ def report(
 
     Example:
         >>> import taut, tempfile
-        >>> d = taut.analysis.second_order(M=0.5, b=0.1, kd=2.0, zeta=1.0)
+        >>> d = taut.error_dynamics(M=0.5, b=0.1, kd=2.0, zeta=1.0)
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     file = report(d, f"{folder}/gains.html", title="Critical damping")
         ...     "<h1>Critical damping</h1>" in file.read_text(encoding="utf-8")

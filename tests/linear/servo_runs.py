@@ -15,24 +15,19 @@ START = 1e-3  # [rad]
 
 @dataclass(frozen=True, kw_only=True)
 class Servo:
-    """How the law sees the link, and how late its torque comes."""
+    """Velocity estimate of the law, and delay of its torque."""
 
     rate: float
     kind: int
     taps: int = 0
-    exact: bool = False
 
-    def sampled(self, kp: float, kd: float, ki: float) -> taut.analysis.SampledErrorDynamics:
-        return taut.analysis.second_order(M=0.5, kp=kp, kd=kd, ki=ki).sampled(
-            rate=self.rate,
-            delay=self.taps / self.rate,
-            velocity=KINDS[self.kind],
-            integrator="exact" if self.exact else "semi-implicit-euler",
-        )
+    def sampled(self, kp: float, kd: float, ki: float) -> taut.LinearSystem:
+        delay, velocity = self.taps / self.rate, KINDS[self.kind]
+        return taut.error_dynamics(M=0.5, kp=kp, kd=kd, ki=ki, rate=self.rate, delay=delay, velocity=velocity)
 
     def error(self, kp: float, kd: float, ki: float, ticks: int) -> np.ndarray:
         """(ticks,) the error of a run of taut from one at rest, in parts of it."""
-        ctrl, plant = compiled(self.rate, self.kind), plant_of(self.taps / self.rate, self.exact)
+        ctrl, plant = compiled(self.rate, self.kind), plant_of(self.taps / self.rate)
         ctrl.parameters["law.kp"], ctrl.parameters["law.kd"], ctrl.parameters["law.ki"] = kp, kd, ki
         run = taut.run(ctrl, plant, taut.JointMotion(q=[0.0]), duration=ticks / self.rate, q0=[-START])
         return -run.q[:ticks, 0] / START
@@ -50,10 +45,10 @@ def compiled(rate: float, kind: int) -> taut.Controller:
 
 
 @cache
-def plant_of(delay: float, exact: bool) -> taut.RigidPlant:
+def plant_of(delay: float) -> taut.RigidPlant:
     return taut.RigidPlant(
         table(),
         friction=None,
-        integrator="rk4" if exact else "semi-implicit-euler",
+        integrator="rk4",
         actuation=taut.drives.Actuation(delay=delay),
     )

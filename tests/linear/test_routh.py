@@ -57,29 +57,22 @@ def test_a_high_order_with_a_double_pair_on_the_axis() -> None:
     assert (table.right, table.on_axis) == (0, 4)
 
 
-def test_it_prints_the_table_and_what_was_done() -> None:
-    assert str(taut.analysis.routh([1.0, 1.0, 2.0, 2.0, 3.0])).splitlines() == [
-        "s^4 |  1   2   3",
-        "s^3 |  1   2",
-        "s^2 | -3   3       it began with 1 zero",
-        "s^1 |  3",
-        "s^0 |  3",
-        "not stable: 2 roots in the right half-plane",
-    ]
-    assert "zeros: the derivative of the row s^2" in str(taut.analysis.routh([1.0, 1.0, 2.0, 2.0]))
+def test_its_content_is_the_table_with_what_was_done() -> None:
+    found = taut.analysis.routh([1.0, 1.0, 2.0, 2.0, 3.0])
+    (table,) = found.content().tables
+    assert [row[:2] for row in table.rows] == [["s^4", 1.0], ["s^3", 1.0], ["s^2", -3.0], ["s^1", 3.0], ["s^0", 3.0]]
+    assert [bool(row[-1]) for row in table.rows] == [False, False, True, False, False]
+    assert found.content().faults
 
 
 @pytest.mark.parametrize(
-    ("given", "sentence"),
+    ("given", "kind"),
     [
-        (
-            [1.0],
-            r"coefficients must be a list of two numbers or more, from the highest power of s down; got shape \(1,\)",
-        ),
-        ([0.0, 1.0], r"coefficients\[0\] must not be zero: it belongs to the highest power of s; leave it out"),
-        ([1.0, np.nan], r"coefficients\[1\] must be finite; got nan"),
+        ([1.0], taut.errors.ShapeError),
+        ([0.0, 1.0], taut.errors.RangeError),
+        ([1.0, np.nan], taut.errors.RangeError),
     ],
 )
-def test_what_is_no_polynomial_is_refused(given: list[float], sentence: str) -> None:
-    with pytest.raises(taut.TautError, match=f"^{sentence}$"):
+def test_what_is_no_polynomial_is_refused(given: list[float], kind: type[Exception]) -> None:
+    with pytest.raises(kind):
         taut.analysis.routh(given)

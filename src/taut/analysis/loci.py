@@ -1,0 +1,375 @@
+"""Root loci and stability maps: the poles, and the stability, of a linear system over one or two parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from taut.base.checks import finite_array
+from taut.base.errors import RangeError, ShapeError
+from taut.base.plot_style import INK, SMALL, WIDTH, colour, prepared
+from taut.base.result import Cell, Content, Result, Table
+from taut.base.types import ArrayLike, Float64Array
+from taut.linear.linear_system import Complex, LinearSystem
+from taut.linear.linearise import Linearisation
+from taut.linear.plots import pole_axes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["LocusPoint", "RootLocus", "StabilityMap", "bisected", "root_locus", "stability_map"]
+
+System = LinearSystem | Linearisation
+LOCUS_TOLERANCE: Final = 1e-12  # [-] of a value, between two of a locus
+MAP_TOLERANCE: Final = 1e-3  # [-] likewise of a map, each point of which is a system
+NEAR_ZERO: Final = 1e-6  # [-] of the distance of two values, below which a boundary is at zero
+STABLE: Final = "#C4E7DC"  # a light shade of colour(2), opaque: neighbouring cells show no seam
+SHOWN: Final = 0.98  # quantile of the poles that a picture shows
+
+Points = list[tuple[float, float]]
+
+
+def bisected(same: Callable[[float], bool], low: float, high: float, tolerance: float = LOCUS_TOLERANCE) -> float:
+    """The value between two at which something changes, by bisection.
+
+    Args:
+        same: Whether it is at a value as at `low`; it is not at `high`.
+        low: One value.
+        high: The other.
+        tolerance: Relative to the value [-].
+    """
+    floor = NEAR_ZERO * abs(high - low)
+    while abs(high - low) > tolerance * max(abs(low), abs(high), floor):
+        middle = 0.5 * (low + high)
+        if middle in (low, high):
+            break
+        low, high = (middle, high) if same(middle) else (low, middle)
+    return 0.5 * (low + high)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocusPoint:
+    """A point of a root locus: the value of the parameter, and the pole there."""
+
+    value: float
+    pole: complex
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RootLocus(Result):
+    """Root locus: poles over one parameter.
+
+    Args:
+        values: (m,) of the parameter.
+        poles: (m, n) in s [1/s], or in z where dt is not None; a column is one branch, NaN where it does not exist.
+        stable: (m,) whether the system is stable.
+        limits: Where it becomes stable or unstable, by bisection, with the pole that crosses.
+        breakaways: Where two real poles become a complex pair or the reverse, likewise.
+        dt: Period [s], or None.
+        label: The parameter, with its unit.
+    """
+
+    values: Float64Array
+    poles: Complex
+    stable: NDArray[np.bool_]
+    limits: tuple[LocusPoint, ...]
+    breakaways: tuple[LocusPoint, ...]
+    dt: float | None
+    label: str
+
+    def content(self) -> Content:
+        """Stability limits and breakaway points."""
+        rows: list[list[Cell]] = [
+            [kind, point.value, point.pole.real, abs(point.pole.imag)]
+            for kind, points in (("stability limit", self.limits), ("breakaway", self.breakaways))
+            for point in points
+        ]
+        plane = "s [1/s]" if self.dt is None else "z"
+        columns = ("point", self.label, f"Re {plane}", f"Im {plane}")
+        return Content(
+            title=f"root locus over {self.label} from {self.values[0]:g} to {self.values[-1]:g}",
+            summary=(f"stable for {100.0 * float(self.stable.mean()):.0f} % of {len(self.values)} values",),
+            tables=(Table(title="points", columns=columns, rows=rows),),
+            figures={"root locus": self._figure},
+        )
+
+    def _figure(self) -> Figure:
+        figure = _figure(3.4)
+        self.draw(figure.subplots())
+        return figure
+
+    def draw(self, ax: Axes, mark: Sequence[float] = ()) -> None:
+        """Draw the locus: crosses at the first value, circles at the last, diamonds at stability limits.
+
+        Args:
+            ax: Axes.
+            mark: Values that are marked with their number, from 1 on.
+        """
+        known = self.poles[np.isfinite(self.poles)]
+        near = known[np.abs(known) <= np.quantile(np.abs(known), SHOWN)]
+        pole_axes(ax, near if self.dt is None else known, self.dt)
+        ends = (f"{float(f'{value:.4g}'):.6g}" for value in (self.values[0], self.values[-1]))
+        ax.set_title(f"{self.label}: {' (x) to '.join(ends)} (o)", fontsize=SMALL, color=INK, loc="left")
+        for k, branch in enumerate(self.poles.T):
+            there = branch[np.isfinite(branch)]
+            ax.plot(there.real, there.imag, color=colour(k), linewidth=1.5, solid_joinstyle="round")
+            ax.plot(there.real[:1], there.imag[:1], "x", color=colour(k), markersize=6.0, markeredgewidth=1.5)
+            ax.plot(there.real[-1:], there.imag[-1:], "o", color=colour(k), markersize=4.5, markerfacecolor="white")
+        for k, value in enumerate(mark):
+            at = self.poles[np.argmin(np.abs(self.values - value))]
+            for s in at[np.isfinite(at) & (at.imag >= 0.0)]:
+                ax.plot([s.real] * 2, [s.imag, -s.imag], "o", color=INK, markersize=3.5, zorder=4)
+                ax.annotate(
+                    str(k + 1), (s.real, s.imag), xytext=(3.0, 3.0), textcoords="offset points", fontsize=SMALL,
+                    color=INK,
+                )  # fmt: skip
+        for point in self.limits:
+            ax.plot(point.pole.real, abs(point.pole.imag), "D", color=INK, markersize=3.5, zorder=4)
+            ax.annotate(
+                f"{point.value:.4g}", (point.pole.real, abs(point.pole.imag)), xytext=(-6.0, 3.0), ha="right",
+                textcoords="offset points", fontsize=SMALL, color=INK, zorder=5,
+            )  # fmt: skip
+
+
+def root_locus(system_of: Callable[[float], System], values: ArrayLike, *, label: str = "parameter") -> RootLocus:
+    """Root locus: the poles of a linear system as one parameter takes increasing values.
+
+    Args:
+        system_of: The system at a value: `taut.error_dynamics`, `taut.linearise`, `taut.LinearSystem`, ...
+        values: (m,) increasing; branches are followed from one to the next.
+        label: The parameter, with its unit: "kp [N m/rad]".
+
+    Raises:
+        ShapeError, RangeError: Fewer than two values, or values that do not increase.
+
+    Example:
+        >>> import taut
+        >>> found = taut.analysis.root_locus(
+        ...     lambda ki: taut.error_dynamics(M=0.5, b=0.1, kp=2.205, kd=2.0, ki=ki), np.linspace(0.0, 12.0, 50)
+        ... )
+        >>> round(found.limits[0].value, 6)  # (b + kd) kp / M
+        9.261
+
+    References:
+        Chapter, figures 10.5 and 10.7.
+    """
+    grid = _grid("values", values)
+    systems = [system_of(value) for value in grid.tolist()]
+    n = max(len(system.poles) for system in systems)
+    branches = np.full((len(systems), n), np.nan + 0j)
+    for k, system in enumerate(systems):
+        branches[k] = _matched(branches[k - 1], system.poles)
+    stable = np.array([system.stable for system in systems])
+    limits, breakaways = [], []
+    for i, (low, high) in enumerate(pairwise(grid.tolist())):
+        if stable[i] != stable[i + 1]:
+            value = bisected(lambda x, i=i: system_of(x).stable == stable[i], low, high)  # type: ignore[misc]
+            limits.append(LocusPoint(value=value, pole=_crossing(system_of(value))))
+        count = _complex_poles(systems[i])
+        if len(systems[i].poles) == len(systems[i + 1].poles) and count != _complex_poles(systems[i + 1]):
+            value = bisected(lambda x, count=count: _complex_poles(system_of(x)) == count, low, high)  # type: ignore[misc]
+            breakaways.append(LocusPoint(value=value, pole=_closest_pair(system_of(value).poles)))
+    return RootLocus(
+        values=grid, poles=branches, stable=stable, limits=tuple(limits), breakaways=tuple(breakaways),
+        dt=systems[0].dt, label=label,
+    )  # fmt: skip
+
+
+def _matched(before: Complex, poles: Complex) -> Complex:
+    """(n,) poles in the order of the branches that they continue; those of no branch take free places."""
+    distance = np.abs(before[:, np.newaxis] - poles)
+    rows, columns = linear_sum_assignment(np.where(np.isnan(distance), 0.0, distance))
+    out = np.full(len(before), np.nan + 0j)
+    out[rows] = poles[columns]
+    return out
+
+
+def _complex_poles(system: System) -> int:
+    return int((system.poles.imag != 0.0).sum())
+
+
+def _crossing(system: System) -> complex:
+    """The pole nearest to the stability boundary, but for those that rest at z = 1 or s = 0; the upper of a pair."""
+    distance = np.abs(np.abs(system.poles) - 1.0) if system.dt else np.abs(system.poles.real)
+    apart = np.abs(system.poles - (1.0 if system.dt else 0.0))
+    distance = np.where(
+        (apart < NEAR_ZERO * np.abs(system.poles).max(initial=0.0)) & (apart < apart.max()), np.inf, distance
+    )
+    pole = complex(system.poles[int(np.argmin(distance))])
+    return complex(pole.real, abs(pole.imag))
+
+
+def _closest_pair(poles: Complex) -> complex:
+    """The mean of the two poles that are closest to each other."""
+    apart = np.abs(poles[:, np.newaxis] - poles) + np.diag(np.full(len(poles), np.inf))
+    i, j = np.unravel_index(int(np.argmin(apart)), apart.shape)
+    return complex(0.5 * (poles[i] + poles[j]))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StabilityMap(Result):
+    """Stability over two parameters: a grid, and points of the boundary between its neighbours.
+
+    Args:
+        x: (m,) values of the first parameter.
+        y: (k,) values of the second.
+        stable: (m, k) whether the system is stable.
+        boundary: (p, 2) points on the boundary, by bisection.
+        along: (p,) the parameter that was bisected for each: 0 for x, 1 for y.
+        stable_above: (p,) whether the system is stable at larger values of that parameter.
+        labels: The two parameters, with their units.
+    """
+
+    x: Float64Array
+    y: Float64Array
+    stable: NDArray[np.bool_]
+    boundary: Float64Array
+    along: NDArray[np.intp]
+    stable_above: NDArray[np.bool_]
+    labels: tuple[str, str]
+
+    def content(self) -> Content:
+        """The fraction that is stable, and the boundary."""
+        rows: list[list[Cell]] = [[one, other] for one, other in self.boundary.tolist()]
+        return Content(
+            title=f"stability map of {self.labels[0]} and {self.labels[1]}",
+            summary=(
+                f"stable at {100.0 * float(self.stable.mean()):.0f} % of {self.stable.size} points of the grid",
+            ),
+            tables=(Table(title="stability boundary", columns=self.labels, rows=rows),),
+            figures={"stability map": self._figure},
+        )
+
+    def _figure(self) -> Figure:
+        figure = _figure(3.2)
+        self.draw(figure.subplots())
+        return figure
+
+    def draw(self, ax: Axes, *, log: bool = False) -> None:
+        """Draw the map: the stable region filled, the boundary as a line.
+
+        Args:
+            ax: Axes.
+            log: Logarithmic scales.
+        """
+        from matplotlib.collections import LineCollection, PolyCollection
+
+        prepared(ax, "", self.labels[1], self.labels[0])
+        areas, lines = self._cells()
+        ax.add_collection(PolyCollection(areas, facecolor=STABLE, edgecolor=STABLE, linewidth=0.5, zorder=0.4))
+        ax.add_collection(LineCollection(lines, color=INK, linewidth=1.2))
+        ax.fill_between([], [], color=STABLE, label="stable")
+        ax.plot([], [], color=INK, linewidth=1.2, label="boundary")
+        if log:
+            ax.set_xscale("log")
+            ax.set_yscale("log")
+        ax.set_xlim(self.x[0], self.x[-1])
+        ax.set_ylim(self.y[0], self.y[-1])
+        ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK, loc="best")
+
+    def _cells(self) -> tuple[list[Points], list[Points]]:
+        """The stable part of each cell of the grid, and the boundary in it."""
+        x, y = self.x.tolist(), self.y.tolist()
+        cuts = {}
+        for (one, other), along in zip(self.boundary.tolist(), self.along.tolist(), strict=True):
+            i = int(np.searchsorted(x, one, side="right")) - 1
+            j = int(np.searchsorted(y, other, side="right")) - 1
+            cuts[along, i, j] = (one, other)
+        areas, lines = [], []
+        for i in range(len(x) - 1):
+            for j in range(len(y) - 1):
+                corners = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
+                edges = [(0, i, j), (1, i + 1, j), (0, i, j + 1), (1, i, j)]
+                area: Points = []
+                border: Points = []
+                for (a, b), edge in zip(corners, edges, strict=True):
+                    if self.stable[a, b]:
+                        area.append((x[a], y[b]))
+                    if edge in cuts:
+                        area.append(cuts[edge])
+                        border.append(cuts[edge])
+                if len(area) > 2:
+                    areas.append(area)
+                lines += [border[k : k + 2] for k in range(0, len(border), 2)]
+        return areas, lines
+
+
+def stability_map(
+    system_of: Callable[[float, float], System],
+    x: ArrayLike,
+    y: ArrayLike,
+    *,
+    labels: tuple[str, str] = ("x", "y"),
+) -> StabilityMap:
+    """Stability of a linear system over two parameters.
+
+    Regions smaller than the steps of the grid are not seen, and between two neighbours one boundary is found.
+
+    Args:
+        system_of: The system at two values.
+        x: (m,) increasing values of the first parameter.
+        y: (k,) increasing values of the second.
+        labels: The two, with their units: ("rate [Hz]", "kd [N m s/rad]").
+
+    Raises:
+        ShapeError, RangeError: Fewer than two values, or values that do not increase.
+
+    Example:
+        >>> import taut
+        >>> found = taut.analysis.stability_map(
+        ...     lambda rate, kd: taut.error_dynamics(M=0.5, kd=kd, zeta=1.0, rate=rate), [50.0, 100.0], [10.0, 400.0]
+        ... )
+        >>> [round(kd / rate, 2) for rate, kd in found.boundary[found.along == 1].tolist()]  # 2 M
+        [1.0, 1.0]
+
+    References:
+        Chapter, section 10.2.1.1, practical bounds on feedback gains.
+    """
+    grids = _grid("x", x), _grid("y", y)
+    stable = np.array([[system_of(a, b).stable for b in grids[1].tolist()] for a in grids[0].tolist()])
+    points: list[tuple[float, float]] = []
+    along: list[int] = []
+    above: list[bool] = []
+    for axis in (0, 1):
+        for place in np.argwhere(np.diff(stable, axis=axis)).tolist():
+            point = [float(grids[0][place[0]]), float(grids[1][place[1]])]
+            low, high = grids[axis][place[axis] : place[axis] + 2].tolist()
+            first = bool(stable[tuple(place)])
+
+            def same(value: float, point: list[float] = point, axis: int = axis, first: bool = first) -> bool:
+                one, other = (value if axis == k else point[k] for k in (0, 1))
+                return system_of(one, other).stable == first
+
+            point[axis] = bisected(same, low, high, MAP_TOLERANCE)
+            points.append((point[0], point[1]))
+            along.append(axis)
+            above.append(not first)
+    return StabilityMap(
+        x=grids[0], y=grids[1], stable=stable, boundary=np.array(points).reshape(-1, 2),
+        along=np.array(along, dtype=np.intp), stable_above=np.array(above, dtype=bool), labels=labels,
+    )  # fmt: skip
+
+
+def _grid(name: str, values: ArrayLike) -> Float64Array:
+    grid = finite_array(name, values)
+    if grid.ndim != 1 or len(grid) < 2:
+        raise ShapeError(
+            f"{name} must be a list of two values or more, such as np.linspace(1, 10, 20); got shape {grid.shape}",
+            name=name,
+        )
+    if (np.diff(grid) <= 0.0).any():
+        raise RangeError(f"{name} must increase from one value to the next", name=name, rule="increasing")
+    return grid
+
+
+def _figure(height: float) -> Figure:
+    from matplotlib.figure import Figure as NewFigure
+
+    return NewFigure(figsize=(0.7 * WIDTH, height), dpi=150, layout="constrained", facecolor="white")
