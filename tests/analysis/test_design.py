@@ -7,6 +7,7 @@ import math
 import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -476,7 +477,7 @@ def test_poses_that_cannot_be_are_refused_by_name() -> None:
         taut.design(laws.PID, "panda", zeta=1.0, omega_n=5.0)  # type: ignore[arg-type]
 
 
-def test_a_design_describes_itself() -> None:
+def test_a_design_describes_itself(tmp_path: Path) -> None:
     arm, q = taut.load_arm("planar2"), [0.3, 0.8]
     d = taut.design(laws.GravityPID, arm, at=q, overshoot=5.0, settling=0.5)
     found = json.loads(json.dumps(d.json(), allow_nan=False))
@@ -486,6 +487,9 @@ def test_a_design_describes_itself() -> None:
     assert len(found["faults"]) == len({row.name for row in d.requirements if not row.met})
     assert all(fault in str(d) for fault in found["faults"])
     assert len(d.plot().axes) == 2
+    page = taut.report(d, tmp_path / "d.html").read_text(encoding="utf-8")
+    assert "asked and got" in page
+    assert "<img" in page
 
 
 def test_a_design_passes_few_modules_of_analysis() -> None:

@@ -73,8 +73,8 @@ def design(
                   the sampled loop about its equilibrium, with zero-order hold, weight, delay and filters
 
     Ask for a damping (zeta or overshoot) and a speed (omega_n or settling), or a stiffness K. Critical damping is
-    zeta=1. Of several poses the gains are the largest. What the loop has not is returned with met=False, and so is a
-    loop that is unstable, with the gain that is to blame.
+    zeta=1. Of several poses the gains are the largest. A specification that the loop does not meet is returned with
+    met=False, and so is a loop that is unstable, with the gain that is to blame.
 
     Args:
         law: A class of `taut.laws`, or your own; or a law whose gains are replaced, and whose other options are kept.
@@ -124,7 +124,7 @@ def design(
     if plant is not None and not isinstance(plant, RigidPlant):  # callers without a type checker
         raise UsageError(f"plant must be a taut.RigidPlant; got {type(plant).__name__}", name="plant")
     poses, rate = poses_of(arm, at), rate_in_hertz(rate)
-    given = law if isinstance(law, Law) else any_of(law)
+    given = law if isinstance(law, Law) else with_any_gains(law)
     loops = [closed_loop_of(given, snapshot(arm, q)) for q in poses]
     specification.check(type(given).__name__, loops[0])
     if coupled and not loops[0].decentralised:
@@ -166,7 +166,7 @@ def design(
 # -------------------------------------------------------------------- the law
 
 
-def any_of(law: type[Law]) -> Law:
+def with_any_gains(law: type[Law]) -> Law:
     """A law of a class, with gains that are to be replaced.
 
     Raises:
@@ -251,7 +251,7 @@ def loop_for(
     friction: Literal["arm"] | None,
     plant: RigidPlant | None,
 ) -> Loop:
-    """The law in the plant with which it is judged, its reference where it starts."""
+    """The law in the plant with which it is judged; its reference stays where it starts."""
     ctrl = compile(law, arm, rate=rate, sensing=sensing, adds=() if plant is None else plant.adds)
     if plant is None:
         plant = plant_for(ctrl, specification, friction)
@@ -346,7 +346,7 @@ def worst(limits: Sequence[Limit]) -> tuple[Limit, ...]:
     """Of limits at several poses the one that is met first: the smallest, of a droop or a rate the largest."""
     found: dict[tuple[str, str], Limit] = {}
     for limit in limits:
-        key = limit.name, limit.where if limit.name == "largest step" else ""
+        key = limit.name, limit.where.partition(" (")[0] if limit.name.startswith("largest") else ""
         known = found.setdefault(key, limit)
         largest = limit.name in ("droop", "lowest rate")
         if (limit.value > known.value) if largest else (limit.value < known.value):
