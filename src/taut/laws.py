@@ -6,6 +6,7 @@ from taut.base.front_door import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from taut.control.closed_loop import ClosedLoop as ClosedLoop
     from taut.control.combine import Sum as Sum
     from taut.control.laws.admittance import Admittance as Admittance
     from taut.control.laws.constraint_estimate import NormalEstimate as NormalEstimate

@@ -1,11 +1,13 @@
-"""Designs: against closed forms, python-control, limits met in simulation, and what the nonlinear loop does."""
+"""Designs: placed poles against closed forms and python-control, asked and got against simulation, limits, refusals."""
 
 from __future__ import annotations
 
-import functools
 import json
 import math
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,781 +15,489 @@ import pytest
 from scipy.linalg import eigh
 
 import taut
-from taut.analysis.design import contact as design_contact
 from taut.control.law import Law
-
-Bar = Callable[[str, object], None]
 
 control = pytest.importorskip("control")
 laws = taut.laws
-FIT = 0.005  # of a number of the sampled loop, fitted from a run
-SAMPLED = 0.02  # of a damping ratio: what 1 kHz takes or adds at 10 rad/s
+SAMPLED = 0.02  # [-] of a damping ratio: what 1 kHz takes or adds at 10 rad/s
+FITTED = 0.01  # [-] of a number read off a simulated step
+ALIKE = 1e-3  # [-] of a step: the nonlinear loop against the linear one
+SMALL = 1e-4  # [rad | m] of a step for which a loop is as good as linear
 
 
-def numbers(d: taut.analysis.Design, source: str, name: str) -> np.ndarray:
-    return np.array([getattr(getattr(each, source), name) for each in d.achieved])
+def gain(d: taut.analysis.Design, name: str) -> np.ndarray:
+    return np.asarray(d.law.parameters()[name])
 
 
-# -------------------------------------------------------------------- closed forms
+def loop_poles(x: taut.Snapshot, K: np.ndarray, D: np.ndarray) -> np.ndarray:
+    """(2 n,) poles of M q_ddot + D q_dot + K q = 0 in joints [1/s]."""
+    M, n = np.asarray(x.M), x.n
+    return np.linalg.eigvals(
+        np.block([[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(M, K), -np.linalg.solve(M, D)]])
+    )
+
+
+# -------------------------------------------------------------------- gains by closed forms
 
 
 def test_gains_of_a_single_joint_are_those_of_the_chapter() -> None:
     arm = taut.load_arm("one_joint").with_gravity([0.0, 0.0, 0.0])  # which the chapter leaves out here
-    d = taut.design(laws.PID, arm, zeta=1.0, omega_n=2.1, friction="arm")  # M = 0.5, b = 0.1: kp 2.205, kd 2.0
-    law: Any = d.law
-    M = float(taut.snapshot(arm, arm.home).M[0, 0])
-    b = float(arm.viscous[0])
-    assert law.kp[0] == pytest.approx(M * 2.1**2, rel=1e-14)
-    assert law.kd[0] == pytest.approx(2.0 * 2.1 * M - b, rel=1e-14)
-    assert d.achieved[0].designed.zeta == pytest.approx(1.0, rel=1e-12)
-    assert d.achieved[0].simulated.zeta == pytest.approx(d.achieved[0].predicted.zeta, rel=FIT)
+    d = taut.design(laws.PID, arm, zeta=1.0, omega_n=2.1, friction="arm")  # M = 0.5, b = 0.1
+    assert gain(d, "kp") == pytest.approx([2.205], rel=1e-14)
+    assert gain(d, "kd") == pytest.approx([2.0], rel=1e-14)
+    assert d.met
 
 
 @pytest.mark.parametrize(
     "asked",
-    [
-        {"overshoot": 10.0, "settling": 0.4},
-        {"zeta": 0.5, "bandwidth": 20.0},
-        {"omega_n": 12.0, "settling": 0.5},
-        {"omega_n": 12.0, "bandwidth": 12.0},
-        {"zeta": 1.0, "settling": 0.3},
-        {"overshoot": 0.0, "omega_n": 10.0},
-    ],
-)
+    [{"overshoot": 10.0, "settling": 0.4}, {"zeta": 1.0, "settling": 0.3}, {"overshoot": 0.0, "omega_n": 10.0},
+     {"zeta": 3.0, "omega_n": 20.0}],
+)  # fmt: skip
 def test_what_is_asked_is_what_python_control_sees(asked: dict[str, float]) -> None:
     d = taut.design(laws.ComputedTorque, taut.load_arm("one_joint"), **asked)  # type: ignore[arg-type]
-    kp, kd = (float(np.ravel(d.law.parameters()[name])[0]) for name in ("kp", "kd"))
+    kp, kd = (float(gain(d, name)[0]) for name in ("kp", "kd"))
     system = control.tf([kp], [1.0, kd, kp])
     t = np.linspace(0.0, 3.0, 30_001)
     y = control.step_response(system, t).outputs
+    omega_n = math.sqrt(float(np.prod(system.poles()).real))
     seen = {
         "overshoot": 100.0 * max(float(y.max()) - 1.0, 0.0),
         "settling": float(t[np.flatnonzero(np.abs(y - 1.0) > 0.02)[-1]]),
-        "omega_n": math.sqrt(float(np.prod(system.poles()).real)),
-        "zeta": -0.5 * float(np.sum(system.poles()).real) / math.sqrt(float(np.prod(system.poles()).real)),
-        "bandwidth": float(control.bandwidth(system)),
+        "omega_n": omega_n,
+        "zeta": -0.5 * float(np.sum(system.poles()).real) / omega_n,
     }
-    for name, value in asked.items():  # python-control's 3 dB are 10^(-3/20), not the half of the power
-        assert seen[name] == pytest.approx(value, rel=2e-3 if name == "bandwidth" else 1e-3, abs=1e-3)
+    for name, value in asked.items():
+        assert seen[name] == pytest.approx(value, rel=1e-3, abs=1e-3)
+        assert d.got(name)[0] == pytest.approx(value, rel=0.05, abs=0.2)
+    assert d.met
 
 
-@pytest.mark.parametrize("more", [{}, {"integral": 0.1}, {"velocity": "difference", "delay": 3e-3}])
-def test_the_bandwidth_is_that_of_the_sampled_frequency_response(more: dict[str, Any]) -> None:
-    d = taut.design(laws.ComputedTorque, taut.load_arm("one_joint"), zeta=0.5, bandwidth=20.0, **more)
-    (found,), lin = d.achieved, d.tried.lin
-    if "integral" not in more:
-        assert found.designed.bandwidth == pytest.approx(20.0, rel=1e-9)
-    rows, columns = list(lin.rows("q")), list(lin.columns("ref.q"))
-
-    def power(w: float) -> float:
-        back = np.linalg.inv(np.exp(1j * w * lin.dt) * np.eye(len(lin.A)) - lin.A)
-        return float(np.abs(lin.C[rows] @ back @ lin.B[:, columns] + lin.D[np.ix_(rows, columns)])[0, 0] ** 2)
-
-    expected = found.predicted.bandwidth
-    assert power(expected) == pytest.approx(0.5, rel=1e-3)
-    assert min(power(share * expected) for share in (0.1, 0.5, 0.9)) > 0.5
-    assert found.simulated.bandwidth == pytest.approx(expected, rel=FIT)
-    assert "bandwidth [rad/s]" in str(d)
-
-
-def test_joints_get_the_inertia_that_they_have_by_themselves_rotors_included() -> None:
-    arm = taut.load_arm("planar2").with_gears({"joint2": 50.0}, 2e-4)
-    d = taut.design(laws.GravityPID, arm, at=[0.3, 0.8], zeta=0.7, omega_n=9.0)
-    M = np.diag(taut.snapshot(arm, [0.3, 0.8]).M)
-    assert M[1] > 0.5  # of which 50^2 2e-4 is the rotor
-    law: Any = d.law
-    assert np.asarray(law.kp) == pytest.approx(M * 81.0, rel=1e-13)
-    assert np.asarray(law.kd) == pytest.approx(2.0 * 0.7 * 9.0 * M, rel=1e-13)
-
-
-def test_coupled_gains_make_every_direction_alike() -> None:
-    arm = taut.load_arm("planar2")
-    d = taut.design(laws.GravityPID, arm, at=[0.3, 0.8], zeta=0.7, omega_n=9.0, coupled=True)
-    M = np.asarray(taut.snapshot(arm, [0.3, 0.8]).M)
-    assert np.asarray(d.law.parameters()["kp"]) == pytest.approx(81.0 * M, rel=1e-12)
-    assert numbers(d, "simulated", "zeta") == pytest.approx(0.7, rel=FIT)
-    alone = taut.design(laws.GravityPID, arm, at=[0.3, 0.8], zeta=0.7, omega_n=9.0)
-    shares = np.sqrt(eigh(np.diag(np.diag(M)), M, eigvals_only=True))  # zeta_k = zeta sqrt(lambda_k)
-    assert numbers(alone, "designed", "zeta") == pytest.approx(0.7 * shares, rel=1e-9)
-    assert not alone.limit("coupling").ok
-    assert numbers(alone, "simulated", "zeta") == pytest.approx(numbers(alone, "predicted", "zeta"), rel=FIT)
-
-
-def test_over_a_workspace_no_pose_settles_later_or_swings_more_than_asked() -> None:
-    arm = taut.load_arm("gantry3").with_joints(rotor_inertia=[0.5, 0.2, 0.1])
-    alone = taut.design(laws.GravityPID, arm, zeta=1.0, settling=0.5)
-    assert numbers(alone, "designed", "settling") == pytest.approx(0.5, rel=1e-9)  # of a diagonal M: exactly
-    bent = taut.load_arm("planar2")
-    poses = np.array([[0.3, 0.1], [0.3, 1.5], [0.3, 2.9]])
-    d = taut.design(laws.GravityPID, bent, at=poses, zeta=0.8, settling=0.6)
-    kp, kd = (np.asarray(d.law.parameters()[name]) for name in ("kp", "kd"))
-    for q in poses:  # each joint with its own inertia there
-        for M, p, v in zip(np.diag(taut.snapshot(bent, q).M), kp, kd, strict=True):
-            e = taut.analysis.second_order(M=float(M), kp=float(p), kd=float(v))
-            assert e.zeta >= 0.8 * (1.0 - 1e-9)
-            assert e.settling_time <= 0.6 * (1.0 + 1e-9)
-    assert len(d.poses) == 3
-    assert d.q.tolist() == poses[int(np.argmin([pose.zeta[0] for pose in d.poses]))].tolist()
-
-
-# -------------------------------------------------------------------- the tool
-
-
-def test_the_pinned_call_keeps_its_stiffness_and_every_mode_its_damping() -> None:
-    arm = taut.load_arm("panda")
-    d = taut.design(taut.laws.Impedance, arm, at=arm.home, K=(800, 30), zeta=0.7, rate=1000.0)
-    assert isinstance(d.law, laws.Impedance)
-    assert d.law.K.matrix(6).tolist() == np.diag([800.0] * 3 + [30.0] * 3).tolist()
-    x = taut.snapshot(arm, arm.home)
-    J = x.J()
-    inverse = J @ np.linalg.solve(np.asarray(x.M), J.T)
-    squares = np.sort(np.linalg.eigvals(inverse @ d.law.K.matrix(6)).real)
-    assert np.sort(numbers(d, "designed", "omega_n")) == pytest.approx(np.sqrt(squares), rel=1e-9)
-    assert numbers(d, "designed", "zeta") == pytest.approx(0.7, rel=1e-9)
-    assert numbers(d, "simulated", "zeta") == pytest.approx(numbers(d, "predicted", "zeta"), rel=FIT)
-    assert d.limit("stiffness").ok
-    assert [each.simulated for each in d.stiffness] == pytest.approx([800.0] * 3 + [30.0] * 3, rel=2e-3)
-    text = str(d)
-    assert text.splitlines()[0] == "Impedance on panda at 1000 Hz, for zeta = 0.7, K = (800, 30)"
-    assert json.loads(json.dumps(d.json(), allow_nan=False))["gains"]["zeta"] == 0.7
-    assert len(d.plot().axes) == 2
-
-
-@pytest.mark.parametrize(
-    ("law", "asked"),
-    [
-        (laws.Impedance, {"omega_n": 12.0}),
-        (laws.Impedance, {"omega_n": [12.0, 20.0]}),
-        (laws.Impedance, {"K": (500.0, 20.0), "settling": 0.6}),
-        (laws.Impedance, {"D": (4.0, 0.3), "bandwidth": 10.0}),
-        (laws.Stiffness, {"K": (500.0, 20.0)}),
-        (laws.TaskComputedTorque, {"omega_n": [8.0, 15.0]}),
-    ],
-)
-def test_laws_of_the_tool_do_what_is_predicted(law: type[Law], asked: dict[str, Any]) -> None:
-    d = taut.design(law, taut.load_arm("planar3"), at=[0.3, 0.8, 0.4], zeta=0.6, **asked)
-    assert len(d.achieved) == 3
-    assert numbers(d, "designed", "zeta") == pytest.approx(0.6, rel=1e-6)
-    for name in ("zeta", "omega_n", "overshoot", "settling"):
-        assert numbers(d, "simulated", name) == pytest.approx(numbers(d, "predicted", name), rel=FIT, abs=FIT)
-
-
-@pytest.mark.parametrize(
-    ("law", "more"),
-    [
-        (laws.Impedance, {"K": (400.0, 20.0)}),
-        (laws.Impedance(K=(1.0, 1.0), zeta=1.0, frame="tool"), {"K": [400.0, 300.0, 200.0, 20.0, 15.0, 10.0]}),
-        (laws.Stiffness, {"K": (400.0, 20.0)}),
-        (laws.Admittance, {"K": (400.0, 20.0), "D": (4.0, 0.3)}),
-    ],
-)
-def test_a_small_force_at_the_tool_finds_the_stiffness_that_was_asked_for(law: Any, more: dict[str, Any]) -> None:
-    d = taut.design(law, taut.load_arm("planar3"), at=[0.3, 0.8, 0.4], zeta=0.7, **more)
-    K = np.asarray(more["K"], dtype=float)
-    wanted = (K if len(K) == 6 else np.repeat(K, 3))[[0, 2, 4]]  # x, z and about y is where it moves
-    assert [each.designed for each in d.stiffness] == pytest.approx(wanted, rel=1e-9)
-    for each in d.stiffness:
-        assert each.predicted == pytest.approx(each.designed, rel=1e-6)
-        assert each.simulated == pytest.approx(each.designed, rel=0.01)  # MATHS: static within 1 %
-    assert d.limit("at rest").ok
-    assert "stiffness             designed    predicted    simulated" in str(d)
-    assert len(d.json()["stiffness"]) == 3
-
-
-def test_where_the_arm_moves_in_a_plane_a_force_finds_what_its_motions_give() -> None:
-    arm, q = taut.load_arm("planar2"), [0.3, 0.8]
-    d = taut.design(laws.Impedance, arm, at=q, zeta=0.7, K=(400.0, 20.0))
-    J = np.asarray(taut.snapshot(arm, q).J())
-    give = J @ np.linalg.solve(J.T @ np.diag([400.0] * 3 + [20.0] * 3) @ J, J.T)
-    assert [each.direction for each in d.stiffness] == ["x", "z", "about y"]
-    expected = 1.0 / np.diag(give)[[0, 2, 4]]
-    for source in ("designed", "predicted", "simulated"):
-        assert [getattr(each, source) for each in d.stiffness] == pytest.approx(expected, rel=2e-3)
-
-
-def test_a_law_of_accelerations_is_softer_than_asked_where_m_couples_the_joints() -> None:
-    arm, q = taut.load_arm("planar2"), [0.3, 0.8]
-    held = taut.design(laws.GravityPID, arm, at=q, zeta=0.7, K=60.0)
-    assert [each.simulated for each in held.stiffness] == pytest.approx([60.0, 60.0], rel=1e-3)
-    assert held.limit("at rest").ok
-    soft = taut.design(laws.ComputedTorque, arm, at=q, zeta=0.7, K=60.0)
+def test_joints_get_their_own_inertia_or_all_of_it_rotors_included() -> None:
+    arm, q = taut.load_arm("planar2").with_gears({"joint2": 50.0}, 2e-4), [0.3, 0.8]
     M = np.asarray(taut.snapshot(arm, q).M)
-    give = np.linalg.inv(M @ np.diag(60.0 / np.diag(M)))
-    assert [each.simulated for each in soft.stiffness] == pytest.approx(1.0 / np.diag(give), rel=2e-3)
-    assert not soft.limit("at rest").ok
-    assert taut.design(laws.GravityPID, arm, at=q, zeta=0.7, omega_n=9.0).stiffness == ()
+    assert M[1, 1] > 0.5  # of which 50^2 2e-4 is the rotor
+    asked: dict[str, Any] = {"at": q, "zeta": 0.7, "omega_n": 9.0, "integral": 0.1}
+    apart = taut.design(laws.GravityPID, arm, **asked)
+    assert gain(apart, "kp") == pytest.approx(81.0 * np.diag(M), rel=1e-13)
+    assert gain(apart, "kd") == pytest.approx(2.0 * 0.7 * 9.0 * np.diag(M), rel=1e-13)
+    assert gain(apart, "ki") == pytest.approx(0.1 * 2.0 * 0.7 * 9.0**3 * np.diag(M), rel=1e-12)
+    alike = taut.design(laws.GravityPID, arm, coupled=True, **asked)
+    assert gain(alike, "kp") == pytest.approx(81.0 * M, rel=1e-12)
+    assert gain(alike, "ki") == pytest.approx(0.1 * 2.0 * 0.7 * 9.0**3 * M, rel=1e-12)
 
 
-def test_a_stiffness_from_a_speed_is_enough_at_every_pose() -> None:
+def test_coupled_joints_miss_what_matrices_meet() -> None:
+    arm, q = taut.load_arm("planar2"), [0.3, 0.8]
+    asked: dict[str, Any] = {"at": q, "zeta": 0.7, "omega_n": 9.0}
+    apart, alike = (taut.design(laws.GravityPID, arm, coupled=c, **asked) for c in (False, True))
+    M = np.asarray(taut.snapshot(arm, q).M)
+    modes = 0.7 * np.sqrt(eigh(np.diag(np.diag(M)), M, eigvals_only=True))  # zeta_k = zeta sqrt(lambda_k)
+    assert apart.got("zeta").min() == pytest.approx(modes.min(), rel=SAMPLED)
+    assert not apart.met
+    assert alike.met
+    assert alike.got("zeta") == pytest.approx(0.7, rel=SAMPLED)
+
+
+@pytest.mark.parametrize("name", ["panda", "ur10"])
+def test_impedance_keeps_its_stiffness_and_stiffness_control_gets_damping_for_every_mode(name: str) -> None:
+    arm = taut.load_arm(name)
+    x = taut.snapshot(arm, arm.home)
+    for law in (laws.Impedance, laws.Stiffness):
+        d = taut.design(law, arm, at=arm.home, K=(800, 30), zeta=0.7, rate=1000.0)
+        assert np.ravel(gain(d, "K")).tolist() == [800.0] * 3 + [30.0] * 3
+        if law is laws.Stiffness:
+            J = np.asarray(x.J())
+            poles = loop_poles(x, J.T @ np.diag(gain(d, "K")) @ J, gain(d, "kd"))
+            swinging = poles[np.abs(poles.imag) > 1e-6 * np.abs(poles)]
+            assert -swinging.real / np.abs(swinging) == pytest.approx(0.7, rel=1e-6)
+        if name == "panda":
+            assert d.met
+            assert d.got("K") == pytest.approx([800.0] * 3 + [30.0] * 3, rel=1e-6)
+
+
+def test_impedance_from_a_speed_has_the_arms_own_inertia_at_every_pose() -> None:
     arm = taut.load_arm("planar3")
-    poses = [[0.3, 0.8, 0.4], [0.3, 1.0, 0.4], [0.3, 0.9, 0.6]]
+    poses = [[0.3, 0.8, 0.4], [0.3, 1.0, 0.4]]
     d = taut.design(laws.Impedance, arm, at=poses, zeta=0.7, omega_n=10.0)
-    K, B = (d.law.parameters()[name] for name in ("K", "B"))
-    slow, least = [], []
-    for q in poses:
-        x = taut.snapshot(arm, q)
-        J = np.asarray(x.J())
-        A = np.block(
-            [[np.zeros((3, 3)), np.eye(3)], [-np.linalg.solve(np.asarray(x.M), J.T @ C @ J) for C in (K, B)]]
-        )
-        poles = np.linalg.eigvals(A)
-        slow.append(np.sqrt(np.linalg.eigvals(np.linalg.solve(np.asarray(x.M), J.T @ K @ J)).real.min()))
-        least.append(float(np.min(-poles.real / np.abs(poles))))
-    assert min(slow) == pytest.approx(10.0, rel=1e-6)
-    assert min(least) >= 0.7 * (1.0 - 1e-6)
+    assert gain(d, "zeta") == 0.7
+    assert sorted({row.pose for row in d.requirements}) == [0, 1]
+    alone = taut.design(laws.Impedance, arm, at=poses[0], zeta=0.7, omega_n=10.0)
+    x = taut.snapshot(arm, poses[0])
+    J = np.asarray(x.J())[[0, 2, 4]]
+    Lambda = np.linalg.inv(J @ np.linalg.solve(np.asarray(x.M), J.T))
+    assert gain(alone, "K")[np.ix_([0, 2, 4], [0, 2, 4])] == pytest.approx(100.0 * Lambda, rel=1e-9)
+    assert alone.met
 
 
-def test_damping_at_several_poses_of_an_arm_of_few_joints_is_what_was_asked_for() -> None:
-    """Dampings of two poses were compared in axes of their own, and 0.7 became 2.4 at the least."""
-    arm, poses = taut.load_arm("planar2"), [[0.3, 0.8], [0.3, 2.0]]
-    d = taut.design(laws.Impedance, arm, at=poses, zeta=0.7, omega_n=12.0)
-    assert min(pose.zeta[0] for pose in d.poses) == pytest.approx(0.7, rel=0.02)
+def test_over_several_poses_the_heaviest_counts() -> None:
+    arm = taut.load_arm("planar2")
+    poses = np.array([[0.3, 0.1], [0.3, 1.5], [0.3, 2.9]])
+    d = taut.design(laws.GravityPID, arm, at=poses, zeta=0.8, omega_n=6.0)
+    heaviest = np.max([np.diag(taut.snapshot(arm, q).M) for q in poses], axis=0)
+    assert gain(d, "kp") == pytest.approx(36.0 * heaviest, rel=1e-12)
+    assert len(d.requirements) == 3 * 4
+    alone = taut.load_arm("gantry3")
+    assert taut.design(laws.GravityPID, alone, at=[[0.0] * 3, [0.1] * 3], zeta=0.8, settling=0.6).met
 
 
-def test_stiffness_gets_joint_damping_for_the_worst_pose() -> None:
-    arm = taut.load_arm("planar3")
-    poses = [[0.3, 0.8, 0.4], [0.3, 2.0, 0.4]]
-    d = taut.design(laws.Stiffness, arm, at=poses, zeta=0.7, K=(400.0, 10.0))
-    kd, K = d.law.parameters()["kd"], np.diag([400.0] * 3 + [10.0] * 3)
-    for q in poses:
-        x = taut.snapshot(arm, q)
-        M, J = np.asarray(x.M), np.asarray(x.J())
-        A = np.block([[np.zeros((3, 3)), np.eye(3)], [-np.linalg.solve(M, J.T @ K @ J), -np.linalg.solve(M, kd)]])
-        poles = np.linalg.eigvals(A)
-        assert float(np.min(-poles.real / np.abs(poles))) >= 0.7 * (1.0 - 1e-5)
+# -------------------------------------------------------------------- asked, got, met against simulation
 
 
-def test_a_force_dies_away_with_the_pole_that_was_asked_for() -> None:
-    arm = taut.load_arm("gantry3")
-    d = taut.design(laws.ForceControl, arm, force=5.0, zeta=0.7, contact=(1e4, 100.0), rate=4000.0)
-    assert np.diag(d.law.parameters()["kfi"]) == pytest.approx(5.0)
-    m = np.diag(np.asarray(taut.snapshot(arm, arm.home).M))
-    assert np.diag(d.law.parameters()["kdamp"])[:3] == pytest.approx(2.0 * 0.7 * np.sqrt(1e4 * m), rel=1e-9)
-    slow = []
-    for each, mass in zip(d.achieved, np.sort(m)[::-1], strict=True):  # the slowest first
-        roots = np.roots([mass, 1.4 * math.sqrt(1e4 * mass), 1e4, 5.0 * 1e4])
-        pair = roots[np.abs(roots.imag) > 0][0]
-        slow.append(-float(roots[roots.imag == 0.0][0].real))
-        assert each.designed.omega_n == pytest.approx(abs(pair), rel=1e-9)
-        assert each.simulated.zeta == pytest.approx(each.predicted.zeta, rel=FIT)
-        assert each.simulated.settling == pytest.approx(each.predicted.settling, rel=FIT)
-    assert d.limit("force pole").value == pytest.approx(min(slow), rel=0.05)  # 5 where the swing is fast
-
-
-def poles_of(d: taut.analysis.Design) -> np.ndarray:
-    """[1/s] all that do not end by themselves."""
-    z = d.tried.lin.poles
-    return np.log(z[np.abs(z) > 1e-9]) * d.rate
-
-
-def off_the_poles(p: np.ndarray, zeta: float, omega_n: float) -> float:
-    """How far fitted poles are off the nearest of a loop; their coefficients where they come together, at zeta = 1."""
-    fitted = np.roots([1.0, 2.0 * zeta * omega_n, omega_n**2])
-    if zeta < 0.95:
-        return float(np.abs(p - fitted[:, np.newaxis]).min(axis=1).max()) / omega_n
-    sums, products = p[:, np.newaxis] + p, p[:, np.newaxis] * p
-    first, last = np.abs(sums / (2.0 * zeta * omega_n) + 1.0), np.abs(products / omega_n**2 - 1.0)
-    return float(np.maximum(first, last).min())
-
-
-LATE: list[dict[str, Any]] = [
-    {"delay": 5e-3},
-    {"velocity": taut.sensors.Difference(cutoff=30.0), "delay": 2e-3},
-    {"velocity": taut.sensors.LowPass(cutoff=30.0, order=2)},
-    {"delay": 5e-3, "integral": 0.1},
-    {"velocity": "difference", "delay": 4e-3, "zeta": 1.5},
+SIMULATED: list[tuple[str, Callable[[], Any], str, dict[str, Any]]] = [
+    ("PID", lambda: laws.PID, "one_joint", {"zeta": 1.0, "omega_n": 10.0}),
+    ("GravityPID", lambda: laws.GravityPID, "ur10", {"overshoot": 5.0, "settling": 0.5}),
+    ("ComputedTorque", lambda: laws.ComputedTorque, "xarm7", {"zeta": 0.7, "omega_n": 10.0, "integral": 0.1}),
+    ("FeedForward", lambda: laws.FeedForward() + laws.PID(kp=1.0), "gantry3", {"zeta": 0.5, "omega_n": 12.0}),
+    ("VelocityPI", lambda: laws.VelocityPI, "gantry3", {"zeta": 1.0, "omega_n": 10.0}),
 ]
 
 
-@pytest.mark.parametrize("more", LATE, ids=str)
-def test_damping_is_that_of_the_poles_also_late_and_filtered(more: dict[str, Any]) -> None:
-    """The eigenvalues of the linear model; a fit of error and rate alone makes 0.61 of 0.70 at 5 ms."""
-    arm, asked = taut.load_arm("planar2"), {"zeta": 0.7, "omega_n": 20.0, **more}
-    for law in (laws.ComputedTorque, laws.GravityPID):
-        d = taut.design(law, arm, at=[0.3, 0.8], coupled=law is laws.GravityPID, **asked)
-        poles = poles_of(d)
-        for each in d.achieved:
-            for found in (each.predicted, each.simulated):
-                z, w = found.zeta, found.omega_n
-                pair = np.roots([1.0, 2.0 * z * w, w * w])
-                off = np.abs(poles - pair[:, np.newaxis]).min(axis=1) / w
-                assert off.max() < FIT, (law, each.direction, pair)
-
-
-def test_a_force_swings_with_the_poles_of_its_loop() -> None:
-    arm = taut.load_arm("gantry3")
-    d = taut.design(laws.ForceControl, arm, force=5.0, zeta=0.7, contact=(1e4, 100.0), delay=1e-3)
-    poles = poles_of(d)
-    for each in d.achieved:
-        z, w = each.predicted.zeta, each.predicted.omega_n
-        pair = np.roots([1.0, 2.0 * z * w, w * w])
-        assert np.abs(poles - pair[:, np.newaxis]).min(axis=1).max() < FIT * w
-        assert each.simulated.zeta == pytest.approx(z, rel=FIT)
-
-
-# -------------------------------------------------------------------- every law in one call
-
-
-CRITICAL: dict[str, tuple[Callable[[], Any], dict[str, Any]]] = {
-    "PID": (lambda: laws.PID, {"zeta": 1.0, "omega_n": 10.0}),
-    "GravityPID": (lambda: laws.GravityPID, {"zeta": 1.0, "omega_n": 10.0}),
-    "ComputedTorque": (lambda: laws.ComputedTorque, {"zeta": 1.0, "omega_n": 10.0}),
-    "FeedForward": (lambda: laws.FeedForward() + laws.PID(kp=1.0), {"zeta": 1.0, "omega_n": 10.0}),
-    "VelocityPI": (lambda: laws.VelocityPI, {"zeta": 1.0, "omega_n": 10.0}),
-    "TaskVelocity": (lambda: laws.TaskVelocity, {"bandwidth": 10.0}),
-    "TaskPosition": (lambda: laws.TaskPosition, {"bandwidth": 10.0}),
-    "TaskComputedTorque": (lambda: laws.TaskComputedTorque, {"zeta": 1.0, "omega_n": 10.0}),
-    "ViaJointSpace": (
-        lambda: taut.via_joint_space(laws.ComputedTorque(kp=1.0, kd=1.0)),
-        {"zeta": 1.0, "omega_n": 10.0},
-    ),
-    "Impedance": (lambda: laws.Impedance, {"zeta": 1.0, "omega_n": 10.0}),
-    "Stiffness": (lambda: laws.Stiffness, {"zeta": 1.0, "K": (100.0, 1.0)}),
-    "Admittance": (lambda: laws.Admittance, {"zeta": 1.0, "omega_n": 10.0, "D": (2.0, 0.1)}),
-    "HybridMotionForce": (
-        lambda: laws.HybridMotionForce(
-            constraint=lambda T: T.p[2], motion=laws.TaskComputedTorque(kp=1.0, kd=1.0), kfi=1.0
-        ),
-        {"zeta": 1.0, "omega_n": 10.0, "force": 5.0},
-    ),
-}
-
-
-@pytest.mark.parametrize("name", CRITICAL)
-def test_critical_damping_of_each_law_is_one_call(name: str) -> None:
-    make, asked = CRITICAL[name]
-    d = taut.design(make(), taut.load_arm("gantry3"), **asked)
-    assert numbers(d, "designed", "zeta") == pytest.approx(1.0, rel=1e-6)
-    assert numbers(d, "simulated", "zeta") == pytest.approx(1.0, abs=SAMPLED)
-    assert numbers(d, "simulated", "settling") == pytest.approx(numbers(d, "predicted", "settling"), rel=FIT)
-    assert numbers(d, "simulated", "overshoot").max() < 0.1 or name == "VelocityPI"  # a PI overshoots by its zero
-    if name == "HybridMotionForce":
-        assert float(np.ravel(d.law.parameters()["kfi"])[0]) == 5.0
-
-
-@pytest.fixture(scope="module")
-def board() -> tuple[taut.Arm, taut.Constraint]:
-    """A table under the tool of the gantry, where it is at home."""
-    arm = taut.load_arm("gantry3")
-    z = float(taut.snapshot(arm, arm.home).T().p[2])
-    return arm, taut.Constraint(lambda T: T.p[2] - z, one_sided=True)
-
-
-@pytest.mark.parametrize(("kfp", "delay"), [(0.0, 0.0), (0.3, 0.0), (0.3, 2e-3)])
-def test_a_hybrid_force_dies_away_in_contact_with_the_pole_of_the_tick(
-    board: tuple[taut.Arm, taut.Constraint], kfp: float, delay: float
-) -> None:
-    """e_k = -lam_(k-1), u = kfp e + kfi sum(e) dt, lam a delay later: its roots by numpy."""
-    arm, table = board
-    law = laws.HybridMotionForce(
-        constraint=table, motion=laws.TaskComputedTorque(kp=1.0, kd=1.0), kfp=kfp or None, kfi=1.0
-    )
-    d = taut.design(law, arm, zeta=1.0, omega_n=10.0, force=5.0, delay=delay)
-    (found,) = d.forces
-    kfi, dt, late = 5.0 * (1.0 + kfp), 1e-3, round(delay * 1e3)
-    assert float(np.ravel(d.law.parameters()["kfi"])[0]) == pytest.approx(kfi)
-    polynomial = np.zeros(late + 3)  # z^(late + 1) (z - 1) + (kfp + kfi dt) z - kfp = 0
-    polynomial[:2] = 1.0, -1.0
-    polynomial[-2:] += kfp + kfi * dt, -kfp
-    pole = -math.log(float(max(np.roots(polynomial).real))) / dt
-    assert found.designed.omega_n == pytest.approx(5.0)
-    assert found.predicted.omega_n == pytest.approx(pole, rel=1e-6)
-    assert found.simulated.omega_n == pytest.approx(pole, rel=1e-6)
-    assert found.simulated.settling == pytest.approx(math.log(50.0) / pole, abs=2e-3 * (1 + late))
-    assert found.simulated.overshoot < 0.1
-    assert d.limit("force pole").ok
-    assert f"against the constraint, held by it at q = {arm.home.tolist()}" in str(d)
-    assert d.json()["forces"][0]["simulated"]["omega_n"] == found.simulated.omega_n
-
-
-def test_a_force_that_is_too_fast_for_the_tick_is_refused_where_its_loop_grows(
-    board: tuple[taut.Arm, taut.Constraint],
-) -> None:
-    arm, table = board
-    law = laws.HybridMotionForce(constraint=table, motion=laws.TaskComputedTorque(kp=1.0, kd=1.0), kfp=0.4, kfi=1.0)
-    border = 2000.0 * (1.0 - 0.4) / 1.4  # kfp + kfi dt / 2 < 1
-    with pytest.raises(taut.errors.RangeError, match=r"grows by the factor .* measured force is a tick old"):
-        taut.design(law, arm, zeta=1.0, omega_n=10.0, force=1.01 * border)
-    nearest = 0.99 * border
-    d = taut.design(law, arm, zeta=1.0, omega_n=10.0, force=nearest)
-    assert not d.limit("force pole").ok
-    contact = taut.RigidPlant(arm, contact=taut.RigidContact(constraint=table))
-    taut.Loop(taut.compile(d.law, arm), contact, duration=0.1)  # which the plant takes
-    away = laws.HybridMotionForce(
-        constraint=lambda T: T.p[2] + 3.0, motion=laws.TaskComputedTorque(kp=1.0, kd=1.0), kfi=1.0
-    )
-    with pytest.raises(
-        taut.errors.RangeError, match=r"the pose on the constraint that is nearest .* give at= a pose on"
-    ):
-        taut.design(away, arm, zeta=1.0, omega_n=10.0, force=5.0)
-
-
-def test_a_force_in_contact_does_not_depend_on_the_steps_between_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A rigid contact takes no rk4; ten steps of semi-implicit Euler in a period make the same of the force as one."""
-    arm = taut.load_arm("gantry3")
-    low = float(np.asarray(taut.snapshot(arm, arm.home).T().p)[2])
-    law = laws.HybridMotionForce(
-        constraint=lambda T: T.p[2] + 0.3 * T.p[0] - low, motion=laws.TaskComputedTorque(kp=1.0, kd=1.0), kfi=1.0
-    )
-    found = []
-    for substeps in (1, 10):
-        monkeypatch.setattr(design_contact, "RigidPlant", functools.partial(taut.RigidPlant, substeps=substeps))
-        found.append(taut.design(law, arm, zeta=1.0, omega_n=10.0, force=20.0).forces[0].simulated)
-    assert found[0].omega_n == pytest.approx(found[1].omega_n, rel=1e-6)
-    assert found[0].settling == pytest.approx(found[1].settling, rel=1e-6)
-
-
-def test_hand_guiding_gets_a_decay() -> None:
-    arm = taut.load_arm("one_joint")
-    d = taut.design(laws.GravityCompensation, arm, settling=2.0)
-    M = float(taut.snapshot(arm, arm.home).M[0, 0])
-    assert float(d.law.parameters()["kd"][0]) == pytest.approx(M * math.log(50.0) / 2.0)
-    assert d.limit("decay").value == pytest.approx(math.log(50.0) / 2.0, rel=1e-3)
-    assert d.achieved == ()
-
-
-# -------------------------------------------------------------------- limits
-
-
-@pytest.fixture(scope="module")
-def strong() -> taut.Arm:
-    return taut.load_arm("planar2").with_joints(effort=[60.0, 30.0], velocity=[3.0, 3.0])
-
-
-@pytest.fixture(scope="module")
-def on_strong(strong: taut.Arm) -> taut.analysis.Design:
-    return taut.design(laws.ComputedTorque, strong, at=[0.3, 0.8], zeta=0.7, omega_n=12.0, integral=0.2)
-
-
-def test_the_step_that_takes_all_torque_is_where_limits_begin_to_cut(
-    strong: taut.Arm, on_strong: taut.analysis.Design
-) -> None:
-    limit = on_strong.limit("torque")
-    ctrl = taut.compile(on_strong.law, strong, limits=taut.Limits(tau=strong.effort))
-    cut = []
-    for share in (0.99, 1.01):
-        most = []
-        for i in range(2):
-            ref = np.array([0.3, 0.8])
-            ref[i] += share * limit.limit
-            run = taut.run(
-                ctrl, taut.RigidPlant(strong, friction=None), taut.JointMotion(q=ref), q0=[0.3, 0.8], duration=0.3
-            )
-            most.append(float(np.nanmax(run.metrics.saturation_time)))
-        cut.append(max(most))
-    assert cut[0] == 0.0
-    assert cut[1] > 0.0
-
-
-def test_one_count_of_an_encoder_moves_the_torque_as_told(strong: taut.Arm) -> None:
-    count = 2e-4
+def off_in_simulation(d: taut.analysis.Design, arm: taut.Arm, q: np.ndarray, joint: int, takes: str) -> float:
+    """[-] of the step: how far a small one of the nonlinear loop is off the one that is reported."""
+    assert d.steps is not None
+    drives = taut.drives.Actuation(bandwidth=None if takes == "torque" else 1e4)
     plant = taut.RigidPlant(
-        strong, sensors=taut.sensors.Sensors(position=taut.sensors.Encoder(resolution=count), velocity=None)
-    )
-    d = taut.design(
-        laws.ComputedTorque, strong, at=[0.3, 0.8], zeta=0.7, omega_n=12.0, velocity="difference", plant=plant
-    )
-    ctrl = taut.compile(d.law, strong, sensing=taut.Sensing(velocity="difference"))
-    q = np.array([0.3, 0.8])
-    ref = taut.JointMotion(q=q)
-    ctrl.step(q, ref=ref)
-    before = ctrl.step(q, ref=ref).copy()
-    worst = 0.0
-    for i in range(2):
-        ctrl.reset()
-        ctrl.step(q, ref=ref)
-        ctrl.step(q, ref=ref)
-        moved = q + count * np.eye(2)[i]
-        worst = max(worst, float(np.max(np.abs(ctrl.step(moved, ref=ref) - before) / strong.effort)))
-    told = d.limit("encoder")
-    assert told.value == pytest.approx(count)
-    assert 0.01 * told.value / told.limit == pytest.approx(worst, rel=1e-2)
-    assert d.achieved[0].on_plant is not None
+        arm, friction=None if takes == "torque" else "arm", takes=takes,  # type: ignore[arg-type]
+        actuation=drives, integrator="rk4" if takes == "torque" else "semi-implicit-euler",
+    )  # fmt: skip
+    rest, target = d.systems[0].q, q.copy()
+    target[joint] += SMALL
+    ctrl, seconds = taut.compile(d.law, arm), float(d.steps.t[-1])
+    run = taut.run(ctrl, plant, taut.JointMotion(q=target), q0=rest, duration=seconds, progress=False)
+    count = min(len(run.q), len(d.steps.t))
+    y = (run.q[:count, joint] - rest[joint]) / SMALL
+    return float(np.abs(1.0 - y - d.steps.e[:count, joint]).max())
 
 
-def test_an_integral_is_a_share_of_its_bound(strong: taut.Arm, on_strong: taut.analysis.Design) -> None:
-    kp, kd, ki = (float(on_strong.law.parameters()[name]) for name in ("kp", "kd", "ki"))
-    assert ki == pytest.approx(0.2 * kp * kd)
-    assert on_strong.limit("ki").limit == pytest.approx(kp * kd)
-    roots = np.roots([1.0, kd, kp, ki])
-    pair = roots[np.abs(roots.imag) > 0][0]
-    assert numbers(on_strong, "designed", "omega_n") == pytest.approx(abs(pair), rel=1e-9)
-    assert numbers(on_strong, "simulated", "zeta") == pytest.approx(numbers(on_strong, "predicted", "zeta"), rel=FIT)
-
-
-@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
-def test_an_elastic_joint_tells_its_frequency_and_backlash_its_play() -> None:
-    arm = taut.load_arm("one_joint").with_gears(100.0, 1e-5)
-    gear = taut.drives.Transmission(stiffness=200.0, backlash=1e-3)
-    plant = taut.RigidPlant(arm, actuation=taut.drives.Actuation(transmission=gear), substeps=2)
-    d = taut.design(laws.ComputedTorque, arm, zeta=1.0, omega_n=15.0, plant=plant)
-    link = float(taut.snapshot(arm, arm.home).M[0, 0]) - float(arm.rotor_inertia[0])
-    assert d.limit("elastic joint").limit == pytest.approx(0.5 * math.sqrt(200.0 / link))
-    assert not d.limit("elastic joint").ok
-    assert d.limit("backlash").value == 1e-3
-
-
-def test_weight_makes_a_pid_sag_as_told() -> None:
-    arm = taut.load_arm("one_joint")
-    d = taut.design(laws.PID, arm, zeta=1.0, omega_n=10.0)
-    told = d.limit("weight")
-    run = taut.run(
-        taut.compile(d.law, arm), taut.RigidPlant(arm, friction=None), taut.JointMotion(q=arm.home), duration=3.0
-    )
-    assert abs(run.q[-1, 0] - arm.home[0]) == pytest.approx(told.value, rel=0.01)
-
-
-@pytest.mark.parametrize("omega_n", [5.0, 20.0])
-def test_how_far_a_weight_sags_counts_the_way_that_it_goes(omega_n: float) -> None:
-    """kp^-1 g where it begins was 0.67 of 1.11 rad."""
-    arm = taut.load_arm("planar2")
-    d = taut.design(laws.PID, arm, at=[0.3, 0.8], zeta=1.0, omega_n=omega_n)
-    plant = taut.RigidPlant(arm, friction=None)
-    run = taut.run(taut.compile(d.law, arm), plant, taut.JointMotion(q=[0.3, 0.8]), duration=8.0, q0=[0.3, 0.8])
-    assert d.limit("weight").value == pytest.approx(float(np.abs(run.q[-1] - [0.3, 0.8]).max()), rel=1e-4)
-
-
-def test_a_law_that_feels_the_wrench_is_as_stiff_as_asked() -> None:
-    """Pushed at the joints, where its sensor feels nothing, 384 of 2000 N/m were told."""
-    d = taut.design(laws.Impedance, taut.load_arm("panda"), D=(5.0, 0.5), omega_n=(20.0, 30.0), zeta=0.7)
-    for each in d.stiffness:
-        assert each.asked == pytest.approx(2000.0 if each.unit == "N/m" else 450.0)
-        assert each.predicted == pytest.approx(each.asked, rel=1e-6)
-        assert each.simulated == pytest.approx(each.asked, rel=1e-3)
-    assert d.limit("at rest").ok
-
-
-# -------------------------------------------------------------------- what cannot be
-
-
-@pytest.mark.parametrize(
-    ("law", "asked", "words"),
-    [
-        (laws.PID, {"zeta": 0.7}, "PID needs its speed: omega_n, settling or bandwidth; as in taut.design"),
-        (laws.PID, {"omega_n": 10.0}, "PID needs its damping: zeta or overshoot"),
-        (
-            laws.PID,
-            {"zeta": 0.7, "overshoot": 5.0, "omega_n": 9.0},
-            "say the same thing twice: zeta = 0.7 overshoots",
-        ),
-        (laws.PID, {"zeta": 0.7, "settling": 0.3, "omega_n": 9.0}, "determine one speed more than once"),
-        (laws.PID, {"omega_n": 9.0, "settling": 0.1}, "settling must be at least 0.40"),
-        (laws.PID, {"omega_n": 9.0, "bandwidth": 90.0}, "bandwidth must be at most 1.554 omega_n"),
-        (laws.PID, {"zeta": 0.7, "K": 50.0, "omega_n": 9.0}, "determine omega_n already"),
-        (laws.PID, {"zeta": 0.7, "omega_n": math.nan}, "omega_n must be finite"),
-        (laws.PID, {"zeta": -0.7, "omega_n": 9.0}, "zeta must be > 0: without damping .* got -0.7; zeta = 1"),
-        (laws.PID, {"zeta": 0.7, "omega_n": 9.0, "integral": 1.0}, "integral is the share of the largest ki"),
-        (laws.PID, {"zeta": 0.7, "omega_n": 9.0, "force": 1.0}, "force has no meaning for PID"),
-        (laws.PID, {"overshoot": 100.0, "omega_n": 9.0}, "overshoot must be below 100 %"),
-        (laws.PID, {"zeta": 0.7, "omega_n": 9.0, "at": [0.1, 0.2]}, "at must be one pose"),
-        (laws.PID, {"zeta": 0.7, "omega_n": 9.0, "delay": 5e-4}, "whole number of control periods"),
-        (laws.FeedForward, {"zeta": 0.7, "omega_n": 9.0}, "FeedForward has no gains: design the feedback beside it"),
-        (laws.Dither, {"zeta": 0.7}, "no error dynamics that taut.design knows; find its gains with taut.tune"),
-        (laws.HybridMotionForce, {"zeta": 0.7}, "nothing without what it holds: give a law"),
-        (
-            laws.ComputedTorque,
-            {"zeta": 0.7, "omega_n": 9.0, "coupled": True},
-            "coupled=True is for PID and GravityPID",
-        ),
-        (laws.Impedance, {"zeta": 0.7, "K": 800.0}, r"K=\(linear, angular\), or six"),
-        (laws.Impedance, {"zeta": 0.7}, "Impedance needs K, or a speed"),
-        (laws.Impedance, {"K": (800.0, 30.0)}, "Impedance needs its damping: zeta or overshoot"),
-        (
-            laws.Impedance,
-            {"zeta": 0.7, "K": (8.0, 3.0), "D": (1.0, 1.0), "omega_n": 3.0},
-            "K and D determine omega_n",
-        ),
-        (laws.Admittance, {"zeta": 0.7, "K": (8.0, 3.0)}, "Admittance needs two of D, K and a speed"),
-        (
-            laws.ForceControl,
-            {"force": 5000.0, "zeta": 0.7, "contact": (1e4, 100.0)},
-            "a pole of the force of 5000 1/s cannot be met: at 1000 Hz one of 2000 1/s or more oscillates",
-        ),
-        (laws.ForceControl, {"force": 5.0}, "without kdamp has nothing that keeps it from swinging on a contact"),
-        (laws.ForceControl, {"force": 5.0, "zeta": 0.7}, "follows from zeta and contact together; add contact"),
-        (laws.VelocityPI, {"zeta": 0.7}, "VelocityPI needs its speed"),
-        (laws.TaskVelocity, {}, "TaskVelocity needs one of bandwidth"),
-        (
-            laws.PID(kp=1.0) + laws.GravityPID(kp=1.0, kd=1.0),
-            {"zeta": 0.7},
-            "a sum is designed where one of its parts",
-        ),
-    ],
-)
-def test_what_says_too_little_or_too_much_is_refused_in_words(law: Any, asked: dict[str, Any], words: str) -> None:
-    with pytest.raises(taut.TautError, match=words):
-        taut.design(law, taut.load_arm("one_joint"), **asked)
-
-
-def test_poses_that_cannot_be_are_refused_by_name() -> None:
-    arm = taut.load_arm("panda")
-    with pytest.raises(
-        taut.errors.RangeError, match=r"got 0 for 'panda_joint4', which goes from -3.0718 to -0.0698 rad"
-    ):
-        taut.design(laws.PID, arm, at=np.zeros(7), zeta=1.0, omega_n=5.0)
-    with pytest.raises(taut.errors.RangeError, match=r"'planar3' is singular at .*hardly move along"):
-        taut.design(laws.Impedance, taut.load_arm("planar3"), at=[0.3, 0.0, 0.0], zeta=1.0, K=(100.0, 1.0))
-    weak = taut.load_arm("one_joint").with_joints(effort=0.5)
-    with pytest.raises(
-        taut.errors.RangeError, match=r"cannot hold itself at .*takes 0.981 at joint 'joint1', which has 0.5"
-    ):
-        taut.design(laws.PID, weak, zeta=1.0, omega_n=5.0)
-    with pytest.raises(taut.errors.UsageError, match="design takes an Arm"):
-        taut.design(laws.PID, "panda", zeta=1.0, omega_n=5.0)  # type: ignore[arg-type]
-
-
-def test_what_is_too_fast_for_the_rate_is_refused_where_its_loop_grows() -> None:
-    arm = taut.load_arm("planar2")
-    ctrl = taut.compile(laws.ComputedTorque(kp=150.0**2, kd=300.0), arm, rate=100.0)
-    plant = taut.RigidPlant(arm, friction=None, integrator="rk4", substeps=3)  # an arm that moves all the time
-    radius = taut.linearise(taut.Loop(ctrl, plant, duration=1.0), at=arm.home).radius
-    with pytest.raises(taut.errors.RangeError, match=r"cannot be met: at 100 Hz .* grows by the factor") as refused:
-        taut.design(laws.ComputedTorque, arm, zeta=1.0, omega_n=150.0, rate=100.0)
-    assert refused.value.value == pytest.approx(radius, rel=1e-4)
-
-
-def test_what_a_low_pass_makes_unstable_is_refused_with_its_cutoff() -> None:
-    with pytest.raises(taut.errors.RangeError, match=r"at 1000 Hz and a low-pass of 3 Hz in the velocity"):
-        taut.design(
-            laws.ComputedTorque,
-            taut.load_arm("one_joint"),
-            zeta=0.2,
-            omega_n=60.0,
-            velocity=taut.sensors.LowPass(cutoff=3.0, order=2),
-        )
-
-
-def test_what_loses_its_damping_at_the_rate_is_missed_with_the_damping_that_is_left() -> None:
-    arm = taut.load_arm("planar2", gravity=(0.0, 0.0, 0.0))
-    asked: dict[str, Any] = {"zeta": 0.3, "rate": 500.0, "delay": 8e-3, "at": [0.3, 0.8]}
-    d = taut.design(laws.ComputedTorque, arm, omega_n=40.0, **asked)
-    rows = [each for each in d.requirements if each.name == "zeta"]
-    assert not any(row.met for row in rows)
-    assert [row.got for row in rows] == pytest.approx(numbers(d, "simulated", "zeta"), rel=FIT)
-    assert max(row.got for row in rows) < 0.5 * 0.3
-    assert not d.limit("damping").ok
-    assert taut.design(laws.ComputedTorque, arm, omega_n=5.0, **asked).limit("damping").ok
-
-
-def test_a_stiffness_that_is_too_much_for_the_rate_is_refused_where_its_loop_grows() -> None:
-    arm, q = taut.load_arm("planar3"), [0.3, 0.8, 0.4]
-
-    def radius(share: float) -> float:
-        law = laws.Impedance(K=[share * 4e5, share * 2e4], zeta=0.7)
-        plant = taut.RigidPlant(arm, friction=None, integrator="rk4", substeps=2)
-        loop = taut.Loop(taut.compile(law, arm, rate=250.0), plant, duration=1.0)
-        return taut.linearise(loop, at=q).radius
-
-    low, high = 1e-4, 1.0
-    assert radius(low) < 1.0 < radius(high)
-    while high / low > 1.05:
-        middle = math.sqrt(low * high)
-        low, high = (middle, high) if radius(middle) < 1.0 else (low, middle)
-    with pytest.raises(taut.errors.RangeError, match=r"K = .* cannot be met"):
-        taut.design(laws.Impedance, arm, at=q, zeta=0.7, K=(1.02 * high * 4e5, 1.02 * high * 2e4), rate=250.0)
-    d = taut.design(laws.Impedance, arm, at=q, zeta=0.7, K=(0.98 * low * 4e5, 0.98 * low * 2e4), rate=250.0)
-    assert not d.met  # stable, and hardly damped
-
-
-def test_rate_delay_margin_and_jump_are_where_the_loop_itself_has_them(
-    strong: taut.Arm, on_strong: taut.analysis.Design
+@pytest.mark.parametrize(("name", "make", "arm_name", "asked"), SIMULATED, ids=[row[0] for row in SIMULATED])
+def test_steps_of_the_nonlinear_loop_are_those_that_the_design_reports(
+    name: str, make: Callable[[], Any], arm_name: str, asked: dict[str, Any]
 ) -> None:
-    q = [0.3, 0.8]
-
-    def radius(rate: float) -> float:
-        gains = {name: float(on_strong.law.parameters()[name]) for name in ("kp", "kd", "ki")}
-        ctrl = taut.compile(laws.ComputedTorque(**gains), light, rate=rate)
-        plant = taut.RigidPlant(light, friction=None, substeps=200)  # as good as an arm that moves all the time
-        return taut.linearise(taut.Loop(ctrl, plant, duration=1.0), at=q).radius
-
-    light = strong.with_gravity([0.0, 0.0, 0.0])
-    least = on_strong.limit("rate")
-    assert least.ok
-    assert radius(1.02 * least.limit) < 1.0 < radius(0.98 * least.limit)
-    delay = on_strong.limit("delay")
-    assert delay.ok
-    assert delay.value == 0.0
-    joint = taut.analysis.second_order(kp=144.0, kd=16.8, ki=0.2 * 144.0 * 16.8)
-    alone = joint.sampled(rate=1000.0).largest_stable_delay
-    there = taut.design(laws.ComputedTorque, light, at=q, zeta=0.7, omega_n=12.0, integral=0.2)
-    assert there.limit("delay").limit == pytest.approx(math.floor(1e3 * alone) * 1e-3)
-    assert delay.limit < there.limit("delay").limit  # the weight is compensated late
-    margin = on_strong.limit("gain margin")
-    assert margin.value == pytest.approx(on_strong.tried.lin.margins.disk.gain[1])
-    run = taut.run(
-        taut.compile(on_strong.law, strong), taut.RigidPlant(strong, friction=None),
-        taut.JointMotion(q=[0.4, 0.8]), q0=q, duration=0.2,
-    )  # fmt: skip
-    first = np.abs(run.command[0] - np.asarray(taut.snapshot(strong, q).g)) / (10.0 * strong.effort)
-    other = taut.run(
-        taut.compile(on_strong.law, strong), taut.RigidPlant(strong, friction=None),
-        taut.JointMotion(q=[0.3, 0.9]), q0=q, duration=0.2,
-    )  # fmt: skip
-    second = np.abs(other.command[0] - np.asarray(taut.snapshot(strong, q).g)) / (10.0 * strong.effort)
-    assert on_strong.limit("torque rate").value == pytest.approx(max(first.max(), second.max()), rel=0.02)
-    fastest = max(float((np.abs(each.v) / strong.velocity).max()) for each in (run, other))
-    speed = on_strong.limit("speed")
-    assert speed.value / speed.limit == pytest.approx(fastest, rel=0.05)
+    arm = taut.load_arm(arm_name)
+    d = taut.design(make(), arm, **asked)
+    takes = "velocity" if name == "VelocityPI" else "torque"
+    for joint in (0, arm.n - 1):
+        assert off_in_simulation(d, arm, arm.home, joint, takes) < ALIKE
 
 
-def test_a_step_that_saturates_is_missed_and_the_largest_that_does_not_is_met(strong: taut.Arm) -> None:
-    asked: dict[str, Any] = {"zeta": 1.0, "omega_n": 30.0, "at": [0.3, 0.8]}
-    d = taut.design(laws.ComputedTorque, strong, step=0.3, **asked)
-    rows = [each for each in d.requirements if each.name == "step"]
-    assert [row.asked for row in rows] == [0.3, 0.3]
-    assert not d.met
-    assert not d.limit("torque").ok
-    largest = min(row.got for row in rows)
-    assert largest == d.limit("torque").limit
-    again = taut.design(laws.ComputedTorque, strong, step=0.999 * largest, **asked)
-    assert again.met
-    assert again.limit("torque").ok
-
-
-# -------------------------------------------------------------------- counts
-
-
-FILTERED = taut.sensors.Difference(cutoff=60.0)
 ARMS = ("planar2", "ur10", "panda", "kinova", "xarm7")  # the last two were in no trial
 
 
 @pytest.mark.bars
-def test_damping_is_that_of_the_sampled_prediction_on_five_arms_at_five_poses(
-    share: Callable[[int], int], bar: Bar
+def test_reported_steps_are_those_of_the_nonlinear_loop_on_five_arms_at_five_poses(
+    share: Callable[[int], int], bar: Callable[[str, object], None]
 ) -> None:
     rng = np.random.default_rng(5)
     cases = [(name, k) for k in range(5) for name in ARMS][: share(25)]
-    kinds: list[tuple[type[Law], dict[str, Any]]] = [
-        (laws.ComputedTorque, {"zeta": 1.0, "settling": 0.5}),
-        (laws.GravityPID, {"zeta": 0.7, "omega_n": 10.0, "coupled": True}),
-        (laws.PID, {"zeta": 0.7, "omega_n": 10.0}),
-        (laws.Impedance, {"zeta": 0.7, "K": (400.0, 20.0)}),
-        (laws.TaskComputedTorque, {"overshoot": 5.0, "omega_n": 8.0}),
-        (laws.Stiffness, {"zeta": 0.7, "K": (400.0, 20.0)}),
-        (laws.VelocityPI, {"zeta": 0.7, "omega_n": 10.0}),
-        (laws.ComputedTorque, {"zeta": 0.7, "omega_n": 10.0, "integral": 0.1, "delay": 2e-3, "velocity": FILTERED}),
+    kinds: list[tuple[Any, str, dict[str, Any]]] = [
+        (laws.GravityPID, "torque", {"zeta": 0.7, "omega_n": 10.0, "coupled": True}),
+        (laws.ComputedTorque, "torque", {"zeta": 1.0, "settling": 0.5}),
+        (laws.GravityPID, "torque", {"overshoot": 5.0, "omega_n": 8.0}),
+        (laws.VelocityPI, "velocity", {"zeta": 0.7, "omega_n": 10.0}),
     ]
-    worst, book, poles, count = 0.0, 0.0, 0.0, 0
-    for name, _ in cases:
+    worst, count = 0.0, 0
+    for name, k in cases:
         arm = taut.load_arm(name)
         low, high = (np.clip(limit, arm.home - 0.4, arm.home + 0.4) for limit in (arm.lower, arm.upper))
         q = rng.uniform(low, high)
-        light = arm.with_gravity([0.0, 0.0, 0.0])  # a weight that is compensated late couples the joints
-        for law, asked in kinds if len(cases) == 25 else kinds[1:2]:
-            d = taut.design(law, light if "delay" in asked else arm, at=q, **asked)
-            for kind in ("zeta", "omega_n"):
-                off = np.abs(numbers(d, "simulated", kind) / numbers(d, "predicted", kind) - 1.0)
-                worst = max(worst, float(off.max()))
-            alike = "coupled" in asked or law in (laws.ComputedTorque, laws.TaskComputedTorque)
-            for each in d.achieved if alike else ():  # directions that are eigenvectors of the loop
-                poles = max(poles, off_the_poles(poles_of(d), each.simulated.zeta, each.simulated.omega_n))
-            if alike and "velocity" not in asked:
-                off = np.abs(numbers(d, "simulated", "zeta") / numbers(d, "designed", "zeta") - 1.0)
-                book = max(book, float(off.max()))
-            count += len(d.achieved)
-    assert worst < FIT
-    assert poles < FIT
-    assert book < SAMPLED
-    bar("design: poles fitted from these runs, off those of the sampled loop", f"{poles:.1e}")
-    name = f"design: {count} directions of {len(kinds)} choices of laws on {len(cases)} arms and poses, simulated against predicted"
-    bar(name, f"{worst:.1e}")
+        for law, takes, asked in kinds if len(cases) == 25 else kinds[:1]:
+            d = taut.design(law, arm, at=q, **asked)
+            assert d.met or not asked.get("coupled", law is not laws.GravityPID)
+            worst = max(worst, off_in_simulation(d, arm, q, k % arm.n, takes))
+            count += 1
+    assert worst < ALIKE
+    bar(
+        f"design: {count} steps of the nonlinear loop of {len(kinds)} laws on 5 arms, off the reported",
+        f"{worst:.1e}",
+    )
+
+
+def test_a_step_of_the_tool_is_the_one_that_is_reported() -> None:
+    arm, q = taut.load_arm("planar3"), [0.3, 0.8, 0.4]
+    d = taut.design(laws.Impedance, arm, at=q, K=(400.0, 20.0), zeta=0.5)
+    assert d.steps is not None
+    T = taut.snapshot(arm, q).T()
+    ref = taut.TaskMotion(pose=taut.Pose(np.asarray(T.p) + SMALL * np.eye(3)[0], R=np.asarray(T.R)))
+    plant = taut.RigidPlant(arm, friction=None, integrator="rk4")
+    run = taut.run(taut.compile(d.law, arm), plant, ref, q0=q, duration=float(d.steps.t[-1]), progress=False)
+    J = np.asarray(taut.snapshot(arm, q).J())
+    e = 1.0 - (run.q - q) @ J[0] / SMALL
+    count = min(len(e), len(d.steps.t))
+    assert np.abs(e[:count] - d.steps.e[:count, 0]).max() < ALIKE
+
+
+MET: list[tuple[Callable[[], Any], str, dict[str, Any]]] = [
+    (lambda: laws.TaskVelocity, "gantry3", {"settling": 0.4}),
+    (lambda: laws.TaskPosition, "gantry3", {"omega_n": 10.0}),
+    (lambda: laws.GravityCompensation, "one_joint", {"omega_n": 2.0}),
+    (lambda: laws.VelocityPI, "gantry3", {"omega_n": [5.0, 10.0, 20.0]}),
+    (lambda: laws.ComputedTorque, "ur3", {"omega_n": [8.0, 9.0, 10.0, 11.0, 12.0, 13.0], "zeta": 0.8}),
+    (lambda: laws.TaskComputedTorque, "ur3", {"omega_n": (8.0, 12.0), "zeta": 0.8}),
+    (lambda: laws.TaskComputedTorque, "kinova", {"omega_n": 10.0, "zeta": 1.0}),
+    (lambda: laws.Impedance(K=(1.0, 1.0), zeta=1.0, D=(4.0, 0.3)), "planar3", {"omega_n": 12.0, "zeta": 0.6}),
+    (lambda: laws.Impedance(K=(1.0, 1.0), zeta=1.0, frame="tool"), "planar3", {"K": (400.0, 20.0), "zeta": 0.7}),
+    (lambda: taut.via_joint_space(laws.ComputedTorque(kp=1.0, kd=1.0)), "panda", {"zeta": 1.0, "omega_n": 10.0}),
+    (
+        lambda: laws.Admittance(D=(2.0, 0.1), B=(1.0, 1.0), inner=laws.TaskComputedTorque(kp=2500.0, kd=100.0)),
+        "gantry3",
+        {"zeta": 1.0, "omega_n": 10.0},
+    ),
+]
+
+
+@pytest.mark.parametrize(("make", "name", "asked"), MET)
+def test_what_can_be_is_met(make: Callable[[], Any], name: str, asked: dict[str, Any]) -> None:
+    at = [0.3, 0.8, 0.4] if name == "planar3" else None
+    d = taut.design(make(), taut.load_arm(name), at=at, **asked)
+    assert {each.name for each in d.requirements} == set(asked)
+    assert d.met, [each for each in d.requirements if not each.met]
+
+
+def test_a_stiffness_that_the_weight_changes_is_reported() -> None:
+    arm = taut.load_arm("one_joint")
+    d = taut.design(laws.PID, arm, at=[-1.2], zeta=1.0, K=10.0)
+    q = d.systems[0].q[0]
+    g = [float(taut.snapshot(arm, [q + s * 1e-5]).g[0]) for s in (1.0, -1.0)]
+    assert d.got("K")[0] == pytest.approx(10.0 + (g[0] - g[1]) / 2e-5, rel=1e-5)
+    assert not d.met
+
+
+def test_the_weight_that_a_pid_does_not_carry_is_its_droop() -> None:
+    arm = taut.load_arm("planar2")
+    d = taut.design(laws.PID, arm, at=[0.3, 0.8], zeta=1.0, omega_n=5.0)
+    run = taut.run(
+        taut.compile(d.law, arm), taut.RigidPlant(arm, friction=None), taut.JointMotion(q=[0.3, 0.8]), duration=8.0,
+        q0=[0.3, 0.8], progress=False,
+    )  # fmt: skip
+    assert d.limit("droop").value == pytest.approx(float(np.abs(run.q[-1] - [0.3, 0.8]).max()), rel=1e-4)
+    with pytest.raises(KeyError):
+        taut.design(laws.GravityPID, arm, at=[0.3, 0.8], zeta=1.0, omega_n=5.0).limit("droop")
+
+
+# -------------------------------------------------------------------- laws of force
+
+
+def test_a_force_on_a_contact_has_the_poles_of_its_cubic() -> None:
+    arm = taut.load_arm("gantry3")
+    asked: dict[str, Any] = {"force": 1.0, "zeta": 0.7, "contact": (1e5, 1e3), "rate": 4000.0}
+    d = taut.design(laws.ForceControl, arm, **asked)
+    assert np.diag(gain(d, "kfi")) == pytest.approx(1.0)
+    m = np.diag(np.asarray(taut.snapshot(arm, arm.home).M))
+    assert gain(d, "kdamp")[:3] == pytest.approx(2.0 * 0.7 * np.sqrt(1e5 * m), rel=1e-9)
+    slow = [
+        -float(roots[roots.imag == 0.0][0].real)
+        for mass in m
+        for roots in [np.roots([mass, 1.4 * math.sqrt(1e5 * mass), 1e5, 1e5])]
+    ]
+    assert d.got("force") == pytest.approx(slow, rel=FITTED)
+    assert d.got("zeta") == pytest.approx(0.7, rel=0.05)
+    assert d.met
+
+
+@pytest.mark.parametrize(("kfp", "delay"), [(0.0, 0.0), (0.3, 0.0), (0.3, 2e-3)])
+def test_a_hybrid_force_has_the_pole_of_the_tick(kfp: float, delay: float) -> None:
+    """e_k = -lam_(k-1), u = kfp e + kfi sum(e) dt, lam a delay later; simulated against the constraint."""
+    arm = taut.load_arm("gantry3")
+    z = float(taut.snapshot(arm, arm.home).T().p[2])
+    law = laws.HybridMotionForce(
+        constraint=lambda T: T.p[2] - z, motion=laws.TaskComputedTorque(kp=1.0, kd=1.0), kfp=kfp or None, kfi=1.0
+    )
+    plant = taut.RigidPlant(arm, friction=None, integrator="rk4", actuation=taut.drives.Actuation(delay=delay))
+    d = taut.design(law, arm, zeta=1.0, omega_n=10.0, force=5.0, plant=plant)
+    assert gain(d, "kfi") == pytest.approx(5.0 * (1.0 + kfp))
+    (row,) = (each for each in d.requirements if each.name == "force")
+    errors = [0.0, 1.0]  # of a force that the law does not know, from tick to tick
+    late, total, commands = round(delay * 1e3), 0.0, [0.0] * (round(delay * 1e3) + 1)
+    for _ in range(400):
+        e = -errors[-1]
+        total += 1e-3 * e
+        commands.append(kfp * e + 5.0 * (1.0 + kfp) * total)
+        errors.append(1.0 + commands[-1 - late])
+    decay = math.log(errors[-100] / errors[-1]) / (99.0 * 1e-3)
+    assert row.got == pytest.approx(decay, rel=1e-3)
+    too_fast = 2100.0 * (1.0 - kfp) / (1.0 + kfp)  # kfp + kfi dt / 2 < 1
+    if not late:
+        assert not taut.design(law, arm, zeta=1.0, omega_n=10.0, force=too_fast).met
+
+
+# -------------------------------------------------------------------- the servo rate, and limits
+
+
+def test_what_the_rate_takes_is_missed_and_what_it_cannot_bear_is_blamed() -> None:
+    arm = taut.load_arm("planar2")
+    slow = taut.design(laws.ComputedTorque, arm, at=[0.3, 0.8], zeta=0.3, omega_n=10.0, rate=500.0)
+    assert slow.met
+    late = taut.RigidPlant(arm, friction=None, integrator="rk4", actuation=taut.drives.Actuation(delay=8e-3))
+    d = taut.design(laws.ComputedTorque, arm, at=[0.3, 0.8], zeta=0.3, omega_n=30.0, rate=500.0, plant=late)
+    assert d.stable
+    assert not d.met
+    assert d.got("zeta").max() < 0.6 * 0.3
+    ctrl = taut.compile(laws.ComputedTorque(kp=150.0**2, kd=300.0), arm, rate=100.0)
+    plant = taut.RigidPlant(arm, friction=None, integrator="rk4")
+    loop = taut.Loop(ctrl, plant, duration=1.0)
+    unstable = taut.design(laws.ComputedTorque, arm, zeta=1.0, omega_n=150.0, rate=100.0)
+    assert not unstable.stable
+    assert not unstable.met
+    assert unstable.systems[0].radius == pytest.approx(taut.linearise(loop, at=arm.home).radius, rel=1e-4)
+    assert np.isnan(unstable.got("zeta")).all()
+    factor = unstable.limit("largest factor")
+    assert factor.where == "law.kd"
+    for share, stable in ((0.98, True), (1.05, False)):
+        loop.parameters["law.kd"] = 300.0 * factor.value * share
+        assert taut.linearise(loop, at=arm.home).stable == stable
+    assert unstable.unstable in str(unstable)
+
+
+def test_a_low_pass_in_the_velocity_is_judged() -> None:
+    sensing = taut.Sensing(velocity=taut.sensors.LowPass(cutoff=5.0))
+    d = taut.design(laws.ComputedTorque, taut.load_arm("one_joint"), zeta=0.7, omega_n=30.0, sensing=sensing)
+    assert d.got("zeta")[0] < 0.5 * 0.7
+    assert not d.met
+
+
+def test_the_largest_step_is_the_one_that_takes_all_the_torque() -> None:
+    arm = taut.load_arm("planar2").with_joints(effort=[60.0, 30.0])
+    q = np.array([0.3, 0.8])
+    for law in (laws.ComputedTorque, laws.PID):
+        d = taut.design(law, arm, at=q, zeta=0.7, omega_n=40.0)  # small steps, as good as linear
+        ctrl = taut.compile(d.law, arm, limits=taut.Limits(tau=arm.effort))
+        plant, rest = taut.RigidPlant(arm, friction=None), d.systems[0].q
+        limit = d.limit("largest step")
+        for share, cut in ((0.97, False), (1.03, True)):
+            saturated = []
+            for i in range(2):
+                ref = q.copy()
+                ref[i] += share * next(each.value for each in d.limits if each.where.startswith(f"joint{i + 1} "))
+                run = taut.run(ctrl, plant, taut.JointMotion(q=ref), q0=rest, duration=0.3, progress=False)
+                saturated.append(float(np.nanmax(run.metrics.saturation_time)) > 0.0)
+            assert all(saturated) if cut else not any(saturated)
+        assert limit.unit == "rad"
+
+
+def test_the_delay_margin_is_where_a_delay_makes_the_loop_unstable() -> None:
+    arm = taut.load_arm("planar2")
+    d = taut.design(laws.GravityPID, arm, at=[0.3, 0.8], zeta=0.7, omega_n=10.0, rate=200.0)
+    periods = math.floor(d.limit("delay margin").value * 200.0)
+    for late, stable in ((periods, True), (periods + 1, False)):
+        plant = taut.RigidPlant(
+            arm, friction=None, integrator="rk4", actuation=taut.drives.Actuation(delay=late / 200.0)
+        )
+        loop = taut.Loop(taut.compile(d.law, arm, rate=200.0), plant, duration=1.0)
+        assert taut.linearise(loop, at=[0.3, 0.8]).stable == stable
+    assert d.limit("gain margin").value > 1.0
+
+
+def test_the_lowest_rate_is_where_the_loop_becomes_unstable() -> None:
+    arm = taut.load_arm("planar2")
+    d = taut.design(laws.ComputedTorque, arm, at=[0.3, 0.8], zeta=0.7, omega_n=12.0)
+    lowest = d.limit("lowest rate").value
+    for factor, stable in ((1.03, True), (0.97, False)):
+        plant = taut.RigidPlant(arm, friction=None, integrator="rk4", substeps=20)
+        loop = taut.Loop(taut.compile(d.law, arm, rate=factor * lowest), plant, duration=1.0)
+        assert taut.linearise(loop, at=[0.3, 0.8]).stable == stable
+
+
+# -------------------------------------------------------------------- a law of one's own, refusals, the result
+
+
+class Spring(taut.Law):
+    """A spring and a damper of one's own, with the weight compensated."""
+
+    kp: taut.Gain
+    kd: taut.Gain
+
+    def closed_loop(self, x: Any) -> Any:
+        def gains(g: Any) -> Spring:
+            return Spring(kp=g.K, kd=g.D)
+
+        return laws.ClosedLoop.of_joints(x, gains, inertia=x.M, stiffness=True, decentralised=True)
+
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+        return taut.Torque(P=self.kp @ x.difference(ref.q), D=-(self.kd @ x.v), gravity=x.g)
+
+
+def test_a_law_of_ones_own_is_designed_by_the_closed_loop_that_it_states() -> None:
+    d = taut.design(Spring, taut.load_arm("gantry3"), zeta=0.7, omega_n=10.0)
+    assert d.met
+    assert isinstance(d.law, Spring)
+
+
+@pytest.mark.parametrize(
+    ("law", "asked", "error", "name"),
+    [
+        (laws.PID, {"zeta": 0.7}, taut.errors.UsageError, "omega_n"),
+        (laws.PID, {"omega_n": 10.0}, taut.errors.UsageError, "zeta"),
+        (laws.PID, {"zeta": 0.7, "overshoot": 5.0, "omega_n": 9.0}, taut.errors.UsageError, "overshoot"),
+        (laws.PID, {"zeta": 0.7, "settling": 0.3, "omega_n": 9.0}, taut.errors.UsageError, "settling"),
+        (laws.PID, {"zeta": 0.7, "K": 50.0, "omega_n": 9.0}, taut.errors.UsageError, "K"),
+        (laws.PID, {"zeta": 0.7, "omega_n": math.nan}, taut.errors.RangeError, "omega_n"),
+        (laws.PID, {"zeta": -0.7, "omega_n": 9.0}, taut.errors.RangeError, "zeta"),
+        (laws.PID, {"zeta": 0.7, "omega_n": 9.0, "integral": 1.0}, taut.errors.RangeError, "integral"),
+        (laws.PID, {"zeta": 0.7, "omega_n": 9.0, "force": 1.0}, taut.errors.UsageError, "force"),
+        (laws.PID, {"overshoot": 100.0, "omega_n": 9.0}, taut.errors.RangeError, "overshoot"),
+        (laws.PID, {"zeta": 0.7, "omega_n": [9.0, 9.0]}, taut.errors.UsageError, "omega_n"),
+        (laws.PID, {"zeta": 0.7, "omega_n": 9.0, "at": [0.1, 0.2]}, taut.errors.ShapeError, "at"),
+        (laws.PID, {"zeta": 0.7, "omega_n": 9.0, "plant": "mujoco"}, taut.errors.UsageError, "plant"),
+        (laws.ComputedTorque, {"zeta": 0.7, "K": 9.0}, taut.errors.UsageError, "K"),
+        (laws.ComputedTorque, {"zeta": 0.7, "omega_n": 9.0, "coupled": True}, taut.errors.UsageError, "coupled"),
+        (laws.FeedForward, {"zeta": 0.7, "omega_n": 9.0}, taut.errors.UsageError, "law"),
+        (laws.Dither, {"zeta": 0.7}, taut.errors.UsageError, "law"),
+        (laws.HybridMotionForce, {"zeta": 0.7}, taut.errors.UsageError, "law"),
+        (laws.Admittance, {"zeta": 0.7, "omega_n": 9.0}, taut.errors.UsageError, "law"),
+        (laws.Impedance, {"zeta": 0.7, "K": 800.0}, taut.errors.UsageError, "K"),
+        (laws.Impedance, {"K": (800.0, 30.0)}, taut.errors.UsageError, "zeta"),
+        (laws.ForceControl, {"force": 5.0}, taut.errors.UsageError, "contact"),
+        (laws.ForceControl, {"force": 5.0, "contact": (1e4, 1e2)}, taut.errors.UsageError, "zeta"),
+        (laws.TaskVelocity, {"zeta": 0.7, "omega_n": 3.0}, taut.errors.UsageError, "zeta"),
+        (laws.PID(kp=1.0) + laws.GravityPID(kp=1.0, kd=1.0), {"zeta": 0.7}, taut.errors.UsageError, "law"),
+    ],
+)  # fmt: skip
+def test_what_says_too_little_or_too_much_is_refused_by_name(
+    law: type[Law] | Law, asked: dict[str, Any], error: type[Exception], name: str
+) -> None:
+    with pytest.raises(error) as refused:
+        taut.design(law, taut.load_arm("one_joint"), **asked)
+    assert refused.value.name == name  # type: ignore[attr-defined]
+
+
+def test_friction_that_damps_more_than_is_asked_for_is_refused() -> None:
+    arm = taut.load_arm("one_joint").with_friction(taut.Friction(viscous=50.0))
+    with pytest.raises(taut.errors.RangeError, match="friction"):
+        taut.design(laws.PID, arm, zeta=0.7, omega_n=5.0, friction="arm")
+
+
+def test_poses_that_cannot_be_are_refused_by_name() -> None:
+    with pytest.raises(taut.errors.RangeError) as outside:
+        taut.design(laws.PID, taut.load_arm("panda"), at=np.zeros(7), zeta=1.0, omega_n=5.0)
+    assert outside.value.joint == "panda_joint4"
+    with pytest.raises(taut.errors.RangeError, match=r"'planar3' is singular") as singular:
+        taut.design(laws.Impedance, taut.load_arm("planar3"), at=[0.3, 0.0, 0.0], zeta=1.0, K=(100.0, 1.0))
+    assert singular.value.name == "at"
+    with pytest.raises(taut.errors.UsageError, match="design takes an Arm"):
+        taut.design(laws.PID, "panda", zeta=1.0, omega_n=5.0)  # type: ignore[arg-type]
+
+
+def test_a_design_describes_itself(tmp_path: Path) -> None:
+    arm, q = taut.load_arm("planar2"), [0.3, 0.8]
+    d = taut.design(laws.GravityPID, arm, at=q, overshoot=5.0, settling=0.5)
+    found = json.loads(json.dumps(d.json(), allow_nan=False))
+    assert found["met"] is False
+    assert found["gains"]["kp"] == gain(d, "kp").tolist()
+    assert [row["met"] for row in found["tables"]["asked and got"]] == [row.met for row in d.requirements]
+    assert len(found["faults"]) == len({row.name for row in d.requirements if not row.met})
+    assert all(fault in str(d) for fault in found["faults"])
+    assert len(d.plot().axes) == 2
+    page = taut.report(d, tmp_path / "d.html").read_text(encoding="utf-8")
+    assert "asked and got" in page
+    assert "<img" in page
+
+
+def test_a_design_passes_few_modules_of_analysis() -> None:
+    code = (
+        "import sys, taut; d = taut.design(taut.laws.PID, taut.load_arm('one_joint'), zeta=1, omega_n=10); "
+        "print(d.met, sum(m.startswith('taut.analysis.') for m in sys.modules))"
+    )
+    out = subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, check=True)
+    met, count = out.stdout.split()
+    assert met == "True"
+    assert int(count) <= 12

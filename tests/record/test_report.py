@@ -415,55 +415,6 @@ def test_anything_that_prints_and_plots_has_a_report(tmp_path: Path) -> None:
     assert ("kp", "100.0") in {tuple(cell.text for cell in e) for e in tree(text) if e.tag == HTML + "tr"}
 
 
-def test_a_design_has_a_report_whose_lines_design_it_again(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Two poses, and gains beyond a limit: everything that `print` says, as tables, and the same words again."""
-    arm = taut.load_arm("planar2")
-    d = taut.design(taut.laws.GravityPID, arm, zeta=1.0, omega_n=10.0, at=[[0.3, 0.5], [0.2, 1.4]], rate=500.0)
-    text = taut.report(d, tmp_path / "d.html").read_text(encoding="utf-8")
-    check_alone(text)
-    rows = {tuple(cell.text for cell in e) for e in tree(text) if e.tag == HTML + "tr"}
-    one = d.achieved[0]
-    numbers = (one.designed.settling, one.predicted.settling, one.simulated.settling)
-    assert ("settling", one.direction, "s", *(f"{x:.4g}" for x in numbers)) in rows
-    assert {row[0] for row in rows} >= {each.name for each in d.limits}
-    assert ("asked: omega_n", "10") in rows
-    (shown,) = pictures(text)
-    assert shown.std() > 0.05
-    lines = page_of(d).repeat
-    exec(lines, {})
-    assert capsys.readouterr().out.strip() == d.report().strip()
-
-
-def test_the_lines_of_a_design_load_no_other_arm() -> None:
-    arm = taut.load_arm("planar2")
-    for changed, lost in (
-        (arm.with_gears(50.0, 1e-3), "gear"),
-        (arm, ""),
-        (taut.load_arm("planar3", tool="link2"), ""),
-    ):
-        d = taut.design(taut.laws.GravityPID, changed, zeta=1.0, omega_n=10.0, rate=500.0)
-        (line,) = (line for line in page_of(d).repeat.splitlines() if line.startswith("arm = "))
-        known: dict[str, Any] = {"taut": taut}
-        exec(line, known)
-        if lost:
-            assert known["arm"] is ...
-            assert lost in line
-        else:
-            assert (known["arm"].name, known["arm"].tool) == (changed.name, changed.tool)
-
-
-def test_a_design_of_an_impedance_has_its_stiffness_in_a_table(tmp_path: Path) -> None:
-    d = taut.design(taut.laws.Impedance, taut.load_arm("planar2"), at=[0.3, 0.8], K=[400.0, 20.0], zeta=0.7)
-    text = taut.report(d, tmp_path / "d.html").read_text(encoding="utf-8")
-    rows = {tuple(cell.text for cell in e) for e in tree(text) if e.tag == HTML + "tr"}
-    assert d.stiffness
-    for each in d.stiffness:
-        numbers = (each.asked, each.designed, each.predicted, each.simulated)
-        assert (each.direction, each.unit, *(f"{x:.4g}" for x in numbers)) in rows
-
-
 def test_a_linear_loop_has_a_report(tmp_path: Path) -> None:
     arm = taut.load_arm("one_joint")
     ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)

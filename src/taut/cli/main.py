@@ -254,7 +254,11 @@ def _parser() -> argparse.ArgumentParser:
     patient.add_argument("run", type=Path, metavar="RUN", help="a log (.mcap) of a run")
     patient.add_argument("--arm", metavar="MODEL", help="the arm that the controller was compiled for")
     patient.add_argument("--out", type=Path, metavar="DIR", help="folder for a picture of each finding")
-    gains = add("design", _design, "Find the gains of a law from a specification, and what they run into.")
+    gains = add(
+        "design",
+        _design,
+        "Find the gains of a law from a specification, what of it the sampled loop has, and its limits.",
+    )
     gains.epilog = design_command.EXAMPLES
     design_command.add_arguments(gains)
     bench = add("bench", _bench, "Measure what a tick, a compile and a closed loop cost on this machine.")
@@ -440,7 +444,7 @@ def _design(arguments: argparse.Namespace) -> int:
     if arguments.json:
         _print_json(found.json())
     else:
-        print(found.report())
+        print(found)
     return DONE if found.met else FAILED
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from taut.base.errors import MatchError, UsageError
+from taut.control.closed_loop import ClosedLoop
 from taut.control.command import Command
 from taut.control.law import Law, MemoryView, call
 from taut.control.trajectories.reference import Sample
@@ -43,6 +44,14 @@ class Sum(Law):
 
     def with_children(self, children: Mapping[str, Law]) -> Law:
         return self._replaced({"parts": dict(children)})
+
+    def closed_loop(self, x: Snapshot) -> ClosedLoop | None:
+        """That of the one part that states one; None where several do."""
+        stated = {name: loop for name, law in self.parts.items() if (loop := law.closed_loop(x)) is not None}
+        if len(stated) != 1:
+            return None
+        ((name, loop),) = stated.items()
+        return loop.held_by(lambda law, _: self.with_children({**self.parts, name: law}))
 
     def command(self, x: Snapshot, ref: Sample, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
         after: dict[str, Any] = {}

@@ -13,7 +13,7 @@ import io
 import re
 import tokenize
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, ClassVar, Final, NoReturn, dataclass_transform
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NoReturn, dataclass_transform
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from taut.control.gains import Gain, GainValue, Memory
 from taut.control.trajectories.reference import JointMotion, Reference, Sample
 from taut.maths.snapshot import Snapshot
 from taut.trace.array import has_symbols, traced_array
+
+if TYPE_CHECKING:
+    from taut.control.closed_loop import ClosedLoop
 
 __all__ = ["Law", "LawMemory", "call", "field_units", "initial_memory"]
 
@@ -78,6 +81,7 @@ class Law:
     * `reference`, the kind of sample it follows (JointMotion unless said);
     * `recorded`, the entries of its memory that a run keeps as further columns, where it has them (none unless said);
     * `notices`, pairs of a recorded entry and what the outcome of a run says where that is not zero;
+    * optionally `closed_loop(self, x)`, its error dynamics as matrices, by which `taut.design` finds its gains;
     * `needs_contact`, whether a `taut.Phase` with it never starts without contact (not unless said).
 
     Laws add: `FeedForward() + PID(kp=..., kd=...)`. A law must not inherit from another one: it holds it in a field.
@@ -239,6 +243,13 @@ class Law:
             return own
         followers = [law for law in self.children().values() if not law.ignores_reference]
         return next((frame for law in followers if (frame := law.controlled_frame)), None)
+
+    def closed_loop(self, x: Snapshot) -> ClosedLoop | None:  # noqa: ARG002
+        """The error dynamics of its docstring as matrices, for an arm at rest: `taut.design` places their poles.
+
+        None for a law that states none; `taut.tune` finds its gains.
+        """
+        return None
 
     def at_rest(self, x: Snapshot) -> Sample:
         """The sample that asks this law to stay as in the snapshot."""

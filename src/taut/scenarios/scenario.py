@@ -33,7 +33,7 @@ from taut.scenarios.read_sensing import SENSED, read_sensing
 from taut.scenarios.spread import Spread, read_spread
 from taut.scenarios.toml import Section, read_toml
 
-__all__ = ["Outputs", "PassFigure", "Scenario", "built_in_scenarios", "load_scenario"]
+__all__ = ["Outputs", "PassFigure", "Scenario", "built_in_scenarios", "load_scenario", "read_control_side_and_plant"]
 
 SECTIONS: Final = (*OF_A_CASE, "title", "outputs", "pass", "cases", "spread")
 SUFFIXES: Final = {
@@ -205,6 +205,20 @@ def _experiment(root: Section, folder: Path, own_laws: Mapping[str, Law] | None)
         events=events,
     )
     return fields, places
+
+
+def read_control_side_and_plant(path: Path) -> dict[str, Any]:
+    """arm, plant, rate and sensing of a file with [arm], [plant] and [control], such as a scenario.
+
+    Raises:
+        ScenarioError: A section breaks the schema.
+        FileError: The file cannot be read.
+    """
+    root = read_toml(path, f"plant '{path}'")
+    arm = read_arm(root.section("arm", required=True), path.parent)
+    rate, sensing, _ = _control(root.section("control"), arm)
+    plant = read_plant(root.section("plant", required=True), arm, rate, path.parent)
+    return {"arm": arm, "plant": plant, "rate": rate, "sensing": sensing}
 
 
 def _plants(section: Section, arm: Arm, rate: float, folder: Path) -> dict[str, Any]:

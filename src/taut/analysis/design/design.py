@@ -1,28 +1,48 @@
-"""taut.design: from a specification to the gains of a law, what of it is met, and the limits."""
+"""taut.design: from a specification to the gains of a law, what of it the sampled loop has, and its limits."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Any, Final, Literal
 
 import numpy as np
 
-from taut import laws
-from taut.analysis.design.asked import Asked
-from taut.analysis.design.gains import PLACEHOLDER, RECIPES, Case, gains_for
-from taut.analysis.design.make import Maker
-from taut.analysis.design.place import poses_of
-from taut.analysis.design.result import Achieved, AtPose, Design, Requirement
+from taut.analysis.design.achieved import Achieved, Limit, Requirement
+from taut.analysis.design.result import Design
+from taut.analysis.design.specification import Specification, place_poles, square
+from taut.arm.angles import require_radians
 from taut.arm.description import Arm
-from taut.base.checks import finite_array, finite_scalar, one_of, rate_in_hertz, require_at_least, require_positive
-from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.arm.friction import Friction
+from taut.base.checks import finite_array, one_of, rate_in_hertz
+from taut.base.errors import RangeError, ShapeError, TautError, UsageError
 from taut.base.types import ArrayLike, Float64Array
+from taut.control.closed_loop import ClosedLoop
+from taut.control.gains import Gain
 from taut.control.law import Law
-from taut.linear.sampled import VelocityKind
+from taut.control.sensing.sensing import Sensing
+from taut.controller import Controller, compile
+from taut.linear.judgement import judge
+from taut.linear.linear_system import LinearSystem
+from taut.linear.linearise import Linearisation, linearise, rest_of
+from taut.linear.loop_map import finite_derivative, loop_map
+from taut.loop import DT, Loop
+from taut.maths.adds import Adds
 from taut.maths.snapshot import Snapshot, snapshot
+from taut.plant.drives.actuation import Actuation
+from taut.plant.environments.push import Push
+from taut.plant.environments.springs import Spring
 from taut.plant.rigid import RigidPlant
 
-__all__ = ["Achieved", "AtPose", "Design", "Requirement", "design"]
+__all__ = ["Design", "Limit", "Requirement", "design"]
+
+ANYWHERE: Final = 1e3  # [rad | m] from the reference: an equilibrium is taken wherever it is
+DRIVE: Final = 1e4  # [rad/s] bandwidth of drives that are as good as ideal
+ACCURATE: Final = 0.3  # [-] of a step of rk4 times the fastest rate in it: its error is below 1e-4
+MAX_SUBSTEPS: Final = 50
+MIN_RATE: Final = 4.0  # [Hz] below which no lower servo rate is looked for
+FINE: Final = 0.01  # [-] of the lowest rate
 
 
 def design(
@@ -31,184 +51,304 @@ def design(
     *,
     at: ArrayLike | None = None,
     zeta: float | None = None,
+    overshoot: float | None = None,
     omega_n: ArrayLike | None = None,
     settling: ArrayLike | None = None,
-    overshoot: float | None = None,
-    bandwidth: ArrayLike | None = None,
     K: ArrayLike | None = None,
-    D: ArrayLike | None = None,
     contact: ArrayLike | None = None,
     force: float | None = None,
     integral: float = 0.0,
     coupled: bool = False,
     friction: Literal["arm"] | None = None,
     rate: float = 1000.0,
-    delay: float = 0.0,
-    velocity: VelocityKind = "measured",
-    step: ArrayLike | None = None,
+    sensing: Sensing | None = None,
     plant: RigidPlant | None = None,
 ) -> Design:
-    """Gains of a law from a specification, what of it the sampled loop has, and the limits that they run into.
+    """Gains of a law by pole placement in the error dynamics that it states, and what the sampled loop then has.
 
-    Law:          of joints in torque units   kp = M_ii omega_n^2, kd = 2 zeta omega_n M_ii - b, rotors included
-                  of accelerations            kp = omega_n^2, kd = 2 zeta omega_n
-                  of the tool's impedance     K and zeta as they are; K = omega_n^2 Lambda; D = K / omega_n^2
-                  of first order              kp = bandwidth, or ln 50 / settling
-                  of force                    kfi = (1 + kfp) pole
-    Closed loop:  that of the law's own docstring; it is linearised about its equilibrium, with its zero-order hold,
-                  delay, filters and the weight that it does not compensate, and simulated, with an arm that moves all
-                  the time between ticks (exact hold), or in the steps of `plant`
+    Law:          K = omega_n inertia omega_n, or the stiffness as it is asked for; D = 2 zeta (inertia K)^(1/2): the
+                  same damping ratio in every mode; ki = integral kd kp / M
+                  of one pole D = inertia omega_n; of a force kfi = (1 + kfp) force
+    Closed loop:  that of the law's own docstring, as its `closed_loop` states it; got is that of the linear model of
+                  the sampled loop about its equilibrium, with zero-order hold, weight, delay and filters
 
-    Ask for a damping (zeta or overshoot) and a speed (omega_n, settling or bandwidth), or for a stiffness. Critical
-    damping is zeta=1. Over several poses gains are those of the worst one: the heaviest for joints in torque units,
-    the one with the slowest or least damped mode for the tool.
+    Ask for a damping (zeta or overshoot) and a speed (omega_n or settling), or a stiffness K. Critical damping is
+    zeta=1. Of several poses the gains are the largest. A specification that the loop does not meet is returned with
+    met=False, and so is a loop that is unstable, with the gain that is to blame.
 
     Args:
-        law: A class of `taut.laws`; or a law whose gains are replaced, and whose other options are kept.
+        law: A class of `taut.laws`, or your own; or a law whose gains are replaced, and whose other options are kept.
         arm: The arm that the law knows.
         at: (n,) one pose or (k, n) several [rad | m]; home if left out.
-        zeta: Damping ratio.
-        omega_n: Natural frequency [rad/s]: one number, one per joint, or (linear, angular) at the tool.
-        settling: Exact 2 % settling time of a step [s], likewise.
+        zeta: Damping ratio of every mode.
         overshoot: Of a step [%], in place of zeta.
-        bandwidth: Where position follows 3 dB less than at rest [rad/s], likewise; of first-order laws their pole.
+        omega_n: Natural frequency [rad/s]: one number, one for each joint, or (linear, angular) at the tool. Of a law
+            with one pole in each direction that pole.
+        settling: Exact 2 % settling time of a step [s], likewise.
         K: Stiffness: (linear, angular), (6,) or (6, 6) at the tool [N/m, N m/rad]; of joints a number or (n,).
-        D: Inertia to be felt at the tool, likewise [kg, kg m^2].
-        contact: Stiffness of what a law of force presses on, likewise [N/m, N m/rad].
+        contact: Stiffness of what a law of force presses on, likewise.
         force: Pole of the force of `ForceControl` and `HybridMotionForce` [1/s].
-        integral: ki as a share of the largest, (b + kd) kp / M.
-        coupled: Whether PID and GravityPID may have matrices for gains, like M, so that all modes are alike.
-        friction: "arm" where the arm's viscous friction is to count as damping; None for none.
+        integral: ki as a fraction of its stability limit kd kp / M; the rest is asked of the loop without it.
+        coupled: Matrices for the gains of PID and GravityPID, like M, so that all modes are alike.
+        friction: "arm" for the arm's viscous friction to count as damping; None for none.
         rate: [Hz].
-        delay: [s] from the tick to the torque: whole periods.
-        velocity: "measured", "difference", `taut.sensors.LowPass(...)`, `taut.sensors.Difference(cutoff=...)`.
-        step: Step that is to keep within the torque limits: [rad | m], or (m, rad) at the tool. Left out, limits are
-            told for 0.1 rad and 0.05 m.
-        plant: A plant of your own, with whatever is wrong with it, on which steps are tried too. Its integrator moves
-            the arm in all that is predicted, simulated and refused; "rk4" is the exact hold.
+        sensing: Filters, of the velocity say; none if left out.
+        plant: The plant with which the loop is judged, with its delays, springs and sensors; if left out a rigid one
+            without friction that moves exactly under the zero-order hold, under drives as good as ideal where the law
+            commands such.
 
     Raises:
-        UsageError: A specification that says too little, too much or what the law has not; a law without gains.
-        RangeError: What contradicts itself, or whose sampled loop is not stable: which limit is in the way.
+        UsageError: A specification that says too little, too much or what the law has not; a law that states no
+            closed loop.
+        RangeError: A number outside of its range; a singular pose; a loop that rests nowhere.
 
     Example:
         >>> import taut
         >>> arm = taut.load_arm("one_joint")
         >>> d = taut.design(taut.laws.PID, arm, zeta=1.0, omega_n=10.0)
-        >>> d.law
-        PID(kp=[50.0], kd=[10.0], ki=[0.0])
-        >>> round(d.achieved[0].simulated.zeta, 3)  # of the sampled loop
-        1.002
+        >>> d.law.kp, d.law.kd
+        ([50.0], [10.0])
+        >>> d.met, d.got("zeta").round(3).tolist()
+        (True, [1.002])
 
     References:
-        Chapter, sections 10.2.1.1 to 10.2.1.5, 10.2.2, 10.3 and 10.5. MATHS of sampled loops: Astrom and Wittenmark,
+        Chapter, sections 10.2.1.1 to 10.2.1.5, 10.2.2, 10.3 and 10.5. Sampled loops: Astrom and Wittenmark,
         Computer-controlled systems (1997).
     """
-    given = _law_of(law)
-    rows = poses_of(arm, at)
-    asked = Asked(
-        zeta=zeta, omega_n=omega_n, settling=settling, overshoot=overshoot, bandwidth=bandwidth, K=K, D=D,
-        contact=contact, force=force, integral=integral,
+    specification = Specification(
+        zeta=zeta, overshoot=overshoot, omega_n=omega_n, settling=settling, K=K, contact=contact, force=force,
+        integral=integral,
     )  # fmt: skip
-    rate = rate_in_hertz(rate)
     if friction is not None:
         one_of("friction", friction, ("arm",))
-    b = np.array(arm.viscous) if friction == "arm" else np.zeros(arm.n)
-    at_rest = tuple(snapshot(arm, q) for q in rows)
-    _require_strength(arm, at_rest)
-    case = Case(law=given, arm=arm, at=at_rest, asked=asked, b=b, coupled=coupled, rate=rate)
-    steps = None if step is None else _checked_step(step)
-    late = finite_scalar("delay", delay, unit="s")
-    require_at_least("delay", np.array(late), 0.0, unit="s")
-    _require_whole(late, rate)
     if plant is not None and not isinstance(plant, RigidPlant):  # callers without a type checker
         raise UsageError(f"plant must be a taut.RigidPlant; got {type(plant).__name__}", name="plant")
-    maker = Maker(case, gains_for(case), rate=rate, delay=late, velocity=velocity, friction=friction, plant=plant)
-    return maker.design(steps)
-
-
-def _require_whole(delay: float, rate: float) -> None:
-    """A delay of whole control periods."""
-    periods = delay * rate
-    if abs(periods - round(periods)) > WHOLE:
-        low = math.floor(periods) / rate
-        raise RangeError(
-            f"delay must be a whole number of control periods of {1.0 / rate:g} s; got {delay:g} s; give {low:g} or "
-            f"{low + 1.0 / rate:g}",
-            name="delay",
-            value=delay,
-            rule="whole periods",
+    poses, rate = poses_of(arm, at), rate_in_hertz(rate)
+    given = law if isinstance(law, Law) else with_any_gains(law)
+    loops = [closed_loop_of(given, snapshot(arm, q)) for q in poses]
+    specification.check(type(given).__name__, loops[0])
+    if coupled and not loops[0].decentralised:
+        raise UsageError(
+            f"coupled=True is for PID and GravityPID; leave it out for {type(given).__name__}", name="coupled"
         )
+    viscous = np.array(arm.viscous) if friction == "arm" else np.zeros(arm.n)
+    made = place_poles(loops, specification, coupled=coupled, viscous=viscous)
+    loop = loop_for(closed_loop_of(made, loops[0].x).alone or made, arm, specification, rate=rate,
+                    sensing=sensing, friction=friction, plant=plant)  # fmt: skip
+    found = [achieved(made, loop, q, specification, pose=k, several=len(poses) > 1) for k, q in enumerate(poses)]
+    requirements = tuple(row for each in found for row in each.requirements())
+    limits = [limit for each in found if each.system.stable for limit in each.limits()]
+    unstable = ""
+    for q, each in zip(poses, found, strict=True):
+        if each.system.stable:
+            slowest = lowest_rate(loop, q, each.system)
+            if slowest:
+                limits.append(Limit(name="lowest rate", value=slowest, unit="Hz", where="all joints"))
+        elif not unstable:
+            unstable, factors = blamed(loop, q, each.system)
+            limits += factors
+    missed = next((row.pose for row in requirements if not row.met), 0)
+    return Design(
+        law=made,
+        specification=specification,
+        requirements=requirements,
+        limits=worst(limits),
+        arm=arm.name,
+        rate=rate,
+        poses=poses,
+        systems=tuple(each.system for each in found),
+        directions=tuple(found[0].stated.directions),
+        steps=None if unstable else found[missed].steps,
+        unstable=unstable,
+    )
 
 
-def _law_of(law: type[Law] | Law) -> Law:
-    """A law with any gains, of a class or as it is given.
+# -------------------------------------------------------------------- the law
+
+
+def with_any_gains(law: type[Law]) -> Law:
+    """A law of a class, with gains that are to be replaced.
 
     Raises:
-        UsageError: Neither, or a class that is nothing without what it holds.
+        UsageError: No class of laws, or one that needs more than gains.
     """
-    if isinstance(law, Law):
-        return law
     if not isinstance(law, type) or not issubclass(law, Law):
         raise UsageError(f"design takes a law of taut.laws, or its class; got {law!r}", name="law")
-    kind: Any = law
-    if law in (laws.HybridMotionForce, laws.ViaJointSpace, laws.Sum):
-        way_out = {
-            laws.HybridMotionForce: "taut.laws.HybridMotionForce(constraint=..., motion=taut.laws.TaskComputedTorque("
-            "kp=1.0, kd=1.0))",
-            laws.ViaJointSpace: "taut.via_joint_space(taut.laws.ComputedTorque(kp=1.0, kd=1.0))",
-        }.get(law, "taut.laws.FeedForward() + taut.laws.PID(kp=1.0)")
+    gains: dict[str, Any] = {}
+    for field in dataclasses.fields(law):  # type: ignore[arg-type]  # every law is a dataclass
+        declared, required = vars(law).get(field.name), field.default is dataclasses.MISSING
+        if isinstance(declared, Gain) and (required or field.name == "zeta"):
+            gains[field.name] = 1.0 if declared.scalar else (1.0, 1.0)
+        elif required:
+            raise UsageError(
+                f"{law.__name__} needs {field.name}; give a law, whose gains are replaced: "
+                f"taut.design(taut.laws.{law.__name__}({field.name}=..., ...), arm, ...)",
+                name="law",
+            )
+    return law(**gains)
+
+
+def closed_loop_of(law: Law, x: Snapshot) -> ClosedLoop:
+    """The closed loop that a law states at rest.
+
+    Raises:
+        UsageError: It states none.
+    """
+    stated = law.closed_loop(x)
+    if stated is None:
         raise UsageError(
-            f"{law.__name__} is nothing without what it holds: give a law, whose gains are replaced: {way_out}",
+            f"{type(law).__name__} states no closed loop to place poles in; find its gains with taut.tune, or design "
+            "the feedback beside it: taut.design(taut.laws.FeedForward() + taut.laws.PID(kp=1.0), arm, ...)",
             name="law",
         )
-    if law in ANY:
-        made: Law = kind(**ANY[law])
-        return made
-    if law in RECIPES:
-        return kind(kp=1.0)  # type: ignore[no-any-return]
-    try:
-        return kind()  # type: ignore[no-any-return]  # what has no gains is refused in words later
-    except (TypeError, ValueError):
-        raise UsageError(
-            f"{law.__name__} has no error dynamics that taut.design knows; find its gains with taut.tune", name="law"
-        ) from None
+    return stated
 
 
-WHOLE: Final = 1e-6  # of a period: as near is a whole one
-PAIR: Final = (1.0, 1.0)
-ANY: Final[dict[type[Law], dict[str, Any]]] = {
-    laws.GravityPID: {"kp": 1.0, "kd": 1.0},
-    laws.ComputedTorque: {"kp": 1.0, "kd": 1.0},
-    laws.TaskComputedTorque: {"kp": 1.0, "kd": 1.0},
-    laws.GravityCompensation: {},
-    laws.Impedance: {"K": PAIR, "zeta": 1.0},
-    laws.Stiffness: {"K": PAIR},
-    laws.Admittance: {"D": PAIR, "B": PAIR, "inner": PLACEHOLDER},
-    laws.ForceControl: {},
-}
+def poses_of(arm: Arm, at: ArrayLike | None) -> Float64Array:
+    """(k, n) the poses to design for: one, or one in each row; home if left out.
 
-
-def _checked_step(step: ArrayLike) -> Float64Array:
-    given = finite_array("step", step, unit="rad | m")
-    require_positive("step", given, unit="rad | m")
-    if given.shape not in ((), (2,)):
-        raise ShapeError(f"step must be a number or (m, rad) at the tool; got shape {given.shape}", name="step")
-    return given
-
-
-def _require_strength(arm: Arm, at: tuple[Snapshot, ...]) -> None:
-    """An arm that cannot hold itself at a pose needs no gains there."""
-    for x in at:
-        g = np.abs(np.asarray(x.g))
-        over = np.flatnonzero(g > arm.effort)
-        if over.size:
-            i = int(np.argmax(g / arm.effort))
+    Raises:
+        UsageError: Not an arm.
+        ShapeError: Not (n,) or (k, n).
+        RangeError: Not finite, in degrees, or outside of the limits; the message names the joint.
+    """
+    if not isinstance(arm, Arm):  # callers without a type checker
+        raise UsageError(f"design takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
+    given = arm.home if at is None else finite_array("at", at, unit="rad | m")
+    if given.shape[-1:] != (arm.n,) or given.ndim > 2 or not given.size:
+        raise ShapeError(
+            f"at must be one pose ({arm.n},) or several (k, {arm.n}), for '{arm.name}' has {arm.n} joints; got shape "
+            f"{given.shape}",
+            name="at",
+        )
+    poses = np.atleast_2d(given)
+    for q in poses:
+        require_radians("at", q, arm)
+        outside = np.flatnonzero((q < arm.lower) | (q > arm.upper))
+        if outside.size:
+            i = int(outside[0])
             raise RangeError(
-                f"'{arm.name}' cannot hold itself at q = {np.round(x.q, 4).tolist()}: its weight takes {g[i]:.4g} at "
-                f"joint '{arm.joint_names[i]}', which has {arm.effort[i]:g}; choose another pose, or less payload",
+                f"at must be within the limits of the joints; got {q[i]:g} for '{arm.joint_names[i]}', which goes "
+                f"from {arm.lower[i]:g} to {arm.upper[i]:g} {arm.units[i]}",
                 name="at",
                 joint=arm.joint_names[i],
-                value=float(g[i]),
-                rule=f"<= {arm.effort[i]:g}",
+                value=float(q[i]),
+                rule="within the limits",
             )
+    return np.array(poses)
+
+
+# -------------------------------------------------------------------- the sampled loop
+
+
+def loop_for(
+    law: Law,
+    arm: Arm,
+    specification: Specification,
+    *,
+    rate: float,
+    sensing: Sensing | None,
+    friction: Literal["arm"] | None,
+    plant: RigidPlant | None,
+) -> Loop:
+    """The law in the plant with which it is judged; its reference stays where it starts."""
+    ctrl = compile(law, arm, rate=rate, sensing=sensing, adds=() if plant is None else plant.adds)
+    if plant is None:
+        plant = plant_for(ctrl, specification, friction)
+    return Loop(ctrl, plant, duration=1.0)
+
+
+def plant_for(ctrl: Controller, specification: Specification, friction: Literal["arm"] | None) -> RigidPlant:
+    """The arm as the law knows it, moving exactly under the zero-order hold, with the contact that is specified."""
+    arm, kind, x = ctrl.side.arm, ctrl.side.probe.kind, snapshot(ctrl.side.arm, ctrl.side.arm.home)
+    environment: Push | Spring | None = None
+    stiffness = np.zeros((6, 6))
+    if specification.contact is not None:
+        stiffness = square("contact", specification.contact, closed_loop_of(ctrl.side.law, x))
+        environment = Spring(stiffness=stiffness)
+    elif "F_ext" in ctrl.needs:
+        environment = Push(peak=np.zeros(6), duration=1.0)
+    if kind != "torque":
+        return RigidPlant(
+            arm,
+            takes=kind,  # type: ignore[arg-type]  # the kinds of commands are those of plants
+            actuation=Actuation(bandwidth=DRIVE),
+            environment=environment,
+        )
+    arm = arm.with_friction(Friction(viscous=arm.viscous if friction else 0.0))
+    J, Minv = np.asarray(x.J()), np.linalg.inv(np.asarray(x.M))
+    fastest = max(
+        float(np.abs(np.linalg.eigvals(Minv * arm.viscous)).max()),
+        math.sqrt(float(np.abs(np.linalg.eigvals(Minv @ J.T @ stiffness @ J)).max())),
+    )
+    substeps = math.ceil(fastest / (ACCURATE * ctrl.rate))
+    return RigidPlant(
+        arm, friction=friction, environment=environment, integrator="rk4",
+        substeps=min(max(substeps, 1), MAX_SUBSTEPS),
+    )  # fmt: skip
+
+
+def achieved(
+    law: Law, loop: Loop, q: Float64Array, specification: Specification, *, pose: int, several: bool
+) -> Achieved:
+    """The linear model of the loop about its equilibrium at a pose, and the closed loop that its law states there."""
+    system, plant = linearise(loop, at=q, within=ANYWHERE), loop.plant
+    assert isinstance(plant, RigidPlant)
+    x, drives = snapshot(loop.side.arm, system.q), loop.side.probe.kind != "torque"
+    carries = Adds.of(plant.adds).gravity
+    return Achieved(
+        law=loop.side.law,
+        stated=closed_loop_of(law, x),
+        system=system,
+        specification=specification,
+        delay=float(plant.actuation.delay),
+        hold=None if drives else np.zeros(x.n) if carries else np.asarray(x.g),
+        pose=pose,
+        several=several,
+    )
+
+
+def lowest_rate(loop: Loop, q: Float64Array, system: Linearisation) -> float:
+    """[Hz] the servo rate down to which the loop is stable with the same gains; 0 for none that was found."""
+    map_ = loop_map(loop)
+    point = rest_of(loop, map_, q, ANYWHERE).point
+    states = [map_.state_coordinates.names.index(name) for name in system.states]
+
+    def stable(rate: float) -> bool:
+        parameters = point.parameters.copy()
+        map_.parameters.views(parameters)[DT][...] = 1.0 / rate
+        A = finite_derivative(map_, dataclasses.replace(point, parameters=parameters)).A
+        return LinearSystem(A=A[np.ix_(states, states)], dt=1.0 / rate).stable
+
+    high = 1.0 / system.dt
+    low = 0.5 * high
+    while low > MIN_RATE and stable(low):
+        high, low = low, 0.5 * low
+    if low <= MIN_RATE:
+        return 0.0
+    while high > low * (1.0 + FINE):
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if stable(middle) else (middle, high)
+    return high
+
+
+def blamed(loop: Loop, q: Float64Array, system: Linearisation) -> tuple[str, list[Limit]]:
+    """Why a loop is unstable, and the largest factors on single gains with which it would be stable."""
+    try:
+        found = judge(loop, at=q)
+    except TautError:  # no equilibrium near the reference
+        return system.system.unstable_because, []
+    factors = [Limit(name="largest factor", value=x, unit="-", where=path) for path, x in found.largest.items()]
+    return system.system.unstable_because if found.stable else found.message, factors
+
+
+def worst(limits: Sequence[Limit]) -> tuple[Limit, ...]:
+    """Of limits at several poses the one that is met first: the smallest, of a droop or a rate the largest."""
+    found: dict[tuple[str, str], Limit] = {}
+    for limit in limits:
+        key = limit.name, limit.where.partition(" (")[0] if limit.name.startswith("largest") else ""
+        known = found.setdefault(key, limit)
+        largest = limit.name in ("droop", "lowest rate")
+        if (limit.value > known.value) if largest else (limit.value < known.value):
+            found[key] = limit
+    return tuple(found.values())

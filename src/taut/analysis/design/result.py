@@ -1,168 +1,145 @@
-"""Design: the gains of a law for a specification, what they run into, and what the loop then does."""
+"""Design: the result of `taut.design`."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
 
-from taut.analysis.design.contact import Pressed, force_limits
-from taut.analysis.design.gears import gear_limits
-from taut.analysis.design.limits import DesignLimit, Tried, limits_of
-from taut.analysis.design.plant import plant_limits
-from taut.analysis.design.requirements import Requirement
-from taut.analysis.design.stiffness import Stiff, static_limits
-from taut.analysis.design.trial import Numbers, Response
-from taut.arm.description import Arm
-from taut.base.errors import UsageError
+import numpy as np
+
+from taut.analysis.design.achieved import Limit, Requirement, Steps
+from taut.analysis.design.specification import Specification
+from taut.base.result import Content, Result, Table
 from taut.base.types import Float64Array
 from taut.control.law import Law
+from taut.linear.linearise import Linearisation
+from taut.record.plots.style import INK, SMALL, WIDTH, colour, prepared
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from taut.record.report.page import Page
+__all__ = ["Design"]
 
-__all__ = ["Achieved", "AtPose", "Design", "Pressed", "Requirement", "Stiff"]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Achieved:
-    """One direction of a design: what was designed, and what the loop does.
-
-    Args:
-        direction: The joint, the direction of the tool, or the mode.
-        unit: Of the error, rad or m; N or N m of a force.
-        designed: By the gains and the inertia, in continuous time.
-        predicted: By the exact linear model of the sampled loop.
-        simulated: In the nonlinear sampled loop, after a small step.
-        on_plant: In the plant that was given, after the stated step; None without one.
-    """
-
-    direction: str
-    unit: str
-    designed: Numbers
-    predicted: Numbers
-    simulated: Numbers
-    on_plant: Numbers | None = None
+HEIGHT: Final = 3.2  # [inch] of a picture
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class AtPose:
-    """A design at one of its poses.
-
-    Args:
-        q: (n,) [rad | m].
-        zeta: The least and the largest damping ratio of its directions, predicted for the sampled loop.
-        settling: The longest 2 % settling time of them [s].
-        stable: Whether the sampled loop is.
-        met: Whether the damping and the speed that were asked for are met there.
-    """
-
-    q: Float64Array
-    zeta: tuple[float, float]
-    settling: float
-    stable: bool
-    met: bool
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Design:
-    """The gains of a law for a specification, what of it is met, the limits, and designed against achieved numbers.
-
-    Print it for all of that; `taut.design` makes it.
+class Design(Result):
+    """A law with its gains, what was asked for and what the sampled loop has, and the limits of the loop.
 
     Args:
         law: The law with its gains.
-        achieved: Each direction at the pose that is designed for: designed, predicted, simulated.
-        requirements: Each number that was asked for in each direction there: asked, got, met.
-        q: (n,) that pose, the worst of those asked for [rad | m].
-        poses: All of them.
-        asked: The specification.
-        arm: The arm.
+        specification: What was asked for.
+        requirements: A row for each number that was asked for, in each direction, at each pose.
+        limits: Of the loop, the worst of all poses.
+        arm: Name of the arm.
         rate: [Hz].
-        alone: The name of the law that was tried by itself, where another one holds it; else empty.
-        step: (k,) the steps that the limits speak of.
-        responses: (k,) steps of the nonlinear loop, for the plot.
-        tried: What the limits are read off.
-        stiffness: Where one was asked for, what the loop has at rest.
-        forces: Of a hybrid law that feeds the force back, each row of its constraint, tried in contact.
-        q_contact: (n,) where that was, the pose nearest to q on the constraint; None without.
+        poses: (k, n) [rad | m].
+        systems: The linear model of the sampled loop at each pose.
+        directions: Names of the directions.
+        steps: Unit steps at the first pose where something is missed, or at the first; None for an unstable loop.
+        unstable: Why the loop is unstable; empty where it is stable.
     """
 
     law: Law
-    achieved: tuple[Achieved, ...]
+    specification: Specification
     requirements: tuple[Requirement, ...]
-    q: Float64Array
-    poses: tuple[AtPose, ...]
-    asked: dict[str, object]
-    arm: Arm
+    limits: tuple[Limit, ...]
+    arm: str
     rate: float
-    alone: str
-    step: Float64Array
-    responses: tuple[Response, ...] = field(repr=False)
-    tried: Tried = field(repr=False)
-    stiffness: tuple[Stiff, ...] = ()
-    forces: tuple[Pressed, ...] = ()
-    q_contact: Float64Array | None = None
+    poses: Float64Array
+    systems: tuple[Linearisation, ...]
+    directions: tuple[str, ...]
+    steps: Steps | None
+    unstable: str
+
+    @property
+    def stable(self) -> bool:
+        """Whether the sampled loop is stable at all poses."""
+        return not self.unstable
 
     @property
     def met(self) -> bool:
-        """Whether all that was asked for is met, at all poses."""
-        return all(each.met for each in self.requirements) and all(pose.met for pose in self.poses)
+        """Whether the loop is stable and has all that was asked for."""
+        return self.stable and all(each.met for each in self.requirements)
 
-    @property
-    def motion(self) -> str:
-        """How the arm moves between the ticks in what is predicted, simulated, refused and told as a limit."""
-        return self.tried.bench.motion.sentence
+    def got(self, name: str) -> Float64Array:
+        """What the loop has of a number that was asked for, in each direction at each pose."""
+        return np.array([each.got for each in self.requirements if each.name == name])
 
-    @cached_property
-    def limits(self) -> tuple[DesignLimit, ...]:
-        """What the gains run into, each with a sentence."""
-        return (
-            *limits_of(self.tried),
-            *gear_limits(self.tried),
-            *plant_limits(self.tried, tuple(each.on_plant for each in self.achieved), self.step),
-            *static_limits(self.stiffness, self.tried.bench.law),
-            *force_limits(self.forces, self.rate),
-        )
-
-    def limit(self, name: str) -> DesignLimit:
-        """The limit of that name.
+    def limit(self, name: str) -> Limit:
+        """The limit of a name; the smallest, where each direction has one.
 
         Raises:
-            UsageError: This design has none such.
+            KeyError: There is none.
         """
-        for each in self.limits:
-            if each.name == name:
-                return each
-        raise UsageError(
-            f"this design has no limit '{name}'; it has {', '.join(each.name for each in self.limits)}", name=name
+        found = [each for each in self.limits if each.name == name]
+        if not found:
+            raise KeyError(name)
+        return min(found, key=lambda each: each.value)
+
+    def content(self) -> Content:
+        """The description of the design."""
+        missed = [each for each in self.requirements if not each.met]
+        several = len(self.poses) > 1
+        faults = [self.unstable] if self.unstable else []
+        for name in dict.fromkeys(each.name for each in missed if self.stable):
+            rows = [each for each in missed if each.name == name]
+            places = ", ".join(dict.fromkeys(f"{each.direction} ({each.got:.4g})" for each in rows))
+            faults.append(f"{name} is missed: {places}; asked for {rows[0].asked:.4g} {rows[0].unit}".rstrip())
+        asked = Table(
+            title="asked and got",
+            columns=("number", "direction", *(["pose"] * several), "unit", "asked", "got", "met"),
+            rows=[
+                (each.name, each.direction, *([each.pose] * several), each.unit, each.asked, each.got, each.met)
+                for each in self.requirements
+            ],
+            note="by the linear model of the sampled loop about its equilibrium",
+        )
+        limits = Table(
+            title="limits",
+            columns=("limit", "of", "value", "unit"),
+            rows=[(each.name, each.where, each.value, each.unit) for each in self.limits],
+        )
+        gains = Table(
+            title="gains",
+            columns=("gain", "value"),
+            rows=[
+                (f"{path}[{i}]" if np.ndim(value) == 2 else path, ", ".join(f"{x:.5g}" for x in np.atleast_1d(row)))
+                for path, value in self.law.parameters().items()
+                for i, row in enumerate(np.asarray(value) if np.ndim(value) == 2 else [value])
+            ],
+        )
+        words = ", ".join(
+            f"{name} = {np.asarray(value).tolist()}" for name, value in self.specification.given.items()
+        )
+        return Content(
+            title=f"{type(self.law).__name__} on {self.arm} at {self.rate:g} Hz, for {words}",
+            faults=faults,
+            tables=[gains, asked, *([limits] if self.limits else [])],
+            figures={} if self.steps is None else {"steps": self._steps},
+            settings={"poses": str(np.round(self.poses, 4).tolist()), "rate [Hz]": f"{self.rate:g}"},
         )
 
-    def report(self) -> str:
-        """All of it in words; `print(d)` is the same."""
-        from taut.analysis.design.words import report
-
-        return report(self)
-
-    def __str__(self) -> str:
-        return self.report()
-
     def json(self) -> dict[str, Any]:
-        """As plain values; null for what has no meaning."""
-        from taut.analysis.design.words import as_json
+        """The result as plain data, with the gains by path."""
+        gains = {path: np.asarray(value).tolist() for path, value in self.law.parameters().items()}
+        return {**super().json(), "met": self.met, "stable": self.stable, "gains": gains}
 
-        return as_json(self)
+    def _steps(self) -> Figure:
+        """The error of a unit step in each direction, and the largest command that it takes of a joint."""
+        from matplotlib.figure import Figure
 
-    def report_page(self) -> Page:
-        """What `taut.report` makes of it."""
-        from taut.analysis.design.report import page_of_design
-
-        return page_of_design(self)
-
-    def plot(self) -> Figure:
-        """Steps of each direction, simulated over what was designed, and the torque that they take."""
-        from taut.analysis.design.plot import plot
-
-        return plot(self)
+        steps = self.steps
+        assert steps is not None
+        figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
+        left, right = figure.subplots(1, 2)
+        prepared(left, f"{type(self.law).__name__} on {self.arm}: error after a step", "e / e(0)", "t [s]")
+        prepared(right, "command of a unit step, largest joint", "[N m | N], of drives [rad/s | m/s]", "t [s]")
+        for i, name in enumerate(self.directions):
+            left.plot(steps.t, steps.e[:, i], color=colour(i), linewidth=1.3, label=name)
+            command = np.abs(steps.command[:, :, i]).max(axis=1)
+            right.plot(steps.t, command, color=colour(i), linewidth=1.3)
+        left.axhspan(-0.02, 0.02, color=INK, alpha=0.08, linewidth=0.0)
+        left.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
+        return figure

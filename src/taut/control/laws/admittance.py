@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -10,12 +11,14 @@ import numpy as np
 from taut.base.checks import one_of
 from taut.base.errors import RangeError, UsageError
 from taut.base.types import Float64Array, Matrix, Vector, Wrench
+from taut.control.closed_loop import ClosedLoop
 from taut.control.command import Command, Terms, Torque
 from taut.control.gains import Gain
 from taut.control.law import Law, MemoryView, call
 from taut.control.laws.compliance import FRAMES, GainFrame, check_damping, check_inertia, check_sensor, wrench_at
 from taut.control.laws.spring import Bound
 from taut.control.laws.task import check_error_max
+from taut.control.laws.tool_loop import tool_loop
 from taut.control.laws.virtual_dynamics import Body, Model, answered, damping_matrix, integrated
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
@@ -128,6 +131,12 @@ class Admittance(Law):
             return {}
         T = x.T(self.tool)
         return {"p": T.p, "R": T.R, "twist": x.twist(self.tool)}
+
+    def closed_loop(self, x: Snapshot) -> ClosedLoop:
+        """D V-dot + B V + K X = 0."""
+        return tool_loop(
+            self, x, lambda g: replace(self, K=g.K, B=None, zeta=g.zeta), inertia=self.D.matrix(6), stiffness=True
+        )
 
     def command(
         self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: float

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from taut.base.checks import one_of, positive_scalar, require_positive, vector
 from taut.base.errors import ShapeError
 from taut.base.types import ArrayLike, Float64Array, Matrix, Rotation, Vector, Wrench
+from taut.control.closed_loop import ClosedLoop, PlacedGains
 from taut.control.command import Command, Terms, Torque
 from taut.control.gains import Gain, GainValue, Memory
 from taut.control.law import Law, MemoryView
@@ -18,6 +20,7 @@ from taut.control.laws.damping import damping_force
 from taut.control.laws.integral import ANTI_WINDUP, AntiWindup, check_force_pole, check_tracking, integrated
 from taut.control.laws.null_space import Posture
 from taut.control.laws.task import check_null, null_torque
+from taut.control.laws.tool_loop import tool_loop
 from taut.control.trajectories.task_force import FRAMES, ForceFrame, TaskForce
 from taut.maths import dynamics as dyn
 from taut.maths.snapshot import Snapshot
@@ -212,6 +215,15 @@ class ForceControl(Law):
             size += sum(m * float(np.linalg.norm(added[:, k : k + 3], 2)) for m, k in zip(most, (0, 3), strict=True))
         linear, angular = (float(np.linalg.norm(inverse[k : k + 3, k : k + 3], 2)) ** 0.5 for k in (0, 3))
         return float(linear * size), float(angular * size)
+
+    def closed_loop(self, x: Snapshot) -> ClosedLoop:
+        """Lambda F_e-ddot + kdamp F_e-dot + (I + kfp) k F_e + kfi k int(F_e) = 0 on a contact of stiffness k."""
+        fed = np.eye(6) + self.kfp.matrix(6)
+
+        def gains(g: PlacedGains) -> Law:
+            return replace(self, kdamp=g.D, kfi=self.kfi if g.force is None else g.force * fed)
+
+        return tool_loop(self, x, gains, contact=fed)
 
     def command(
         self, x: Snapshot, ref: TaskForce, memory: MemoryView, dt: float

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from taut.base.checks import float_array, one_of
 from taut.base.errors import RangeError, UsageError
 from taut.base.types import Vector
+from taut.control.closed_loop import ClosedLoop, PlacedGains
 from taut.control.command import Command, Terms, Torque
 from taut.control.gains import Gain, Memory
 from taut.control.law import Law, MemoryView, call
@@ -316,6 +318,17 @@ class HybridMotionForce(Law):
         if self.measures and self.feedback == "wrench" and any(rows.one_sided):
             said += f"; {np.linalg.norm(x.F_ext[:3]):.3g} N measured, and contact is more than {TOUCHING:g} N"
         return said
+
+    def closed_loop(self, x: Snapshot) -> ClosedLoop | None:
+        """That of its motion, along the constraint; against it (I + kfp) lam_e + kfi int(lam_e) = const."""
+        none, motion = np.zeros((self.rows, self.rows)), self.motion.closed_loop(x)
+        kfp, kfi = (getattr(self, name).matrix(self.rows) if self.gives(name) else none for name in ("kfp", "kfi"))
+
+        def gains(motion: Law, g: PlacedGains) -> Law:
+            fed: dict[str, Any] = {} if g.force is None else {"kfi": g.force * (np.eye(self.rows) + kfp)}
+            return replace(self, motion=motion, **fed)
+
+        return None if motion is None else motion.held_by(gains, alone=motion.alone or self.motion, force=(kfp, kfi))
 
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, object]]:
         rows, estimated = self.natural.at(x), None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from taut.base.checks import finite_array, one_of, require_at_least, symmetric_psd
 from taut.base.errors import MatchError, RangeError, UsageError, count_of
 from taut.base.types import Array, Matrix, Vector, Wrench
+from taut.control.closed_loop import ClosedLoop
 from taut.control.command import Command, Terms, Torque
 from taut.control.gains import Gain, GainValue
 from taut.control.law import Law, MemoryView
@@ -31,6 +33,7 @@ from taut.control.laws.spring import Bound
 from taut.control.laws.targets import RATE, asked_of, eased, out_of_reach, within_speed
 from taut.control.laws.task import check_error_max, check_free, check_null, note_null, null_torque
 from taut.control.laws.task_error import ERRORS, Coordinates, ErrorKind, check_coordinates, dimensions
+from taut.control.laws.tool_loop import tool_loop
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
 from taut.maths.task_inertia import TaskInertia
@@ -224,6 +227,11 @@ class Impedance(Law):
             memory["V_last"] = felt.error.J @ x.v
         return memory
 
+    def closed_loop(self, x: Snapshot) -> ClosedLoop:
+        """D V_e-dot + B V_e + K X_e = 0, with the arm's own inertia where D is not given."""
+        D = self.gain_at("D", x).matrix(self.dimensions) if self.has("D") else None
+        return tool_loop(self, x, lambda g: replace(self, K=g.K, B=None, zeta=g.zeta), inertia=D, stiffness=True)
+
     def command(
         self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: float
     ) -> tuple[Command, dict[str, object]]:
@@ -412,6 +420,10 @@ class Stiffness(Law):
     def dimensions(self) -> int:
         """Entries of the error: 6, or those of the coordinates."""
         return dimensions(self.error, self.coordinates)
+
+    def closed_loop(self, x: Snapshot) -> ClosedLoop:
+        """M q_ddot + kd q_dot + J^T K X_e = 0."""
+        return tool_loop(self, x, lambda g: replace(self, K=g.K, kd=g.D), stiffness=True, damps_joints=True)
 
     def command(self, x: Snapshot, ref: TaskMotion) -> Command:
         felt = Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)

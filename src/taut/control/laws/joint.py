@@ -6,7 +6,10 @@ desired minus actual, f(v) the friction of the plant: b v for viscous, mu sign(v
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from taut.base.checks import one_of
+from taut.control.closed_loop import ClosedLoop
 from taut.control.command import Command, Terms, Torque, Velocity
 from taut.control.gains import Gain, Memory
 from taut.control.law import Law, MemoryView
@@ -52,6 +55,12 @@ class PID(Law):
 
     def check_rate(self, rate: float) -> None:
         check_tracking(self.anti_windup, self.tracking, rate)
+
+    def closed_loop(self, x: Snapshot) -> ClosedLoop:
+        """M e_ddot + kd e_dot + kp e + ki int(e) = 0, each joint with its own inertia unless gains are matrices."""
+        return ClosedLoop.of_joints(
+            x, lambda g: replace(self, kp=g.K, kd=g.D, ki=g.Ki), inertia=x.M, stiffness=True, decentralised=True
+        )
 
     def command(
         self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
@@ -106,6 +115,10 @@ class ComputedTorque(Law):
     def check_rate(self, rate: float) -> None:
         check_tracking(self.anti_windup, self.tracking, rate)
 
+    def closed_loop(self, x: Snapshot) -> ClosedLoop:
+        """e_ddot + kd e_dot + kp e + ki int(e) = 0."""
+        return ClosedLoop.of_joints(x, lambda g: replace(self, kp=g.K, kd=g.D, ki=g.Ki))
+
     def command(
         self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
     ) -> tuple[Command, dict[str, object]]:
@@ -143,6 +156,12 @@ class GravityPID(Law):
     def check_rate(self, rate: float) -> None:
         check_tracking(self.anti_windup, self.tracking, rate)
 
+    def closed_loop(self, x: Snapshot) -> ClosedLoop:
+        """M e_ddot + kd e_dot + kp e + ki int(e) = 0, each joint with its own inertia unless gains are matrices."""
+        return ClosedLoop.of_joints(
+            x, lambda g: replace(self, kp=g.K, kd=g.D, ki=g.Ki), inertia=x.M, stiffness=True, decentralised=True
+        )
+
     def command(
         self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
     ) -> tuple[Command, dict[str, object]]:
@@ -164,6 +183,12 @@ class GravityCompensation(Law):
 
     ignores_reference = True
     kd: Gain = Gain(0.0)  # [N m s/rad | N s/m]
+
+    def closed_loop(self, x: Snapshot) -> ClosedLoop:
+        """M v_dot + kd v = 0."""
+        return ClosedLoop.of_joints(
+            x, lambda g: replace(self, kd=g.D), inertia=x.M, single_pole="always", decentralised=True
+        )
 
     def command(self, x: Snapshot, ref: Sample) -> Command:  # noqa: ARG002
         return Torque(gravity=x.g, D=-(self.kd @ x.v))
@@ -190,6 +215,10 @@ class VelocityPI(Law):
 
     def check_rate(self, rate: float) -> None:
         check_tracking(self.anti_windup, self.tracking, rate)
+
+    def closed_loop(self, x: Snapshot) -> ClosedLoop:
+        """e_ddot + kp e_dot + ki e = 0; with ki = 0 one pole, e_dot + kp e = 0."""
+        return ClosedLoop.of_joints(x, lambda g: replace(self, kp=g.D, ki=g.K), single_pole="possible")
 
     def command(
         self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float

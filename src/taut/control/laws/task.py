@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from taut.base.checks import one_of, require_positive
 from taut.base.errors import MatchError, ShapeError, UsageError, count_of
 from taut.base.types import Vector
+from taut.control.closed_loop import ClosedLoop
 from taut.control.command import Command, Terms, Torque
 from taut.control.gains import Gain, GainValue, Memory
 from taut.control.law import Law, MemoryView, call
@@ -17,6 +19,7 @@ from taut.control.laws.null_space import Posture
 from taut.control.laws.spring import Bound
 from taut.control.laws.targets import asked_of, eased, out_of_reach
 from taut.control.laws.task_error import ERRORS, Coordinates, ErrorKind, check_coordinates, dimensions, task_error
+from taut.control.laws.tool_loop import tool_loop
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.singularity import ResolvedMotion, resolve
 from taut.maths.snapshot import Snapshot
@@ -108,6 +111,10 @@ class TaskComputedTorque(Law):
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
         check_free(self, x, self.dimensions)
+
+    def closed_loop(self, x: Snapshot) -> ClosedLoop:
+        """V_e-dot + kd V_e + kp X_e + ki int(X_e) = 0."""
+        return tool_loop(self, x, lambda g: replace(self, kp=g.K, kd=g.D, ki=g.Ki), inertia=np.eye(self.dimensions))
 
     def command(
         self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: float

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from taut.base.errors import RangeError
 from taut.base.types import Vector
+from taut.control.closed_loop import ClosedLoop
 from taut.control.command import Command, Position, Terms, Velocity
 from taut.control.gains import Gain, GainValue
 from taut.control.law import Law, MemoryView
 from taut.control.laws.task_error import task_error
+from taut.control.laws.tool_loop import tool_loop
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
@@ -48,6 +51,10 @@ class TaskVelocity(Law):
 
     def check_rate(self, rate: float) -> None:
         check_feedback(self.kp, rate)
+
+    def closed_loop(self, x: Snapshot) -> ClosedLoop:
+        """X_e-dot + kp X_e = 0."""
+        return tool_loop(self, x, lambda g: replace(self, kp=g.D), inertia=np.eye(6), single_pole="always")
 
     def command(self, x: Snapshot, ref: TaskMotion) -> Command:
         error = task_error("decoupled", x, ref, self.tool, None)
@@ -85,6 +92,10 @@ class TaskPosition(Law):
 
     def start(self, x: Snapshot, ref: TaskMotion) -> Mapping[str, Vector]:  # noqa: ARG002
         return {"q": x.q}
+
+    def closed_loop(self, x: Snapshot) -> ClosedLoop:
+        """X_e-dot + kp X_e = 0."""
+        return tool_loop(self, x, lambda g: replace(self, kp=g.D), inertia=np.eye(6), single_pole="always")
 
     def command(self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
         error = task_error("decoupled", x.at(memory.q, np.zeros(x.n)), ref, self.tool, None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from taut.base.checks import finite_array, one_of
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.types import Array, ArrayLike, Matrix, Vector
+from taut.control.closed_loop import ClosedLoop
 from taut.control.command import Command
 from taut.control.gains import Gain, GainValue
 from taut.control.law import Law, MemoryView, call
@@ -125,6 +126,12 @@ class ViaJointSpace(Law):
             "ik_error": np.zeros(2),
             "ik_outcome": IkOutcome.SOLVED.code,
         }
+
+    def closed_loop(self, x: Snapshot) -> ClosedLoop | None:
+        """That of the law of joints that it holds."""
+        inner = self.inner.closed_loop(x)
+        held = inner and inner.held_by(lambda law, _: replace(self, inner=law))
+        return held and replace(held, alone=held.alone or self.inner)
 
     def command(self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: Any) -> tuple[Command, dict[str, Any]]:
         wanted = self._joint_motion(x, ref, memory, dt)

@@ -1,0 +1,330 @@
+"""What the sampled loop of a law has at a pose: the figures that were asked for in each direction, and its limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taut.analysis.design.specification import QUANTITIES, Specification, per_coordinate, square
+from taut.base.types import Float64Array
+from taut.control.closed_loop import ClosedLoop
+from taut.control.law import Law
+from taut.control.trajectories.reference import JointMotion
+from taut.control.trajectories.task_force import TaskForce
+from taut.linear.linearise import Linearisation
+from taut.linear.margins import common_delay
+
+__all__ = ["Achieved", "Limit", "Requirement", "Steps", "force_pole"]
+
+TOLERANCE: Final = 0.05  # [-] of a figure that was asked for: within it the figure is met
+STATIC: Final = 0.01  # [-] likewise of a stiffness
+OVERSHOOT: Final = 1.0  # [%] of the step that an overshoot may differ besides
+BAND: Final = 0.02  # [-] of a step: the settling band; a mode with a smaller part in a step is not seen in it
+SMALL_PART: Final = 1e-4  # [-] of a step: a mode with a smaller part is not one of its two poles
+SAME: Final = 0.02  # [-] of a pole: nearer ones are one, which rounding sets apart where several directions have it
+REAL: Final = 1e-5  # [-] of a pole: a smaller imaginary part is rounding
+TIME_CONSTANTS: Final = 8.0  # of the slowest mode that is seen in a step, for which it is followed
+MIN_TICKS, MAX_TICKS = 50, 40_000  # of a step
+NO_COMMAND: Final = 1e-9  # [-] of the largest command of a step: rounding
+RANK: Final = 1e-9  # [-] of the largest singular value, or of a step: less is rounding
+INSTANT: Final = 1e-6  # [-] modulus in z of a mode that is over within a period
+ROUNDING: Final = 1e-9  # [-] of the imaginary part of a pole in z: that of a real one
+DROOP: Final = 1e-9  # [rad | m] of a steady-state error: rounding
+UNITS: Final = {name: quantity.unit.replace("-", "") for name, quantity in QUANTITIES.items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Requirement:
+    """One number that was asked for, in one direction.
+
+    Args:
+        name: As in the specification: "zeta", "overshoot", "omega_n", "settling", "K" or "force".
+        direction: The joint, the axis of the tool, or the row of a constraint.
+        unit: Of both numbers.
+        asked: The number that was asked for.
+        got: That of the linear model of the sampled loop; NaN where it is unstable, infinite for a step that does not
+            settle.
+        met: Whether it is within 5 %, a stiffness within 1 %; a settling time or an overshoot may be less, an
+            overshoot 1 % of the step more. Over several poses damping and speed may be more.
+        pose: Number of the pose.
+    """
+
+    name: str
+    direction: str
+    unit: str
+    asked: float
+    got: float
+    met: bool
+    pose: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """One limit of a loop with the gains that were found.
+
+    Args:
+        name: "largest step", "delay margin", "lowest rate", "gain margin", "droop" or "largest factor".
+        value: The limit; infinite for none.
+        unit: Of the value.
+        where: The direction, joint or gain that it is about.
+    """
+
+    name: str
+    value: float
+    unit: str
+    where: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Steps:
+    """Unit steps of the reference in each direction, by the linear model.
+
+    Args:
+        t: (m,) [s].
+        e: (m, r) error along each direction, as a fraction of the step.
+        command: (m, n, r) change of the command of each joint.
+    """
+
+    t: Float64Array
+    e: Float64Array
+    command: Float64Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Achieved:
+    """The sampled loop of a law with its gains, about its equilibrium next to a pose.
+
+    Args:
+        law: The law, or the part of it that moves the arm.
+        stated: Its closed loop as the law states it there.
+        system: The linear model from tick to tick.
+        specification: What was asked for.
+        delay: [s] from the tick to the torque.
+        hold: (n,) torques that hold the arm [N m | N]; None where the law commands drives.
+        pose: Number of the pose.
+        several: Whether there are other poses too.
+    """
+
+    law: Law
+    stated: ClosedLoop
+    system: Linearisation
+    specification: Specification
+    delay: float
+    hold: Float64Array | None
+    pose: int
+    several: bool
+
+    # ---------------------------------------------------------------- steps and modes
+
+    @cached_property
+    def _ahead(self) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """Unit steps at their beginning: (N, r) the states still to go, (r, N) rows that see them, (N, r) commands.
+
+        A step is the free response of what is still to go. Of a law that follows no reference, it is that of a unit
+        velocity along each direction. The commands are those in the end.
+        """
+        lin, motions = self.system, self.stated.motions
+        if self.law.ignores_reference:
+            moving = np.zeros((len(lin.A), motions.shape[1]))
+            moving[[lin.states.index(f"plant.v[{i}]") for i in range(len(motions))]] = motions
+            return moving, self._seen("v"), np.zeros_like(motions)
+        names: tuple[str, ...] = ("ref.q",)
+        moved: Float64Array = np.asarray(motions)
+        if self.law.reference is not JointMotion:
+            names = ("ref.p", "ref.rotation")
+            moved = np.asarray(self.stated.x.J(self.law.controlled_frame) @ motions)
+        if self.law.reference is TaskForce:
+            names = ("ref.F_world",)
+            moved = np.asarray(square("contact", self.specification.contact, self.stated) @ moved)
+        columns, rows = [i for name in names for i in lin.columns(name)], self._seen("q")
+        inputs = np.asarray(lin.B[:, columns] @ moved)
+        start = np.linalg.lstsq(np.eye(len(lin.A)) - lin.A, inputs, rcond=RANK)[0]
+        command = list(lin.rows("command"))
+        end = lin.C[command] @ start + lin.D[np.ix_(command, columns)] @ moved
+        final = np.diag(rows @ start)
+        return start / final, rows, end / final
+
+    def _seen(self, output: str) -> Float64Array:
+        """(r, N) what a group of outputs of the joints shows along the directions."""
+        return np.asarray(self.stated.rows @ self.system.C[list(self.system.rows(output))])
+
+    @cached_property
+    def steps(self) -> Steps:
+        """Steps followed for some time constants of the slowest mode that is seen in them."""
+        lin, (x, rows, end) = self.system, self._ahead
+        poles, parts = self._modes
+        slowest = float(-poles.real[(parts > BAND).any(axis=1)].max())
+        count = int(np.clip(TIME_CONSTANTS / slowest / lin.dt, MIN_TICKS, MAX_TICKS))
+        command = lin.C[list(lin.rows("command"))]
+        e, commands = np.zeros((count, x.shape[1])), np.zeros((count, *end.shape))
+        for k in range(count):
+            e[k], commands[k] = np.diag(rows @ x), end - command @ x
+            x = lin.A @ x
+        return Steps(t=np.asarray(lin.dt * np.arange(count)), e=e, command=commands)
+
+    @cached_property
+    def _modes(self) -> tuple[NDArray[np.complex128], Float64Array]:
+        """(m,) poles [1/s], of a pair the upper one, and (m, r) their parts in the steps; equal poles are one."""
+        start, rows, _ = self._ahead
+        z, shapes = np.linalg.eig(self.system.A.astype(np.complex128))
+        parts = (rows @ shapes).T * np.linalg.lstsq(shapes, start, rcond=None)[0]
+        upper = (z.imag >= -ROUNDING) & (np.abs(z) > INSTANT)
+        groups: list[tuple[list[complex], list[NDArray[np.complex128]]]] = []
+        for s, part in zip((np.log(z[upper]) / self.system.dt).tolist(), parts[upper], strict=True):
+            poles, members = next((g for g in groups if abs(g[0][0] - s) <= SAME * abs(s)), ([], []))
+            if not poles:
+                groups.append((poles, members))
+            poles.append(s)
+            members.append(part)
+        means = np.array([np.mean(poles) for poles, _ in groups])
+        return means, np.abs([np.sum(members, axis=0) for _, members in groups])
+
+    def damping_and_frequency(self, direction: int) -> tuple[float, float]:
+        """zeta and omega_n of a direction: of the two poles with the largest parts in its step.
+
+        An oscillation with less damping that is seen in the step gives its zeta.
+        """
+        poles, parts = self._modes
+        part = parts[:, direction]
+        order = [k for k in np.argsort(-part) if part[k] > SMALL_PART]
+        if self.stated.single_pole == "always" or self.specification.damping_ratio is None:
+            return 1.0, float(np.abs(poles[part > BAND]).min())
+        first = poles[order[0]]
+        oscillates = np.abs(poles.imag) > REAL * np.abs(poles)
+        second = first.conjugate()
+        if not oscillates[order[0]]:
+            second = next((poles[k] for k in order[1:] if not oscillates[k]), first)
+        omega = math.sqrt(abs(first * second))
+        seen = [k for k in order if oscillates[k] and part[k] > BAND]
+        ratios = [-poles[k].real / abs(poles[k]) for k in seen]
+        return float(min([-(first + second).real / (2.0 * omega), *ratios])), omega
+
+    def overshoot_and_settling(self, direction: int) -> tuple[float, float]:
+        """Overshoot [%] and 2 % settling time [s] of a step; infinite where it has not settled after its time."""
+        e = self.steps.e[:, direction]
+        outside = np.flatnonzero(np.abs(e) > BAND)
+        settled = int(outside[-1]) + 1 if outside.size else 0
+        return 100.0 * max(-float(e.min()), 0.0), self.steps.t[settled] if settled < len(e) else math.inf
+
+    def stiffness(self) -> Float64Array:
+        """(r,) force that moves the arm along each direction by a unit at rest, in each alone [N/m | N m/rad]."""
+        lin, rows = self.system, self.stated.rows
+        J = np.asarray(self.stated.x.J(self.law.controlled_frame))
+        at_tool = self.law.reference is not JointMotion  # where a wrist sensor measures it
+        columns = list(lin.columns("disturbance.wrench" if at_tool else "disturbance.torque"))
+        forces = np.linalg.lstsq(J.T, rows.T, rcond=None)[0] if at_tool else rows.T
+        rest = np.linalg.lstsq(np.eye(len(lin.A)) - lin.A, lin.B[:, columns] @ forces, rcond=RANK)[0]
+        return np.asarray(1.0 / np.diag(self._seen("q") @ rest))
+
+    # ---------------------------------------------------------------- asked and got
+
+    def requirements(self) -> Iterator[Requirement]:
+        """A row for each number that was asked for, in each direction."""
+        given, r = self.specification.given, len(self.stated.directions)
+        got: dict[str, list[float]] = {name: [math.nan] * r for name in UNITS}
+        if self.system.stable:
+            pairs = [(*self.damping_and_frequency(i), *self.overshoot_and_settling(i)) for i in range(r)]
+            got |= dict(
+                zip(("zeta", "omega_n", "overshoot", "settling"), map(list, zip(*pairs, strict=True)), strict=True)
+            )
+            if "K" in given:
+                got["K"] = self.stiffness().tolist()
+        for name in ("zeta", "overshoot", "omega_n", "settling"):
+            if name in given:
+                asked = per_coordinate(name, given[name], self.stated)
+                for i, axis in enumerate(self.stated.axes):
+                    yield self._requirement(name, i, float(asked[axis]), got[name][i])
+        if "K" in given:
+            K = self.stated.inside(square("K", given["K"], self.stated))
+            for i, asked_K in enumerate(1.0 / np.diag(np.linalg.inv(K))):
+                yield self._requirement("K", i, float(asked_K), got["K"][i])
+        if "force" in given:
+            yield from self._of_force(given["force"])
+
+    def _requirement(self, name: str, direction: int, asked: float, got: float) -> Requirement:
+        unit = UNITS[name]
+        if name == "K":
+            unit = "N/m" if self.stated.units[self.stated.axes[direction]] == "m" else "N m/rad"
+        return Requirement(
+            name=name, direction=self.stated.directions[direction], unit=unit, asked=asked, got=float(got),
+            met=self._met(name, asked, got), pose=self.pose,
+        )  # fmt: skip
+
+    def _met(self, name: str, asked: float, got: float) -> bool:
+        if name in ("settling", "overshoot"):
+            return bool(got <= asked * (1.0 + TOLERANCE) + (OVERSHOOT if name == "overshoot" else 0.0))
+        tolerance = STATIC if name == "K" else TOLERANCE
+        lowest = min(asked, 1.0) if name == "zeta" else asked  # two real poles have 1 each
+        more = self.several and name in ("zeta", "omega_n")
+        return bool(got >= lowest * (1.0 - tolerance) and (more or got <= asked * (1.0 + tolerance)))
+
+    def _of_force(self, asked: float) -> Iterator[Requirement]:
+        """The slow pole of the force: on the contact, or against each row of a rigid constraint."""
+        if self.stated.force is None:
+            poles, parts = self._modes
+            rows = [
+                (name, float(np.abs(poles[parts[:, i] > RANK]).min()) if self.system.stable else math.nan)
+                for i, name in enumerate(self.stated.directions)
+            ]
+        else:
+            kfp, kfi = (np.diag(gain) for gain in self.stated.force)
+            late = round(self.delay / self.system.dt)
+            rows = [
+                (f"row {i}", force_pole(float(kfp[i]), float(kfi[i]), self.system.dt, late)) for i in range(len(kfp))
+            ]
+        for direction, got in rows:
+            yield Requirement(
+                name="force", direction=direction, unit="1/s", asked=asked, got=got,
+                met=self._met("force", asked, got), pose=self.pose,
+            )  # fmt: skip
+
+    # ---------------------------------------------------------------- limits
+
+    def limits(self) -> Iterator[Limit]:
+        """Of a stable loop."""
+        lin, arm = self.system, self.stated.x.arm
+        command = self.steps.command
+        drives = self.hold is None
+        effort, hold = (arm.velocity, np.zeros(arm.n)) if self.hold is None else (arm.effort, self.hold)
+        for i, direction in enumerate(self.stated.directions):
+            used = command[:, :, i]
+            room = np.maximum(np.where(used > 0.0, effort - hold, effort + hold), 0.0)
+            size = np.divide(room, np.abs(used), out=np.full(used.shape, np.inf), where=np.abs(used) > NO_COMMAND)
+            joint, axis = arm.joint_names[int(np.argmin(size.min(axis=0)))], self.stated.axes[i]
+            unit, scale = self.stated.units[axis], 1.0
+            if self.stated.contact is not None:  # a step of the force that moves the contact
+                unit = {"m": "N", "rad": "N m"}[unit]
+                scale = float(square("contact", self.specification.contact, self.stated)[axis, axis])
+            yield Limit(
+                name="largest step", value=scale * float(size.min()), unit=unit, where=f"{direction} (joint {joint})"
+            )  # fmt: skip
+        if drives:
+            return
+        angles = np.abs(np.angle(lin.poles[np.abs(lin.poles) > INSTANT])) / lin.dt
+        margin = common_delay(lin.system.sensitivity, lin.dt, angles)
+        yield Limit(name="delay margin", value=margin * lin.dt, unit="s", where="all torques together")
+        disk = lin.margins().disk
+        yield Limit(name="gain margin", value=disk.gain[1], unit="-", where="all torques independently (disk margin)")
+        moved = np.abs(lin.moved)
+        if moved.max() > DROOP:
+            worst = int(moved.argmax())
+            yield Limit(name="droop", value=float(moved[worst]), unit=arm.units[worst], where=arm.joint_names[worst])
+
+
+def force_pole(kfp: float, kfi: float, dt: float, late: int) -> float:
+    """[1/s] the slowest pole of a force on a rigid contact, measured a tick late; NaN where it is unstable.
+
+    Law:  e[k] = -lam[k-1], u[k] = kfp e[k] + kfi sum(e) dt, lam[k] = u[k-late]:
+          z^(late + 1) (z - 1) + (kfp + kfi dt) z - kfp = 0
+    """
+    polynomial = np.zeros(late + 3)
+    polynomial[:2] = 1.0, -1.0
+    polynomial[-2:] += kfp + kfi * dt, -kfp
+    modulus = float(np.abs(np.roots(polynomial)).max())
+    return -math.log(modulus) / dt if 0.0 < modulus < 1.0 else math.nan

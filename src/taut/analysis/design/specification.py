@@ -1,0 +1,270 @@
+"""Specification: what a design asks for, and the gains that place the poles of a law's closed loop accordingly."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from scipy.linalg import eigh
+
+from taut.base.checks import finite_array
+from taut.base.errors import RangeError, UsageError
+from taut.base.quantity import Quantity
+from taut.base.types import ArrayLike, Float64Array
+from taut.control.closed_loop import ClosedLoop, PlacedGains
+from taut.control.law import Law
+from taut.linear.joint_loop import second_order
+
+__all__ = ["QUANTITIES", "Specification", "place_poles", "square"]
+
+QUANTITIES: Final = {
+    "zeta": Quantity(unit="-", rule="> 0", instead="zeta = 1 is critical damping"),
+    "overshoot": Quantity(unit="%", rule=">= 0"),
+    "omega_n": Quantity(unit="rad/s", rule="> 0"),
+    "settling": Quantity(unit="s", rule="> 0"),
+    "K": Quantity(unit="N/m, N m/rad", rule=">= 0"),
+    "contact": Quantity(unit="N/m, N m/rad", rule="> 0"),
+    "force": Quantity(unit="1/s", rule="> 0"),
+    "integral": Quantity(unit="-", rule=">= 0"),
+}
+SCALARS: Final = ("zeta", "overshoot", "force", "integral")
+BAND: Final = 50.0  # [-] of a step and the 2 % within which it has settled
+FREE: Final = 1e-9  # [-] of the largest stiffness over inertia: a motion that no spring draws back
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Specification:
+    """The numbers that a design asks for; None for those that it does not.
+
+    Args:
+        zeta: Damping ratio of every mode.
+        overshoot: Of a step [%], in place of zeta.
+        omega_n: Natural frequency [rad/s]: a number, one for each direction, or (linear, angular) at the tool;
+            without a damping, the single pole of each direction.
+        settling: Exact 2 % settling time of a step [s], likewise.
+        K: Stiffness [N/m, N m/rad]: one for each direction, (linear, angular), or a matrix; of joints also a number.
+        contact: Stiffness of what a law of force presses on, likewise.
+        force: Pole of the force [1/s].
+        integral: ki as a fraction of its stability limit kd kp / M.
+
+    Raises:
+        RangeError, ShapeError: A number outside of its range.
+        UsageError: Two numbers for the same thing, or none.
+    """
+
+    zeta: float | None = None
+    overshoot: float | None = None
+    omega_n: ArrayLike | None = None
+    settling: ArrayLike | None = None
+    K: ArrayLike | None = None
+    contact: ArrayLike | None = None
+    force: float | None = None
+    integral: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in self.given.items():
+            quantity = QUANTITIES[name]
+            if name in ("K", "contact") and np.ndim(value) == 2:
+                checked: Any = finite_array(name, value, unit=quantity.unit)
+            else:
+                checked = quantity.checked(name, value)
+            if name in SCALARS:
+                if checked.ndim:
+                    raise UsageError(f"{name} must be one number; got shape {checked.shape}", name=name)
+                checked = float(checked)
+            object.__setattr__(self, name, checked)
+        self._refuse_both("zeta", "overshoot")
+        self._refuse_both("omega_n", "settling", "K")
+        for name, limit in (("overshoot", 100.0), ("integral", 1.0)):
+            value = getattr(self, name)
+            if value is not None and value >= limit:
+                raise RangeError(
+                    f"{name} must be below {limit:g}, where the loop oscillates without damping; got {value:g}",
+                    name=name,
+                    value=value,
+                    rule=f"< {limit:g}",
+                )
+
+    def _refuse_both(self, *names: str) -> None:
+        given = [name for name in names if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise UsageError(
+                f"{' and '.join(given)} determine the same number; give one of {', '.join(names)}", name=given[-1]
+            )
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """What is asked for, by name."""
+        every = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return {name: value for name, value in every.items() if value is not None and (name != "integral" or value)}
+
+    @property
+    def damping_ratio(self) -> float | None:
+        """By either name."""
+        return self.zeta if self.overshoot is None else second_order(omega_n=1.0, overshoot=self.overshoot).zeta
+
+    def frequencies(self, loop: ClosedLoop) -> Float64Array:
+        """(k,) natural frequency of each coordinate; the single pole where no damping is given [rad/s]."""
+        if self.omega_n is not None:
+            return per_coordinate("omega_n", self.omega_n, loop)
+        zeta = self.damping_ratio
+        angle = math.log(BAND) if zeta is None else second_order(zeta=zeta, settling=1.0).omega_n
+        return angle / per_coordinate("settling", self.settling, loop)
+
+    def check(self, law: str, loop: ClosedLoop) -> None:
+        """What is asked for must be what the closed loop of a law has.
+
+        Raises:
+            UsageError: Too little, or something that it has not.
+        """
+        single = self.damping_ratio is None and loop.single_pole != "never"
+        speeds = ("contact",) if loop.contact is not None else ("omega_n", "settling", *(("K",) * loop.stiffness))
+        takes = [*speeds]
+        takes += ["zeta", "overshoot"] if loop.single_pole != "always" else []
+        takes += ["force"] if loop.contact is not None or loop.force is not None else []
+        takes += ["integral"] if loop.contact is None and loop.single_pole == "never" else []
+        wrong = [name for name in self.given if name not in takes]
+        if wrong:
+            reason = ""
+            if wrong[0] == "K":
+                reason = " (its gains are accelerations, and the stiffness changes with the pose)"
+            raise UsageError(
+                f"{wrong[0]} does not apply to {law}{reason}, whose design takes {', '.join(takes)}; leave it out",
+                name=wrong[0],
+            )
+        if not any(name in self.given for name in speeds):
+            raise UsageError(f"{law} needs one of {', '.join(speeds)}", name=speeds[0])
+        if not single and loop.single_pole != "always" and self.damping_ratio is None:
+            raise UsageError(f"{law} needs its damping: zeta or overshoot", name="zeta")
+        if single and self.K is not None:
+            raise UsageError(f"{law} with K needs its damping: zeta or overshoot", name="zeta")
+
+
+def per_coordinate(name: str, value: Any, loop: ClosedLoop) -> Float64Array:
+    """(k,) of a number, of (linear, angular), or of one for each.
+
+    Raises:
+        UsageError: Another shape.
+    """
+    values, k = np.asarray(value, dtype=np.float64), len(loop.J)
+    if values.shape == (2,) and k == 6 and set(loop.units) == {"m", "rad"}:
+        return np.repeat(values, 3)
+    if values.shape not in ((), (k,)):
+        raise UsageError(
+            f"{name} must be a number, one for each of {k} directions, or (linear, angular) at the tool; got shape "
+            f"{values.shape}",
+            name=name,
+        )
+    return np.array(np.broadcast_to(values, (k,)))
+
+
+def square(name: str, value: Any, loop: ClosedLoop) -> Float64Array:
+    """(k, k) of a stiffness: a matrix, or numbers along its diagonal.
+
+    Raises:
+        UsageError: One number for metres and radians, or another shape.
+    """
+    values, k = np.asarray(value, dtype=np.float64), len(loop.J)
+    if values.shape == (k, k):
+        return values
+    if values.ndim == 0 and len(set(loop.units)) > 1 and len(loop.J) == 6:
+        raise UsageError(
+            f"{name} needs one number for metres and one for radians, {name}=(linear, angular), or six, or (6, 6); "
+            f"got {float(values):g} alone",
+            name=name,
+        )
+    return np.diag(per_coordinate(name, values, loop))
+
+
+# -------------------------------------------------------------------- gains
+
+
+def place_poles(
+    loops: Sequence[ClosedLoop], specification: Specification, *, coupled: bool, viscous: Float64Array
+) -> Law:
+    """The law whose closed loop has the poles that are asked for, at several poses at least.
+
+    Law:    K = S inertia S with S = diag(omega_n), or as it is asked for; D = 2 zeta (inertia K)^(1/2): the same zeta
+            in every mode; Ki = integral D inertia^-1 K. Single poles: D = inertia omega_n. Of several poses the
+            largest gains.
+
+    Args:
+        loops: Of the law, at each pose.
+        specification: What is asked for.
+        coupled: Matrices for gains of laws of joints, so that all modes are alike.
+        viscous: (n,) friction of the plant that counts as damping [N m s/rad | N s/m].
+    """
+    each = [placed(loop, specification, coupled=coupled, viscous=viscous) for loop in loops]
+    K, D, Ki = (compact(largest([getattr(one, name) for one in each])) for name in ("K", "D", "Ki"))
+    if specification.K is not None:
+        K = compact(square("K", specification.K, loops[0]))
+    zeta = specification.damping_ratio
+    return loops[0].gains(PlacedGains(K=K, D=D, Ki=Ki, zeta=1.0 if zeta is None else zeta, force=specification.force))
+
+
+def placed(loop: ClosedLoop, specification: Specification, *, coupled: bool, viscous: Float64Array) -> PlacedGains:
+    """The matrices at one pose."""
+    zeta, M = specification.damping_ratio, loop.apparent
+    if loop.decentralised and not coupled:
+        M = np.diag(np.diag(M))
+    if loop.single_pole == "always" or zeta is None:
+        S = loop.inside(np.diag(specification.frequencies(loop)))
+        K, D = np.zeros_like(M), 0.5 * (S @ M + M @ S)
+    else:
+        if specification.K is not None:
+            K = loop.inside(square("K", specification.K, loop))
+        elif loop.contact is not None:
+            K = loop.inside(loop.contact @ square("contact", specification.contact, loop))
+        else:
+            S = loop.inside(np.diag(specification.frequencies(loop)))
+            K = S @ M @ S
+        inertia = np.asarray(loop.x.M) if loop.damps_joints else M
+        D = damping_of(inertia, loop.rows.T @ K @ loop.rows if loop.damps_joints else K, zeta)
+    Ki = specification.integral * D @ np.linalg.solve(M, K) if specification.integral else np.zeros_like(K)
+    if loop.decentralised or loop.damps_joints:
+        D = D - np.diag(viscous)
+        if np.linalg.eigvalsh(D)[0] < 0.0:
+            raise RangeError(
+                "the viscous friction of the joints alone damps more than is asked for; ask for more damping or more "
+                "speed, or leave friction out",
+                name="zeta" if zeta is not None else "omega_n",
+            )
+    return PlacedGains(
+        K=loop.outside(K), D=D if loop.damps_joints else loop.outside(D), Ki=loop.outside(0.5 * (Ki + Ki.T))
+    )
+
+
+def damping_of(inertia: Float64Array, K: Float64Array, zeta: float) -> Float64Array:
+    """The damping with which every mode of an inertia and a stiffness has the damping ratio zeta.
+
+    Modes without stiffness are damped at the rate of the slowest that has one.
+    """
+    if is_diagonal(inertia) and is_diagonal(K) and np.diag(K).all():
+        return np.diag(2.0 * zeta * np.sqrt(np.diag(inertia) * np.diag(K)))
+    squares, modes = eigh(K, inertia)  # modes^T inertia modes = identity
+    drawn = squares > FREE * max(float(squares[-1]), 1e-300)
+    omega = np.sqrt(np.where(drawn, squares, squares[drawn].min() if drawn.any() else 0.0))
+    across = inertia @ modes
+    D = across @ np.diag(2.0 * zeta * omega) @ across.T
+    return np.asarray(0.5 * (D + D.T))
+
+
+def largest(matrices: Sequence[Float64Array]) -> Float64Array:
+    """Of diagonal matrices the largest entries, else the matrix with the largest trace."""
+    if all(is_diagonal(C) for C in matrices):
+        return np.asarray(np.max(matrices, axis=0))
+    return max(matrices, key=lambda C: float(np.trace(C)))
+
+
+def is_diagonal(C: Float64Array) -> bool:
+    """Whether nothing is beside the diagonal."""
+    return not np.any(C - np.diag(np.diag(C)))
+
+
+def compact(C: Float64Array) -> Float64Array:
+    """(k,) the diagonal of a diagonal matrix; else the matrix."""
+    return np.diag(C).copy() if is_diagonal(C) else C

@@ -1,0 +1,172 @@
+"""ClosedLoop: the error dynamics that a law states at a pose, as matrices, and the gains that shape them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import numpy as np
+
+from taut.base.errors import RangeError
+from taut.base.types import Float64Array
+from taut.maths.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from taut.control.law import Law
+
+__all__ = ["ClosedLoop", "PlacedGains"]
+
+SINGULAR: Final = 1e-2  # [-] of the largest singular value of J: with less the tool hardly moves in a direction
+ROUNDING: Final = 1e-12  # [-] of the largest entry of a matrix
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlacedGains:
+    """Matrices of a closed loop whose poles are placed.
+
+    Args:
+        K: (k,) or (k, k) stiffness, in the coordinates of the error.
+        D: (k,) or (k, k) damping; of n joints where joints are damped.
+        Ki: (k,) or (k, k) integral gain.
+        zeta: Damping ratio of every mode; 1 for single poles.
+        force: Pole of the force [1/s], or None.
+    """
+
+    K: Float64Array
+    D: Float64Array
+    Ki: Float64Array
+    zeta: float = 1.0
+    force: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ClosedLoop:
+    """Closed loop of a law about rest, in the coordinates of its error: the matrices K, D and Ki are its gains.
+
+    Closed loop:  inertia e_ddot + D e_dot + K e + Ki int(e) = 0,  e_dot = J v_e
+                  with single poles  inertia e_dot + D e = 0
+
+    Args:
+        x: The arm at rest.
+        J: (k, n) rate of the error over the joint velocities.
+        names: (k,) of the coordinates: joints, or axes of the tool.
+        units: (k,) "rad" or "m".
+        gains: The law with other gains.
+        inertia: (k, k) that the gains meet; the identity where they are accelerations or velocities. None for the
+            arm's own, (J M^-1 J^T)^-1.
+        stiffness: Whether K is a stiffness [N m/rad | N/m], and may be specified.
+        single_pole: Whether the loop has one pole in each direction: "never"; "possible" where K may be zero;
+            "always" where there is no K.
+        decentralised: Whether gains are one number for each joint, unless matrices are asked for.
+        damps_joints: Whether D is that of the joints, M in the place of the inertia and J^T K J in that of K.
+        contact: (k, k) what the stiffness of a contact is multiplied by to give K, of a law of force; None else.
+        alone: The part of the law that moves the arm where nothing is touched; None for all of it.
+        force: (kfp, kfi), (m, m) each, of a law that feeds back the force against the m rows of a constraint.
+    """
+
+    x: Snapshot
+    J: Float64Array
+    names: Sequence[str]
+    units: Sequence[str]
+    gains: Callable[[PlacedGains], Law]
+    inertia: Float64Array | None = None
+    stiffness: bool = False
+    single_pole: Literal["never", "possible", "always"] = "never"
+    decentralised: bool = False
+    damps_joints: bool = False
+    contact: Float64Array | None = None
+    alone: Law | None = None
+    force: tuple[Float64Array, Float64Array] | None = None
+
+    @classmethod
+    def of_joints(cls, x: Snapshot, gains: Callable[[PlacedGains], Law], *, inertia: Any = None,
+                  **options: Any) -> ClosedLoop:  # fmt: skip
+        """That of a law of joints; its inertia is the identity if none is given."""
+        M = np.eye(x.n) if inertia is None else np.asarray(inertia, dtype=np.float64)
+        return cls(
+            x=x, J=np.eye(x.n), names=x.arm.joint_names, units=x.arm.units, gains=gains, inertia=M, **options
+        )  # fmt: skip
+
+    def held_by(self, law: Callable[[Law, PlacedGains], Law], **changed: Any) -> ClosedLoop:
+        """The same closed loop of a law that holds another one.
+
+        Args:
+            law: The law around the one that is held, with the gains found.
+            **changed: Fields that differ.
+        """
+        return dataclasses.replace(self, gains=lambda placed: law(self.gains(placed), placed), **changed)
+
+    # ---------------------------------------------------------------- directions that the arm can move in
+
+    @cached_property
+    def basis(self) -> Float64Array:
+        """(k, r) orthonormal directions of the error that the arm can move in.
+
+        Raises:
+            RangeError: The arm is singular there, or nearly so.
+        """
+        moving = np.flatnonzero((np.abs(self.J) > ROUNDING).any(axis=1))
+        left, sizes, _ = np.linalg.svd(self.J[moving])
+        r = min(len(moving), self.x.n)
+        if sizes[r - 1] < SINGULAR * sizes[0]:
+            axis = self.names[int(moving[np.argmax(np.abs(left[:, r - 1]))])]
+            fraction = sizes[r - 1] / sizes[0]
+            raise RangeError(
+                f"'{self.x.arm.name}' is singular at q = {np.round(self.x.q, 4).tolist()}, or nearly so: its "
+                f"tool can hardly move along {axis}, with {fraction:.2g} of the largest singular value; "
+                "choose another pose",
+                name="at",
+                value=float(fraction),
+                rule=f">= {SINGULAR:g} of the largest singular value",
+            )
+        basis = np.zeros((len(self.J), r))
+        basis[moving] = np.eye(r) if r == len(moving) else left[:, :r]
+        return basis
+
+    @cached_property
+    def rows(self) -> Float64Array:
+        """(r, n) motion along the directions per joint motion."""
+        return np.asarray(self.basis.T @ self.J)
+
+    @cached_property
+    def mobility(self) -> Float64Array:
+        """(n, r) joint velocities of a unit force along each direction after a unit of time."""
+        return np.linalg.solve(np.asarray(self.x.M), self.rows.T)
+
+    @cached_property
+    def motions(self) -> Float64Array:
+        """(n, r) joint motions along one direction each, dynamically consistent: no free motion takes part."""
+        return np.asarray(self.mobility @ np.linalg.inv(self.rows @ self.mobility))
+
+    @cached_property
+    def apparent(self) -> Float64Array:
+        """(r, r) inertia along the directions."""
+        own = np.linalg.inv(self.rows @ self.mobility) if self.inertia is None else self.inside(self.inertia)
+        return np.asarray(0.5 * (own + own.T))
+
+    def inside(self, C: Float64Array) -> Float64Array:
+        """(r, r) a symmetric matrix (k, k) along the directions."""
+        return np.asarray(self.basis.T @ C @ self.basis)
+
+    def outside(self, C: Float64Array) -> Float64Array:
+        """(k, k) of a matrix (r, r) along the directions; where the arm never moves, the mean of the others."""
+        k, r = self.basis.shape
+        rest = np.eye(k) - self.basis @ self.basis.T
+        X = self.basis @ C @ self.basis.T + (float(np.trace(C)) / r) * rest
+        X = np.where(np.abs(X) < ROUNDING * np.abs(X).max(), 0.0, X)
+        return np.asarray(0.5 * (X + X.T))
+
+    @property
+    def axes(self) -> list[int]:
+        """(r,) the coordinate that each direction moves most."""
+        return [int(i) for i in np.abs(self.basis).argmax(axis=0)]
+
+    @property
+    def directions(self) -> list[str]:
+        """(r,) a name for each direction."""
+        names = [self.names[i] for i in self.axes]
+        return [name if names.count(name) == 1 else f"{name} ({names[: k + 1].count(name)})"
+                for k, name in enumerate(names)]  # fmt: skip
