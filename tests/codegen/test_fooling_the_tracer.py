@@ -539,7 +539,7 @@ GAINS: list[tuple[str, Callable[[], Any], type[TautError], str]] = [
     ),
     (
         "an option",
-        lambda: PID(kp=1.0, anti_windup="clip"),
+        lambda: PID(kp=1.0, integral=taut.laws.Integral(anti_windup="clip")),
         UsageError,
         "anti_windup must be one of 'none', 'clamping', 'back-calculation'; got 'clip'",
     ),

@@ -10,7 +10,7 @@ import pytest
 
 import taut
 from taut.base.errors import RangeError, UsageError
-from taut.control.laws.constraint_estimate import NormalEstimate, turn_between, turned_rows
+from taut.control.laws.wrappers import NormalEstimate, turn_between, turned_rows
 from taut.maths.spatial import rotation_exp, rotation_log
 
 DT = 1e-3
@@ -184,7 +184,7 @@ def test_in_the_loop_the_normal_and_its_force_come_back() -> None:
         if estimate is not None:
             fast = np.linalg.norm(out.task.twist[:, :3], axis=1) > 0.02
             at = int(np.argmax(np.cumsum(fast) >= 1000))
-            assert angle(out.extra["law.estimate.normal"][at], n) < 1.0
+            assert angle(out.extra["law.normal"][at], n) < 1.0
     assert errors["estimate"] < 0.5  # 5 %
     assert errors["estimate"] < 0.5 * errors["nothing"]
 
@@ -193,7 +193,7 @@ def test_without_an_estimate_the_law_is_as_it_was() -> None:
     arm = taut.load_arm("panda")
     plain, with_it = (taut.compile(board_law(estimate=e), arm) for e in (None, taut.laws.NormalEstimate()))
     assert not any("estimate" in path for path in plain.parameters)
-    assert with_it.parameters["law.estimate.rate"].item() == 8.0
+    assert with_it.parameters["law.rate"].item() == 8.0
 
 
 REFUSED = [

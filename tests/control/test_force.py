@@ -60,7 +60,7 @@ def test_with_feedback_it_is_eq_10_38_in_the_axes_of_the_gains(frame: Any) -> No
     np.testing.assert_allclose((damping / (KDAMP * (W.T @ x.twist())))[:3], 1.0, atol=0.1)
     F = W @ (W.T @ F_DES + KFP * F_e + KFI * e_int - damping)
     np.testing.assert_allclose(tau, x.g + x.J().T @ F, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(ctrl.memory["law.e_int"], e_int, atol=1e-15)
+    np.testing.assert_allclose(ctrl.memory["law.integral.e_int"], e_int, atol=1e-15)
     np.testing.assert_allclose(ctrl.terms["P"], x.J().T @ W @ (KFP * F_e), atol=1e-12)
     assert set(ctrl.terms) == {"feedforward", "P", "I", "D", "gravity"}
 
@@ -131,7 +131,7 @@ def test_feedback_of_joint_torques_needs_them_and_no_wrist() -> None:
 def test_the_integral_is_cut_at_the_length_of_each_part_and_tells_it() -> None:
     law = L.ForceControl(kfi=5.0, null=None, e_int_max=(0.05, 0.004))
     ctrl, _ = stepped(law, ticks=20, F_ext=F_EXT)
-    e_int, F_e = ctrl.memory["law.e_int"], F_DES + F_EXT
+    e_int, F_e = ctrl.memory["law.integral.e_int"], F_DES + F_EXT
     assert np.linalg.norm(e_int[3:]) == pytest.approx(0.004)
     np.testing.assert_allclose(e_int[:3], 20e-3 * F_e[:3])  # 0.045 N s: not yet
     np.testing.assert_allclose(e_int[3:] / 0.004, F_e[3:] / np.linalg.norm(F_e[3:]))
@@ -142,12 +142,12 @@ def test_what_limits_cut_does_not_wind_the_integral_up() -> None:
     limits = taut.Limits(tau=np.abs(taut.snapshot(PANDA, Q, V).g) + 0.5)
     wound = {
         scheme: stepped(
-            L.ForceControl(kfi=50.0, anti_windup=scheme, null=None, **more),
+            L.ForceControl(kfi=50.0, integral=taut.laws.Integral(anti_windup=scheme), null=None, **more),
             ticks=400,
             F_ext=np.zeros(6),
             limits=limits,
             engine="native",
-        )[0].memory["law.e_int"]
+        )[0].memory["law.integral.e_int"]
         for scheme, more in (("none", {}), ("clamping", {}), ("back-calculation", {"tracking": 200.0}))
     }
     np.testing.assert_allclose(wound["none"], 0.4 * F_DES)
@@ -220,8 +220,8 @@ def test_directions_that_an_arm_never_has_count_for_nothing() -> None:
     J = taut.snapshot(arm, arm.home).J()
     still = ~J.any(axis=1)
     assert still.any()
-    assert not ctrl.memory["law.e_int"][still].any()
-    assert ctrl.memory["law.e_int"][~still].all()
+    assert not ctrl.memory["law.integral.e_int"][still].any()
+    assert ctrl.memory["law.integral.e_int"][~still].all()
 
 
 # -------------------------------------------------------------------- samples

@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import eigh
 
 import taut
-from taut.control.laws.compliance import Compliance, modal_damping
+from taut.control.laws.task_space import Compliance, modal_damping
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.spatial import rotation_exp, rotation_log
 from taut.trace.linalg import factor_spd

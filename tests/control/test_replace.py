@@ -18,7 +18,10 @@ LAWS: dict[str, tuple[taut.Law, dict[str, Any]]] = {
     "PID": (laws.PID(kp=1.0, kd=2.0), {"kp": 3.0}),
     "FeedForward": (laws.FeedForward(), {}),
     "ComputedTorque": (JOINT, {"kd": 30.0}),
-    "GravityPID": (laws.GravityPID(kp=1.0, kd=2.0, anti_windup="back-calculation", tracking=5.0), {"tracking": 6.0}),
+    "GravityPID": (
+        laws.GravityPID(kp=1.0, kd=2.0, integral=taut.laws.Integral(anti_windup="back-calculation", tracking=5.0)),
+        {"tracking": 6.0},
+    ),
     "GravityCompensation": (laws.GravityCompensation(), {}),
     "FrictionCompensation": (laws.FrictionCompensation(at="meas"), {}),
     "Dither": (laws.Dither(amplitude=0.1, frequency=50.0), {"amplitude": 0.2}),
@@ -88,10 +91,12 @@ def test_a_law_is_replaced_in_what_was_named_and_in_nothing_else(name: str) -> N
 
 
 def test_a_gain_that_loses_its_meaning_goes_with_what_gave_it() -> None:
-    held = laws.GravityPID(kp=1.0, kd=2.0, ki=1.0, anti_windup="back-calculation", tracking=5.0)
-    clamped = dataclasses.replace(held, anti_windup="clamping")  # type: ignore[type-var]
+    held = laws.GravityPID(
+        kp=1.0, kd=2.0, ki=1.0, integral=taut.laws.Integral(anti_windup="back-calculation", tracking=5.0)
+    )
+    clamped = dataclasses.replace(held, integral=taut.laws.Integral(anti_windup="clamping"))  # type: ignore[type-var]
     assert "tracking" not in clamped.parameters()
-    again = dataclasses.replace(clamped, anti_windup="back-calculation")  # type: ignore[type-var]
+    again = dataclasses.replace(clamped, integral=taut.laws.Integral(anti_windup="back-calculation", tracking=10.0))  # type: ignore[type-var]
     assert again.parameters()["tracking"].item() == 10.0
     with pytest.raises(taut.errors.UsageError, match="tracking is for anti_windup='back-calculation'"):
         dataclasses.replace(clamped, tracking=4.0)  # type: ignore[type-var]

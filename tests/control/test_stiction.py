@@ -241,7 +241,9 @@ class TestRaisedBackCalculation:
 
     @staticmethod
     def compiled(factor: float, tracking: float) -> taut.Controller:
-        inner = L.PID(kp=20.0, kd=2.0, ki=50.0, anti_windup="back-calculation", tracking=tracking)
+        inner = L.PID(
+            kp=20.0, kd=2.0, ki=50.0, integral=taut.laws.Integral(anti_windup="back-calculation", tracking=tracking)
+        )
         law = L.RaisedGains(inner=inner, factor=factor, width=10.0)
         return taut.compile(law, taut.load_arm("one_joint"), rate=1000.0, limits=taut.Limits(tau=1.0))
 
@@ -256,7 +258,7 @@ class TestRaisedBackCalculation:
         with pytest.raises(taut.errors.RangeError, match="at most the rate over the factor"):
             ctrl.parameters["law.factor"] = 4.0
         with pytest.raises(taut.errors.RangeError, match="at most the rate over the factor"):
-            ctrl.parameters["law.inner.tracking"] = 800.0
+            ctrl.parameters["law.inner.integral.tracking"] = 800.0
 
     def test_at_the_rate_it_is_steady(self) -> None:
         ctrl = self.compiled(4.0, 250.0)

@@ -235,7 +235,9 @@ CASES: list[tuple[Callable[[], Any], type[Exception], str]] = [
         "out",
     ),
     (
-        lambda: task(anti_windup="back-calculation", ki=1.0, tracking=1e5),
+        lambda: task(
+            integral=taut.laws.Integral(anti_windup="back-calculation", tracking=10.0), ki=1.0, tracking=1e5
+        ),
         taut.errors.RangeError,
         "tracking must be at most the rate, 1000 [1/s], or the integral would swing; got 100000",
     ),

@@ -185,7 +185,7 @@ class Declared:
 
     # ---------------------------------------------------------------- run-time parameters by path
 
-    def parts(self) -> dict[str, Declared]:
+    def declared_parts(self) -> dict[str, Declared]:
         """The declared objects that this one has, by field."""
         return {name: value for name in self.declared if isinstance(value := self.__dict__[name], Declared)}
 
@@ -196,7 +196,7 @@ class Declared:
             value = self.__dict__[name]
             if field.run_time and value is not None:
                 out[name] = np.asarray(value, dtype=np.float64)
-        for name, part in self.parts().items():
+        for name, part in self.declared_parts().items():
             for path, value in part.parameters().items():
                 whole = f"{self._below(name)}{path}"
                 if whole in out:
@@ -206,15 +206,16 @@ class Declared:
 
     def bound(self, values: Mapping[str, Any]) -> Self:
         """A copy with other values of run-time parameters by path, as numbers or symbols. Nothing is checked."""
-        copy = object.__new__(type(self))
-        copy.__dict__.update(self.__dict__)
-        for name, field in self.declared.items():
-            if field.run_time and name in values:
-                copy.__dict__[name] = field.stored(values[name])
-        for name, part in self.parts().items():
+        inner = {}
+        for name, part in self.declared_parts().items():
             below = self._below(name)
-            inner = {path.removeprefix(below): x for path, x in values.items() if path.startswith(below)}
-            copy.__dict__[name] = part.bound(inner) if inner else part
+            own = {path.removeprefix(below): x for path, x in values.items() if path.startswith(below)}
+            if own:
+                inner[name] = part.bound(own)
+        copy = self._with_parts(inner) if inner else self._replaced({})
+        for name, field in self.declared.items():
+            if field.run_time and name in values and self.__dict__[name] is not None:
+                copy.__dict__[name] = field.stored(values[name])
         return copy
 
     def find(self, path: str) -> tuple[Declared, Declaration[Any]]:
@@ -225,7 +226,7 @@ class Declared:
         """
         if path in self.declared and self.declared[path].run_time:
             return self, self.declared[path]
-        for name, part in self.parts().items():
+        for name, part in self.declared_parts().items():
             below = self._below(name)
             if path.startswith(below) and path.removeprefix(below) in part.parameters():
                 return part.find(path.removeprefix(below))
@@ -243,13 +244,15 @@ class Declared:
             TautError: The field does not take it, or there is none.
         """
         head, _, rest = path.partition(".")
-        inner = head if head in self.parts() else next((p for p in self.parts() if not self._below(p)), "")
+        parts = self.declared_parts()
+        inner = head if head in parts else next((part for part in parts if not self._below(part)), "")
         try:
-            if path not in self.declared and inner:
+            own = path in self.declared and self.declared[path].run_time
+            if not own and inner:
                 rest = rest if inner == head else path
-                value = self.__dict__[inner].changed(rest, value, name=name or path)
-                return self._replaced({inner: value})
-            if path not in self.declared:
+                value = parts[inner].changed(rest, value, name=name or path)
+                return self._with_parts({inner: value})
+            if not own:
                 raise unknown_field(path, self.parameters(), "parameter")
             copy = self._replaced({path: self.declared[path].taken(value, self)})
             copy.check()
@@ -281,6 +284,10 @@ class Declared:
         field = self.declared.get(name)
         return "" if isinstance(field, Part) and field.inline else f"{name}."
 
+    def _with_parts(self, parts: Mapping[str, Any]) -> Self:
+        """A copy with other objects in the place of some of `declared_parts`. Nothing is checked."""
+        return self._replaced(parts)
+
     def _replaced(self, values: Mapping[str, Any]) -> Self:
         """A copy with other values of fields. Nothing is checked."""
         copy = object.__new__(type(self))
@@ -305,7 +312,7 @@ class Declared:
                     field.checked(value, self, joints)
                 except Refusal as refusal:
                     raise refusal.error(type(self).__name__, prefix) from None
-        for name, part in self.parts().items():
+        for name, part in self.declared_parts().items():
             part.check_size(joints, f"{prefix}{self._below(name)}")
 
     # ---------------------------------------------------------------- as data

@@ -102,9 +102,10 @@ def _law(name: str, constraint: str | None) -> type[Law] | Law:
     from taut import laws
     from taut.analysis.design.gains import RECIPES
     from taut.base.errors import UsageError, unknown_name
+    from taut.control.describe import law_classes
 
     known = [kind.__name__ for kind in RECIPES if kind is not laws.Sum]
-    if name not in laws.__all__:
+    if name not in law_classes(laws):
         raise unknown_name("taut design", "law", name, known)
     if name == "HybridMotionForce":
         return _hybrid(constraint)

@@ -126,10 +126,9 @@ class LawSide:
             raise unknown_name("the controller", "parameter", path, self.parameters)
         head, _, rest = path.partition(".")
         if head == "law":
-            field, unit = self.law.gain_field(rest)
-            new = field.checked(value, unit, name=path, entries=self.law.gain_size(rest))
-            new = in_compiled_shape(path, new, self.parameters[path].shape)
-            self.law.bound({**self.law.parameters(), rest: new}).check_rates(self.rate)
+            changed = self.law.changed(rest, value, name=path)
+            new = in_compiled_shape(path, changed.parameters()[rest], self.parameters[path].shape)
+            changed.check_rates(self.rate)
         elif head == "limits":
             new = Limits.checked(rest, value, self.rate)
         elif head == "sensing":

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["estimated_normal", "pressed_measures", "true_normal", "wanted_press"]
 
 PRESSED: Final = "contact.normal_force"  # column of a run
-ESTIMATED: Final = "estimate.normal"  # end of the name of a column
+ESTIMATED: Final = ".normal"  # end of the name of a column
 TOUCHES: Final = 1e-9  # [N]
 
 

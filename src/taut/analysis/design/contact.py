@@ -80,7 +80,7 @@ def pressed(
     Raises:
         RangeError: No pose near q keeps to the constraint within the limits of the joints, or it is singular there.
     """
-    held = both_ways(law.natural)
+    held = both_ways(law.constraint)
     law = dataclasses.replace(law, constraint=held)
     at = _on(held, arm, q)
     ctrl = compile(law, arm, rate=rate, sensing=sensing)
@@ -189,7 +189,8 @@ def force_gains(law: HybridMotionForce) -> tuple[Float64Array, Float64Array]:
     """(k, k) kfp and kfi, zero where a law has none."""
     k = law.rows
     given: list[Any] = [
-        getattr(law, name).matrix(k) if law.gives(name) else np.zeros((k, k)) for name in ("kfp", "kfi")
+        getattr(law, name).matrix(k) if getattr(law, name) is not None else np.zeros((k, k))
+        for name in ("kfp", "kfi")
     ]
     return np.asarray(given[0], dtype=np.float64), np.asarray(given[1], dtype=np.float64)
 

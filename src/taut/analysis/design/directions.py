@@ -229,17 +229,17 @@ def _of_felt(law: Any, x: Snapshot, b: Float64Array) -> tuple[Direction, ...]:
     """The modes of what the tool feels like: D, or the arm's own inertia, and K."""
     place, size = at_tool(law, x), len(_spread(law))
     K = place.inside(law.K.matrix(size))
-    D = place.inside(law.D.matrix(size)) if law.gives("D") else place.Lambda
+    D = place.inside(law.D.matrix(size)) if law.D is not None else place.Lambda
     squares, modes = eigh(K, D)
     held = squares > FREE * max(float(squares[-1]), 1e-300)
     ways, squares = modes[:, held], squares[held]
-    if law.gives("zeta"):
+    if law.zeta is not None:
         damping = 2.0 * float(law.zeta.as_array()) * np.sqrt(squares)
     else:
         B = place.inside(law.B.matrix(size))
         damping = np.diag(ways.T @ B @ ways)
     own = np.zeros((len(squares), len(squares)))
-    if not law.gives("D"):
+    if not law.D is not None:
         rubbed = place.back.T @ np.diag(b) @ place.back
         own = ways.T @ rubbed @ ways
     return _at_tool(
@@ -304,8 +304,8 @@ def _with_felt(law: Any, x: Snapshot, b: Float64Array) -> Coupled:
     """K and B at the tool; over D, what they make of its acceleration."""
     place, size = at_tool(law, x), len(_spread(law))
     K = place.inside(law.K.matrix(size))
-    D = place.inside(law.D.matrix(size)) if law.gives("D") else place.Lambda
-    if law.gives("zeta"):
+    D = place.inside(law.D.matrix(size)) if law.D is not None else place.Lambda
+    if law.zeta is not None:
         squares, modes = eigh(K, D)
         across = D @ modes
         B = across @ np.diag(2.0 * float(law.zeta.as_array()) * np.sqrt(np.maximum(squares, 0.0))) @ across.T

@@ -86,8 +86,7 @@ def gains_for(case: Case) -> Law:
 
 
 def _replaced(law: Law, **gains: Any) -> Law:
-    out: Law = dataclasses.replace(law, **gains)  # type: ignore[type-var]  # every law is a dataclass
-    return out
+    return dataclasses.replace(law, **gains)
 
 
 # -------------------------------------------------------------------- joints
@@ -345,9 +344,9 @@ def _force(case: Case) -> Law:
         )
     if contact is not None:
         _require_held(contact)
-        if zeta is None and not law.gives("kdamp"):
+        if zeta is None and not law.kdamp is not None:
             raise UsageError(f"kdamp of {case.name} follows from zeta and contact together; add zeta", name="zeta")
-    elif law.gives("kdamp"):
+    elif law.kdamp is not None:
         raise UsageError(
             f"{case.name} needs contact, the stiffness of what is pressed on, for an error of the force dies away on "
             "something only: contact=(1e4, 100.0)",
@@ -386,7 +385,7 @@ def _hybrid(case: Case) -> Law:
     motion = gains_for(case.of(law.motion, asked=dataclasses.replace(case.asked, force=None)))
     if case.asked.force is None:
         return _replaced(case.law, motion=motion)
-    kfp = law.kfp.matrix(law.rows) if law.gives("kfp") else np.zeros((law.rows, law.rows))
+    kfp = law.kfp.matrix(law.rows) if law.kfp is not None else np.zeros((law.rows, law.rows))
     return _replaced(case.law, motion=motion, kfi=case.asked.force * (np.eye(law.rows) + kfp))
 
 

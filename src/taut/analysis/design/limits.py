@@ -460,7 +460,7 @@ def _coupling(tried: Tried) -> Iterator[DesignLimit]:
 
 def _stiffness(tried: Tried) -> Iterator[DesignLimit]:
     law: Any = tried.bench.law
-    if not isinstance(law, (laws.Impedance, laws.Stiffness)) or (isinstance(law, laws.Impedance) and law.has("D")):
+    if not isinstance(law, (laws.Impedance, laws.Stiffness)) or vars(law).get("D") is not None:
         return
     check = check_impedance(tried.bench.ctrl, tried.x.q, delay=float(tried.bench.plant.actuation.delay))
     held = "" if tried.bench.motion.exact else "of an arm that moves all the time, not in the steps of plant=: "

@@ -12,8 +12,8 @@ from taut.arm.description import Arm
 from taut.base.checks import finite_array
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.laws.compliance import Compliance, GainFrame
 from taut.control.laws.task_error import ErrorKind
+from taut.control.laws.task_space import Compliance, GainFrame
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot, snapshot
 

@@ -76,7 +76,7 @@ def impedance(law: Any, at: tuple[Snapshot, ...], asked: Asked) -> dict[str, Any
         return gains | {"K": asked.K} | ({} if asked.D is None else {"D": asked.D})
     S = np.diag(_each(omega, size))
     if asked.K is None and asked.D is None:
-        if law.gives("D"):
+        if law.D is not None:
             return gains | {"K": S @ law.D.matrix(size) @ S}
         K = _stiff_enough(places, S)
         candidates = [place.outside(damped(place.Lambda, place.inside(K), zeta)) for place in places]

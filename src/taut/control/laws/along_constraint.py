@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from taut.base.types import Vector, Vector3, Wrench
-from taut.control.laws.compliance import wrench_moved
+from taut.control.laws.task_space import wrench_moved
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.constraints.constraint import Constraint
 from taut.maths.constraints.rows import ConstraintRows

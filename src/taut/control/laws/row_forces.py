@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from taut.base.types import Float64Array, Vector
-from taut.control.laws.contact_loss import misses
+from taut.control.laws.force import misses
 from taut.control.trajectories.hybrid_motion import HybridMotion
 from taut.maths.constraints.constraint import Constraint
 from taut.maths.constraints.rows import ConstraintRows
@@ -91,7 +91,7 @@ def swung(e: Vector, last: Vector, turned: Any, least: Vector) -> dict[str, obje
     for old, new, size in zip(last, e, least, strict=True):
         round_ = tm.maximum(round_, -old * new - size * size)
     turned = tm.where(round_ > 0.0, turned + 1.0, 0.0)
-    return {"e_last": e, "turned": turned, "swings": tm.where(turned > SWINGS - 0.5, 1.0, 0.0)}
+    return {"e_last": e, "reversals": turned, "swings": tm.where(turned > SWINGS - 0.5, 1.0, 0.0)}
 
 
 def _contacts(rows: ConstraintRows) -> list[int]:
