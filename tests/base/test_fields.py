@@ -91,7 +91,7 @@ WRONG: dict[str, tuple[type[TautError], type[Declared], str, str]] = {  # of an 
     "word": (UsageError, Sensor, 'side = "lnk"', "{}side must be one of 'link', 'motor'; got 'lnk'"),
     "number": (UsageError, Sensor, "order = true", "{}order must be one of 1, 2; got True"),
     "kind": (UsageError, Sensor, "tool = 3", "{}tool must be a Tool; got 3"),
-    "whole": (UsageError, Stiffness, "rows = true\nK = 1", "{}rows must be a int; got True"),
+    "whole": (UsageError, Stiffness, "rows = true\nK = 1", "{}rows must be a whole number; got True"),
     "relation": (
         UsageError, Sensor, 'side = "motor"\ntool = { mass = 1 }',
         "{}tool is for a sensor at the link; leave one of the two out",

@@ -99,7 +99,7 @@ def outcomes(run: taut.Run) -> list[IkOutcome]:
 class Recorder(taut.Law):
     """Passes what it is to follow on as its own memory, to be looked at."""
 
-    recorded = ("q", "v", "a")
+    q, v, a = taut.Memory(record=True), taut.Memory(record=True), taut.Memory(record=True)
 
     def start(self, x: taut.Snapshot, ref: taut.JointMotion) -> dict[str, Any]:
         return {"q": x.q, "v": ref.v, "a": ref.a}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Generic, Literal, NoReturn, Self, 
 
 import numpy as np
 
-from taut.base.checks import entry_names, float_array, symmetric_psd
+from taut.base.checks import entry_names, float_array, read_only, symmetric_psd
 from taut.base.errors import RangeError, ShapeError, TautError, UnknownNameError, UsageError, quoted_list
 from taut.base.types import ArrayLike, Float64Array
 
@@ -19,6 +19,13 @@ T = TypeVar("T")
 REQUIRED: Final = object()
 Shape = str | int | tuple[int, ...]
 Joints = Sequence[str] | int | None
+IN_WORDS: Final[Mapping[Any, str]] = {
+    bool: "True or False",
+    int: "a whole number",
+    float: "a number",
+    str: "a text",
+    Callable: "a function",
+}
 ShortForm = Literal["scalar", "pair", "force", "matrix"]
 
 
@@ -134,8 +141,8 @@ class Field(Declaration[Any]):
         shape: "scalar"; "n" for one entry per joint, of which one number alone stands for all; a length (3, 6); the
             name of an attribute of the object with the length, such as "dimensions"; any other name for a length
             that only the owner of the part knows; or the whole shape, (6, 6).
-        accepts: Short forms: "scalar" for all entries (of "n" always), "pair" (linear, angular) for six, "force" for
-            six with a moment of zero, "matrix" for a symmetric positive semidefinite matrix of the length.
+        accepts: Short forms: "scalar" for all entries (of "n" always), "pair" (linear, angular) for six or
+            as two, "force" for six with a moment of zero, "matrix" for a symmetric positive semidefinite matrix.
         minimum: Smallest allowed entry.
         above: Every entry must be greater.
         maximum: Largest allowed entry.
@@ -199,19 +206,20 @@ class Field(Declaration[Any]):
 
     def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> Float64Array:
         """The value as floats, read-only, in the shape in which it is stored. Raises Refusal."""
-        array = self._shaped(self._numbers(value), self.size(owner, joints))
+        given = self._numbers(value)  # messages are about these, also where they stand for more
+        array = self._shaped(given, self.size(owner, joints))
         names = joints if isinstance(joints, Sequence) else None
-        self._require(np.isnan(array) if self.infinite else ~np.isfinite(array), array, "finite", names)
-        if array.ndim == 2 and "matrix" in self.accepts:
-            self._require_psd(array)
-        elif self.zero_for_none and array.ndim:
-            self._require(array < 0.0, array, ">= 0", names)
-            if not array.any():
-                self._refuse(f"must be > 0 for one entry at least{self.unit_words}; got {array.tolist()}", 0.0)
+        self._require(np.isnan(given) if self.infinite else ~np.isfinite(given), given, "finite", names)
+        if given.ndim == 2 and "matrix" in self.accepts:
+            self._require_psd(given)
+        elif self.zero_for_none and given.ndim:
+            self._require(given < 0.0, given, ">= 0", names)
+            if not given.any():
+                self._refuse(f"must be > 0 for one entry at least{self.unit_words}; got {given.tolist()}", 0.0)
         else:
-            self._require(array < self.minimum, array, f">= {self.minimum:g}", names)
-            self._require(array <= self.above, array, f"> {self.above:g}", names)
-        self._require(array > self.maximum, array, f"<= {self.maximum:g}", names)
+            self._require(given < self.minimum, given, f">= {self.minimum:g}", names)
+            self._require(given <= self.above, given, f"> {self.above:g}", names)
+        self._require(given > self.maximum, given, f"<= {self.maximum:g}", names)
         array.flags.writeable = False
         return array
 
@@ -230,12 +238,12 @@ class Field(Declaration[Any]):
             return np.concatenate([array, np.zeros(3)])
         k = size or self.shape
         fits = array.size > 0 and array.ndim > 0 and size in (None, len(array))
-        whole = isinstance(self.shape, tuple)
+        whole, pair = isinstance(self.shape, tuple), "pair" in self.accepts
         forms = {  # in words: (taken by this field, true of the array)
             "a number": (self.shape == "scalar" or "scalar" in self.accepts, array.ndim == 0),
-            "(linear, angular)": ("pair" in self.accepts and size in (6, None), size is None and array.shape == (2,)),
+            "(linear, angular)": (pair and size in (2, 6, None), size != 6 and array.shape == (2,)),
             "a force (3,)": ("force" in self.accepts, False),
-            f"({k},)": (self.shape != "scalar" and not whole, array.ndim == 1 and fits),
+            f"({k},)": (self.shape != "scalar" and not whole and not (pair and size == 2), array.ndim == 1 and fits),
             f"({k}, {k})": ("matrix" in self.accepts, array.ndim == 2 and len(set(array.shape)) == 1 and fits),
             f"{self.shape}": (whole, array.shape == self.shape),
         }
@@ -319,13 +327,13 @@ class Part(Declaration[T]):
         self.of, self.kinds, self.inline = of, kinds, inline
 
     def rule(self) -> str:
-        return " or ".join(kind.__name__ for kind in self.of)
+        return " or ".join(IN_WORDS.get(kind, f"a {kind.__name__}") for kind in self.of)
 
     def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> Any:  # noqa: ARG002
         wrong = isinstance(value, bool) and bool not in self.of  # a flag is no whole number
         if self.of and (wrong or not isinstance(value, self.of)):
-            words = f"{value!r}" if isinstance(value, (str, int, float)) else type(value).__name__
-            raise Refusal(UsageError, self.name, f"must be a {self.rule()}; got {words}", value)
+            words = f"{value!r}" if isinstance(value, (str, int, float, type)) else type(value).__name__
+            raise Refusal(UsageError, self.name, f"must be {self.rule()}; got {words}", value)
         return value
 
 
@@ -334,6 +342,10 @@ class Plain(Part[T]):
 
     def rule(self) -> str:
         return super().rule() or "any"
+
+    def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> Any:
+        own = super().checked(value, owner, joints)
+        return read_only(own) if isinstance(own, np.ndarray) and own.dtype.kind in "fiu" else own
 
 
 class Parts(Part[T]):

@@ -107,7 +107,7 @@ class Admittance(Law):
     model: Choice[ModelKind] = Choice("own", "measured")
     frame: Choice[GainFrame] = Choice(*FRAMES)
     error_max: Gain = bound_of_error()
-    deadband: Gain = Gain(unit="N, N m", shape=2, accepts=(), optional=True)
+    deadband: Gain = Gain(unit="N, N m", shape=2, accepts=("pair",), optional=True)
     tool: str | None = None
 
     def check(self) -> None:

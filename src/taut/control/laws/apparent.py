@@ -15,6 +15,7 @@ from taut.control.law import Law
 from taut.control.laws.admittance import Admittance
 from taut.control.laws.impedance import Impedance
 from taut.control.laws.task_space import Compliance, GainFrame, bounded_inertia, modal_damping
+from taut.control.laws.wrappers import EnergyTank
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
 from taut.trace.linalg import factor_spd
@@ -74,6 +75,8 @@ def felt_impedance(law: Law, x: Snapshot) -> FeltImpedance | None:
         law: The law.
         x: The state, in plain numbers.
     """
+    if isinstance(law, EnergyTank) and law.stiffness is not None:
+        return None
     law = bare(law)
     if isinstance(law, Impedance):
         if law.error != "decoupled":

@@ -67,7 +67,7 @@ def task_gain(default: Any = ..., *, unit: str, accepts: Iterable[str] = ("pair"
 
 def bound_of_error() -> Gain:
     """error_max: (linear, angular), the largest error that a spring answers."""
-    return Gain(unit="m, rad", shape=2, accepts=(), above=0.0, optional=True)
+    return Gain(unit="m, rad", shape=2, accepts=("pair",), above=0.0, optional=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
