@@ -14,7 +14,7 @@ L = taut.laws
 PANDA = taut.load_arm("panda")
 T = taut.snapshot(PANDA, PANDA.home).T()
 HERE = taut.TaskMotion(pose=T)
-Coordinates = taut.laws.Coordinates
+Coordinates = taut.Coordinates
 
 
 class Weight(taut.Law):
@@ -287,7 +287,7 @@ def test_is_said_in_one_sentence(act: Callable[[], Any], kind: type[Exception], 
     ],
 )
 def test_a_goal_where_coordinates_are_singular_is_refused_and_costs_nothing(
-    coordinates: taut.laws.Coordinates, pose: taut.Pose
+    coordinates: taut.Coordinates, pose: taut.Pose
 ) -> None:
     ctrl = taut.compile(L.TaskComputedTorque(kp=100.0, kd=20.0, error="coordinates", coordinates=coordinates), PANDA)
     with pytest.raises(taut.errors.NumericalError, match="gives numbers that are not finite in tick 0"):
