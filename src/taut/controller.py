@@ -22,8 +22,7 @@ from taut.codegen.program import Program, Values, failure, trace
 from taut.control.describe import PARAMETER_UNITS, all_laws, section, short, summary, title
 from taut.control.law import Law
 from taut.control.lawside import HELD, TOLD, LawSide, Probe, WildTerm, wild_term
-from taut.control.limiting import take_up
-from taut.control.limits import Limits
+from taut.control.limits import Limits, take_up
 from taut.control.sensing.sensing import Sensing
 from taut.control.tasks.phase import Phase
 from taut.control.tasks.phases import Phases

@@ -9,7 +9,7 @@ import taut
 from taut import Constraint, Pose
 from taut import math as tm
 from taut.base.types import Float64Array
-from taut.control.laws.along_constraint import along_constraint, of_one_body
+from taut.control.laws.constraints import along_constraint, of_one_body
 from taut.laws import HybridMotionForce, Impedance, TaskComputedTorque
 from taut.maths.spatial import rotation_exp
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import taut
-from taut.control.limiting import limited
+from taut.control.limits import limited
 
 ARM = taut.load_arm("planar2")
 REF = taut.JointMotion(q=[0.0, 0.0])

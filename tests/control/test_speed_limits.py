@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import taut
-from taut.control.limiting import LIMIT_TERMS, room
-from taut.control.limits import Limits
+from taut.control.limits import LIMIT_TERMS, Limits, room
 
 L = taut.laws
 PANDA = taut.load_arm("panda")

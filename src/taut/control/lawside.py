@@ -20,8 +20,7 @@ from taut.base.types import Array, ArrayLike, Float64Array, Vector
 from taut.control.command import Command, Terms, Torque, Velocity
 from taut.control.describe import all_laws
 from taut.control.law import Law, as_array, call, initial_memory
-from taut.control.limiting import anew, fresh_blend, limited, term_names
-from taut.control.limits import Limits
+from taut.control.limits import Limits, anew, fresh_blend, limited, term_names
 from taut.control.sensing.sensing import Sensing
 from taut.control.tasks.phases import Phases
 from taut.control.trajectories.reference import Reference, Sample

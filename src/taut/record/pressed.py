@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from taut.base.types import Float64Array
-from taut.control.trajectories.hybrid_motion import HybridMotion
+from taut.control.trajectories.force_reference import HybridMotion
 from taut.record.task import TOOL
 
 if TYPE_CHECKING:

@@ -23,8 +23,8 @@ from taut.control.law import Law
 from taut.control.sensing.filters import LowPass
 from taut.control.sensing.sensing import Sensing
 from taut.control.sensing.velocity import Difference
+from taut.control.trajectories.force_reference import TaskForce
 from taut.control.trajectories.reference import Hold, JointMotion, Sample, as_reference
-from taut.control.trajectories.task_force import TaskForce
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.controller import Controller, compile
 from taut.linear.error_dynamics import ErrorDynamics

@@ -12,7 +12,7 @@ import numpy as np
 
 from taut.analysis.diagnosis.finding import Finding, Number, Picture
 from taut.base.types import Float64Array
-from taut.control.trajectories.hybrid_motion import HybridMotion
+from taut.control.trajectories.force_reference import HybridMotion
 from taut.record.run import Run
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import numpy as np
 from taut.analysis.diagnosis.case import Case
 from taut.analysis.diagnosis.finding import Finding, Number, Picture
 from taut.base.types import Array, Float64Array
-from taut.control.limiting import LIMIT_TERMS
+from taut.control.limits import LIMIT_TERMS
 from taut.maths.singularity import BORDER, sizes_of
 
 __all__ = ["beyond_limits_findings", "limit_findings", "period_findings"]

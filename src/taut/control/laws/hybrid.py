@@ -14,17 +14,33 @@ from taut.control.command import Command, Terms, Torque
 from taut.control.gains import Gain, GainValue, Memory
 from taut.control.integral import check_force_pole, damping_force
 from taut.control.law import Law, MemoryView, call
-from taut.control.laws.along_constraint import along_constraint, asked_pose, at_frame, felt_along, of_one_body
-from taut.control.laws.constraint_checks import (
+from taut.control.laws.constraints import (
+    along_constraint,
+    asked_pose,
+    at_frame,
     check_constraint,
     check_forces,
     check_motion,
     check_place,
+    felt_along,
+    of_one_body,
 )
-from taut.control.laws.force import CONTACT, E_INT_MAX, PATIENCE, counted, taken_back
-from taut.control.laws.row_forces import asked_multipliers, braking, gentler, missed, of_wrench, per_row, swung
+from taut.control.laws.force import (
+    CONTACT,
+    E_INT_MAX,
+    PATIENCE,
+    asked_multipliers,
+    braking,
+    counted,
+    gentler,
+    missed,
+    of_wrench,
+    per_row,
+    swung,
+    taken_back,
+)
 from taut.control.laws.task_space import check_sensor, wrench_at
-from taut.control.trajectories.hybrid_motion import MOST_ROWS, HybridMotion, hybrid_kind
+from taut.control.trajectories.force_reference import MOST_ROWS, HybridMotion, hybrid_kind
 from taut.control.trajectories.reference import Reference, Sample
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.constraints.constraint import Constraint

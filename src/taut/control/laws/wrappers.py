@@ -16,7 +16,7 @@ from taut.control.combine import Wrapper
 from taut.control.command import Command
 from taut.control.gains import Gain, GainValue, Memory
 from taut.control.law import MemoryView
-from taut.control.laws.constraint_checks import check_surface
+from taut.control.laws.constraints import check_surface
 from taut.control.laws.hybrid import HybridMotionForce
 from taut.control.laws.task_space import check_sensor
 from taut.control.trajectories.reference import Reference
