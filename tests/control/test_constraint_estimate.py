@@ -195,7 +195,6 @@ def test_paths_of_the_law_are_those_without_the_estimate() -> None:
     plain, with_it = (taut.compile(law, arm) for law in (board_law(), taut.laws.NormalEstimate(law=board_law())))
     assert set(with_it.parameters) - set(plain.parameters) == {"law.rate", "law.speed", "law.force", "law.most"}
     assert with_it.parameters["law.rate"].item() == 8.0
-    assert set(with_it.memory) - set(plain.memory) == {"law.tilt", "law.normal"}
 
 
 def around(constraint: taut.Constraint) -> taut.laws.NormalEstimate:

@@ -160,7 +160,7 @@ def test_rows_that_hold_both_ways_are_always_there() -> None:
     for _ in range(80):
         ctrl.step(ARM.home, np.zeros(ARM.n), ref, F_ext=np.zeros(6))
     assert ctrl.memory["law.lost"] == 0.0
-    assert ctrl.memory["law.share"].tolist() == [1.0, 1.0]
+    assert ctrl.memory["law.fraction"].tolist() == [1.0, 1.0]
     np.testing.assert_allclose(ctrl.memory["law.e_int"], 80e-3 * np.array([3.0, -4.0]))
 
 

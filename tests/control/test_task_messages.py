@@ -102,17 +102,17 @@ CASES: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (
         coordinates(3),
         taut.errors.UsageError,
-        "Coordinates.function must be a function of the pose, such as lambda T: T.p; got int",
+        "function must be a function; got 3",
     ),
     (
         coordinates(lambda T: T.p[0]),
         taut.errors.ShapeError,
-        "coordinates must be 1 to 6 numbers, (k,); the function gives shape ()",
+        "coordinates must be 1 to 6 numbers, (k,); it gives shape ()",
     ),
     (
         coordinates(lambda T: [*T.p, *T.p, 1.0]),
         taut.errors.ShapeError,
-        "coordinates must be 1 to 6 numbers, (k,); the function gives shape (7,)",
+        "coordinates must be 1 to 6 numbers, (k,); it gives shape (7,)",
     ),
     (
         coordinates(lambda T: [T.p[0], [1.0]]),
@@ -122,17 +122,17 @@ CASES: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (
         coordinates(lambda T: T.p, angles=(3,)),
         taut.errors.ShapeError,
-        "angles must be entries 0 to 2 of the coordinates; got 3",
+        "coordinates has angles that are no entries 0 to 2; got 3",
     ),
     (
         coordinates(lambda T: T.p, angles=(1.5,)),
         taut.errors.UsageError,
-        "Coordinates.angles must be a tuple of entries, such as angles=(2,); got (1.5,)",
+        "angles must be a tuple of entries, such as (2,); got (1.5,)",
     ),
     (
         coordinates(lambda T: T.p, angles=1),
         taut.errors.UsageError,
-        "Coordinates.angles must be a tuple of entries, such as angles=(2,); got 1",
+        "angles must be a tuple of entries, such as (2,); got 1",
     ),
     (
         lambda: task(error="coordinates", coordinates=Coordinates.position(), kp=(100.0, 50.0)),

@@ -113,7 +113,7 @@ class Declaration(Generic[T]):
         """A checked value, or a symbol in its place, as code reads it."""
         return value
 
-    def taken(self, value: Any, owner: Any = None) -> Any:
+    def taken(self, value: Any, owner: Any = None, joints: Joints = None) -> Any:
         """A given value, converted and checked, as it is stored. Raises Refusal."""
         if value is None and self.optional:
             return None
@@ -123,7 +123,7 @@ class Declaration(Generic[T]):
             except TautError as cause:
                 text = str(cause).removeprefix(self.name).lstrip()
                 raise Refusal(type(cause), self.name, text, value) from None
-        return self.stored(self.checked(value, owner))
+        return self.stored(self.checked(value, owner, joints))
 
     def schema(self) -> dict[str, Any]:
         """The declaration as data, like a JSON schema."""
@@ -148,7 +148,7 @@ class Field(Declaration[Any]):
         maximum: Largest allowed entry.
         zero_for_none: Whether entries may be 0 for joints that have none, though every other is `above` 0; not all.
         infinite: Whether infinity is allowed.
-        hint: How to fix a value out of range, for the message.
+        hint: What to do instead of zero, for the message.
         run_time: Whether it may change between ticks; then it is a parameter by its path.
         optional: Whether it may be None.
         convert: As in `Declaration`.
@@ -223,6 +223,10 @@ class Field(Declaration[Any]):
         array.flags.writeable = False
         return array
 
+    def check_shape(self, shape: tuple[int, ...], owner: Any, joints: Joints) -> None:
+        """Numbers of this shape fit the owner and the joints. Raises Refusal."""
+        self._shaped(np.zeros(shape), self.size(owner, joints))
+
     def _numbers(self, value: Any) -> Float64Array:
         given = value.as_array() if hasattr(value, "as_array") else value
         try:
@@ -266,7 +270,9 @@ class Field(Declaration[Any]):
 
     def _refuse(self, rule: str, number: float, index: Sequence[int] = (), joint: str | None = None) -> NoReturn:
         place = entry_names(self.name, index) + (f" (joint '{joint}')" if joint is not None else "")
-        raise Refusal(RangeError, place, f"{rule}{f'; {self.hint}' if self.hint else ''}", number, joint)
+        raise Refusal(
+            RangeError, place, f"{rule}{f'; {self.hint}' if self.hint and number == 0.0 else ''}", number, joint
+        )
 
     def _require_psd(self, array: Float64Array) -> None:
         try:

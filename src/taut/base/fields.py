@@ -195,7 +195,7 @@ class Declared:
         for name, field in self.declared.items():
             value = self.__dict__[name]
             if field.run_time and value is not None:
-                out[name] = np.asarray(value, dtype=np.float64)
+                out[name] = value.as_array() if hasattr(value, "as_array") else np.asanyarray(value)  # or symbols
         for name, part in self.declared_parts().items():
             for path, value in part.parameters().items():
                 whole = f"{self._below(name)}{path}"
@@ -232,13 +232,14 @@ class Declared:
                 return part.find(path.removeprefix(below))
         raise unknown_field(path, self.parameters(), "parameter").error(type(self).__name__)
 
-    def changed(self, path: str, value: Any, *, name: str = "") -> Self:
+    def changed(self, path: str, value: Any, *, name: str = "", joints: Sequence[str] | int | None = None) -> Self:
         """A copy with another value of the parameter at a path, checked as when it was made.
 
         Args:
             path: Of the parameter.
             value: Its new value.
             name: What messages call it; the path if left out.
+            joints: Names of the joints, or their number, where a vector has an entry for each.
 
         Raises:
             TautError: The field does not take it, or there is none.
@@ -250,11 +251,11 @@ class Declared:
             own = path in self.declared and self.declared[path].run_time
             if not own and inner:
                 rest = rest if inner == head else path
-                value = parts[inner].changed(rest, value, name=name or path)
+                value = parts[inner].changed(rest, value, name=name or path, joints=joints)
                 return self._with_parts({inner: value})
             if not own:
                 raise unknown_field(path, self.parameters(), "parameter")
-            copy = self._replaced({path: self.declared[path].taken(value, self)})
+            copy = self._replaced({path: self.declared[path].taken(value, self, joints)})
             copy.check()
         except Refusal as refusal:
             refusal.field = refusal.field.replace(path, name or path, 1) if refusal.field else ""
@@ -309,7 +310,7 @@ class Declared:
             value = self.__dict__[name]
             if isinstance(field, Field) and isinstance(field.shape, str) and value is not None:
                 try:
-                    field.checked(value, self, joints)
+                    field.check_shape(np.shape(value), self, joints)
                 except Refusal as refusal:
                     raise refusal.error(type(self).__name__, prefix) from None
         for name, part in self.declared_parts().items():
@@ -364,8 +365,10 @@ def _same(stored: Any, default: Any) -> bool:
     if isinstance(values, np.ndarray):
         if values.dtype == object:
             return False
-        fitting = np.shape(default) in ((), values.shape)
-        return fitting and bool(np.all(values == np.asarray(default, dtype=np.float64)))
+        numbers = np.asarray(default, dtype=np.float64)
+        if numbers.shape == (2,) and values.shape == (6,):  # (linear, angular)
+            numbers = np.repeat(numbers, 3)
+        return numbers.shape in ((), values.shape) and bool(np.all(values == numbers))
     return isinstance(stored, (str, bool, int, float, tuple)) and type(stored) is type(default) and stored == default
 
 

@@ -161,7 +161,7 @@ class Gain(Field):
         above: Every entry must be greater.
         maximum: Largest allowed entry.
         optional: Whether it may be None.
-        hint: How to fix a value out of range, for the message.
+        hint: What to do instead of zero, for the message.
         doc: One sentence; the entry of the docstring's Args serves where it is left out.
 
     Example:

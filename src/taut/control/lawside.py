@@ -131,7 +131,10 @@ class LawSide:
         elif head == "limits":
             new = Limits.checked(rest, value, self.rate)
         elif head == "sensing":
-            new = self.sensing.checked_parameter(rest, value, self.arm, self.rate)
+            joints = 6 if rest.startswith("F_ext.") else self.arm.joint_names
+            sensing = self.sensing.changed(rest, value, name=path, joints=joints)
+            sensing.check_fit(self.arm, self.rate)
+            new = sensing.parameters()[rest]
         else:
             new = checked_payload_entry(path, value)
         return in_compiled_shape(path, new, self.parameters[path].shape)
@@ -147,7 +150,7 @@ class LawSide:
         """
         self.law.check_size(self.arm.n)
         self.law.check_rates(self.rate)
-        self.sensing.check(self.arm, self.rate)
+        self.sensing.check_fit(self.arm, self.rate)
         if self.limits is not None:
             self.limits.check_fit(self.arm, self.rate)
         try:

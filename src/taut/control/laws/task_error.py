@@ -227,7 +227,12 @@ def _second(coordinates: Coordinates, T: Pose, V: Twist) -> Vector:
 
 def dimensions(kind: ErrorKind, coordinates: Coordinates | None) -> int:
     """Entries of the error."""
-    return 6 if kind != "coordinates" or coordinates is None else len(coordinates.function(SOMEWHERE))
+    if kind != "coordinates" or coordinates is None:
+        return 6
+    try:
+        return len(coordinates.function(SOMEWHERE))
+    except (TypeError, ValueError):  # no vector, which `check_coordinates` refuses
+        return 6
 
 
 SOMEWHERE: Final = Pose([0.4, -0.3, 0.5], rpy=[0.3, -0.4, 0.5])
