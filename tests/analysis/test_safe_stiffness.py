@@ -40,7 +40,7 @@ class TestAtTheTool:
         arm = PLANAR.with_gravity([0.0, 0.0, 0.0]).with_joints(viscous=[2.0, 1.0])
 
         class TipSpring(taut.Law):
-            K: taut.Gain = taut.Gain(size=3)
+            K: taut.Gain = taut.Gain(shape=3)
 
             def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
                 away = x.T().p - x.at(ref.q, ref.v).T().p

@@ -20,6 +20,7 @@ from rich.table import Table
 from taut.analysis.constraints.task_freedoms import freedoms
 from taut.analysis.tool.impedance import check_impedance, impedance_of
 from taut.base.errors import FileError, ScenarioError, TautError, UsageError
+from taut.control.combine import bare
 from taut.control.laws.hybrid import HybridMotionForce
 from taut.control.laws.impedance import Impedance
 from taut.control.tasks.phases import Phases
@@ -289,14 +290,16 @@ def _blamed(scenario: Scenario, trial: Trial) -> Iterator[None]:
 def _remark(ctrl: Controller, scenario: Scenario) -> str:
     """What is to be said of a spring at the tool, or of a constraint, before it runs."""
     q = scenario.arm.home if scenario.q0 is None else scenario.q0
-    if isinstance(ctrl.law, HybridMotionForce):
-        return _freedoms_of(ctrl.law, snapshot(scenario.arm, q))
+    law = bare(ctrl.law)
+    if isinstance(law, HybridMotionForce):
+        return _freedoms_of(law, snapshot(scenario.arm, q))
     if isinstance(ctrl.law, Phases):
         x, laws = snapshot(scenario.arm, q), ctrl.law.laws
-        hybrid = {name: law for name, law in laws.items() if isinstance(law, HybridMotionForce)}
+        bared = {name: bare(law) for name, law in laws.items()}
+        hybrid = {name: law for name, law in bared.items() if isinstance(law, HybridMotionForce)}
         return "\n".join(f"phase '{name}': {_freedoms_of(law, x)}" for name, law in hybrid.items())
     found = impedance_of(ctrl.law)
-    if found is None or (isinstance(found[0], Impedance) and found[0].has("D")):
+    if found is None or (isinstance(found[0], Impedance) and found[0].D is not None):
         return ""
     try:
         check = check_impedance(ctrl, scenario.q0)
@@ -309,7 +312,7 @@ def _remark(ctrl: Controller, scenario: Scenario) -> str:
 
 def _freedoms_of(law: HybridMotionForce, x: Snapshot) -> str:
     """What may be chosen; without the rows of a table that nobody could read, such as of a chain of many joints."""
-    table = freedoms(law.natural, at=x)
+    table = freedoms(law.constraint, at=x)
     head, *lines = str(table).splitlines()
     if max(map(len, lines), default=0) > READABLE:
         lines = [

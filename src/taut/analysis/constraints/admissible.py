@@ -14,7 +14,7 @@ from taut.analysis.constraints.task_axes import TaskBasis
 from taut.base.checks import finite_array
 from taut.base.errors import UsageError
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.trajectories.hybrid_motion import HybridMotion
+from taut.control.trajectories.force_reference import HybridMotion
 from taut.control.trajectories.reference import Sample, Trajectory
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.linear.linear_words import written

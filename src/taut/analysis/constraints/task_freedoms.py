@@ -21,7 +21,7 @@ from taut.analysis.constraints.task_axes import TaskBasis
 from taut.base.checks import finite_array, finite_scalar, one_of, read_only
 from taut.base.errors import RangeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.trajectories.hybrid_motion import HybridMotion
+from taut.control.trajectories.force_reference import HybridMotion
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.constraints.constraint import Constraint
 from taut.maths.snapshot import Snapshot

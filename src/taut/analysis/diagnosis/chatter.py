@@ -11,8 +11,7 @@ from scipy.signal import butter, sosfiltfilt
 from taut.analysis.diagnosis.case import Case
 from taut.analysis.diagnosis.finding import Finding, Number, Picture
 from taut.analysis.diagnosis.line import line_of
-from taut.control.limiting import LIMIT_TERMS
-from taut.control.limits import RATE_PER_EFFORT
+from taut.control.limits import LIMIT_TERMS, RATE_PER_EFFORT
 
 __all__ = ["chatter_findings"]
 

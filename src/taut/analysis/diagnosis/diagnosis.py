@@ -23,7 +23,7 @@ from taut.analysis.diagnosis.sign import sign_findings
 from taut.arm.description import Arm
 from taut.base.errors import UsageError
 from taut.base.types import Array, Float64Array
-from taut.control.limiting import LIMIT_TERMS
+from taut.control.limits import LIMIT_TERMS
 from taut.record.phases import PHASES
 from taut.record.run import Run
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from taut.analysis.diagnosis.finding import Finding, Number, Picture
 from taut.base.types import Float64Array
-from taut.control.trajectories.hybrid_motion import HybridMotion
+from taut.control.trajectories.force_reference import HybridMotion
 from taut.record.run import Run
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def surface_findings(case: Case) -> Iterator[Finding]:
     was told that it is not well known.
     """
     run, law = case.run, _Hybrid.of(case.run)
-    if law is None or f"{law.path}.lost" not in run.extra or f"{law.path}.estimate.normal" in run.extra:
+    if law is None or f"{law.path}.lost" not in run.extra or f"{law.path}.normal" in run.extra:
         return
     phi = run.extra[f"{law.path}.phi"]
     phi = phi.reshape(len(run), -1)
@@ -125,7 +125,7 @@ def surface_findings(case: Case) -> Iterator[Finding]:
         },
         text=f"{which} not where the law says, or gives way: in contact phi is {y.mean():.3g} in the mean, from "
         f"{y.min():.3g} to {y.max():.3g} {unit}",
-        remedy="state the constraint where the tool meets it, estimate=taut.laws.NormalEstimate() for a normal that "
+        remedy="state the constraint where the tool meets it, taut.laws.NormalEstimate(law=...) for a normal that "
         "is not well known, or lower gains of force and motion and kdamp, which bear it",
         picture=Picture(
             title="phi of the law's constraint (shaded: in contact)",

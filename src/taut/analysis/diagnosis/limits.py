@@ -10,7 +10,7 @@ import numpy as np
 from taut.analysis.diagnosis.case import Case
 from taut.analysis.diagnosis.finding import Finding, Number, Picture
 from taut.base.types import Array, Float64Array
-from taut.control.limiting import LIMIT_TERMS
+from taut.control.limits import LIMIT_TERMS
 from taut.maths.singularity import BORDER, sizes_of
 
 __all__ = ["beyond_limits_findings", "limit_findings", "period_findings"]
@@ -186,7 +186,7 @@ def _winds_up(case: Case) -> Finding | None:
         },
         text=f"the integral of '{joint}' grows by {gained:.3g} {run.effort_units[i]} while the command is cut, and "
         f"carries the joint {beyond:.3g} {run.units[i]} beyond its target",
-        remedy="anti_windup='clamping' or 'back-calculation' in the law, or a motion within the limits",
+        remedy="anti_windup='clamping' in the law's integral=taut.laws.Integral(...), or a motion within the limits",
         picture=Picture(
             title=f"{joint}: integral and error, each in parts of its largest (shaded: cut)",
             ylabel="[1]",

@@ -12,6 +12,7 @@ from taut.base.checks import finite_array, require_at_least
 from taut.base.errors import ShapeError, UsageError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
+from taut.control.combine import bare
 from taut.control.command import Torque
 from taut.control.describe import all_laws
 from taut.control.law import Law, call, initial_memory
@@ -35,6 +36,7 @@ NO_DRY: Final = 1e12  # [rad/s | m/s] of speed over which dry friction is compen
 
 def impedance_of(law: Law) -> tuple[Impedance | Stiffness, str] | None:
     """The one law of impedance in a law, and its path; None where there is none, or more than one."""
+    law = bare(law)
     found = [(law, "law")] if isinstance(law, (Impedance, Stiffness)) else []
     for name, child in law.children().items():
         inner = impedance_of(child)
@@ -96,7 +98,7 @@ def check_impedance(
             "taut.analysis.check_stiffness_at(arm, q, K=...) with the stiffness of both together",
             name="ctrl",
         )
-    if isinstance(found[0], Impedance) and found[0].has("D"):
+    if isinstance(found[0], Impedance) and found[0].D is not None:
         raise UsageError(
             "check_impedance speaks of the arm's own inertia; with D the loop goes through the wrist sensor too",
             name="D",

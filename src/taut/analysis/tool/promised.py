@@ -8,16 +8,16 @@ from typing import Final
 import numpy as np
 
 from taut.base.types import Float64Array
-from taut.control.combine import Sum
+from taut.control.combine import Sum, bare
 from taut.control.gains import GainValue
 from taut.control.law import Law
 from taut.control.laws.apparent import felt_impedance
-from taut.control.laws.compliance import Compliance
 from taut.control.laws.force import ForceControl
 from taut.control.laws.friction import FrictionCompensation
 from taut.control.laws.impedance import Stiffness
 from taut.control.laws.joint import PID, ComputedTorque, FeedForward, GravityCompensation, GravityPID
 from taut.control.laws.task import TaskComputedTorque
+from taut.control.laws.task_space import Compliance
 from taut.control.laws.via_joint_space import ViaJointSpace
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.linear.frequency import Complex
@@ -68,8 +68,8 @@ def asked_admittance(law: Law, x: Snapshot, reach: Float64Array) -> AskedAdmitta
         return _of_force(law, x, reach)
     if isinstance(law, Stiffness):
         return _of_stiffness(law, x)
-    felt = felt_impedance(law, x)
-    if felt is None or (law.gives("D") and not all(_stays(C, reach) for C in (felt.D, felt.B, felt.K))):
+    felt, D = felt_impedance(law, x), vars(bare(law)).get("D")
+    if felt is None or (D is not None and not all(_stays(C, reach) for C in (felt.D, felt.B, felt.K))):
         return None
     D, B, K = (reach.T @ matrix @ reach for matrix in (felt.D, felt.B, felt.K))
     return lambda s: np.asarray(reach @ _over(_polynomial(s, D, B, K), reach.T), dtype=np.complex128)
@@ -98,7 +98,7 @@ def _over(polynomial: Complex, right: Float64Array) -> Complex:
 def _matrix(law: Law, name: str, n: int) -> Float64Array:
     """(n, n) a gain, zero where a law has none."""
     gain = getattr(law, name, None)
-    if not isinstance(gain, GainValue) or not law.gives(name):
+    if not isinstance(gain, GainValue):
         return np.zeros((n, n))
     return np.asarray(gain.matrix(n), dtype=np.float64)
 
