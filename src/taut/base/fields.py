@@ -88,7 +88,7 @@ class Declared:
         super().__init_subclass__()
         own = {}
         for name, annotation in inspect.get_annotations(cls).items():
-            word = annotation if isinstance(annotation, str) else str(annotation)
+            word = annotation.__name__ if isinstance(annotation, type) else str(annotation)
             if "ClassVar" in word:
                 continue
             given = cls.__dict__.get(name, REQUIRED)
