@@ -44,6 +44,21 @@ def test_defaults_may_be_numbers_lists_and_arrays() -> None:
     np.testing.assert_allclose(ctrl.step(Q, V, REF), expected + 2.5, atol=1e-12)
 
 
+def test_annotations_may_be_texts_or_classes() -> None:
+    for gain, law in (("Gain", "taut.Law"), (Gain, Law)):
+        made = type("L", (Law,), {
+            "__annotations__": {"k": gain, "inner": law, "z": "Memory" if gain == "Gain" else Memory},
+            "command": lambda self, x, ref: Torque(P=x.q),
+        })  # fmt: skip
+        held = made(k=2.0, inner=taut.laws.PID(kp=1.0))
+        assert {path: x.item() for path, x in held.parameters().items()} == {
+            "k": 2.0, "inner.kp": 1.0, "inner.kd": 0.0, "inner.ki": 0.0
+        }  # fmt: skip
+        assert list(made.memories) == ["z"]
+        with pytest.raises(taut.errors.UnknownNameError, match="L has no field 'z'"):
+            made(k=2.0, inner=held, z=0.0)
+
+
 class Pull(Law):
     """A spring at the tool with a stiffness per axis: the gain has three entries on an arm of seven joints."""
 

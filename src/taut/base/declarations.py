@@ -113,7 +113,7 @@ class Declaration(Generic[T]):
         """A checked value, or a symbol in its place, as code reads it."""
         return value
 
-    def taken(self, value: Any, owner: Any = None, joints: Joints = None) -> Any:
+    def taken(self, value: Any, owner: Any = None) -> Any:
         """A given value, converted and checked, as it is stored. Raises Refusal."""
         if value is None and self.optional:
             return None
@@ -123,7 +123,7 @@ class Declaration(Generic[T]):
             except TautError as cause:
                 text = str(cause).removeprefix(self.name).lstrip()
                 raise Refusal(type(cause), self.name, text, value) from None
-        return self.stored(self.checked(value, owner, joints))
+        return self.stored(self.checked(value, owner))
 
     def schema(self) -> dict[str, Any]:
         """The declaration as data, like a JSON schema."""

@@ -88,7 +88,7 @@ class Declared:
         super().__init_subclass__()
         own = {}
         for name, annotation in inspect.get_annotations(cls).items():
-            word = annotation if isinstance(annotation, str) else str(annotation)
+            word = annotation.__name__ if isinstance(annotation, type) else str(annotation)
             if "ClassVar" in word:
                 continue
             given = cls.__dict__.get(name, REQUIRED)
@@ -232,14 +232,13 @@ class Declared:
                 return part.find(path.removeprefix(below))
         raise unknown_field(path, self.parameters(), "parameter").error(type(self).__name__)
 
-    def changed(self, path: str, value: Any, *, name: str = "", joints: Sequence[str] | int | None = None) -> Self:
+    def changed(self, path: str, value: Any, *, name: str = "") -> Self:
         """A copy with another value of the parameter at a path, checked as when it was made.
 
         Args:
             path: Of the parameter.
             value: Its new value.
             name: What messages call it; the path if left out.
-            joints: Names of the joints, or their number, where a vector has an entry for each.
 
         Raises:
             TautError: The field does not take it, or there is none.
@@ -251,26 +250,34 @@ class Declared:
             own = path in self.declared and self.declared[path].run_time
             if not own and inner:
                 rest = rest if inner == head else path
-                value = parts[inner].changed(rest, value, name=name or path, joints=joints)
+                value = parts[inner].changed(rest, value, name=name or path)
                 return self._with_parts({inner: value})
             if not own:
                 raise unknown_field(path, self.parameters(), "parameter")
-            copy = self._replaced({path: self.declared[path].taken(value, self, joints)})
+            copy = self._replaced({path: self.declared[path].taken(value, self)})
             copy.check()
         except Refusal as refusal:
             refusal.field = refusal.field.replace(path, name or path, 1) if refusal.field else ""
             raise refusal.error(type(self).__name__) from None
         return copy
 
-    def checked_parameter(self, path: str, value: Any, *, name: str = "") -> Float64Array:
+    def checked_parameter(
+        self, path: str, value: Any, *, name: str = "", joints: Sequence[str] | int | None = None
+    ) -> Float64Array:
         """A new value of the parameter at a path, checked by its declaration alone.
+
+        Args:
+            path: Of the parameter.
+            value: Its new value.
+            name: What messages call it; the path if left out.
+            joints: Names of the joints, or their number, where a vector has an entry for each.
 
         Raises:
             TautError: The field does not take it, or there is none.
         """
         owner, field = self.find(path)
         try:
-            checked: Float64Array = field.checked(value, owner)
+            checked: Float64Array = field.checked(value, owner, joints)
         except Refusal as refusal:
             refusal.field = refusal.field.replace(field.name, name or path, 1)
             raise refusal.error(type(self).__name__) from None

@@ -132,9 +132,8 @@ class LawSide:
             new = Limits.checked(rest, value, self.rate)
         elif head == "sensing":
             joints = 6 if rest.startswith("F_ext.") else self.arm.joint_names
-            sensing = self.sensing.changed(rest, value, name=path, joints=joints)
-            sensing.check_fit(self.arm, self.rate)
-            new = sensing.parameters()[rest]
+            new = self.sensing.checked_parameter(rest, value, name=path, joints=joints)
+            self.sensing.changed(rest, new, name=path).check_fit(self.arm, self.rate)
         else:
             new = checked_payload_entry(path, value)
         return in_compiled_shape(path, new, self.parameters[path].shape)

@@ -427,7 +427,7 @@ class HybridMotionForce(Law):
     @property
     def fades(self) -> bool:
         """Whether the force is taken back with a contact that is lost: where no kdamp bounds the speed."""
-        return self.measures and not self.kdamp is not None and any(self.constraint.one_sided)
+        return self.measures and self.kdamp is None and any(self.constraint.one_sided)
 
     def _measured(self, x: Snapshot, rows: ConstraintRows, held: Constrained) -> Vector:
         """(k,) the multipliers that are measured."""
