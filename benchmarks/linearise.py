@@ -17,7 +17,8 @@ os.environ["TAUT_CACHE_DIR"] = tempfile.mkdtemp()  # so that compiling is measur
 import taut
 from taut.codegen.loop import NativeLoop
 from taut.linear.linearise import rest_of
-from taut.linear.loop_map import LoopMap, Point, loop_map
+from taut.linear.loop_map import LoopMap, loop_map
+from taut.linear.period import Point
 from taut.loop import Loop
 
 IMAGES = Path(__file__).parent.parent / "docs" / "images"

@@ -175,7 +175,7 @@ def test_a_margin_is_kept() -> None:
     )  # fmt: skip
     for path, value in tuned.parameters.items():
         loop.parameters[path] = value
-    assert taut.linearise(loop, at=[1.0]).margins.disk.alpha == pytest.approx(asked, abs=1e-3)
+    assert taut.linearise(loop, at=[1.0]).margins().disk.alpha == pytest.approx(asked, abs=1e-3)
 
 
 # -------------------------------------------------------------------- what goes wrong on the way

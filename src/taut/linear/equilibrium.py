@@ -21,7 +21,6 @@ Flags = NDArray[np.bool_]
 WITHIN: Final = 0.5  # [rad | m] between the start pose and the equilibrium at most
 NEWTON_STEPS: Final = 60
 AT_REST: Final = 1e-10  # [-] of a state's size per period: the loop rests
-EXACT: Final = 1e-13  # [-] likewise: a residual of rounding alone, of which no step can be made
 DRIFT: Final = 1e-7  # [-] likewise: a drift that is named
 LONGEST: Final = 0.3  # [rad | m] of a joint in one step of Newton's method
 RANK: Final = 1e-9  # [-] of the largest singular value: a motion below it is free, and stays where it is
@@ -94,7 +93,7 @@ def equilibrium(map_: PeriodMap, start: Point, within: float = WITHIN) -> Rest:
         scale = 1.0 + np.abs(coordinates.numbers(memory))
         wrong = np.abs(found.residual) / scale
         settled = (np.abs(step) / scale)[solved].max(initial=0.0) < AT_REST and _rests(found, solved, wrong)
-        if settled or wrong[solved].max(initial=0.0) < EXACT:
+        if settled or wrong[solved].max(initial=0.0) < map_.rest:
             return _at_rest(map_, at, found, wrong, start, within)
         step = np.zeros(len(coordinates))
         step[solved] = _newton(found, solved, scale)

@@ -22,7 +22,7 @@ from taut.base.errors import RangeError, ShapeError, UsageError, missing_extra, 
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.linear.margins import Margins, margins_of
-from taut.linear.step_response import StepResponse, step_response
+from taut.linear.step_response import StepInfo, step_response
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -531,7 +531,7 @@ class LinearSystem(Result):
             x = step @ x
         return out
 
-    def step(self, *, input: str = "ref.q[0]", output: str = "q[0]") -> StepResponse:
+    def step(self, *, input: str = "ref.q[0]", output: str = "q[0]") -> StepInfo:
         """Overshoot, settling, rise and peak time of one output after a step of one input.
 
         A sampled system is followed from tick to tick, a continuous one exactly.
@@ -542,7 +542,7 @@ class LinearSystem(Result):
         end = float(self.C[row] @ final + self.D[row, column])
         scale = float(np.abs(self.C[row] * final).max(initial=abs(self.D[row, column])))
         if not self.decay_rate > 0.0 or abs(end) <= SINGULAR * scale:
-            return StepResponse.none(end)
+            return StepInfo.none(end)
         return step_response(self.A, final, self.C[row] / end, dt=self.dt, s_poles=self.s_poles, final=end)
 
     def _single(self, kind: str, name: str) -> list[int]:

@@ -50,7 +50,7 @@ class LoopMap(PeriodMap):
         UnknownNameError: No such parameter.
     """
 
-    tolerance = 0.0
+    tolerance, rest = 0.0, 1e-13
 
     def __init__(self, loop: Loop, with_respect_to: tuple[str, ...] = ()) -> None:
         side, plant = loop.side, loop.plant

@@ -98,6 +98,7 @@ class PeriodMap(ABC):
     side: LawSide
     dt: float
     tolerance: float  # [-] of a derivative: smaller entries are rounding
+    rest: float  # [-] of a state's size per period: a residual of rounding alone, of which no step can be made
 
     @abstractmethod
     def derivative(self, at: Point) -> Derivative:
@@ -122,7 +123,7 @@ class Period(PeriodMap):
         RangeError: The loop cannot start there.
     """
 
-    tolerance = STEP
+    tolerance, rest = STEP, 1e-11
 
     def __init__(self, loop: Loop, q: Float64Array, changes: Mapping[str, Any] = EMPTY) -> None:
         self.side, self.dt, self.arm = loop.side, loop.dt, loop.plant.arm
@@ -133,6 +134,7 @@ class Period(PeriodMap):
         memory = loop.start(q, np.zeros_like(q), self.inputs.views(row), self.parameters.views(values))
         self.memory = Block.of({path: np.shape(value) for path, value in memory.items()})
         self.state_coordinates = BlockCoordinates(self.memory)
+        self._clock = [self.memory.field(CLOCK).offset] if CLOCK in self.memory.shapes else []
         self.start = Point(inputs=row, parameters=values, memory=self.memory.pack(memory))
         blocks, example = (self.inputs, self.parameters, self.memory), (row, values, self.start.memory)
         self._run = compiled_loop(loop, blocks, example)
@@ -158,8 +160,7 @@ class Period(PeriodMap):
         """Memory after the period, NaN where it is not finite, and what the tick records."""
         new, row = np.array(memory), np.zeros((1, self._run.outputs.size))
         done = self._run.run(at.inputs[np.newaxis], at.parameters, new, row)
-        if CLOCK in self.memory.shapes:
-            self.memory.views(new)[CLOCK][...] = self.memory.views(memory)[CLOCK]
+        new[self._clock] = memory[self._clock]
         return (new if done else np.full_like(new, np.nan)), row[0]
 
     def after(self, at: Point, memories: Float64Array) -> Float64Array:

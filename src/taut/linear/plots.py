@@ -61,6 +61,7 @@ def bode(system: LinearSystem) -> Figure:
     figure = _figure(1.5 * HEIGHT, 0.7)
     size, phase = figure.subplots(2, 1, sharex=True)
     _draw_bode(size, phase, system)
+    _legend(size, system)
     return figure
 
 
@@ -146,13 +147,11 @@ def _draw_bode(size: Axes, phase: Axes, system: LinearSystem) -> None:
     prepared(phase, "", "phase [deg]", "omega [rad/s]")
     for i, name in enumerate(system.outputs[k] for k in system.rows("command")[:MAX_SIGNALS]):
         size.loglog(omega, np.abs(L[:, i]), color=colour(i), linewidth=1.3, label=name)
-        angle = np.degrees(np.unwrap(np.angle(L[:, i])))
-        middle = angle[np.argmin(np.abs(np.log(np.abs(L[:, i]) + 1e-300)))]
-        phase.semilogx(omega, angle - 360.0 * np.ceil(middle / 360.0), color=colour(i), linewidth=1.3)
+        angle = (np.degrees(np.angle(L[:, i])) + 270.0) % 360.0 - 270.0
+        angle[1:][np.abs(np.diff(angle)) > 180.0] = np.nan  # no line where it wraps
+        phase.semilogx(omega, angle, color=colour(i), linewidth=1.3)
     size.axhline(1.0, color=INK, linewidth=0.8, linestyle=DASHED)
     phase.axhline(-180.0, color=INK, linewidth=0.8, linestyle=DASHED)
-    if L.shape[1] > 1:
-        size.legend(fontsize=SMALL, frameon=False, labelcolor=INK, loc="best")
 
 
 def _draw_nyquist(ax: Axes, system: LinearSystem) -> None:
@@ -161,8 +160,16 @@ def _draw_nyquist(ax: Axes, system: LinearSystem) -> None:
     circle = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 200))
     ax.plot(circle.real, circle.imag, color=INK, linewidth=0.6, linestyle=DASHED)
     for i in range(L.shape[1]):
-        ax.plot(L[:, i].real, L[:, i].imag, color=colour(i), linewidth=1.3)
+        name = system.outputs[system.rows("command")[i]]
+        ax.plot(L[:, i].real, L[:, i].imag, color=colour(i), linewidth=1.3, label=name)
     ax.plot(-1.0, 0.0, "+", color=colour(1), markersize=8.0, markeredgewidth=1.5)
+    _legend(ax, system)
     ax.set_xlim(-NYQUIST_SIZE, NYQUIST_SIZE - 1.0)
     ax.set_ylim(-NYQUIST_SIZE, NYQUIST_SIZE)
     ax.set_aspect("equal", adjustable="box")
+
+
+def _legend(ax: Axes, system: LinearSystem) -> None:
+    """Names of the commands beside the axes, where there are several."""
+    if len(system.rows("command")) > 1:
+        ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK, loc="upper left", bbox_to_anchor=(1.0, 1.0))

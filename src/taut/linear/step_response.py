@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from taut.base.result import Table
 from taut.base.types import Float64Array
 
-__all__ = ["BAND", "StepResponse", "powers", "step_response"]
+__all__ = ["BAND", "StepInfo", "powers", "step_response"]
 
 BAND: Final = 0.02  # [-] of a step: the settling band
 EARLY, LATE = 0.9, 0.1  # [-] of a step that are still to go at the ends of the rise time
@@ -29,7 +29,7 @@ NONE: Final = 1e-9  # [-] of a step: a smaller overshoot is rounding
 
 
 @dataclass(frozen=True, kw_only=True)
-class StepResponse:
+class StepInfo:
     """Step response of one output to one input, as figure 10.4 of the chapter defines its numbers.
 
     Args:
@@ -48,7 +48,7 @@ class StepResponse:
     peak_time: float
 
     @classmethod
-    def none(cls, final: float = math.nan) -> StepResponse:
+    def none(cls, final: float = math.nan) -> StepInfo:
         """That of a response that does not settle."""
         nan = math.nan
         return cls(final=final, overshoot=nan, settling_time=math.inf, rise_time=nan, peak_time=nan)
@@ -77,7 +77,7 @@ def step_response(
     dt: float | None,
     s_poles: NDArray[np.complex128],
     final: float,
-) -> StepResponse:
+) -> StepInfo:
     """Numbers of a step response by the decay of row @ x from x = start.
 
     Args:
@@ -98,7 +98,7 @@ def step_response(
     step = A if dt else np.asarray(scipy.linalg.expm(A * h))
     remaining = _followed(step, start, row, count)
     if not np.isfinite(remaining).all():
-        return StepResponse.none(final)
+        return StepInfo.none(final)
 
     def state(k: int) -> Float64Array:
         return np.asarray(np.linalg.matrix_power(step, k) @ start)
@@ -134,7 +134,7 @@ def step_response(
             k_time = k * h
     else:
         k_time = k * h
-    return StepResponse(
+    return StepInfo(
         final=final,
         overshoot=100.0 * peak if peak > NONE else 0.0,
         settling_time=settling,

@@ -18,6 +18,7 @@ from taut.base.plot_style import (
     prepared,
     short,
     short_name,
+    thinned,
     wrapped,
 )
 
@@ -37,5 +38,6 @@ __all__ = [
     "prepared",
     "short",
     "short_name",
+    "thinned",
     "wrapped",
 ]
