@@ -118,7 +118,7 @@ def test_an_error_keeps_field_joint_and_value() -> None:
     error = error_of(lambda: Sensor(noise=[0.0, -1.0]))
     assert (error.name, error.value, error.joint) == ("noise", -1.0, None)
     error = error_of(lambda: Sensor(noise=[0.0, 1.0]).check_size(["a", "b", "c"], "sensors."))
-    assert str(error) == "sensors.noise must be a number or (3,) [rad]; got shape (2,)"
+    assert str(error) == "sensors.noise must be a number or (3,) [rad] for 3 joints; got shape (2,)"
     with pytest.raises(Refusal, match="must be >= 0") as caught:
         Sensor.declared["noise"].checked([0.0, -1.0], joints=["a", "b"])
     assert str(caught.value.error("", "encoder.")) == "encoder.noise[1] (joint 'b') must be >= 0 [rad]; got -1.0"

@@ -535,7 +535,7 @@ GAINS: list[tuple[str, Callable[[], Any], type[TautError], str]] = [
         "for three joints",
         lambda: taut.compile(PID(kp=[1.0, 2.0, 3.0]), ARM),
         ShapeError,
-        "kp must be a number, (2,) or (2, 2) [N m/rad | N/m]; got shape (3,)",
+        "kp must be a number, (2,) or (2, 2) [N m/rad | N/m] for 2 joints; got shape (3,)",
     ),
     (
         "an option",

@@ -170,7 +170,7 @@ def test_the_derivative_is_that_of_the_native_kernel(
 
 def test_all_memory_is_in_the_model(rich_model: taut.analysis.Linearisation) -> None:
     heads = {name.partition("[")[0] for name in rich_model.states}
-    assert {"plant.q", "plant.v", "plant.motor", "plant.delay", "law.rotation", "law.inner.e_int"} <= heads
+    assert {"plant.q", "plant.v", "plant.motor", "plant.delay", "law.rotation", "law.inner.integral.e_int"} <= heads
     assert any(head.startswith("sensing.velocity") for head in heads)
     assert rich_model.stable
     assert rich_model.drifting == {}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Generic, Literal, NoReturn, Self, 
 import numpy as np
 
 from taut.base.checks import entry_names, float_array, read_only, symmetric_psd
-from taut.base.errors import RangeError, ShapeError, TautError, UnknownNameError, UsageError, quoted_list
+from taut.base.errors import RangeError, ShapeError, TautError, UnknownNameError, UsageError, count_of, quoted_list
 from taut.base.types import ArrayLike, Float64Array
 
 __all__ = ["REQUIRED", "Choice", "Declaration", "Field", "Part", "Parts", "Plain", "Refusal", "unknown_field"]
@@ -207,7 +207,7 @@ class Field(Declaration[Any]):
     def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> Float64Array:
         """The value as floats, read-only, in the shape in which it is stored. Raises Refusal."""
         given = self._numbers(value)  # messages are about these, also where they stand for more
-        array = self._shaped(given, self.size(owner, joints))
+        array = self._shaped(given, self.size(owner, joints), joints)
         names = joints if isinstance(joints, Sequence) else None
         self._require(np.isnan(given) if self.infinite else ~np.isfinite(given), given, "finite", names)
         if given.ndim == 2 and "matrix" in self.accepts:
@@ -225,7 +225,7 @@ class Field(Declaration[Any]):
 
     def check_shape(self, shape: tuple[int, ...], owner: Any, joints: Joints) -> None:
         """Numbers of this shape fit the owner and the joints. Raises Refusal."""
-        self._shaped(np.zeros(shape), self.size(owner, joints))
+        self._shaped(np.zeros(shape), self.size(owner, joints), joints)
 
     def _numbers(self, value: Any) -> Float64Array:
         given = value.as_array() if hasattr(value, "as_array") else value
@@ -234,7 +234,7 @@ class Field(Declaration[Any]):
         except ShapeError as cause:
             raise Refusal(ShapeError, self.name, str(cause).removeprefix(f"{self.name} "), value) from None
 
-    def _shaped(self, array: Float64Array, size: int | None) -> Float64Array:
+    def _shaped(self, array: Float64Array, size: int | None, joints: Joints = None) -> Float64Array:
         """The array in one of the forms that the field takes."""
         if "pair" in self.accepts and size == 6 and array.shape == (2,):
             return np.repeat(array, 3)
@@ -256,7 +256,9 @@ class Field(Declaration[Any]):
             *first, last = taken
             words = f"{', '.join(first)} or {last}" if first else last
             got = f"{float(array):g} alone" if array.ndim == 0 else f"shape {array.shape}"
-            raise Refusal(ShapeError, self.name, f"must be {words}{self.unit_words}; got {got}", array)
+            known = self.shape == "n" and isinstance(joints, Sequence)
+            whose = f" for {count_of(size or 0, 'joint')}" if known else ""
+            raise Refusal(ShapeError, self.name, f"must be {words}{self.unit_words}{whose}; got {got}", array)
         return array
 
     def _require(self, wrong: Any, array: Float64Array, rule: str, joints: Sequence[str] | None) -> None:
@@ -367,7 +369,7 @@ class Parts(Part[T]):
 def unknown_field(name: str, known: Iterable[str], kind: str = "field") -> Refusal:
     """The refusal of a name that does not exist, with the nearest one that does."""
     known = list(known)
-    close = difflib.get_close_matches(name, known, n=1)
+    close = difflib.get_close_matches(name, known, n=1) or [word for word in known if word.lower() == name.lower()]
     hint = (
         f"did you mean '{close[0]}'?"
         if close

@@ -165,6 +165,7 @@ class Gain(Field):
         doc: One sentence; the entry of the docstring's Args serves where it is left out.
 
     Example:
+        >>> import taut
         >>> class Spring(taut.Law):
         ...     K: Gain = Gain(unit="N m/rad")
         ...     def command(self, x, ref):

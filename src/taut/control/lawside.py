@@ -147,7 +147,7 @@ class LawSide:
         Raises:
             MatchError: The law does not fit: torque limits on another kind of command.
         """
-        self.law.check_size(self.arm.n)
+        self.law.check_size(self.arm.joint_names)
         self.law.check_rates(self.rate)
         self.sensing.check_fit(self.arm, self.rate)
         if self.limits is not None:

@@ -155,7 +155,7 @@ class HybridMotionForce(Law):
     patience: Gain = Gain(PATIENCE, unit="s", shape="scalar")
     feedback: Choice[ForceFeedback] = Choice("wrench", "joint_torque")
     curvature: Plain[bool] = Plain(bool, default=True)
-    tolerance: Field = Field(0.01, unit="m, rad", minimum=0.0, run_time=False)
+    tolerance: Field = Field(0.01, unit="m, rad", minimum=0.0, infinite=True, run_time=False)
     e_int = Memory(unit="N s, N m s")
     lam = Memory(unit="N, N m", record=True, doc="multipliers by eq. 10.42 of what is commanded")
     phi = Memory(unit="m, rad", record=True)

@@ -176,7 +176,7 @@ class NormalEstimate(Wrapper):
         ...     kfi=5.0,
         ... )
         >>> sorted(NormalEstimate(law=hybrid, rate=8.0).parameters())[:4]
-        ['contact', 'e_int_max', 'force', 'kfi']
+        ['force', 'kfi', 'most', 'motion.kd']
 
     References:
         Section 10.4.2 hybrid motion-force control, what to do about wrong constraints. Yoshikawa and Sudou (1993),
