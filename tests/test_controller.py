@@ -511,8 +511,7 @@ def test_what_it_is() -> None:
     assert ctrl.needs == ("v",)
     assert ctrl.operations == ctrl.program.operations > 50
     assert (
-        repr(ctrl)
-        == "Controller(ComputedTorque(kp=100.0, kd=20.0, ki=0.0), Arm('planar2', 2 joints, tool 'tool'), rate=500)"
+        repr(ctrl) == "Controller(ComputedTorque(kp=100.0, kd=20.0), Arm('planar2', 2 joints, tool 'tool'), rate=500)"
     )
     plain = taut.compile(L.ComputedTorque(kp=100.0, kd=20.0), ARM, engine="float")
     assert (plain.engine, plain.operations) == ("float", 0)

@@ -414,7 +414,11 @@ MISUSE: list[tuple[str, Callable[[], Any], str]] = [
     ("another home in degrees", lambda: ARM.with_home([0.0, 45.0]), r"np\.radians"),
     ("a sample by another name", lambda: HOME.theta, "it has 'a', 'motion', 'q', 'v'"),
     ("a sample, no velocity", lambda: CTRL.step(ARM.home, HOME), "needs v"),
-    ("memory in a field", lambda: taut.compile(Remembering(), ARM, engine="float"), "declared as e_int: taut.Memory"),
+    (
+        "memory in a field",
+        lambda: taut.compile(Remembering(), ARM, engine="float"),
+        "declared as e_int = taut.Memory",
+    ),
     (
         "a tool of the controller alone",
         lambda: taut.run(

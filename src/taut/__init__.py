@@ -58,12 +58,12 @@ if TYPE_CHECKING:
     from taut.control.side_by_side import SideBySide as SideBySide
     from taut.control.side_by_side import together as together
     from taut.control.tasks.phase import Phase as Phase
-    from taut.control.trajectories.hybrid_motion import pressing as pressing
+    from taut.control.trajectories.force_reference import TaskForce as TaskForce
+    from taut.control.trajectories.force_reference import pressing as pressing
     from taut.control.trajectories.reference import JointMotion as JointMotion
     from taut.control.trajectories.reference import chunk as chunk
     from taut.control.trajectories.reference import hold as hold
     from taut.control.trajectories.reference import stream as stream
-    from taut.control.trajectories.task_force import TaskForce as TaskForce
     from taut.control.trajectories.task_reference import TaskMotion as TaskMotion
     from taut.controller import Controller as Controller
     from taut.controller import compile as compile

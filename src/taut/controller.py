@@ -19,11 +19,10 @@ from taut.codegen.call import Argument
 from taut.codegen.kernel import Blocks, FloatKernel, Kernel, NativeKernel, verified
 from taut.codegen.layout import Block
 from taut.codegen.program import Program, Values, failure, trace
-from taut.control.describe import PARAMETER_UNITS, all_laws, gain_units, section, short, summary, title
+from taut.control.describe import PARAMETER_UNITS, all_laws, section, short, summary, title
 from taut.control.law import Law
 from taut.control.lawside import HELD, TOLD, LawSide, Probe, WildTerm, wild_term
-from taut.control.limiting import take_up
-from taut.control.limits import Limits
+from taut.control.limits import Limits, take_up
 from taut.control.sensing.sensing import Sensing
 from taut.control.tasks.phase import Phase
 from taut.control.tasks.phases import Phases
@@ -517,7 +516,7 @@ class Controller:
                 texts = section(type(law), head)
                 lines += [f"  {head + ':' if not i else '':13}{text}" for i, text in enumerate(texts)]
         lines += ["", "parameters"]
-        units = {f"law.{path}": unit for path, unit in gain_units(side.law).items()} | PARAMETER_UNITS
+        units = {f"law.{path}": unit for path, unit in side.law.units().items()} | PARAMETER_UNITS
         width = max(24, *(len(path) for path in self.parameters))
         for path, value in self.parameters.items():
             unit = f"  [{units[path]}]" if path in units else ""

@@ -8,10 +8,13 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from taut.control.closed_loop import ClosedLoop as ClosedLoop
     from taut.control.combine import Sum as Sum
+    from taut.control.combine import Wrapper as Wrapper
+    from taut.control.integral import Integral as Integral
     from taut.control.laws.admittance import Admittance as Admittance
-    from taut.control.laws.constraint_estimate import NormalEstimate as NormalEstimate
     from taut.control.laws.force import ForceControl as ForceControl
+    from taut.control.laws.friction import Dither as Dither
     from taut.control.laws.friction import FrictionCompensation as FrictionCompensation
+    from taut.control.laws.friction import RaisedGains as RaisedGains
     from taut.control.laws.hybrid import HybridMotionForce as HybridMotionForce
     from taut.control.laws.impedance import Impedance as Impedance
     from taut.control.laws.impedance import Stiffness as Stiffness
@@ -24,15 +27,15 @@ if TYPE_CHECKING:
     from taut.control.laws.null_space import LimitAvoidance as LimitAvoidance
     from taut.control.laws.null_space import Manipulability as Manipulability
     from taut.control.laws.null_space import Posture as Posture
-    from taut.control.laws.stiction import Dither as Dither
-    from taut.control.laws.stiction import RaisedGains as RaisedGains
     from taut.control.laws.task import TaskComputedTorque as TaskComputedTorque
-    from taut.control.laws.task_drive import TaskPosition as TaskPosition
-    from taut.control.laws.task_drive import TaskVelocity as TaskVelocity
+    from taut.control.laws.task import TaskPosition as TaskPosition
+    from taut.control.laws.task import TaskVelocity as TaskVelocity
     from taut.control.laws.via_joint_space import ViaJointSpace as ViaJointSpace
     from taut.control.laws.virtual_objects import VirtualBall as VirtualBall
     from taut.control.laws.virtual_objects import VirtualGroove as VirtualGroove
     from taut.control.laws.virtual_objects import VirtualWall as VirtualWall
+    from taut.control.laws.wrappers import EnergyTank as EnergyTank
+    from taut.control.laws.wrappers import NormalEstimate as NormalEstimate
     from taut.control.side_by_side import SideBySide as SideBySide
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

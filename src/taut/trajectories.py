@@ -6,7 +6,7 @@ from taut.base.front_door import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from taut.control.trajectories.hybrid_motion import HybridMotion as HybridMotion
+    from taut.control.trajectories.force_reference import HybridMotion as HybridMotion
     from taut.control.trajectories.joint import Cubic as Cubic
     from taut.control.trajectories.joint import JerkLimited as JerkLimited
     from taut.control.trajectories.joint import Quintic as Quintic
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from taut.control.trajectories.joint import Sine as Sine
     from taut.control.trajectories.joint import Spline as Spline
     from taut.control.trajectories.joint import Trapezoidal as Trapezoidal
-    from taut.control.trajectories.steady import Steady as Steady
     from taut.control.trajectories.task import Circle as Circle
     from taut.control.trajectories.task import Line as Line
     from taut.control.trajectories.task import Screw as Screw
-    from taut.control.trajectories.task_samples import TaskSamples as TaskSamples
+    from taut.control.trajectories.task import Steady as Steady
+    from taut.control.trajectories.task_reference import TaskSamples as TaskSamples
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

@@ -166,7 +166,12 @@ def windup(name: str, rng: np.random.Generator, kind: str) -> Planted:
     arm = arm_of(name)
     M = float(np.asarray(taut.snapshot(arm, arm.home, np.zeros(arm.n)).M)[0, 0])
     m = np.append(M, inertia(name)[1:])
-    law = L.GravityPID(kp=100.0 * m, kd=20.0 * m, ki=150.0 * m * (np.arange(arm.n) == 0), anti_windup="none")
+    law = L.GravityPID(
+        kp=100.0 * m,
+        kd=20.0 * m,
+        ki=150.0 * m * (np.arange(arm.n) == 0),
+        integral=taut.laws.Integral(anti_windup="none"),
+    )
     way = np.zeros(arm.n)
     way[0] = rng.choice([-0.6, 0.6])
     ref = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + way, duration=0.6)

@@ -413,7 +413,7 @@ def test_winding_up_is_found_with_the_saturation_that_it_causes() -> None:
     """The first ticks have an error of 1e-9 rad of the other sign: that is no return to the target."""
     arm = runs.arm_of("gantry3")
     need = 5.77 * 0.6 / 0.25 * float(np.asarray(taut.snapshot(arm, arm.home, np.zeros(3)).M)[0, 0])
-    law = L.ComputedTorque(kp=100.0, kd=20.0, ki=[150.0, 0.0, 0.0], anti_windup="none")
+    law = L.ComputedTorque(kp=100.0, kd=20.0, ki=[150.0, 0.0, 0.0], integral=L.Integral(anti_windup="none"))
     limits = taut.Limits(tau=[0.4 * need, np.inf, np.inf])
     path = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + np.array([0.6, 0.0, 0.0]), duration=0.5)
     start = arm.home + np.array([1e-9, 0.0, 0.0])

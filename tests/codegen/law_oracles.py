@@ -34,7 +34,9 @@ LAWS: dict[str, Callable[[int], taut.Law]] = {
     "FrictionCompensation": lambda n: L.FrictionCompensation(at="meas"),
     "VelocityPI": lambda n: L.VelocityPI(kp=spd(n, 4), ki=2.0),
     "PID + Dither": lambda n: (
-        L.PID(kp=10.0, kd=1.0, ki=spd(n, 6), anti_windup="back-calculation")
+        L.PID(
+            kp=10.0, kd=1.0, ki=spd(n, 6), integral=taut.laws.Integral(anti_windup="back-calculation", tracking=10.0)
+        )
         + L.Dither(amplitude=np.linspace(0.1, 0.2, n), frequency=130.0)
     ),
     "RaisedGains of ComputedTorque": lambda n: L.RaisedGains(

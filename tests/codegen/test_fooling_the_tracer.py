@@ -486,13 +486,13 @@ def test_a_law_that_inherits_from_a_law_is_refused() -> None:
 
 PID = taut.laws.PID
 GAINS: list[tuple[str, Callable[[], Any], type[TautError], str]] = [
-    ("misspelt", lambda: PID(kp=1.0, kdd=1.0), UnknownNameError, "PID has no gain 'kdd'; did you mean 'kd'?"),
+    ("misspelt", lambda: PID(kp=1.0, kdd=1.0), UnknownNameError, "PID has no field 'kdd'; did you mean 'kd'?"),
     ("missing", lambda: PID(kd=1.0), UsageError, "PID needs kp [N m/rad | N/m]"),
     (
         "positional",
         lambda: PID(1.0),
         UsageError,
-        "PID takes its gains by name; got 1 without; write PID(kp=..., kd=..., ki=..., e_int=..., anti_windup=..., tracking=...)",
+        "PID takes its fields by name; got 1 without; write PID(kp=..., kd=..., ki=..., integral=...)",
     ),
     ("negative", lambda: PID(kp=-1.0), RangeError, "kp must be >= 0 [N m/rad | N/m]; got -1.0"),
     ("negative entry", lambda: PID(kp=[1.0, -3.0]), RangeError, "kp[1] must be >= 0 [N m/rad | N/m]; got -3.0"),
@@ -512,12 +512,12 @@ GAINS: list[tuple[str, Callable[[], Any], type[TautError], str]] = [
         ShapeError,
         "kp must be numbers [N m/rad | N/m] in a rectangular array; got [[1.0], [1.0, 2.0]]",
     ),
-    ("empty", lambda: PID(kp=[]), ShapeError, "kp must be a scalar, (n,) or (n, n) [N m/rad | N/m]; got shape (0,)"),
+    ("empty", lambda: PID(kp=[]), ShapeError, "kp must be a number, (n,) or (n, n) [N m/rad | N/m]; got shape (0,)"),
     (
         "oblong",
         lambda: PID(kp=np.ones((2, 3))),
         ShapeError,
-        "kp must be a scalar, (n,) or (n, n) [N m/rad | N/m]; got shape (2, 3)",
+        "kp must be a number, (n,) or (n, n) [N m/rad | N/m]; got shape (2, 3)",
     ),
     (
         "not symmetric",
@@ -535,13 +535,13 @@ GAINS: list[tuple[str, Callable[[], Any], type[TautError], str]] = [
         "for three joints",
         lambda: taut.compile(PID(kp=[1.0, 2.0, 3.0]), ARM),
         ShapeError,
-        "kp must be a scalar, (2,) or (2, 2) for 2 joints; got shape (3,)",
+        "kp must be a number, (2,) or (2, 2) [N m/rad | N/m] for 2 joints; got shape (3,)",
     ),
     (
         "an option",
-        lambda: PID(kp=1.0, anti_windup="clip"),
+        lambda: PID(kp=1.0, integral=taut.laws.Integral(anti_windup="clip")),
         UsageError,
-        "anti_windup must be one of 'none', 'clamping', 'back-calculation'; got 'clip'",
+        "anti_windup must be one of 'clamping', 'back-calculation', 'none'; got 'clip'",
     ),
     (
         "gravity twice",

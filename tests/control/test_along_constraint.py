@@ -9,7 +9,7 @@ import taut
 from taut import Constraint, Pose
 from taut import math as tm
 from taut.base.types import Float64Array
-from taut.control.laws.along_constraint import along_constraint, of_one_body
+from taut.control.laws.constraints import along_constraint, of_one_body
 from taut.laws import HybridMotionForce, Impedance, TaskComputedTorque
 from taut.maths.spatial import rotation_exp
 
@@ -202,7 +202,7 @@ def test_the_reference_of_a_law_of_joints_is_left_as_it_is() -> None:
     e = 0.01 * np.cos(np.arange(7.0))
     ctrl.step(ARM.home, np.zeros(7), taut.pressing(taut.JointMotion(q=ARM.home + e), 5.0))
     x = taut.snapshot(ARM, ARM.home)
-    rows = law.natural.at(x)
+    rows = law.constraint.at(x)
     A = np.asarray(rows.A_q)
     S = np.linalg.inv(A @ np.linalg.solve(x.M, A.T))
     along = x.M @ (KP * e) - A.T @ (S @ (A @ (KP * e)))

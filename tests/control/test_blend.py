@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.control.limiting import left
+from taut.control.limits import left
 
 L = taut.laws
 PANDA = taut.load_arm("panda")

@@ -10,7 +10,7 @@ import pytest
 
 import taut
 from taut.base.errors import RangeError, UsageError
-from taut.control.laws.constraint_estimate import NormalEstimate, turn_between, turned_rows
+from taut.control.laws.wrappers import NormalEstimate, turn_between, turned_rows
 from taut.maths.spatial import rotation_exp, rotation_log
 
 DT = 1e-3
@@ -43,7 +43,7 @@ def estimated(
     contact: Callable[[float], Pair], duration: float = 1.0, start: np.ndarray | None = None, **gains: float
 ) -> np.ndarray:
     """The tilt after so many seconds of a contact."""
-    estimate = NormalEstimate(**gains)
+    estimate = NormalEstimate(law=board_law(), **gains)
     tilt = np.zeros(3) if start is None else start
     for k in range(round(duration / DT)):
         v, F = contact(k * DT)
@@ -108,7 +108,7 @@ def test_what_rests_or_hardly_presses_or_hits_the_surface_shows_nothing() -> Non
 
 
 def test_no_tick_turns_the_normal_faster_than_stated() -> None:
-    rng, estimate, tilt = np.random.default_rng(3), NormalEstimate(), np.zeros(3)
+    rng, estimate, tilt = np.random.default_rng(3), NormalEstimate(law=board_law()), np.zeros(3)
     for _ in range(400):
         v, F = rng.normal(0.0, 0.1, 3), rng.normal(0.0, 20.0, 3) + 10.0 * UP
         new = np.asarray(estimate.updated(tilt, UP, v, F, DT))
@@ -121,7 +121,7 @@ def test_no_tick_turns_the_normal_faster_than_stated() -> None:
 
 def test_on_a_cylinder_that_stands_elsewhere_the_estimate_follows_as_stated() -> None:
     radius, off, speed = 0.15, 0.02, 0.05
-    estimate, tilt, behind = NormalEstimate(), np.zeros(3), []
+    estimate, tilt, behind = NormalEstimate(law=board_law()), np.zeros(3), []
     for k in range(2000):
         a = -0.4 + speed / radius * k * DT
         n, s = np.array([np.sin(a), 0.0, np.cos(a)]), np.array([np.cos(a), 0.0, -np.sin(a)])
@@ -175,73 +175,57 @@ def test_in_the_loop_the_normal_and_its_force_come_back() -> None:
     plant = taut.RigidPlant(arm, friction=None, environment=wall, substeps=2)
     way = taut.trajectories.Line(T0=T, T1=taut.Pose.of(T.R, T.p + np.array([0.06, 0.06, 0.0])), duration=1.6)
     errors = {}
-    for name, estimate in (("nothing", None), ("estimate", taut.laws.NormalEstimate())):
-        ctrl = taut.compile(board_law(estimate=estimate), arm)
+    for name in ("nothing", "estimate"):
+        law = board_law() if name == "nothing" else taut.laws.NormalEstimate(law=board_law())
+        ctrl = taut.compile(law, arm)
         out = taut.run(ctrl, plant, taut.pressing(way, 10.0), duration=1.6)
         assert out.outcome.ok
         late = out.t > 1.2
         errors[name] = float(np.sqrt(np.mean((out.extra["F_ext"][late, :3] @ n - 10.0) ** 2)))
-        if estimate is not None:
+        if name == "estimate":
             fast = np.linalg.norm(out.task.twist[:, :3], axis=1) > 0.02
             at = int(np.argmax(np.cumsum(fast) >= 1000))
-            assert angle(out.extra["law.estimate.normal"][at], n) < 1.0
+            assert angle(out.extra["law.normal"][at], n) < 1.0
     assert errors["estimate"] < 0.5  # 5 %
     assert errors["estimate"] < 0.5 * errors["nothing"]
 
 
-def test_without_an_estimate_the_law_is_as_it_was() -> None:
+def test_paths_of_the_law_are_those_without_the_estimate() -> None:
     arm = taut.load_arm("panda")
-    plain, with_it = (taut.compile(board_law(estimate=e), arm) for e in (None, taut.laws.NormalEstimate()))
-    assert not any("estimate" in path for path in plain.parameters)
-    assert with_it.parameters["law.estimate.rate"].item() == 8.0
+    plain, with_it = (taut.compile(law, arm) for law in (board_law(), taut.laws.NormalEstimate(law=board_law())))
+    assert set(with_it.parameters) - set(plain.parameters) == {"law.rate", "law.speed", "law.force", "law.most"}
+    assert with_it.parameters["law.rate"].item() == 8.0
+
+
+def around(constraint: taut.Constraint) -> taut.laws.NormalEstimate:
+    return taut.laws.NormalEstimate(law=taut.laws.HybridMotionForce(constraint=constraint, motion=MOTION))
 
 
 REFUSED = [
     (
-        lambda: taut.compile(taut.laws.NormalEstimate(), taut.load_arm("panda")),
+        lambda: taut.laws.NormalEstimate(law=taut.laws.Posture()),  # type: ignore[arg-type]
         UsageError,
-        "NormalEstimate gives no torque; a hybrid law holds it: taut.laws.HybridMotionForce(..., "
-        "estimate=taut.laws.NormalEstimate())",
+        "law must be a HybridMotionForce; got Posture",
     ),
     (
-        lambda: board_law(estimate=taut.laws.Posture()),
+        lambda: around(taut.Constraint.of_joints(lambda q: q[0])),
         UsageError,
-        "estimate holds taut.laws.NormalEstimate(); got Posture",
-    ),
-    (
-        lambda: taut.laws.HybridMotionForce(
-            constraint=taut.Constraint.of_joints(lambda q: q[0]),
-            motion=MOTION,
-            estimate=taut.laws.NormalEstimate(),
-        ),
-        UsageError,
-        "estimate is for a surface that one frame touches, and a motion of that frame, such as TaskComputedTorque; "
-        "leave it out",
+        "law must have a surface that one frame touches, and a motion of that frame",
     ),
     (
         lambda: taut.compile(
-            taut.laws.HybridMotionForce(
-                constraint=taut.Constraint(lambda T: T.p[2], frames=("panda_link8",)),
-                motion=MOTION,
-                estimate=taut.laws.NormalEstimate(),
-            ),
-            taut.load_arm("panda"),
+            around(taut.Constraint(lambda T: T.p[2], frames=("panda_link8",))), taut.load_arm("panda")
         ),
         UsageError,
         "estimate needs motion and constraint to be of one frame, and these are of 'panda_hand_tcp' and 'panda_link8'",
     ),
     (
-        lambda: taut.compile(
-            taut.laws.HybridMotionForce(
-                constraint=taut.Constraint(lambda T: T.R[0, 2]), motion=MOTION, estimate=taut.laws.NormalEstimate()
-            ),
-            taut.load_arm("panda"),
-        ),
+        lambda: taut.compile(around(taut.Constraint(lambda T: T.R[0, 2])), taut.load_arm("panda")),
         UsageError,
         "estimate is of a surface's normal, and the first row of the constraint holds rotations only; put the surface "
         "first, or leave it out",
     ),
-    (lambda: taut.laws.NormalEstimate(most=1.5), RangeError, "most must be <= 1.2 [rad]; got 1.5"),
+    (lambda: taut.laws.NormalEstimate(law=board_law(), most=1.5), RangeError, "most must be <= 1.2 [rad]; got 1.5"),
 ]
 
 

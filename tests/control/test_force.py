@@ -60,7 +60,7 @@ def test_with_feedback_it_is_eq_10_38_in_the_axes_of_the_gains(frame: Any) -> No
     np.testing.assert_allclose((damping / (KDAMP * (W.T @ x.twist())))[:3], 1.0, atol=0.1)
     F = W @ (W.T @ F_DES + KFP * F_e + KFI * e_int - damping)
     np.testing.assert_allclose(tau, x.g + x.J().T @ F, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(ctrl.memory["law.e_int"], e_int, atol=1e-15)
+    np.testing.assert_allclose(ctrl.memory["law.integral.e_int"], e_int, atol=1e-15)
     np.testing.assert_allclose(ctrl.terms["P"], x.J().T @ W @ (KFP * F_e), atol=1e-12)
     assert set(ctrl.terms) == {"feedforward", "P", "I", "D", "gravity"}
 
@@ -131,7 +131,7 @@ def test_feedback_of_joint_torques_needs_them_and_no_wrist() -> None:
 def test_the_integral_is_cut_at_the_length_of_each_part_and_tells_it() -> None:
     law = L.ForceControl(kfi=5.0, null=None, e_int_max=(0.05, 0.004))
     ctrl, _ = stepped(law, ticks=20, F_ext=F_EXT)
-    e_int, F_e = ctrl.memory["law.e_int"], F_DES + F_EXT
+    e_int, F_e = ctrl.memory["law.integral.e_int"], F_DES + F_EXT
     assert np.linalg.norm(e_int[3:]) == pytest.approx(0.004)
     np.testing.assert_allclose(e_int[:3], 20e-3 * F_e[:3])  # 0.045 N s: not yet
     np.testing.assert_allclose(e_int[3:] / 0.004, F_e[3:] / np.linalg.norm(F_e[3:]))
@@ -142,12 +142,12 @@ def test_what_limits_cut_does_not_wind_the_integral_up() -> None:
     limits = taut.Limits(tau=np.abs(taut.snapshot(PANDA, Q, V).g) + 0.5)
     wound = {
         scheme: stepped(
-            L.ForceControl(kfi=50.0, anti_windup=scheme, null=None, **more),
+            L.ForceControl(kfi=50.0, integral=L.Integral(anti_windup=scheme, **more), null=None),
             ticks=400,
             F_ext=np.zeros(6),
             limits=limits,
             engine="native",
-        )[0].memory["law.e_int"]
+        )[0].memory["law.integral.e_int"]
         for scheme, more in (("none", {}), ("clamping", {}), ("back-calculation", {"tracking": 200.0}))
     }
     np.testing.assert_allclose(wound["none"], 0.4 * F_DES)
@@ -220,8 +220,8 @@ def test_directions_that_an_arm_never_has_count_for_nothing() -> None:
     J = taut.snapshot(arm, arm.home).J()
     still = ~J.any(axis=1)
     assert still.any()
-    assert not ctrl.memory["law.e_int"][still].any()
-    assert ctrl.memory["law.e_int"][~still].all()
+    assert not ctrl.memory["law.integral.e_int"][still].any()
+    assert ctrl.memory["law.integral.e_int"][~still].all()
 
 
 # -------------------------------------------------------------------- samples
@@ -272,15 +272,15 @@ MESSAGES: Any = [
     (lambda: taut.TaskForce(), "a wrench is F_app=, of the arm on the environment, or F_ext=, of the environment on the arm; got neither; give one of them"),
     (lambda: asked(frame="body"), "frame must be one of 'world', 'tool'; got 'body'"),
     (lambda: L.ForceControl(kdamp=(50.0, 1.0)).speed_bound(F_app=F_DES, x=taut.snapshot(PANDA, Q), rate=0.0), "rate must be > 0 [Hz]; got 0"),
-    (lambda: L.ForceControl(kdamp=50.0), "kdamp needs one number for metres and one for radians, kdamp=(linear, angular), or six, or (6, 6) [N s/m, N m s/rad]; got 50 alone"),
-    (lambda: L.ForceControl(e_int_max=20.0), "e_int_max needs one number for metres and one for radians, e_int_max=(linear, angular), or six, or (6, 6) [N s, N m s]; got 20 alone"),
-    (lambda: L.ForceControl(contact=1.0), "contact needs one number for metres and one for radians, contact=(linear, angular), or six, or (6, 6) [N, N m]; got 1 alone"),
+    (lambda: L.ForceControl(kdamp=50.0), "kdamp must be (linear, angular), (6,) or (6, 6) [N s/m, N m s/rad]; got 50 alone"),
+    (lambda: L.ForceControl(e_int_max=20.0), "e_int_max must be (linear, angular) [N s, N m s]; got 20 alone"),
+    (lambda: L.ForceControl(contact=1.0), "contact must be (linear, angular) [N, N m]; got 1 alone"),
     (lambda: L.ForceControl(e_int_max=[1.0] * 6), "e_int_max must be (linear, angular) [N s, N m s]; got shape (6,)"),
     (lambda: L.ForceControl(kfp=-0.5), "kfp must be >= 0 [1]; got -0.5"),
     (lambda: L.ForceControl(feedback="motor"), "feedback must be one of 'wrench', 'joint_torque', 'none'; got 'motor'"),
-    (lambda: L.ForceControl(feedback="none", kfp=0.5), "ForceControl: kfp is for feedback='wrench' or 'joint_torque', and this one has 'none'; leave it out"),
-    (lambda: L.ForceControl(null=L.PID(kp=1.0)), "null holds a law that follows no reference, such as taut.laws.Posture(), and PID follows a JointMotion"),
-    (lambda: taut.compile(L.ForceControl(kfi=3000.0), PANDA), "kfi / (1 + kfp) must be below twice the rate, 2000 [1/s], or the force swings on any contact; got 3000; a pole of 1 to 20 1/s is usual"),
+    (lambda: L.ForceControl(feedback="none", kfp=0.5), "kfp is for a force that is fed back, and feedback is 'none'; leave it out"),
+    (lambda: L.ForceControl(null=L.PID(kp=1.0)), "null must be a law that follows no reference, such as taut.laws.Posture(); PID follows a JointMotion"),
+    (lambda: taut.compile(L.ForceControl(kfi=3000.0), PANDA), "kfi / (1 + kfp) must be below twice the rate, 2000 [1/s], or the force oscillates on any contact; got 3000; a pole of 1 to 20 1/s is usual"),
     (lambda: taut.compile(L.ForceControl(tool="panda_link3"), PANDA), "the wrist sensor of 'panda' is at its tool 'panda_hand_tcp', and 'panda_link3' is on another link, of which it knows nothing; control a frame of the tool's link, or load the arm with that tool"),
     (lambda: stepped(L.ForceControl(kfp=0.1), F_ext=F_EXT, F_app=F_EXT), "step takes F_ext or F_app, not both: one is minus the other"),
     (lambda: stepped(L.ForceControl(kfp=0.1)), "step needs F_ext, which the law asks for: pass F_ext= or F_app=; got none"),

@@ -325,9 +325,13 @@ def squared(T: Pose) -> Any:
         (
             lambda: HybridMotionForce(constraint=3, motion=motion()),
             taut.errors.UsageError,
-            "constraint must be a function of",
+            "constraint must be a Constraint; got 3",
         ),
-        (lambda: HybridMotionForce(constraint=FLOOR, motion=3), taut.errors.UsageError, "motion holds a law such as"),
+        (
+            lambda: HybridMotionForce(constraint=FLOOR, motion=3),
+            taut.errors.UsageError,
+            "motion must be a Law; got 3",
+        ),
         (lambda: HybridMotionForce(constraint=FLOOR), taut.errors.UsageError, "HybridMotionForce needs motion"),
         (
             lambda: HybridMotionForce(constraint=FLOOR, motion=motion(), feedback="eye"),
@@ -339,7 +343,7 @@ def squared(T: Pose) -> Any:
                 constraint=Constraint.of_joints(lambda q: q[0]), motion=ComputedTorque(kp=1.0, kd=1.0), kfp=0.5
             ),
             taut.errors.UsageError,
-            "feedback='wrench' is for a constraint of one frame of the tool's link",
+            "feedback 'wrench' is for a constraint of one frame of the tool's link; for one of joints or of several frames take 'joint_torque', or leave kfp and kfi out",
         ),
         (
             lambda: taut.compile(HybridMotionForce(constraint=FLOOR, motion=TaskVelocity(kp=1.0)), ARM),
@@ -427,7 +431,7 @@ def squared(T: Pose) -> Any:
         (
             lambda: HybridMotionForce(constraint=FLOOR, motion=motion(), tolerance=float("nan")),
             taut.errors.RangeError,
-            r"tolerance must be >= 0 \[m, rad\]; got nan",
+            r"tolerance must be finite \[m, rad\]; got nan",
         ),
         (
             lambda: HybridMotionForce(constraint=FLOOR, motion=motion(), curvature="no"),
@@ -440,7 +444,7 @@ def squared(T: Pose) -> Any:
                 motion=motion(),
             ),
             taut.errors.UsageError,
-            "a hybrid law takes constraints of up to 12 rows; these have 14",
+            "constraint must have up to 12 rows; it has 14",
         ),
         (
             lambda: taut.compile(HybridMotionForce(constraint=FLOOR, motion=motion(), kfp=0.5, kfi=3000.0), ARM),

@@ -160,7 +160,7 @@ def test_rows_that_hold_both_ways_are_always_there() -> None:
     for _ in range(80):
         ctrl.step(ARM.home, np.zeros(ARM.n), ref, F_ext=np.zeros(6))
     assert ctrl.memory["law.lost"] == 0.0
-    assert ctrl.memory["law.share"].tolist() == [1.0, 1.0]
+    assert ctrl.memory["law.fraction"].tolist() == [1.0, 1.0]
     np.testing.assert_allclose(ctrl.memory["law.e_int"], 80e-3 * np.array([3.0, -4.0]))
 
 
@@ -322,8 +322,8 @@ def test_a_streamed_motion_sideways_to_a_blade_is_told_when_it_has_gone_too_far(
 
 def test_a_law_that_estimates_the_surface_does_not_tell_of_a_motion_off_the_stated_one() -> None:
     told = []
-    for estimate in (None, taut.laws.NormalEstimate()):
-        ctrl = taut.compile(law(estimate=estimate), ARM, engine="float")
+    for own in (law(), taut.laws.NormalEstimate(law=law())):
+        ctrl = taut.compile(own, ARM, engine="float")
         ctrl.step(ARM.home, np.zeros(ARM.n), taut.pressing(STAY), F_ext=np.zeros(6))
         above = taut.TaskMotion(pose=Pose(T.p + np.array([0.0, 0.0, 0.05]), R=T.R))
         ctrl.step(ARM.home, np.zeros(ARM.n), taut.pressing(above), F_ext=np.zeros(6))

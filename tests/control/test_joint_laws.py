@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import taut
-from taut.control.law import field_units
 
 ROUNDING = 1e-9  # relative to the largest torque
 ARMS = {
@@ -132,7 +131,8 @@ def test_dry_friction_leaves_gravity_pid_short_of_the_goal_by_its_share_of_the_s
 @pytest.mark.parametrize("name", ["PID", "GravityPID", "GravityCompensation", "ComputedTorque", "VelocityPI"])
 def test_gains_have_a_unit_for_joints_that_turn_and_one_for_those_that_slide(name: str) -> None:
     """As everywhere, what holds for hinges comes first: [rad | m], [N m | N]."""
-    for gain, unit in field_units(getattr(taut.laws, name)).items():
+    declared = getattr(taut.laws, name).declared
+    for gain, unit in {name: field.unit for name, field in declared.items() if isinstance(field, taut.Gain)}.items():
         turn, _, slide = unit.partition(" | ")
         expected = turn.replace("N m", "N").replace("rad", "m")
         assert slide == ("" if expected == turn else expected), (name, gain)

@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import taut
-from taut.control.limiting import LIMIT_TERMS, room
-from taut.control.limits import Limits
+from taut.control.limits import LIMIT_TERMS, Limits, room
 
 L = taut.laws
 PANDA = taut.load_arm("panda")
@@ -176,7 +175,7 @@ class TestOfAVelocityCommand:
     def test_its_integral_does_not_wind_up(self, engine: Any) -> None:
         integrals = {}
         for scheme in ("none", "clamping", "back-calculation"):
-            law = L.VelocityPI(kp=2.0, ki=5.0, anti_windup=scheme)
+            law = L.VelocityPI(kp=2.0, ki=5.0, integral=taut.laws.Integral(anti_windup=scheme))
             ctrl = taut.compile(law, ARM, limits=taut.Limits(v=0.5), engine=engine)
             for _ in range(300):
                 ctrl.step([0.0, 0.0], ref=taut.JointMotion(q=[2.0, 0.0]))

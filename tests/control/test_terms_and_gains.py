@@ -106,14 +106,14 @@ class TestGains:
         assert float(law.kp) == 100.0
         assert law.kp == 100.0
         assert np.sqrt(law.kp) == 10.0
-        assert repr(law) == "PID(kp=100.0, kd=0.0, ki=0.0)"
+        assert repr(law) == "PID(kp=100.0)"
 
 
 class Spring(taut.Law):
     """A spring to a fixed point, with a leak."""
 
-    k: taut.Gain  # [N m/rad]
-    rest: taut.Gain = taut.Gain((0.1, 0.2), minimum=-np.inf)  # [rad]
+    k: taut.Gain = taut.Gain(unit="N m/rad")
+    rest: taut.Gain = taut.Gain((0.1, 0.2), unit="rad", minimum=-np.inf)
     level: taut.Memory = taut.Memory(1.0)  # [1]
 
     def command(self, x, ref, memory, dt):  # type: ignore[no-untyped-def]

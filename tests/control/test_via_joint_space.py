@@ -99,7 +99,7 @@ def outcomes(run: taut.Run) -> list[IkOutcome]:
 class Recorder(taut.Law):
     """Passes what it is to follow on as its own memory, to be looked at."""
 
-    recorded = ("q", "v", "a")
+    q, v, a = taut.Memory(record=True), taut.Memory(record=True), taut.Memory(record=True)
 
     def start(self, x: taut.Snapshot, ref: taut.JointMotion) -> dict[str, Any]:
         return {"q": x.q, "v": ref.v, "a": ref.a}
@@ -390,21 +390,19 @@ def test_the_record_stands_in_a_log_and_in_runs_of_other_plants(tmp_path: Any) -
     ("make", "error", "text"),
     [
         (lambda: taut.via_joint_space("PID"), taut.errors.UsageError,  # type: ignore[arg-type]
-         r"via_joint_space takes a law: taut.laws.ComputedTorque\(...\); got str"),
+         "inner must be a Law; got 'PID'"),
         (lambda: taut.via_joint_space(taut.via_joint_space(LAW)), taut.errors.UsageError,
-         "via_joint_space gives a JointMotion, and ViaJointSpace follows a TaskMotion; hold a law of joint motion, "
-         "such as ComputedTorque"),
-        (lambda: taut.via_joint_space(LAW, steps=0), taut.errors.RangeError,
-         "steps must be a whole number from 1 to 10; got 0"),
-        (lambda: taut.via_joint_space(LAW, steps=1.5), taut.errors.RangeError,  # type: ignore[arg-type]
-         "steps must be a whole number from 1 to 10; got 1.5"),
+         "inner must be a law of joint motion, such as ComputedTorque; ViaJointSpace follows a TaskMotion"),
+        (lambda: taut.via_joint_space(LAW, steps=0), taut.errors.UsageError, "steps must be one of 1, .*; got 0"),
+        (lambda: taut.via_joint_space(LAW, steps=1.5), taut.errors.UsageError,  # type: ignore[arg-type]
+         "steps must be one of 1, .*; got 1.5"),
         (lambda: taut.via_joint_space(LAW, directions="six"), taut.errors.UsageError,  # type: ignore[arg-type]
          "directions must be one of 'all', 'pointing', 'position'; got 'six'"),
         (lambda: taut.via_joint_space(LAW, pull=[1.0] * 7), taut.errors.ShapeError,  # type: ignore[arg-type]
-         r"pull must be one number; got shape \(7,\)"),
+         r"pull must be a number \[1/s\]; got shape \(7,\)"),
         (lambda: taut.via_joint_space(LAW, speed=np.eye(7)), taut.errors.ShapeError,
-         r"speed must be a scalar or one per joint; got shape \(7, 7\)"),
-        (lambda: taut.via_joint_space(LAW, speed=0.0), taut.errors.RangeError, "speed must be >= 1e-06"),
+         r"speed must be a number or \(n,\) .*; got shape \(7, 7\)"),
+        (lambda: taut.via_joint_space(LAW, speed=0.0), taut.errors.RangeError, "speed must be > 0"),
         (lambda: taut.via_joint_space(LAW, rise=0.0), taut.errors.RangeError, r"rise must be >= 0.001 \[s\]; got 0.0"),
         (lambda: taut.compile(taut.via_joint_space(LAW, posture=[0.0] * 6), taut.load_arm("panda")), taut.errors.ShapeError,
          r"posture must have one entry per joint, shape \(7,\); got shape \(6,\)"),

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 import taut
 from taut.control.gains import GainValue
-from taut.control.laws.spring import Bound
-from taut.control.laws.virtual_dynamics import Body, Model, answered, damping_matrix, integrated
+from taut.control.laws.admittance import Body, Model, answered, damping_matrix, integrated
+from taut.control.laws.task_space import Bound
 
 ORIGIN = taut.TaskMotion(pose=taut.Pose([0.0, 0.0, 0.0], rpy=[0.0, 0.0, 0.0]))
 NOTHING = np.zeros(6)

@@ -71,10 +71,10 @@ def test_a_gantry_is_three_single_joints() -> None:
     mass, dt = np.diag(taut.snapshot(arm, arm.home).M), 1e-3
     index = {name: i for i, name in enumerate(lin.states)}
     for j in range(3):
-        names = [f"plant.q[{j}]", f"plant.v[{j}]", f"law.e_int[{j}]"]
+        names = [f"plant.q[{j}]", f"plant.v[{j}]", f"law.integral.e_int[{j}]"]
         if not ki[j]:
             names = names[:2]
-            assert lin.left_out[f"law.e_int[{j}]"] == "nothing depends on it"
+            assert lin.left_out[f"law.integral.e_int[{j}]"] == "nothing depends on it"
         rows = [index[name] for name in names]
         # The integral of a tick counts in that tick: e+ = e - dt q, tau = -kp q - kd v + ki e+.
         tau = np.array([-kp[j] - ki[j] * dt, -kd[j], ki[j]]) / mass[j]
@@ -170,7 +170,7 @@ def test_the_derivative_is_that_of_the_native_kernel(
 
 def test_all_memory_is_in_the_model(rich_model: taut.analysis.Linearisation) -> None:
     heads = {name.partition("[")[0] for name in rich_model.states}
-    assert {"plant.q", "plant.v", "plant.motor", "plant.delay", "law.rotation", "law.inner.e_int"} <= heads
+    assert {"plant.q", "plant.v", "plant.motor", "plant.delay", "law.rotation", "law.inner.integral.e_int"} <= heads
     assert any(head.startswith("sensing.velocity") for head in heads)
     assert rich_model.stable
     assert rich_model.drifting == {}
@@ -216,7 +216,10 @@ def test_a_law_without_gravity_sags_to_where_its_spring_holds_the_weight() -> No
     held = fsolve(lambda q: kp * (at - q) - taut.snapshot(arm, q).g, at)
     assert lin.q == pytest.approx(held, abs=1e-9)
     assert lin.moved == pytest.approx(held - at, abs=1e-9)
-    assert set(lin.drifting) == {"law.e_int[0]", "law.e_int[1]"}  # with ki = 0 it grows, and nobody reads it
+    assert set(lin.drifting) == {
+        "law.integral.e_int[0]",
+        "law.integral.e_int[1]",
+    }  # with ki = 0 it grows, and nobody reads it
 
 
 def test_an_integral_ends_at_the_reference_with_the_weight_in_it() -> None:
@@ -225,7 +228,7 @@ def test_an_integral_ends_at_the_reference_with_the_weight_in_it() -> None:
     lin = taut.linearise(loop, at=at)
     assert np.abs(lin.moved).max() < 1e-9
     made = loop_map(loop)
-    e_int = made.memory.views(rest_of(loop, made, at, 0.5).point.memory)["law.e_int"]
+    e_int = made.memory.views(rest_of(loop, made, at, 0.5).point.memory)["law.integral.e_int"]
     assert e_int == pytest.approx(taut.snapshot(arm, at).g / 50.0, rel=1e-9)
 
 

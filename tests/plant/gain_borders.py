@@ -229,7 +229,7 @@ def saturation_simulated(step: float) -> float:
     plant = taut.RigidPlant(
         LINK, integrator="rk4", actuation=taut.drives.Actuation(motor=taut.drives.Motor(peak=PEAK))
     )
-    ctrl = taut.compile(taut.laws.PID(kp=kp, kd=kd, ki=1.0, anti_windup="none"), LINK)
+    ctrl = taut.compile(taut.laws.PID(kp=kp, kd=kd, ki=1.0, integral=taut.laws.Integral(anti_windup="none")), LINK)
 
     def winds_up(ki: float) -> bool:
         ctrl.parameters["law.ki"] = ki

@@ -276,7 +276,7 @@ class Feels(taut.Law):
     Closed loop:  none
     """
 
-    recorded = ("felt",)
+    felt = taut.Memory(record=True)
 
     def start(self, x: taut.Snapshot, ref: taut.JointMotion) -> dict[str, object]:
         return {"felt": x.tau_meas}

@@ -56,7 +56,9 @@ def test_what_is_promised_has_the_axes_of_the_tool_and_the_asked_damping() -> No
     [
         taut.laws.TaskComputedTorque(kp=100.0, kd=20.0),
         taut.laws.Impedance(K=(100.0, 10.0), zeta=1.0, error="body"),
-        taut.laws.Impedance(K=lambda T: [100.0, 10.0], zeta=1.0, tank=1.0),
+        taut.laws.EnergyTank(
+            law=taut.laws.Impedance(K=(1.0, 1.0), zeta=1.0), stiffness=lambda T: [100.0, 10.0], capacity=1.0
+        ),
     ],
     ids=["no impedance", "another error", "K of the pose"],
 )

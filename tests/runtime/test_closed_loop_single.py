@@ -240,7 +240,7 @@ class TestAntiWindup:
     """A step of 3 rad under 0.5 N m: while the torque is cut the integral must not grow."""
 
     def run(self, scheme: Any, ki: float) -> taut.Run:
-        law = taut.laws.PID(kp=5.0, kd=2.0, ki=ki, anti_windup=scheme)
+        law = taut.laws.PID(kp=5.0, kd=2.0, ki=ki, integral=taut.laws.Integral(anti_windup=scheme))
         ctrl = taut.compile(law, FLAT, limits=taut.Limits(tau=0.5))
         out = taut.run(ctrl, taut.RigidPlant(FLAT), ZERO, duration=40.0, q0=[-3.0])
         np.testing.assert_allclose(np.abs(out.tau).max(), 0.5, rtol=1e-12)
@@ -261,7 +261,7 @@ class TestAntiWindup:
     def test_without_limits_the_two_are_the_same_loop(self) -> None:
         runs = []
         for scheme in ("clamping", "none"):
-            law = taut.laws.PID(kp=5.0, kd=2.0, ki=4.0, anti_windup=scheme)  # type: ignore[arg-type]
+            law = taut.laws.PID(kp=5.0, kd=2.0, ki=4.0, integral=taut.laws.Integral(anti_windup=scheme))  # type: ignore[arg-type]
             runs.append(response(law, duration=1.0, q0=[-3.0]).q)
         np.testing.assert_array_equal(runs[0], runs[1])
 

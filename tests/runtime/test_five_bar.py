@@ -11,7 +11,7 @@ import taut
 from taut.base.types import Float64Array
 from taut.control.command import Command, Terms, Torque
 from taut.control.law import Law, MemoryView, call
-from taut.control.trajectories.hybrid_motion import hybrid_kind
+from taut.control.trajectories.force_reference import hybrid_kind
 
 Array = Float64Array
 LINK = """<link name="{name}"><inertial><origin xyz="{com} 0 0"/><mass value="1"/>

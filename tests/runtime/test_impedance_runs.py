@@ -327,7 +327,7 @@ def test_a_stiff_spring_without_damping_does_gain_energy_from_being_sampled() ->
 def test_a_tank_bounds_what_a_stiffer_spring_brings_in(tank: float) -> None:
     arm = taut.load_arm("panda")
     T0 = taut.snapshot(arm, arm.home).T()
-    law = impedance(K=(200.0, 20.0), zeta=0.7, tank=tank, settle=0.02)
+    law = taut.laws.EnergyTank(law=impedance(K=(200.0, 20.0), zeta=0.7), capacity=tank, settle=0.02)
     plant = taut.RigidPlant(arm, friction=None, environment=Shaker(constant=[0.0, 0.0, 20.0, 0.0, 0.0, 0.0]))
     event = taut.Event(t=2.0, set={"law.K": (2000.0, 20.0)})
     run = taut.run(taut.compile(law, arm), plant, taut.TaskMotion(pose=T0), duration=2.2, events=[event])
@@ -366,7 +366,8 @@ def test_a_stiffness_that_depends_on_the_pose_is_no_source_of_energy_with_a_tank
     def stiff_on_one_side(T: taut.Pose) -> Any:
         return [taut.math.where(T.p[0] > x0, 3000.0, 300.0), 30.0]
 
-    law = impedance(K=stiff_on_one_side, B=(8.0, 1.0), zeta=None, tank=0.05, settle=0.005)
+    spring = impedance(K=(300.0, 30.0), B=(8.0, 1.0), zeta=None)
+    law = taut.laws.EnergyTank(law=spring, stiffness=stiff_on_one_side, capacity=0.05, settle=0.005)
     plant = taut.RigidPlant(arm, friction=None, environment=Shaker(amplitude=[10.0, 10.0, 0, 0, 0, 0], frequency=1.3))
     run = taut.run(taut.compile(law, arm), plant, taut.TaskMotion(pose=T0), duration=6.0)
     assert run.outcome.ok
@@ -384,9 +385,10 @@ def test_expm_is_what_a_free_mode_does() -> None:
 def test_a_run_keeps_the_energy_of_the_tank() -> None:
     arm = taut.load_arm("planar3")
     position = taut.Coordinates(function=lambda T: taut.math.array([T.p[0], T.p[2]]))
-    law = taut.laws.Impedance(
-        K=[100.0, 100.0], B=[10.0, 10.0], error="coordinates", coordinates=position, tank=0.5, null=None
+    spring = taut.laws.Impedance(
+        K=[100.0, 100.0], B=[10.0, 10.0], error="coordinates", coordinates=position, null=None
     )
+    law = taut.laws.EnergyTank(law=spring, capacity=0.5)
     events = [taut.Event(t=0.05, set={"law.K": [400.0, 400.0]})]
     target = taut.TaskMotion(pose=taut.snapshot(arm, np.add(arm.home, 0.1)).T())
     run = taut.run(taut.compile(law, arm), taut.RigidPlant(arm), target, duration=0.1, events=events)

@@ -229,7 +229,12 @@ def test_no_parameter_of_any_stage_needs_a_compile_and_each_has_an_effect(monkey
         load_motor_static=0.08, load_external_static=0.06,
     )  # fmt: skip
     arm = arm.with_friction(friction)
-    law = taut.laws.PID(kp=[60.0, 30.0], kd=[3.0, 1.5], ki=20.0, anti_windup="back-calculation", tracking=4.0)
+    law = taut.laws.PID(
+        kp=[60.0, 30.0],
+        kd=[3.0, 1.5],
+        ki=20.0,
+        integral=taut.laws.Integral(anti_windup="back-calculation", tracking=4.0),
+    )
     ctrl = taut.compile(
         law + taut.laws.Dither(amplitude=0.02, frequency=40.0),
         arm,

@@ -256,11 +256,9 @@ def test_what_a_later_phase_follows_is_looked_at_before_the_run_or_where_it_begi
     ended = run(taut.pressing(level, 5.0), taut.laws.HybridMotionForce(constraint=swaying, motion=move))
     assert (ended.outcome.kind, len(ended)) == ("stopped", 3)  # where the surface is then is known when it begins
     assert words in ended.outcome.message
-    estimate = taut.laws.NormalEstimate()  # which goes along the surface, whatever the motion asks for against it
-    assert run(
-        taut.pressing(level, 5.0),
-        taut.laws.HybridMotionForce(constraint=swaying, motion=move, kfi=1.0, estimate=estimate),
-    ).outcome.ok
+    hybrid = taut.laws.HybridMotionForce(constraint=swaying, motion=move, kfi=1.0)
+    estimate = taut.laws.NormalEstimate(law=hybrid)  # along the surface, whatever the motion asks for against it
+    assert run(taut.pressing(level, 5.0), estimate).outcome.ok
     squared = taut.Constraint(lambda T: (T.p[2] - height) ** 2)  # nor may the law itself be without a meaning there
     flat = taut.laws.HybridMotionForce(constraint=squared, motion=move)
     ended = run(lambda x: taut.pressing(taut.TaskMotion(pose=x.T())), flat)
@@ -315,10 +313,8 @@ class Counts(taut.Law):
     Closed loop:  M a + h = 0
     """
 
-    recorded: ClassVar[tuple[str, ...]] = ("count",)
-    notices: ClassVar[tuple[tuple[str, str], ...]] = (("count", "it counted"),)
     needs_contact: ClassVar[bool] = True
-    count: taut.Memory = taut.Memory(0.0)
+    count = taut.Memory(notice="it counted")
 
     def command(self, x: taut.Snapshot, ref: taut.JointMotion, memory: Any, dt: float) -> Any:
         return taut.Torque(P=0.0 * x.q), {"count": memory.count + 1.0}

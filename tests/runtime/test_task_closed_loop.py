@@ -258,7 +258,9 @@ class TestTheIntegral:
         """Past a goal 0.25 m up, in parts of the way, with a shoulder that gives little more than holds the arm."""
         T = pose_at(PANDA, PANDA.home)
         goal = taut.TaskMotion(pose=taut.Pose.of(T.R, T.p + 0.25 * np.eye(3)[2]))
-        law = L.TaskComputedTorque(kp=100.0, kd=20.0, ki=150.0, anti_windup=scheme, singularity="plain")
+        law = L.TaskComputedTorque(
+            kp=100.0, kd=20.0, ki=150.0, integral=taut.laws.Integral(anti_windup=scheme), singularity="plain"
+        )
         out = run(law, PANDA, goal, duration=4.0, limits=limits)
         below = errors(out, PANDA, law, goal, 10)[:, 2]
         assert abs(below[-1]) < 0.02

@@ -27,7 +27,7 @@ class Spring(taut.Law):
     Closed loop:  M a + k e = 0
     """
 
-    k: taut.Gain  # [N m/rad]
+    k: taut.Gain = taut.Gain(unit="N m/rad")
 
     def command(self, x, ref):
         return taut.Torque(spring=self.k @ (ref.q - x.q))
@@ -215,7 +215,7 @@ class TestALawOfTheUsersOwn:
             ("broken", ["k=1"], "has no law 'broken'; it has 'Spring', 'Fails', 'Moves'"),
             ("Spring", ["k"], "--gain takes NAME=VALUE such as kp=100 or kp=[100,50]; got 'k'"),
             ("Spring", ["k=-1"], "k must be >= 0 [N m/rad]; got -1.0"),
-            ("Spring", ["j=1"], "Spring has no gain 'j'"),
+            ("Spring", ["j=1"], "Spring has no field 'j'"),
             ("Spring", [], "Spring needs k [N m/rad]"),
             ("Spring", ["k=nan"], "k must be finite [N m/rad]; got nan"),
             ("Spring", ["k=-inf"], "k must be finite [N m/rad]; got -inf"),
@@ -224,7 +224,11 @@ class TestALawOfTheUsersOwn:
             ("Spring", ["k=" + "[" * 5000], "k must be numbers [N m/rad]; got '[[[["),
             ("Spring", ["k=" + "9" * 5000], "k must be numbers [N m/rad]; got '9999"),
             ("Spring", ["k=1", "self=2"], "of '{file}' cannot be made: TypeError: "),
-            ("Spring", ["k=[1, 2, 3]"], "taut: --law {file}:Spring: k must be a scalar, (1,) or (1, 1) for 1 joint"),
+            (
+                "Spring",
+                ["k=[1, 2, 3]"],
+                "taut: --law {file}:Spring: k must be a number, (1,) or (1, 1) [N m/rad] for 1 joint",
+            ),
             ("Fails", [], "taut: --law {file}:Fails: Fails fails on plain numbers, at rest at home: ValueError: no"),
             ("Moves", [], "[plant] takes: Moves gives a velocity and plant 'RigidPlant(one_joint)' takes a torque"),
         ],

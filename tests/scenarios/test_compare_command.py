@@ -46,7 +46,7 @@ import taut
 class Student(taut.Law):
     """A PD controller with a slip: kd where kp belongs."""
 
-    kp: taut.Gain  # [N m/rad]
+    kp: taut.Gain = taut.Gain(unit="N m/rad")
     kd: taut.Gain  # [N m s/rad]
 
     def command(self, x, ref):

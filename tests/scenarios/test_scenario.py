@@ -628,7 +628,7 @@ def test_a_law_that_holds_a_law_and_one_that_is_added(tmp_path: Path, capsys: py
         'law = "GravityPID"\nkp = 50\nkd = [8, 4]\n',
         'law = ["RaisedGains", "Dither"]\n[laws.PD.Dither]\namplitude = 0.1\nfrequency = 40\n'
         '[laws.PD.RaisedGains]\nfactor = 3\nwidth = 0.2\n[laws.PD.RaisedGains.inner]\nlaw = "GravityPID"\nkp = 50\n'
-        'kd = 4\nanti_windup = "back-calculation"\ntracking = 20\n',
+        'kd = 4\nintegral = { anti_windup = "back-calculation", tracking = 20 }\n',
     )
     file.write_text(
         text.replace("max = 3.0", 'max = 3.0\n[[event]]\nt = 0.1\nset = { "law.Dither.frequency" = 60 }'),
@@ -636,5 +636,5 @@ def test_a_law_that_holds_a_law_and_one_that_is_added(tmp_path: Path, capsys: py
     )
     assert main(["run", str(file), "--out", str(tmp_path / "out"), "--json"]) == 0
     law = load_scenario(str(file)).laws["PD"]
-    assert law.parameters()["RaisedGains.inner.tracking"] == 20.0
+    assert law.parameters()["RaisedGains.inner.integral.tracking"] == 20.0
     assert capsys.readouterr().out

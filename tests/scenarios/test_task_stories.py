@@ -238,8 +238,8 @@ def test_the_phases_of_a_story_tell_what_is_their_own(told: Any) -> None:
     """What the law of another phase remembered, such as an estimate, is not what this one took for true."""
     run = told("panda_erases").runs[Trial("", "task")]
     lying, erasing = run.phase("lie_down"), run.phase("erase")
-    assert "law.lie_down.estimate.normal" in lying.extra
-    assert "law.lie_down.estimate.normal" not in erasing.extra
+    assert "law.lie_down.normal" in lying.extra
+    assert "law.lie_down.normal" not in erasing.extra
     assert erasing.metrics.normal_error < 1.0 < lying.metrics.normal_error
     assert np.isnan(run.phase("approach").metrics.normal_error)
 

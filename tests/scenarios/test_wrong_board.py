@@ -81,8 +81,8 @@ def test_the_tips_of_a_scenario_and_its_press_are_read() -> None:
     assert joint.stiffness == [1000.0]
     assert joint.type == mujoco.mjtJoint.mjJNT_SLIDE
     law = cases["estimate of the normal"].laws["hybrid"]
-    assert isinstance(law, taut.laws.HybridMotionForce)
-    assert isinstance(law.estimate, taut.laws.NormalEstimate)
+    assert isinstance(law, taut.laws.NormalEstimate)
+    assert isinstance(law.law, taut.laws.HybridMotionForce)
     sample = cases["low gains"].reference.at(1.0)  # type: ignore[union-attr]
     assert isinstance(sample, taut.trajectories.HybridMotion)
     assert sample.press.tolist() == [10.0]

@@ -16,17 +16,17 @@ from taut.base.paths import subtree
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.loop import FloatLoop, NativeLoop
-from taut.control.combine import Sum
+from taut.control.combine import Sum, bare
 from taut.control.describe import title
 from taut.control.gains import GainValue
 from taut.control.law import Law
 from taut.control.laws.apparent import felt_impedance
-from taut.control.laws.compliance import Compliance
 from taut.control.laws.force import ForceControl
 from taut.control.laws.friction import FrictionCompensation
 from taut.control.laws.impedance import Stiffness
 from taut.control.laws.joint import PID, ComputedTorque, FeedForward, GravityCompensation, GravityPID
 from taut.control.laws.task import TaskComputedTorque
+from taut.control.laws.task_space import Compliance
 from taut.control.laws.via_joint_space import ViaJointSpace
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.linear.equilibrium import WITHIN
@@ -378,10 +378,10 @@ def _specified_admittance(law: Law, x: Snapshot, reach: Float64Array) -> Admitta
         return _of_task(law, reach, mobility)
     if isinstance(law, ForceControl):
         return _of_force(law, reach, mobility)
-    apparent = felt_impedance(law, x)
+    apparent, D = felt_impedance(law, x), vars(bare(law)).get("D")
     if apparent is None:
         return None
-    if law.gives("D") and not all(_stays(C, reach) for C in (apparent.D, apparent.B, apparent.K)):
+    if D is not None and not all(_stays(C, reach) for C in (apparent.D, apparent.B, apparent.K)):
         return None
     D, B, K = (reach.T @ matrix @ reach for matrix in (apparent.D, apparent.B, apparent.K))
     return lambda s: np.asarray(reach @ _over(_polynomial(s, D, B, K), reach.T), dtype=np.complex128)
@@ -410,7 +410,7 @@ def _over(polynomial: Complex, right: Float64Array) -> Complex:
 def _matrix(law: Law, name: str, n: int) -> Float64Array:
     """(n, n) a gain, zero where a law has none."""
     gain = getattr(law, name, None)
-    if not isinstance(gain, GainValue) or not law.gives(name):
+    if not isinstance(gain, GainValue):
         return np.zeros((n, n))
     return np.asarray(gain.matrix(n), dtype=np.float64)
 

@@ -17,8 +17,8 @@ from taut.book.link import M, controller, link, on_link
 from taut.book.page import Entry, Page, row
 from taut.book.single_joint import ConstantTorque
 from taut.control.law import Law
+from taut.control.laws.friction import Dither, RaisedGains
 from taut.control.laws.joint import PID
-from taut.control.laws.stiction import Dither, RaisedGains
 from taut.control.trajectories.reference import JointMotion
 from taut.record.plots.style import DASHED, INK, colour, prepared
 from taut.record.run import Run

@@ -15,7 +15,7 @@ from taut.book.page import MUJOCO, Entry, Page, compared, row
 from taut.book.simulation import one_pole, simulated, ticked, total
 from taut.book.single_joint import ConstantTorque
 from taut.control.laws.force import ForceControl
-from taut.control.trajectories.task_force import TaskForce
+from taut.control.trajectories.force_reference import TaskForce
 from taut.maths.constraints.constraint import Constraint
 from taut.maths.snapshot import snapshot
 from taut.plant.contact import RigidContact

@@ -17,8 +17,8 @@ from taut.control.laws.force import ForceControl
 from taut.control.laws.impedance import Impedance
 from taut.control.laws.task import TaskComputedTorque
 from taut.control.laws.task_error import Coordinates
+from taut.control.trajectories.force_reference import TaskForce
 from taut.control.trajectories.reference import Sample
-from taut.control.trajectories.task_force import TaskForce
 from taut.linear.linearise import linearise
 from taut.maths.snapshot import snapshot
 from taut.plant.environments.held import Handle

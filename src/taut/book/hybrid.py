@@ -16,7 +16,7 @@ from taut.book.simulation import simulated, ticked, total
 from taut.control.laws.hybrid import HybridMotionForce
 from taut.control.laws.task import TaskComputedTorque
 from taut.control.laws.task_error import Coordinates
-from taut.control.trajectories.hybrid_motion import pressing
+from taut.control.trajectories.force_reference import pressing
 from taut.control.trajectories.task import Line
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.constraints.constraint import Constraint

@@ -13,12 +13,13 @@ import numpy as np
 
 from taut import laws
 from taut.arm.description import Arm, Friction
-from taut.control.describe import held_laws, statements, summary
+from taut.base.fields import REQUIRED
+from taut.control.describe import held_laws, law_classes, statements, summary
 from taut.control.gains import Gain
-from taut.control.law import Law, field_units
+from taut.control.law import Law
 from taut.control.lawside import LawSide
 from taut.control.sensing.sensing import Sensing
-from taut.control.trajectories.hybrid_motion import HybridMotion
+from taut.control.trajectories.force_reference import HybridMotion
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.adds import Adds
 from taut.maths.constraints.constraint import Constraint
@@ -69,41 +70,35 @@ def _equation_first(lines: Sequence[str]) -> list[str]:
 
 def law_rows() -> list[LawRow]:
     """Every law of taut.laws that stands on its own."""
-    return [_row(getattr(laws, name)) for name in laws.__all__ if name not in OF_OTHERS]
+    return [_row(cls) for name, cls in law_classes(laws).items() if name not in OF_OTHERS]
 
 
-OF_OTHERS: Final = ("Sum", "SideBySide", "NormalEstimate")  # which are made of other laws, or held by one
+OF_OTHERS: Final = ("Sum", "SideBySide", "NormalEstimate", "EnergyTank")  # which are made of other laws
 
 
 def _row(cls: type[Law]) -> LawRow:
-    fields_of = {field.name: cls.__dict__.get(field.name) for field in fields(cls)}  # type: ignore[arg-type]
-    every = {name: field for name, field in fields_of.items() if isinstance(field, Gain)}
-    gains = [name for name, field in every.items() if field.where is None]
-    given = {"constraint": Constraint(lambda T: T.p[2])} if "constraint" in fields_of else {}
-    law = cls(**_numbers(cls, gains), **given, **{name: _held(cls) for name in held_laws(cls)})
+    given = {"constraint": Constraint(lambda T: T.p[2])} if "constraint" in cls.declared else {}
+    law = cls(**_numbers(cls), **given, **{name: _held(cls) for name in held_laws(cls)})
     side = LawSide(law=law, arm=_six_axes(), rate=1000.0, sensing=Sensing(), limits=None, adds=Adds())
-    units = field_units(cls)
     return LawRow(
         name=cls.__name__,
         summary=summary(cls),
         law=statements(cls, "Law"),
         closed_loop=statements(cls, "Closed loop"),
-        gains={name: units.get(name, "") for name, field in every.items() if field.has_meaning(law)},
+        gains={name: field.unit for name, field in cls.declared.items() if isinstance(field, Gain)},
         command=side.probe.kind,
-        reference="none" if cls.ignores_reference else cls.reference.__name__,
+        reference="none" if law.ignores_reference else law.reference.__name__,
         needs=("q", *side.needs),
     )
 
 
-def _numbers(cls: type[Law], gains: Sequence[str]) -> dict[str, Any]:
+def _numbers(cls: type[Law]) -> dict[str, Any]:
     """Ones for every gain that a law must have; of damping and damping ratio, the damping."""
     numbers: dict[str, Any] = {}
-    for name in gains:
-        field: Gain = cls.__dict__[name]
-        if not field.optional or name == "B":
-            numbers[name] = (1.0, 1.0) if field.pairs and not field.scalar else 1.0
-        if field.size == 3:
-            numbers[name] = (1.0, 1.0, 1.0)
+    for name, field in cls.declared.items():
+        if isinstance(field, Gain) and (field.default is REQUIRED or name == "B"):
+            scalar = field.shape == "scalar" or "scalar" in field.accepts
+            numbers[name] = 1.0 if scalar else (1.0, 1.0, 1.0) if field.shape == 3 else (1.0, 1.0)
     return numbers
 
 

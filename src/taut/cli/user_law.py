@@ -36,7 +36,7 @@ def load_law(place: str, gains: Sequence[str]) -> Law:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[module_name] = module  # so that units can be read from the class's source
+    sys.modules[module_name] = module  # where dataclasses look for its names
     with _blamed(f"law file '{file}' fails", str(file)):
         spec.loader.exec_module(module)
     found = {key: value for key, value in vars(module).items() if isinstance(value, type) and issubclass(value, Law)}

@@ -1,18 +1,19 @@
-"""Laws that hold laws: sums."""
+"""Laws that hold laws: sums, and wrappers around one law."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Self
 
 from taut.base.errors import MatchError, UsageError
+from taut.base.fields import Declared, Part
 from taut.control.closed_loop import ClosedLoop
 from taut.control.command import Command
-from taut.control.law import Law, MemoryView, call
-from taut.control.trajectories.reference import Sample
+from taut.control.law import Law, MemoryView, call, initial_memory
+from taut.control.trajectories.reference import Reference, Sample
 from taut.maths.snapshot import Snapshot
 
-__all__ = ["Sum", "added"]
+__all__ = ["Sum", "Wrapper", "added", "bare"]
 
 ADDED_ONCE = {
     "gravity": "use one law that does not (PID instead of GravityPID or ComputedTorque)",
@@ -33,16 +34,15 @@ class Sum(Law):
 
     parts: Mapping[str, Law]
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
         followers = [law for law in self.parts.values() if not law.ignores_reference]
         first = next(iter(followers or self.parts.values()))
-        object.__setattr__(self, "reference", first.reference)
-        object.__setattr__(self, "ignores_reference", not followers)
+        self.__dict__.update(reference=first.reference, ignores_reference=not followers)
 
     def children(self) -> dict[str, Law]:
         return dict(self.parts)
 
-    def with_children(self, children: Mapping[str, Law]) -> Law:
+    def with_children(self, children: Mapping[str, Law]) -> Self:
         return self._replaced({"parts": dict(children)})
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop | None:
@@ -76,6 +76,71 @@ class Sum(Law):
 
     def __repr__(self) -> str:
         return " + ".join(repr(law) for law in self.parts.values())
+
+
+class Wrapper(Law, abstract=True):
+    """Base of a law around a law, which it calls with `self.inner(...)`. Paths of gains and memory are those of both.
+
+    `EnergyTank(law=Impedance(K=..., B=...), capacity=2.0)` has the parameters law.K, law.B and law.capacity, and the
+    columns of both. What it follows, controls and needs is what its law does. A wrapper states its own gains and
+    memory, `command`, and in `check` what it needs of its law.
+    """
+
+    law: Part[Law] = Part(Law, inline=True)
+
+    def check(self) -> None:
+        law = self.law
+        self.__dict__.update(
+            reference=law.reference, ignores_reference=law.ignores_reference, needs_contact=law.needs_contact
+        )
+
+    def inner(self, law: Law, x: Snapshot, ref: Any, memory: MemoryView, dt: Any) -> tuple[Command, dict[str, Any]]:
+        """The command of the law that is wrapped, or of a changed copy of it, and its new memory."""
+        return call(law, x, ref, {name: memory[name] for name in memory if name not in self.memories}, dt)
+
+    @property
+    def controlled_frame(self) -> str | None:
+        return self.law.controlled_frame
+
+    def closed_loop(self, x: Snapshot) -> ClosedLoop | None:
+        """That of the law that is wrapped."""
+        inner = self.law.closed_loop(x)
+        return inner and inner.held_by(lambda law, _: self._replaced({"law": law}))
+
+    def declared_parts(self) -> dict[str, Declared]:
+        own = {name: part for name, part in Declared.declared_parts(self).items() if name != "law"}
+        return {**own, "law": self.law}
+
+    def _with_parts(self, parts: Mapping[str, Any]) -> Self:
+        return self._replaced(parts)
+
+    def children(self) -> dict[str, Law]:
+        return self.law.children()
+
+    def with_children(self, children: Mapping[str, Law]) -> Self:
+        return self._replaced({"law": self.law.with_children(children)})
+
+    def seen_by(self, child: str, x: Snapshot, ref: Sample) -> tuple[Snapshot, Sample]:
+        return self.law.seen_by(child, x, ref)
+
+    def at_rest(self, x: Snapshot) -> Sample:
+        return self.law.at_rest(x)
+
+    def memory_of_children(self, x: Snapshot, ref: Sample) -> dict[str, Any]:
+        return initial_memory(self.law, x, ref)
+
+    def check_states(self, x: Snapshot, rate: float, *, changed: bool = False) -> None:
+        self.law.check_states(x, rate, changed=changed)
+        (self.check_change if changed else self.check_state)(x, rate)
+
+    def check_references(self, x: Snapshot, ref: Reference, rate: float, *, later: bool = False) -> None:
+        self.law.check_references(x, ref, rate, later=later)
+        (self.check_reference_later if later else self.check_reference)(x, ref, rate)
+
+
+def bare(law: Law) -> Law:
+    """The law within all wrappers."""
+    return bare(law.law) if isinstance(law, Wrapper) else law
 
 
 def _check_added_once(owner: dict[str, str], name: str, used: set[str]) -> None:

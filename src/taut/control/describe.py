@@ -5,19 +5,21 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Iterator
-from typing import Final
+from types import ModuleType
+from typing import Any, Final
 
 import numpy as np
 
+from taut.base.fields import Part
 from taut.base.types import Array
-from taut.control.combine import Sum
-from taut.control.law import Law, field_units
+from taut.control.combine import Sum, Wrapper
+from taut.control.law import Law
 from taut.control.limits import UNITS
 
 __all__ = [
     "PARAMETER_UNITS",
     "all_laws",
-    "gain_units",
+    "law_classes",
     "held_laws",
     "optional_laws",
     "section",
@@ -47,32 +49,39 @@ PARAMETER_UNITS: Final = {
 }
 
 
-OPTIONAL: Final = ("Law | None", "taut.Law | None")  # annotations of a field
+def law_classes(door: ModuleType) -> dict[str, type[Law]]:
+    """The classes of laws among the public names of a module, by name; not the base of wrappers."""
+    values = {name: getattr(door, name) for name in door.__all__}
+    return {
+        name: value
+        for name, value in values.items()
+        if isinstance(value, type) and issubclass(value, Law) and value is not Wrapper
+    }
 
 
 def all_laws(law: Law, name: str = "") -> Iterator[tuple[str, Law]]:
     """A law and the laws that it holds, each with its path."""
     yield name, law
+    if isinstance(law, Wrapper):
+        yield from all_laws(law.law, name)
+        return
     for child, inner in law.children().items():
         yield from all_laws(inner, f"{name}.{child}" if name else child)
 
 
 def held_laws(law: type[Law]) -> list[str]:
     """The fields of a law that hold a law each: `inner: Law`."""
-    return [name for name, kind in inspect.get_annotations(law).items() if str(kind).rpartition(".")[2] == "Law"]
+    return [name for name, field in _fields_of_laws(law).items() if not field.optional]
 
 
 def optional_laws(law: type[Law]) -> list[str]:
     """The fields of a law that may hold a law: `null: Law | None`."""
-    return [name for name, kind in inspect.get_annotations(law).items() if str(kind) in OPTIONAL]
+    return [name for name, field in _fields_of_laws(law).items() if field.optional]
 
 
-def gain_units(law: Law) -> dict[str, str]:
-    """Unit of each gain of a law and of the laws it holds, by path."""
-    units = dict(field_units(type(law)))
-    for child, inner in law.children().items():
-        units |= {f"{child}.{path}": unit for path, unit in gain_units(inner).items()}
-    return units
+def _fields_of_laws(law: type[Law]) -> dict[str, Part[Any]]:
+    parts = {name: field for name, field in law.declared.items() if isinstance(field, Part)}
+    return {name: field for name, field in parts.items() if any(issubclass(kind, Law) for kind in field.of)}
 
 
 def title(law: Law) -> str:

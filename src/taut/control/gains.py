@@ -1,14 +1,16 @@
-"""Gains and memory: the fields of a law. A gain is a scalar, one per joint, or a matrix, and acts by `@`."""
+"""Gains and memory: what a law declares. A gain is a scalar, one per joint, or a matrix, and acts by `@`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, ClassVar, Self, overload
+import math
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from taut.base.checks import finite_array, require_at_least, require_at_most, symmetric_psd
+from taut.base.checks import read_only
 from taut.base.errors import ShapeError, UsageError, user_location
+from taut.base.fields import REQUIRED, Field
 from taut.base.types import Array, ArrayLike, Float64Array
 from taut.trace.array import Traced, traced_array
 from taut.trace.scalar import Symbol
@@ -143,177 +145,91 @@ def _numeric(result: Any) -> bool:
     return getattr(result, "dtype", np.dtype(np.float64)) != np.bool_
 
 
-def _hashable(default: ArrayLike | None) -> Any:
-    """A default as a dataclass takes it: lists and arrays as tuples."""
-    if isinstance(default, np.ndarray):
-        default = default.tolist()
-    return tuple(_hashable(x) for x in default) if isinstance(default, (list, tuple)) else default
+class Gain(Field):
+    """A run-time parameter of a law that acts by `@`: a scalar as k I, a vector as diag(k), or a matrix.
 
-
-class Gain:
-    """A field of a law that holds a gain: a run-time parameter, given by name, checked, kept.
+    A `taut.base.fields.Field` that takes a scalar, one number per joint, or a symmetric positive semidefinite matrix,
+    each entry >= 0, unless it says otherwise.
 
     Args:
-        default: Value where none is given; without it the gain must be given.
-        minimum: The smallest allowed entry, 0 for a gain that must not be negative. A matrix must be symmetric
-            positive semidefinite instead.
-        maximum: The largest allowed entry, if there is one.
-        size: Number of entries of a vector; the number of joints if left out, 3 for a gain on positions of the tool,
-            0 for one number only. A name stands for what the law has under it, such as "dimensions".
-        optional: Whether it may be left out altogether; then the law has no such gain (`law.gives("B")`).
-        pairs: Whether (linear, angular) stands for six entries, three of each.
-        scalar: Whether one number serves; of a gain with two units it does not.
-        function: Whether a function may stand in its place, which the law evaluates; then it is no parameter.
-        where: Another field of the law and the value it must have for this gain to have a meaning, such as
-            ("anti_windup", "back-calculation"), a tuple of such values, or ... for any value but None; elsewhere it
-            is no parameter, and must not be given.
+        default: Value where none is given; without it the gain must be given, or may be None if `optional`.
+        unit: Shown in messages, in `explain()` and in tables.
+        shape: "n" for one entry per joint, "scalar" for one number, a length such as 3 for a gain on positions of the
+            tool, or the name of an attribute of the law with the length, such as "dimensions".
+        accepts: Other forms: "scalar" for all entries, "pair" (linear, angular) for six, "matrix".
+        minimum: Smallest allowed entry.
+        above: Every entry must be greater.
+        maximum: Largest allowed entry.
+        optional: Whether it may be None.
+        hint: What to do instead of zero, for the message.
+        doc: One sentence; the entry of the docstring's Args serves where it is left out.
 
-    Shape: scalar, (size,), or (size, size). Applied with `@`.
+    Example:
+        >>> import taut
+        >>> class Spring(taut.Law):
+        ...     K: Gain = Gain(unit="N m/rad")
+        ...     def command(self, x, ref):
+        ...         return taut.Torque(spring=self.K @ (ref.q - x.q))
+        >>> Spring(K=[10.0, 20.0])
+        Spring(K=[10.0, 20.0])
     """
-
-    __slots__ = (
-        "_default",
-        "function",
-        "maximum",
-        "minimum",
-        "name",
-        "optional",
-        "owner",
-        "pairs",
-        "scalar",
-        "size",
-        "where",
-    )
 
     def __init__(
         self,
-        default: ArrayLike | None = None,
+        default: Any = REQUIRED,
         *,
+        unit: str = "",
+        shape: str | int = "n",
+        accepts: Iterable[str] | None = None,
         minimum: float = 0.0,
-        maximum: float = np.inf,
-        size: int | str | None = None,
-        where: tuple[str, Any] | None = None,
+        above: float = -math.inf,
+        maximum: float = math.inf,
         optional: bool = False,
-        pairs: bool = False,
-        scalar: bool = True,
-        function: bool = False,
+        hint: str = "",
+        doc: str = "",
     ) -> None:
-        self._default = _hashable(default)
-        self.minimum = minimum
-        self.maximum = maximum
-        self.size = size
-        self.where = where
-        self.optional = optional
-        self.pairs = pairs
-        self.scalar = scalar
-        self.function = function
-        self.name = ""
-        self.owner: type | None = None
+        if accepts is None:
+            accepts = () if shape == "scalar" else ("scalar", "matrix")
+        super().__init__(
+            default,
+            unit=unit,
+            shape=shape,
+            accepts=accepts,  # type: ignore[arg-type]  # words
+            minimum=minimum,
+            above=above,
+            maximum=maximum,
+            optional=optional,
+            hint=hint,
+            doc=doc,
+        )
 
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
-        self.owner = owner
+    if TYPE_CHECKING:
 
-    @property
-    def default(self) -> ArrayLike | None:
-        """The value where none is given; None where one must be given, or may be left out altogether."""
-        default: ArrayLike | None = self._default
-        return default
+        def __set__(self, obj: object, value: ArrayLike | GainValue | None) -> None: ...
 
-    @overload
-    def __get__(self, obj: None, owner: type) -> Self: ...
-    @overload
-    def __get__(self, obj: object, owner: type) -> GainValue: ...
-    def __get__(self, obj: object | None, owner: type) -> Any:
-        if obj is not None:
-            return obj.__dict__[self.name]
-        if self._default is None and not self.optional:  # how a dataclass learns that a field has no default
-            raise AttributeError(self.name)
-        return self._default
-
-    def __set__(self, obj: object, value: ArrayLike | Callable[..., Any] | None) -> None:
-        from taut.control.law import field_units
-
-        if callable(value) or (value is None and self.optional):
-            if callable(value) and not self.function:
-                raise UsageError(f"{self.name} must be numbers; got a function", name=self.name)
-            obj.__dict__[self.name] = value
-            return
-        unit = field_units(type(obj)).get(self.name, "")
-        obj.__dict__[self.name] = GainValue(self.checked(value, unit), self.name)
-
-    def has_meaning(self, law: object) -> bool:
-        """Whether it is a gain of this law, with the fields that the law has."""
-        if self.where is None:
-            return True
-        field, value = self.where
-        given = getattr(law, field)
-        if isinstance(value, tuple):
-            return given in value
-        return given is not None if value is ... else bool(given == value)
-
-    def checked(
-        self, value: ArrayLike | None, unit: str = "", name: str | None = None, entries: int | None = None
-    ) -> Float64Array:
-        """`value` as a gain; of `entries` entries, where that is known.
-
-        Raises:
-            ShapeError: Not a scalar, a vector or a square matrix.
-            RangeError: NaN, infinite, below the minimum, above the maximum, or a matrix that is not positive
-                semidefinite.
-        """
-        name = name or self.name
-        given: Any = value.as_array() if isinstance(value, GainValue) else value
-        array = finite_array(name, given, unit=unit)
-        if array.ndim == 0 and not self.scalar:
-            raise ShapeError(
-                f"{name} needs one number for metres and one for radians, {name}=(linear, angular), or six, or (6, 6)"
-                f"{f' [{unit}]' if unit else ''}; got {float(array):g} alone",
-                name=name,
-                value=float(array),
-            )
-        if self.size == 0 and array.ndim:
-            raise ShapeError(
-                f"{name} must be one number{f' [{unit}]' if unit else ''}; got shape {array.shape}", name=name
-            )
-        if self.pairs and array.shape == (2,) and entries == 6:  # of two coordinates it is one for each
-            array = np.repeat(array, 3)
-        if array.ndim > 2 or (array.ndim == 2 and array.shape[0] != array.shape[1]) or not array.size:
-            raise ShapeError(
-                f"{name} must be a scalar, (n,) or (n, n){f' [{unit}]' if unit else ''}; got shape {array.shape}",
-                name=name,
-            )
-        if array.ndim == 2 and self.minimum >= 0.0:
-            symmetric_psd(name, array, unit=unit)
-        elif array.ndim < 2:
-            require_at_least(name, array, self.minimum, unit=unit)
-        if self.maximum < np.inf:
-            require_at_most(name, array, self.maximum, unit=unit)
-        return array
+    def stored(self, value: Any) -> GainValue:
+        """The value as law code reads it."""
+        return value if isinstance(value, GainValue) else GainValue(value, self.name)
 
 
 class Memory:
-    """A field of a law that is remembered from tick to tick; it states the value at the start.
+    """State of a law from tick to tick, declared in its class and no argument of it: `e_int = Memory(unit="rad s")`.
 
-    A scalar takes the shape that `command` returns. What starts from the measured state comes from the law's
-    optional `start(self, x, ref)` instead.
+    `command` reads it as memory.e_int and returns the new value with the command, {"e_int": ...}. What starts from
+    the measured state comes from the law's `start(self, x, ref)` instead, under the same name.
+
+    Args:
+        initial: Value at the start; a scalar takes the shape that `command` returns.
+        unit: Shown in tables.
+        record: Whether a run keeps it as a further column, law.e_int.
+        notice: What the outcome of a run says where it is not zero.
+        doc: One sentence.
     """
 
-    __slots__ = ("_initial", "name")
+    __slots__ = ("doc", "initial", "notice", "record", "unit")
 
-    def __init__(self, initial: ArrayLike = 0.0) -> None:
-        self._initial = _hashable(initial)
-        self.name = ""
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
-
-    @overload
-    def __get__(self, obj: None, owner: type) -> Self: ...
-    @overload
-    def __get__(self, obj: object, owner: type) -> Float64Array: ...
-    def __get__(self, obj: object | None, owner: type) -> Any:
-        return self._initial if obj is None else obj.__dict__[self.name]
-
-    def __set__(self, obj: object, value: ArrayLike) -> None:
-        obj.__dict__[self.name] = finite_array(self.name, value)
+    def __init__(
+        self, initial: ArrayLike = 0.0, *, unit: str = "", record: bool = False, notice: str = "", doc: str = ""
+    ) -> None:
+        self.initial: Float64Array = read_only(initial)
+        self.unit, self.record, self.notice, self.doc = unit, record or bool(notice), notice, doc

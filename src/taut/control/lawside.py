@@ -20,8 +20,7 @@ from taut.base.types import Array, ArrayLike, Float64Array, Vector
 from taut.control.command import Command, Terms, Torque, Velocity
 from taut.control.describe import all_laws
 from taut.control.law import Law, as_array, call, initial_memory
-from taut.control.limiting import anew, fresh_blend, limited, term_names
-from taut.control.limits import Limits
+from taut.control.limits import Limits, anew, fresh_blend, limited, term_names
 from taut.control.sensing.sensing import Sensing
 from taut.control.tasks.phases import Phases
 from taut.control.trajectories.reference import Reference, Sample
@@ -126,14 +125,15 @@ class LawSide:
             raise unknown_name("the controller", "parameter", path, self.parameters)
         head, _, rest = path.partition(".")
         if head == "law":
-            field, unit = self.law.gain_field(rest)
-            new = field.checked(value, unit, name=path, entries=self.law.gain_size(rest))
-            new = in_compiled_shape(path, new, self.parameters[path].shape)
-            self.law.bound({**self.law.parameters(), rest: new}).check_rates(self.rate)
+            changed = self.law.changed(rest, value, name=path)
+            new = in_compiled_shape(path, changed.parameters()[rest], self.parameters[path].shape)
+            changed.check_rates(self.rate)
         elif head == "limits":
             new = Limits.checked(rest, value, self.rate)
         elif head == "sensing":
-            new = self.sensing.checked_parameter(rest, value, self.arm, self.rate)
+            joints = 6 if rest.startswith("F_ext.") else self.arm.joint_names
+            new = self.sensing.checked_parameter(rest, value, name=path, joints=joints)
+            self.sensing.changed(rest, new, name=path).check_fit(self.arm, self.rate)
         else:
             new = checked_payload_entry(path, value)
         return in_compiled_shape(path, new, self.parameters[path].shape)
@@ -147,9 +147,9 @@ class LawSide:
         Raises:
             MatchError: The law does not fit: torque limits on another kind of command.
         """
-        self.law.check_size(self.arm.n)
+        self.law.check_size(self.arm.joint_names)
         self.law.check_rates(self.rate)
-        self.sensing.check(self.arm, self.rate)
+        self.sensing.check_fit(self.arm, self.rate)
         if self.limits is not None:
             self.limits.check_fit(self.arm, self.rate)
         try:

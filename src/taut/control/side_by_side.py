@@ -46,10 +46,10 @@ class SideBySide(Law):
     def children(self) -> dict[str, Law]:
         return dict(self.parts)
 
-    def with_children(self, children: Mapping[str, Law]) -> Law:
+    def with_children(self, children: Mapping[str, Law]) -> Self:
         return self._replaced({"parts": dict(children)})
 
-    def check_size(self, n: int) -> None:
+    def check_size(self, joints: Sequence[str] | int, prefix: str = "") -> None:
         """Each part has a size of its own, which is checked where it is known: in the first evaluation."""
 
     def _places(self, arm: Arm) -> dict[str, list[int]]:

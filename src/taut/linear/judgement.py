@@ -396,7 +396,9 @@ def _gains(side: LawSide, values: Changes) -> dict[str, Any]:
     """The gains of the law by path: its parameters that are 0 or more, and so no points, axes or bounds."""
     of_law = {path: value for path, value in values.items() if path.startswith("law.") and np.any(value)}
     return {
-        path: value for path, value in of_law.items() if side.law.gain_field(path[len("law.") :])[0].minimum == 0.0
+        path: value
+        for path, value in of_law.items()
+        if getattr(side.law.find(path[len("law.") :])[1], "minimum", 0.0) == 0.0
     }
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
-from taut.control.limiting import LIMIT_TERMS
+from taut.control.limits import LIMIT_TERMS
 from taut.linear.equilibrium import Flags
 from taut.linear.loop_map import LoopMap, beside
 from taut.linear.period import Derivative, Point

@@ -14,7 +14,7 @@ from taut.arm.description import Arm
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.quantity import Quantity, keep_quantities
 from taut.base.types import ArrayLike, Float64Array, Vector
-from taut.control.laws.constraint_checks import check_constraint
+from taut.control.laws.constraints import check_constraint
 from taut.maths.constraints.constraint import Constraint
 from taut.maths.constraints.impulses import Touch
 from taut.maths.constraints.rows import Piece

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taut.base.types import Float64Array
-from taut.control.trajectories.hybrid_motion import HybridMotion
-from taut.control.trajectories.task_force import TaskForce
+from taut.control.trajectories.force_reference import HybridMotion, TaskForce
 from taut.record.task import TOOL
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from taut.arm.angles import short_way
 from taut.base.checks import read_only
 from taut.base.named import Named
 from taut.base.types import Float64Array
-from taut.control.limiting import LIMIT_TERMS
+from taut.control.limits import LIMIT_TERMS
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.record.felt import felt_measures
 from taut.record.force import force_error

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from taut.base.types import Float64Array
-from taut.control.trajectories.hybrid_motion import HybridMotion
+from taut.control.trajectories.force_reference import HybridMotion
 from taut.record.task import TOOL
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["estimated_normal", "pressed_measures", "true_normal", "wanted_press"]
 
 PRESSED: Final = "contact.normal_force"  # column of a run
-ESTIMATED: Final = "estimate.normal"  # end of the name of a column
+ESTIMATED: Final = ".normal"  # end of the name of a column
 TOUCHES: Final = 1e-9  # [N]
 
 

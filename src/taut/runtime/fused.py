@@ -14,7 +14,7 @@ from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
 from taut.codegen.loop import compiled_loop
-from taut.control.limiting import take_up
+from taut.control.limits import take_up
 from taut.control.tasks.phase_feed import PhaseFeed
 from taut.control.tasks.phases import Phases
 from taut.control.trajectories.feed import ReferenceFeed, plain_snapshot

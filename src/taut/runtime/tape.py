@@ -14,7 +14,7 @@ from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
 from taut.codegen.program import failure
-from taut.control.laws.targets import far_away, may_bound
+from taut.control.laws.task_space import far_away, may_bound
 from taut.control.lawside import LawSide, wild_term
 from taut.control.tasks.phases import NO_CONTACT, Phases
 from taut.loop import AnyPlant

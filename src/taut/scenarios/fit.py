@@ -17,7 +17,7 @@ from taut.control.law import Law
 from taut.control.lawside import LawSide
 from taut.control.side_by_side import SideBySide
 from taut.control.tasks.phases import Phases
-from taut.control.trajectories.hybrid_motion import HybridMotion, Pressing, hybrid_kind
+from taut.control.trajectories.force_reference import HybridMotion, Pressing, TaskForce, hybrid_kind
 from taut.control.trajectories.reference import (
     Chunk,
     Hold,
@@ -29,9 +29,7 @@ from taut.control.trajectories.reference import (
     sample_rows,
 )
 from taut.control.trajectories.task import Circle, Line, Screw
-from taut.control.trajectories.task_force import TaskForce
-from taut.control.trajectories.task_reference import TaskMotion
-from taut.control.trajectories.task_samples import TaskSamples
+from taut.control.trajectories.task_reference import TaskMotion, TaskSamples
 from taut.controller import compile
 from taut.loop import check_fit, duration_of_ticks, state_at_start
 from taut.plant.rigid import RigidPlant

@@ -8,9 +8,10 @@ from typing import Final
 
 from taut import laws as all_laws
 from taut.arm.description import Arm
-from taut.base.errors import unknown_name
-from taut.control.describe import held_laws, optional_laws
-from taut.control.gains import Memory
+from taut.base.errors import UsageError, unknown_name
+from taut.base.fields import read
+from taut.control.combine import Wrapper
+from taut.control.describe import held_laws, law_classes, optional_laws
 from taut.control.law import Law
 from taut.control.limits import Limits
 from taut.control.side_by_side import SideBySide
@@ -57,12 +58,15 @@ def _one_law(section: Section, gains: Section, name: str) -> Law:
     """The law of that name; `section` names it, and `gains` has its gains."""
     if name == "SideBySide":
         return _side_by_side(gains)
-    known = [word for word in all_laws.__all__ if word not in OF_OTHERS]
+    known = {word: kind for word, kind in law_classes(all_laws).items() if word not in OF_OTHERS}
+    inner = {word: kind for word, kind in known.items() if not issubclass(kind, Wrapper)}
     with section.blamed("law"):
-        if name not in known:
-            raise unknown_name("taut.laws", "law", name, known)
-    cls = getattr(all_laws, name)
-    fields = [f.name for f in dataclasses.fields(cls) if not isinstance(cls.__dict__.get(f.name), Memory)]
+        if name in known and name not in inner:
+            raise UsageError(f"law '{name}' is around another one: write wrapped_by = {{ law = '{name}' }} there")
+        if name not in inner:
+            raise unknown_name("taut.laws", "law", name, inner)
+    cls, wrapped = known[name], gains.section("wrapped_by") if "wrapped_by" in gains else None
+    fields = list(cls.declared)
     made = {"constraint": read_constraint(gains)} if "constraint" in fields else {}
     held = {field: gains.section(field, required=True) for field in held_laws(cls)}
     given = [field for field in optional_laws(cls) if field in gains]
@@ -71,8 +75,19 @@ def _one_law(section: Section, gains: Section, name: str) -> Law:
     values = gains.fields([field for field in fields if field not in made])
     values |= made | {field: read_law(table) for field, table in held.items()} | dict.fromkeys(none)
     with gains.blamed():
+        for field, value in values.items():
+            if isinstance(value, dict):
+                values[field] = read(cls.declared[field].of[0], value, field)  # type: ignore[attr-defined]  # a part
         law: Law = cls(**values)
-        return law
+    return law if wrapped is None else _wrapped(wrapped, law, known)
+
+
+def _wrapped(section: Section, law: Law, known: Mapping[str, type[Law]]) -> Law:
+    """wrapped_by = { law = "EnergyTank", capacity = 0.5 }: a law around this one."""
+    name = section.word("law", [word for word, kind in known.items() if issubclass(kind, Wrapper)])
+    values = section.fields([field for field in known[name].declared if field != "law"])
+    with section.blamed():
+        return known[name](law=law, **values)
 
 
 def _side_by_side(section: Section) -> Law:

@@ -15,10 +15,9 @@ from taut.control.law import Law
 from taut.control.tasks.guards import Guard, contact, lasting, moved, no_contact, settled
 from taut.control.tasks.phase import Phase, PhaseReference
 from taut.control.tasks.phases import Phases
-from taut.control.trajectories.hybrid_motion import hybrid_kind, pressing
+from taut.control.trajectories.force_reference import hybrid_kind, pressing
 from taut.control.trajectories.reference import Reference
-from taut.control.trajectories.steady import Steady
-from taut.control.trajectories.task import Line
+from taut.control.trajectories.task import Line, Steady
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
 from taut.scenarios.read_laws import read_law

@@ -14,7 +14,7 @@ from taut.arm.description import Arm
 from taut.base.checks import finite_array
 from taut.base.types import Float64Array
 from taut.control.law import Law
-from taut.control.trajectories.hybrid_motion import pressing
+from taut.control.trajectories.force_reference import pressing
 from taut.control.trajectories.joint import Cubic, JerkLimited, Quintic, Samples, Sine, Spline, Trapezoidal
 from taut.control.trajectories.reference import Hold, JointMotion, Reference
 from taut.maths.snapshot import snapshot

@@ -67,5 +67,5 @@ def _part(table: Section, name: str, kind: str, cls: Any, arm: Arm, rate: float)
     values = table.fields(KEYS[kind], REQUIRED[kind])
     with table.blamed():
         made = cls(**values)
-        Sensing(**{name: made}).check(arm, rate)
+        Sensing(**{name: made}).check_fit(arm, rate)
         return made

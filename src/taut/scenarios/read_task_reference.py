@@ -8,8 +8,7 @@ from typing import Any, Final, TypeAlias
 
 from taut.control.trajectories.reference import Stream
 from taut.control.trajectories.task import Circle, Line, Screw
-from taut.control.trajectories.task_reference import TaskMotion
-from taut.control.trajectories.task_samples import TaskSamples
+from taut.control.trajectories.task_reference import TaskMotion, TaskSamples
 from taut.scenarios.read_pose import HomeFrame, read_pose, read_poses
 from taut.scenarios.sample_policy import SamplePolicy
 from taut.scenarios.toml import Section, file_beside

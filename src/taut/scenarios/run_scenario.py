@@ -19,6 +19,7 @@ from rich.table import Table
 
 from taut.analysis.constraints.natural_constraints import natural_constraints
 from taut.base.errors import FileError, ScenarioError, TautError, UsageError
+from taut.control.combine import bare
 from taut.control.laws.hybrid import HybridMotionForce
 from taut.control.tasks.phases import Phases
 from taut.controller import Controller, compile
@@ -287,10 +288,11 @@ def _blamed(scenario: Scenario, trial: Trial) -> Iterator[None]:
 def _remark(ctrl: Controller, scenario: Scenario) -> str:
     """The natural constraints of hybrid laws, before a run."""
     q = scenario.arm.home if scenario.q0 is None else scenario.q0
-    if isinstance(ctrl.law, HybridMotionForce):
-        return _natural_constraints_of(ctrl.law, snapshot(scenario.arm, q))
+    law = bare(ctrl.law)
+    if isinstance(law, HybridMotionForce):
+        return _natural_constraints_of(law, snapshot(scenario.arm, q))
     if isinstance(ctrl.law, Phases):
-        x, laws = snapshot(scenario.arm, q), ctrl.law.laws
+        x, laws = snapshot(scenario.arm, q), {name: bare(law) for name, law in ctrl.law.laws.items()}
         hybrid = {name: law for name, law in laws.items() if isinstance(law, HybridMotionForce)}
         return "\n".join(f"phase '{name}': {_natural_constraints_of(law, x)}" for name, law in hybrid.items())
     return ""
@@ -298,7 +300,7 @@ def _remark(ctrl: Controller, scenario: Scenario) -> str:
 
 def _natural_constraints_of(law: HybridMotionForce, x: Snapshot) -> str:
     """The table of natural constraints; without rows that are unreadable sums, as of a chain of many joints."""
-    table = natural_constraints(law.natural, at=x)
+    table = natural_constraints(law.constraint, at=x)
     if max(len(row.natural) for row in table.rows) <= READABLE:
         return str(table)
     rows = "its rows are sums of many joints: taut.analysis.natural_constraints prints them"

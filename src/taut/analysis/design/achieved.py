@@ -15,8 +15,8 @@ from taut.analysis.design.specification import QUANTITIES, Specification, per_co
 from taut.base.types import Float64Array
 from taut.control.closed_loop import ClosedLoop
 from taut.control.law import Law
+from taut.control.trajectories.force_reference import TaskForce
 from taut.control.trajectories.reference import JointMotion
-from taut.control.trajectories.task_force import TaskForce
 from taut.linear.linearise import Linearisation
 from taut.linear.margins import common_delay
 

@@ -16,6 +16,7 @@ from taut.arm.angles import require_radians
 from taut.arm.description import Arm
 from taut.arm.friction import Friction
 from taut.base.checks import finite_array, one_of, rate_in_hertz
+from taut.base.declarations import REQUIRED
 from taut.base.errors import RangeError, ShapeError, TautError, UsageError
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.closed_loop import ClosedLoop
@@ -106,8 +107,8 @@ def design(
         >>> import taut
         >>> arm = taut.load_arm("one_joint")
         >>> d = taut.design(taut.laws.PID, arm, zeta=1.0, omega_n=10.0)
-        >>> d.law.kp, d.law.kd
-        ([50.0], [10.0])
+        >>> d.law
+        PID(kp=[50.0], kd=[10.0])
         >>> d.met, d.got("zeta").round(3).tolist()
         (True, [1.002])
 
@@ -175,14 +176,14 @@ def with_any_gains(law: type[Law]) -> Law:
     if not isinstance(law, type) or not issubclass(law, Law):
         raise UsageError(f"design takes a law of taut.laws, or its class; got {law!r}", name="law")
     gains: dict[str, Any] = {}
-    for field in dataclasses.fields(law):  # type: ignore[arg-type]  # every law is a dataclass
-        declared, required = vars(law).get(field.name), field.default is dataclasses.MISSING
-        if isinstance(declared, Gain) and (required or field.name == "zeta"):
-            gains[field.name] = 1.0 if declared.scalar else (1.0, 1.0)
+    for name, field in law.declared.items():
+        required = field.default is REQUIRED
+        if isinstance(field, Gain) and (required or name == "zeta"):
+            gains[name] = (1.0, 1.0) if "pair" in field.accepts and "scalar" not in field.accepts else 1.0
         elif required:
             raise UsageError(
-                f"{law.__name__} needs {field.name}; give a law, whose gains are replaced: "
-                f"taut.design(taut.laws.{law.__name__}({field.name}=..., ...), arm, ...)",
+                f"{law.__name__} needs {name}; give a law, whose gains are replaced: "
+                f"taut.design(taut.laws.{law.__name__}({name}=..., ...), arm, ...)",
                 name="law",
             )
     return law(**gains)

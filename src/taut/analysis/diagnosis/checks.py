@@ -369,7 +369,7 @@ def wrong_surface(run: ExaminedRun) -> Finding | None:
     record, limit = run.run, run.threshold
     laws = [name.removesuffix(".lost") for name in record.extra if name.endswith(".lost")]
     laws = [law for law in laws if not np.isnan(record.extra.get(f"{law}.phi", np.nan)).any()]
-    if len(laws) != 1 or not run.presses or f"{laws[0]}.estimate.normal" in record.extra:
+    if len(laws) != 1 or not run.presses or f"{laws[0]}.normal" in record.extra:
         return None
     phi, contact = record.extra[f"{laws[0]}.phi"].reshape(len(record), -1), record.extra[f"{laws[0]}.lost"] == 0.0
     if "one_sided" in record.terms:
@@ -604,7 +604,7 @@ CHECKS: Final = (
         thresholds=(_t("integral gained", 0.1, "of the largest feedback", "while the command was cut"),),
         cause="the integral of '{joint}' grows by {gained while cut} while the command is cut, and carries the joint "
         "{overshoot} past its target",
-        remedy="anti_windup='clamping' or 'back-calculation' in the law, or a motion within the limits",
+        remedy="Integral(anti_windup='clamping') in the law, or a motion within the limits",
         follows=(*MOTION_FAULTS, "oscillation", "stick-slip", "wrong surface"),
     ),
     Check(
@@ -661,7 +661,7 @@ CHECKS: Final = (
         test=wrong_surface,
         thresholds=(_t("phi", 2e-3, "m | rad", "a fifth of what a hybrid law tolerates at its start"),),
         cause="the surface is not where the law states it, or it yields: in contact phi has an RMS of {RMS of phi}",
-        remedy="state the constraint where the tool touches, take estimate=NormalEstimate(), or lower the gains",
+        remedy="state the constraint where the tool touches, take NormalEstimate(law=...), or lower the gains",
         follows=("wrong sign",),
     ),
     Check(

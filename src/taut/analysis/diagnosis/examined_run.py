@@ -14,9 +14,8 @@ from taut.analysis.diagnosis.model import ArmModel, Fit, fit_residual
 from taut.analysis.diagnosis.spectrum import Oscillation, find_oscillation
 from taut.arm.angles import short_way
 from taut.base.types import Array, Float64Array
-from taut.control.limiting import LIMIT_TERMS
-from taut.control.trajectories.hybrid_motion import HybridMotion
-from taut.control.trajectories.task_force import TaskForce
+from taut.control.limits import LIMIT_TERMS
+from taut.control.trajectories.force_reference import HybridMotion, TaskForce
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.chain import Chain
 from taut.record.felt import deviation_promised

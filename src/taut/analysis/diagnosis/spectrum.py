@@ -14,7 +14,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from taut.analysis.diagnosis.check import Finding
 from taut.base.types import Float64Array
-from taut.control.limiting import LIMIT_TERMS
+from taut.control.limits import LIMIT_TERMS
 
 if TYPE_CHECKING:
     from taut.analysis.diagnosis.examined_run import ExaminedRun

@@ -9,11 +9,13 @@ from typing import Any, Self
 import numpy as np
 
 from taut.base.types import Float64Array
+from taut.control.combine import bare
 from taut.control.gains import GainValue
 from taut.control.law import Law
 from taut.control.laws.admittance import Admittance
-from taut.control.laws.compliance import Compliance, GainFrame, modal_damping
 from taut.control.laws.impedance import Impedance
+from taut.control.laws.task_space import Compliance, GainFrame, bounded_inertia, modal_damping
+from taut.control.laws.wrappers import EnergyTank
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
 from taut.trace.linalg import factor_spd
@@ -73,12 +75,15 @@ def felt_impedance(law: Law, x: Snapshot) -> FeltImpedance | None:
         law: The law.
         x: The state, in plain numbers.
     """
+    if isinstance(law, EnergyTank) and law.stiffness is not None:
+        return None
+    law = bare(law)
     if isinstance(law, Impedance):
-        if law.error != "decoupled" or callable(law.K):
+        if law.error != "decoupled":
             return None
-        return _felt(law, x, law.K, law.B if law.gives("B") else None, law.D if law.gives("D") else None)
+        return _felt(law, x, law.K, law.B, law.D)
     if isinstance(law, Admittance):
-        return _felt(law, x, law.K, law.B if law.gives("B") else None, law.D)
+        return _felt(law, x, law.K, law.B, law.D)
     return None
 
 
@@ -92,7 +97,7 @@ def _felt(
         inertia = D.matrix(6)
     else:
         assert isinstance(law, Impedance)  # the other one always has D
-        inertia = axes.matrix_inwards(law.inertia_of(x, axes.error.J).Lambda)
+        inertia = axes.matrix_inwards(bounded_inertia(x, axes.error.J).Lambda)
     if B is not None:
         damping = B.matrix(6)
     else:

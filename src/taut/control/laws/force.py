@@ -7,34 +7,51 @@ from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 
-from taut.base.checks import one_of, positive_scalar, require_positive, vector
-from taut.base.errors import ShapeError
+from taut.base.checks import positive_scalar, vector
+from taut.base.fields import Choice, Part
 from taut.base.types import ArrayLike, Float64Array, Matrix, Rotation, Vector, Wrench
 from taut.control.closed_loop import ClosedLoop, PlacedGains
 from taut.control.command import Command, Terms, Torque
 from taut.control.gains import Gain, GainValue, Memory
+from taut.control.integral import Integral, check_force_pole, damping_force
 from taut.control.law import Law, MemoryView
-from taut.control.laws.compliance import check_sensor, wrench_at
-from taut.control.laws.contact_loss import CONTACT, E_INT_MAX, PATIENCE, counted, misses
-from taut.control.laws.damping import damping_force
-from taut.control.laws.integral import ANTI_WINDUP, AntiWindup, check_force_pole, check_tracking, integrated
-from taut.control.laws.null_space import Posture
-from taut.control.laws.task import check_null, null_torque
+from taut.control.laws.null_space import Posture, check_null, with_null_space
+from taut.control.laws.task_space import bounded_inertia, check_sensor, task_gain, wrench_at
 from taut.control.laws.tool_loop import tool_loop
-from taut.control.trajectories.task_force import FRAMES, ForceFrame, TaskForce
+from taut.control.trajectories.force_reference import FRAMES, ForceFrame, HybridMotion, TaskForce
 from taut.maths import dynamics as dyn
+from taut.maths.constraints.constraint import Constraint
+from taut.maths.constraints.rows import ConstraintRows
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotated, rotated_matrix
 from taut.maths.task_inertia import TaskInertia
 from taut.trace import math as tm
 
-__all__ = ["ForceControl", "wrench_of_torques"]
+__all__ = [
+    "CONTACT",
+    "E_INT_MAX",
+    "PATIENCE",
+    "ForceControl",
+    "asked_multipliers",
+    "braking",
+    "counted",
+    "gentler",
+    "missed",
+    "misses",
+    "of_wrench",
+    "per_row",
+    "swung",
+    "taken_back",
+    "wrench_of_torques",
+]
 
 Feedback = Literal["wrench", "joint_torque", "none"]
-FEEDBACKS: Final[tuple[Feedback, ...]] = ("wrench", "joint_torque", "none")
-MEASURED: Final = ("feedback", ("wrench", "joint_torque"))
+ANY: Final = ("scalar", "pair", "matrix")
 STILL: Final = 1e-12  # [m, 1] of a Jacobian's entry: below it that is rounding
-HEAVY: Final = 10.0  # times the arm's mass, which no direction of its tool is made heavier than
+
+CONTACT: Final = (1.0, 0.1)  # [N, N m] that count as contact, where nothing else is said
+PATIENCE: Final = 0.05  # [s] without it after which contact is lost, likewise
+E_INT_MAX: Final = (20.0, 2.0)  # [N s, N m s] the bound of the integral of a force's error, likewise
 
 
 class ForceControl(Law):
@@ -93,8 +110,7 @@ class ForceControl(Law):
         contact: (force, moment) that count as contact.
         patience: Time without it after which contact is lost.
         null: A law for the motion that the task leaves free, `Posture()` if not said, None for none.
-        anti_windup: What the integral does where limits cut torques: "clamping", "back-calculation" or "none".
-        tracking: With "back-calculation", how fast it is driven back.
+        integral: What keeps the integral from winding up where limits cut torques.
         tool: The frame that is controlled; the arm's tool if left out.
 
     Raises:
@@ -118,35 +134,27 @@ class ForceControl(Law):
 
     reference = TaskForce
     needs_contact: ClassVar[bool] = True
-    recorded: ClassVar[tuple[str, ...]] = ("e_int", "lost", "bounded")
-    notices: ClassVar[tuple[tuple[str, str], ...]] = (
-        ("lost", "the tool met less than was asked for, contact was lost"),
-        ("bounded", "the integral of the force error was at its bound e_int_max"),
-    )
-    kfp: Gain = Gain(0.0, size=6, pairs=True, where=MEASURED)  # [1]
-    kfi: Gain = Gain(0.0, size=6, pairs=True, where=MEASURED)  # [1/s]
-    kdamp: Gain = Gain(size=6, pairs=True, scalar=False, optional=True)  # [N s/m, N m s/rad]
-    e_int_max: Gain = Gain(E_INT_MAX, size=2, scalar=False, minimum=1e-9, where=MEASURED)  # [N s, N m s]
-    feedback: Feedback = "wrench"
-    frame: ForceFrame = "world"
-    contact: Gain = Gain(CONTACT, size=2, scalar=False, minimum=1e-9, where=MEASURED)  # [N, N m]
-    patience: Gain = Gain(PATIENCE, size=0, where=MEASURED)  # [s]
+    feedback: Choice[Feedback] = Choice("wrench", "joint_torque", "none")
+    kfp: Gain = task_gain(0.0, unit="1", shape=6, accepts=ANY)
+    kfi: Gain = task_gain(0.0, unit="1/s", shape=6, accepts=ANY)
+    kdamp: Gain = task_gain(unit="N s/m, N m s/rad", shape=6, optional=True)
+    e_int_max: Gain = Gain(E_INT_MAX, unit="N s, N m s", shape=2, accepts=("pair",), above=0.0)
+    frame: Choice[ForceFrame] = Choice(*FRAMES)
+    contact: Gain = Gain(CONTACT, unit="N, N m", shape=2, accepts=("pair",), above=0.0)
+    patience: Gain = Gain(PATIENCE, unit="s", shape="scalar")
     null: Law | None = Posture()
-    anti_windup: AntiWindup = "clamping"
-    tracking: Gain = Gain(10.0, size=0, where=("anti_windup", "back-calculation"))  # [1/s]
+    integral: Part[Integral] = Part(Integral, default=Integral())
     tool: str | None = None
-    e_int: Memory = Memory(0.0)  # [N s, N m s]
-    alone: Memory = Memory(0.0)  # [s] since there was contact
-    lost: Memory = Memory(0.0)  # 1 where contact is lost
-    bounded: Memory = Memory(0.0)  # 1 where the integral is at its bound
+    alone = Memory(unit="s", doc="time since there was contact")
+    lost = Memory(notice="the tool met less than was asked for, contact was lost")
+    bounded = Memory(notice="the integral of the force error was at its bound e_int_max")
+    recorded = ("integral.e_int", "lost", "bounded")
 
-    def __post_init__(self) -> None:
-        one_of("feedback", self.feedback, FEEDBACKS)
-        one_of("frame", self.frame, FRAMES)
-        one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
-        check_null(self.null)
-        for name, unit in (("e_int_max", "N s, N m s"), ("contact", "N, N m")):
-            _check_pair(getattr(self, name), unit)
+    def check(self) -> None:
+        check_null(self)
+        for name in () if self.measures else ("kfp", "kfi", "e_int_max", "contact", "patience"):
+            if name in self.specified:
+                self.refuse(name, "is for a force that is fed back, and feedback is 'none'; leave it out")
 
     @property
     def measures(self) -> bool:
@@ -155,10 +163,8 @@ class ForceControl(Law):
 
     def check_rate(self, rate: float) -> None:
         """The slow mode of the closed loop, -kfi / (1 + kfp), must be slower than the rate on any contact."""
-        check_tracking(self.anti_windup, self.tracking, rate)
-        if not self.measures:
-            return
-        check_force_pole(self.kfp.matrix(6), self.kfi.matrix(6), rate)
+        if self.measures:
+            check_force_pole(self.kfp.matrix(6), self.kfi.matrix(6), rate)
 
     def swing(self, dt: float, x: Snapshot, pressing: Float64Array) -> float:
         """The largest eigenvalue of (kfp + kfi dt / 2) P: from 1 on, a force a tick old swings up on a rigid contact.
@@ -198,7 +204,7 @@ class ForceControl(Law):
         F = vector("F_app", F_app, 6, unit="N, N m")
         rate = positive_scalar("rate", rate, unit="Hz")
         kfp, kdamp = _numbers(self.kfp) if self.measures else np.zeros((6, 6)), np.zeros((6, 6))
-        if self.gives("kdamp"):
+        if self.kdamp is not None:
             kdamp = _numbers(self.kdamp)
         if np.linalg.matrix_rank(kdamp) < 6 or (self.feedback == "joint_torque" and kfp.any()):
             return np.inf, np.inf
@@ -230,35 +236,30 @@ class ForceControl(Law):
     ) -> tuple[Command, dict[str, object]]:
         T, J = x.T(self.tool), x.J(self.tool)
         R = T.R if self.frame == "tool" else None
-        inertia = TaskInertia.bounded(J, x.M_factors, HEAVY * sum(body.mass for body in x.arm.bodies))
+        inertia = bounded_inertia(x, J)
         F_des = ref.in_world(T.R)
         w = Terms(feedforward=_inwards(R, F_des))
-        after: dict[str, object] = {name: getattr(memory, name) for name in ("e_int", "alone", "lost", "bounded")}
+        after: dict[str, Any] = {name: memory[name] for name in ("integral", "alone", "lost", "bounded")}
         if self.measures:
             F_app = -wrench_at(x, self.tool) if self.feedback == "wrench" else wrench_of_torques(x, inertia)
-            F_e = _inwards(R, _felt(x, self.tool, F_des - F_app))
-            e_int, after["bounded"] = self._integral(x, memory.e_int, F_e, R, inertia, dt)
-            after |= {"e_int": e_int} | self._contact(F_des, F_app, memory.alone, dt)
+            F_e = _inwards(R, _movable(x, self.tool, F_des - F_app))
+            e_int, after["bounded"] = self._integral(x, memory, F_e, R, inertia, dt)
+            after |= {"integral": {"e_int": e_int}} | self._contact(F_des, F_app, memory.alone, dt)
             w = w + Terms(P=self.kfp @ F_e, I=self.kfi @ e_int)
-        if self.gives("kdamp"):
+        if self.kdamp is not None:
             mobility = inertia.mobility if R is None else rotated_matrix(R.T, inertia.mobility)
             w = w + Terms(D=-damping_force(self.kdamp.matrix(6), mobility, _inwards(R, J @ x.v), dt))
         tau = J.T @ w.mapped(lambda F: F if R is None else rotated(R, F)) + Terms(gravity=x.g)
-        if self.null is not None:
-            after["null"] = memory["null"]
-        if self.null is not None and x.n > 6:  # else there is no free motion
-            free, after["null"] = null_torque(self.null, x, ref, memory["null"], dt, inertia)
-            tau = tau + free
-        return Torque(tau), after
+        tau, null = with_null_space(self, tau, x, ref, memory, dt, inertia, 6)
+        return Torque(tau), {**after, **null}
 
     def _integral(
-        self, x: Snapshot, e_int: Vector, F_e: Wrench, R: Rotation | None, inertia: TaskInertia, dt: Any
+        self, x: Snapshot, memory: MemoryView, F_e: Wrench, R: Rotation | None, inertia: TaskInertia, dt: Any
     ) -> tuple[Vector, Any]:
         """The integral after this tick, and 1 where its bound cut it."""
-        cut = None
-        if self.anti_windup != "none":
-            cut = _inwards(R, inertia.wrench(x.tau_cut))
-        grown = integrated(e_int, F_e, x, dt, self.anti_windup, self.kfi, self.tracking, cut=cut)
+        grown, _ = self.integral.step(
+            memory.integral, F_e, dt, ki=self.kfi, cut=lambda: _inwards(R, inertia.wrench(x.tau_cut))
+        )
         parts, least = [], 1.0
         for k in (0, 1):
             part = grown[3 * k : 3 * k + 3]
@@ -284,7 +285,7 @@ def wrench_of_torques(x: Snapshot, inertia: TaskInertia) -> Wrench:
     return inertia.wrench(x.tau_meas - x.inverse_dynamics(np.zeros(x.n)))
 
 
-def _felt(x: Snapshot, tool: str | None, F: Wrench) -> Wrench:
+def _movable(x: Snapshot, tool: str | None, F: Wrench) -> Wrench:
     """A wrench without the directions in which the arm never moves, as a planar one: its bearings carry them."""
     anywhere = dyn.jacobian(x.model, np.cos(1.7 * np.arange(x.n) + 0.3), tool)  # what is zero here is so in any pose
     return tm.array([F[i] if np.any(np.abs(row) > STILL) else 0.0 for i, row in enumerate(anywhere)])
@@ -299,12 +300,110 @@ def _numbers(gain: GainValue) -> Matrix:
     return np.asarray(gain.matrix(6), dtype=np.float64)
 
 
-def _check_pair(gain: GainValue, unit: str) -> None:
-    """A number for the linear part and one for the angular part.
+# -------------------------------------------------------------------- loss of contact
 
-    Raises:
-        ShapeError: Something else.
+
+def misses(asked: Any, along: Any, least: Any) -> Any:
+    """1 where more than `least` is asked for and less is there along it, else 0.
+
+    Args:
+        asked: The size of what is asked for [N, N m].
+        along: What is there times what is asked for, as a dot product.
+        least: What counts as contact.
     """
-    if gain.shape != (2,):
-        raise ShapeError(f"{gain.name} must be (linear, angular) [{unit}]; got shape {gain.shape}", name=gain.name)
-    require_positive(gain.name, np.asarray(gain.as_array()), unit=unit)
+    return tm.where(asked > least, tm.where(along < least * asked, 1.0, 0.0), 0.0)
+
+
+def counted(alone: Any, missing: Any, patience: Any, dt: Any) -> dict[str, object]:
+    """Memory `alone`, how long contact has been missing [s], and `lost`, 1 where that is longer than the patience."""
+    alone = tm.where(missing > 0.5, alone + dt, 0.0)
+    return {"alone": alone, "lost": tm.where(alone > patience + 0.5 * dt, 1.0, 0.0)}
+
+
+def taken_back(share: Any, missing: Any, patience: Any, dt: Any) -> Any:
+    """The share of a force that is applied: it falls to 0 within the patience while contact misses, and rises so."""
+    step = dt / tm.maximum(patience, dt)
+    return tm.clip(share + tm.where(missing > 0.5, -step, step), 0.0, 1.0)
+
+
+UNBORNE: Final = 0.01  # of a wrench, outside the range of A^T, is told
+PULL: Final = 1e-6  # [N, N m] of a multiplier that is no rounding
+GENTLE: Final = 2.0  # times what counts as contact, with which a surface that was lost is still pressed for
+BRAKING: Final = 0.02  # [s] in which motion against a surface that was lost is braked
+SWINGS: Final = 4  # ticks in which the error of a force turns round, one after the other, before that is told
+
+
+def per_row(constraint: Constraint, pair: tuple[float, float]) -> Float64Array:
+    """(k,) the first number for each row that is a force, the second one for each that is a moment."""
+    return np.where(constraint.moments, pair[1], pair[0])
+
+
+def of_wrench(rows: ConstraintRows, F_app: Vector) -> Vector:
+    """(k,) the multipliers of a wrench of the arm on the environment: (A A^T)^-1 A F_app."""
+    assert rows.A is not None
+    out: Vector = rows.factors.solve(rows.A @ F_app)
+    return out
+
+
+def asked_multipliers(constraint: Constraint, rows: ConstraintRows, ref: HybridMotion) -> tuple[Vector, Any]:
+    """(k,) the multipliers that are asked for, and 1 where some of it cannot be borne, else 0.
+
+    What cannot be borne is not in them: press where the first row is no surface, a part of F_app outside the range of
+    A^T. A pull at a contact is told too.
+    """
+    k, F = rows.count, ref.F_app
+    lam: Vector = ref.lam[:k]
+    unborne: Any = (ref.given[0] > 0.5) & (tm.abs(ref.given[0] - float(k)) > 0.5)
+    if rows.A is None:
+        unborne = unborne | (ref.press[0] > 0.0) | (F @ F > 0.0)
+    else:
+        along = rows.A @ F
+        held = rows.factors.solve(along)
+        unborne = unborne | (along @ held < (1.0 - UNBORNE * UNBORNE) * (F @ F))
+        lam = lam + held
+        if constraint.surface:
+            gradient = rows.A[0, :3]
+            lam = lam + tm.array([-ref.press[0] / tm.sqrt(gradient @ gradient + 1e-24), *([0.0] * (k - 1))])
+        else:
+            unborne = unborne | (ref.press[0] > 0.0)
+    for row in _contacts(rows):
+        unborne = unborne | (lam[row] > PULL)
+    return lam, tm.where(unborne, 1.0, 0.0)
+
+
+def missed(rows: ConstraintRows, wanted: Vector, measured: Vector, least: Vector) -> list[Any]:
+    """(k,) of each row, 1 where a contact is pressed and does not bear it, else 0: what holds both ways is there."""
+    out: list[Any] = [0.0] * rows.count
+    for row in _contacts(rows):
+        out[row] = misses(-wanted[row], measured[row] * wanted[row], least[row])
+    return out
+
+
+def gentler(rows: ConstraintRows, lam: Vector, share: Vector, least: Vector) -> Vector:
+    """(k,) multipliers of which a contact that misses has its share: with none it is pressed for gently."""
+    out = list(lam)
+    for row in _contacts(rows):
+        soft = tm.maximum(lam[row], -GENTLE * least[row])
+        out[row] = soft + share[row] * (lam[row] - soft)
+    return tm.array(out)
+
+
+def braking(rows: ConstraintRows, rate: Vector, share: Vector, dt: Any) -> Vector:
+    """(k,) the rate of `rate` that brakes motion against contacts, as far as they miss; stable at any period."""
+    out: list[Any] = [0.0] * rows.count
+    for row in _contacts(rows):
+        out[row] = (share[row] - 1.0) * rate[row] / (BRAKING + dt)
+    return tm.array(out)
+
+
+def swung(e: Vector, last: Vector, turned: Any, least: Vector) -> dict[str, object]:
+    """Memory: the error, in how many ticks it has turned round one after the other, and 1 where those are many."""
+    round_: Any = -np.inf
+    for old, new, size in zip(last, e, least, strict=True):
+        round_ = tm.maximum(round_, -old * new - size * size)
+    turned = tm.where(round_ > 0.0, turned + 1.0, 0.0)
+    return {"e_last": e, "reversals": turned, "swings": tm.where(turned > SWINGS - 0.5, 1.0, 0.0)}
+
+
+def _contacts(rows: ConstraintRows) -> list[int]:
+    return [row for row, side in enumerate(rows.one_sided) if side]

@@ -3,34 +3,46 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 
-from taut.base.checks import float_array, one_of
-from taut.base.errors import RangeError, UsageError
+from taut.base.errors import UsageError
+from taut.base.fields import Choice, Field, Part, Plain
 from taut.base.types import Vector
 from taut.control.closed_loop import ClosedLoop, PlacedGains
 from taut.control.command import Command, Terms, Torque
-from taut.control.gains import Gain, Memory
+from taut.control.gains import Gain, GainValue, Memory
+from taut.control.integral import check_force_pole, damping_force
 from taut.control.law import Law, MemoryView, call
-from taut.control.laws.along_constraint import along_constraint, asked_pose, at_frame, felt_along, of_one_body
-from taut.control.laws.compliance import check_sensor, wrench_at
-from taut.control.laws.constraint_checks import (
+from taut.control.laws.constraints import (
+    along_constraint,
+    asked_pose,
+    at_frame,
     check_constraint,
     check_forces,
     check_motion,
     check_place,
-    check_surface,
+    felt_along,
+    of_one_body,
 )
-from taut.control.laws.constraint_estimate import NEVER, NormalEstimate, turn_between, turned_rows
-from taut.control.laws.contact_loss import CONTACT, E_INT_MAX, PATIENCE, counted, taken_back
-from taut.control.laws.damping import damping_force
-from taut.control.laws.integral import check_force_pole
-from taut.control.laws.row_forces import asked_multipliers, braking, gentler, missed, of_wrench, per_row, swung
-from taut.control.trajectories.hybrid_motion import MOST_ROWS, HybridMotion, hybrid_kind
+from taut.control.laws.force import (
+    CONTACT,
+    E_INT_MAX,
+    PATIENCE,
+    asked_multipliers,
+    braking,
+    counted,
+    gentler,
+    missed,
+    of_wrench,
+    per_row,
+    swung,
+    taken_back,
+)
+from taut.control.laws.task_space import check_sensor, wrench_at
+from taut.control.trajectories.force_reference import MOST_ROWS, HybridMotion, hybrid_kind
 from taut.control.trajectories.reference import Reference, Sample
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.constraints.constraint import Constraint
@@ -44,7 +56,11 @@ __all__ = ["HybridMotionForce"]
 
 ForceFeedback = Literal["wrench", "joint_torque"]
 TOUCHING: Final = 1.0  # [N] on a tool that counts as in contact
-FEEDBACKS: Final[tuple[ForceFeedback, ...]] = ("wrench", "joint_torque")
+
+
+def natural(constraint: Any) -> Any:
+    """Natural constraints, also of a function of the pose."""
+    return Constraint(constraint) if callable(constraint) and not isinstance(constraint, Constraint) else constraint
 
 
 class HybridMotionForce(Law):
@@ -106,11 +122,12 @@ class HybridMotionForce(Law):
         feedback: With kfp or kfi, what measures the force: "wrench" or "joint_torque".
         curvature: Whether the term of that name is in the law.
         tolerance: How far phi may be from zero where a run starts [m, rad].
-        estimate: `taut.laws.NormalEstimate()` where it is not well known where the surface faces: the law is then
-            that of the constraint turned as force and motion show it.
+
+    Where it is not well known where the surface faces, `taut.laws.NormalEstimate(law=HybridMotionForce(...))` follows
+    the constraint rotated as force and motion show it.
 
     Raises:
-        UsageError: No constraint, or no law of motion that gives torques; an estimate of what is no surface.
+        UsageError: No constraint, or no law of motion that gives torques.
         MatchError: A wrist sensor that knows nothing of the constraint's frame.
 
     Example:
@@ -126,117 +143,62 @@ class HybridMotionForce(Law):
         (1987), IEEE Journal of Robotics and Automation 3 (1).
     """
 
-    reference = HybridMotion
+    reference: ClassVar[type[Sample]] = HybridMotion
     needs_contact: ClassVar[bool] = True
-    constraint: Constraint | Callable[..., Any]
+    constraint: Part[Constraint] = Part(Constraint, convert=natural)
     motion: Law
-    kfp: Gain = Gain(optional=True, size="rows")  # [1]
-    kfi: Gain = Gain(optional=True, size="rows")  # [1/s]
-    e_int_max: Gain = Gain(optional=True, size="rows", minimum=1e-9)  # [N s, N m s]
-    kdamp: Gain = Gain(optional=True, size="rows")  # [N s/m, N m s/rad]
-    contact: Gain = Gain(optional=True, size="rows", minimum=1e-9)  # [N, N m]
-    patience: Gain = Gain(PATIENCE, size=0)  # [s]
-    feedback: ForceFeedback = "wrench"
-    curvature: bool = True
-    tolerance: float = 0.01
-    estimate: Law | None = None
-    e_int: Memory = Memory(0.0)  # [N s, N m s]
-    lam: Memory = Memory(0.0)  # multipliers by eq. 10.42 of what is commanded [N, N m]
-    phi: Memory = Memory(0.0)  # [m, rad]
-    share: Memory = Memory(1.0)  # of the force that is applied, without kdamp
-    alone: Memory = Memory(0.0)  # [s] since there was contact
-    lost: Memory = Memory(0.0)  # 1 where contact is lost
-    bounded: Memory = Memory(0.0)  # 1 where the integral is at its bound
-    e_last: Memory = Memory(0.0)  # [N, N m] the error of the force a tick ago
-    turned: Memory = Memory(0.0)  # ticks in which it turned round, one after the other
-    swings: Memory = Memory(0.0)  # 1 where those are many
-    slipped: Memory = Memory(0.0)  # [m, rad] how far the motion went against rows of velocities
-    astray: Memory = Memory(0.0)  # 1 where the motion is off the constraint
-    dependent: Memory = Memory(0.0)  # (k,) 1 where a row is dependent on later ones
-    unborne: Memory = Memory(0.0)  # 1 where the constraint does not bear what is asked for
-
-    recorded: ClassVar[tuple[str, ...]] = (
-        "lam",
-        "phi",
-        "lost",
-        "bounded",
-        "swings",
-        "astray",
-        "unborne",
-        "dependent",
+    kfp: Gain = Gain(unit="1", shape="rows", optional=True)
+    kfi: Gain = Gain(unit="1/s", shape="rows", optional=True)
+    e_int_max: Gain = Gain(unit="N s, N m s", shape="rows", accepts=("scalar",), above=0.0, optional=True)
+    kdamp: Gain = Gain(unit="N s/m, N m s/rad", shape="rows", optional=True)
+    contact: Gain = Gain(unit="N, N m", shape="rows", accepts=("scalar",), above=0.0, optional=True)
+    patience: Gain = Gain(PATIENCE, unit="s", shape="scalar")
+    feedback: Choice[ForceFeedback] = Choice("wrench", "joint_torque")
+    curvature: Plain[bool] = Plain(bool, default=True)
+    tolerance: Field = Field(0.01, unit="m, rad", minimum=0.0, infinite=True, run_time=False)
+    e_int = Memory(unit="N s, N m s")
+    lam = Memory(unit="N, N m", record=True, doc="multipliers by eq. 10.42 of what is commanded")
+    phi = Memory(unit="m, rad", record=True)
+    fraction = Memory(1.0, doc="of the force that is applied, without kdamp")
+    alone = Memory(unit="s", doc="time since there was contact")
+    lost = Memory(notice="the tool met less than was asked for, contact was lost")
+    bounded = Memory(notice="the integral of the force error was at its bound e_int_max")
+    e_last = Memory(unit="N, N m", doc="error of the force a tick ago")
+    reversals = Memory(doc="ticks in which it changed its sign, one after the other")
+    swings = Memory(
+        notice="the force error changed its sign in every tick, as it does where kfp + kfi dt / 2 is not under 1 "
+        "at a rigid contact,"
     )
-    notices: ClassVar[tuple[tuple[str, str], ...]] = (
-        ("lost", "the tool met less than was asked for, contact was lost"),
-        ("bounded", "the integral of the force error was at its bound e_int_max"),
-        (
-            "swings",
-            "the force error turned round, as it does where kfp + kfi dt / 2 is not under 1 at a rigid contact,",
-        ),
-        ("astray", "the motion asked for, off the constraint by more than the tolerance, was followed only along it"),
-        ("dependent", "rows of the constraint said the same as later ones, and were left out"),
-        ("unborne", "a part of the force asked for, which the constraint does not bear, was left out"),
+    slipped = Memory(unit="m, rad", doc="displacement of the motion against rows of velocities")
+    astray = Memory(
+        notice="the motion asked for, off the constraint by more than the tolerance, was followed only along it"
     )
+    dependent = Memory(notice="rows of the constraint said the same as later ones, and were left out")
+    unborne = Memory(notice="a part of the force asked for, which the constraint does not bear, was left out")
 
-    def __post_init__(self) -> None:
-        if not isinstance(self.constraint, Constraint):
-            if not callable(self.constraint):
-                raise UsageError(
-                    "constraint must be a function of the pose, such as lambda T: T.p[2] - 0.1, or a taut.Constraint"
-                    f"; got {type(self.constraint).__name__}",
-                    name="constraint",
-                )
-            object.__setattr__(self, "constraint", Constraint(self.constraint))
-        one_of("feedback", self.feedback, FEEDBACKS)
-        if not isinstance(self.curvature, bool):  # callers without a type checker
-            raise UsageError(f"curvature must be True or False; got {self.curvature!r}", name="curvature")
-        object.__setattr__(self, "tolerance", _tolerance(self.tolerance))
+    def check(self) -> None:
+        motion = self.motion
+        if issubclass(motion.reference, HybridMotion):
+            self.refuse("motion", f"must be a law such as TaskComputedTorque; got {type(motion).__name__}")
         if self.rows > MOST_ROWS:
-            raise UsageError(
-                f"a hybrid law takes constraints of up to {MOST_ROWS} rows; these have {self.rows}", name="constraint"
+            self.refuse("constraint", f"must have up to {MOST_ROWS} rows; it has {self.rows}")
+        if self.measures and self.feedback == "wrench" and self.constraint.frame is None:
+            self.refuse(
+                "feedback",
+                "'wrench' is for a constraint of one frame of the tool's link; for one of joints or of several "
+                "frames take 'joint_torque', or leave kfp and kfi out",
             )
-        if not isinstance(self.motion, Law) or issubclass(self.motion.reference, HybridMotion):
-            raise UsageError(
-                "motion holds a law such as taut.laws.TaskComputedTorque(kp=100.0, kd=20.0); got "
-                f"{type(self.motion).__name__}",
-                name="motion",
-            )
-        if self.measures and self.feedback == "wrench" and self.natural.frame is None:
-            raise UsageError(
-                "feedback='wrench' is for a constraint of one frame of the tool's link; for one of joints or of "
-                "several frames take feedback='joint_torque', or leave kfp and kfi out",
-                name="feedback",
-            )
-        if self.estimate is not None:
-            self._check_estimate()
-        object.__setattr__(self, "reference", hybrid_kind(self.motion.reference))
-
-    def _check_estimate(self) -> None:
-        if not isinstance(self.estimate, NormalEstimate):
-            raise UsageError(
-                f"estimate holds taut.laws.NormalEstimate(); got {type(self.estimate).__name__}", name="estimate"
-            )
-        if self.natural.frame is None or self.motion.reference is not TaskMotion:
-            raise UsageError(
-                "estimate is for a surface that one frame touches, and a motion of that frame, such as "
-                "TaskComputedTorque; leave it out",
-                name="estimate",
-            )
-
-    @property
-    def natural(self) -> Constraint:
-        """The natural constraints, whatever they were given as."""
-        assert isinstance(self.constraint, Constraint)
-        return self.constraint
+        self.__dict__["reference"] = hybrid_kind(motion.reference)
 
     @property
     def rows(self) -> int:
         """k, the number of rows of the constraint."""
-        return self.natural.count
+        return self.constraint.count
 
     @property
     def measures(self) -> bool:
         """Whether forces are fed back."""
-        return self.gives("kfp") or self.gives("kfi")
+        return self.kfp is not None or self.kfi is not None
 
     def seen_by(self, child: str, x: Snapshot, ref: Sample) -> tuple[Snapshot, Sample]:
         return x, ref.motion if child == "motion" and isinstance(ref, HybridMotion) else ref
@@ -246,9 +208,11 @@ class HybridMotionForce(Law):
 
     def check_rate(self, rate: float) -> None:
         """The slow mode of the force, -kfi / (1 + kfp), must be slower than the rate on any contact."""
-        if self.gives("kfi"):
+        if self.kfi is not None:
             k = self.rows
-            check_force_pole(self.kfp.matrix(k) if self.gives("kfp") else np.zeros((k, k)), self.kfi.matrix(k), rate)
+            check_force_pole(
+                self.kfp.matrix(k) if self.kfp is not None else np.zeros((k, k)), self.kfi.matrix(k), rate
+            )
 
     def swing(self, dt: float) -> float:
         """The largest eigenvalue of kfp + kfi dt / 2: from 1 on, a force a tick old swings up on rigid contacts.
@@ -264,12 +228,10 @@ class HybridMotionForce(Law):
         return float(np.max(np.abs(np.linalg.eigvals(sum(gains))))) if gains else 0.0
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
-        check_constraint(self.natural, x)
-        if (self.measures and self.feedback == "wrench") or self.estimate is not None:
-            frame = self.natural.frame
-            check_sensor(x, None if frame is None else frame[0])
-        if self.estimate is not None:
-            check_surface(self.natural, x, self.motion.controlled_frame)
+        check_constraint(self.constraint, x)
+        if self.measures and self.feedback == "wrench":
+            (frame,) = self.constraint.frame or (None,)
+            check_sensor(x, frame)
 
     def check_reference(self, x: Snapshot, ref: Reference, rate: float) -> None:  # noqa: ARG002
         """The run starts on the constraint, forces can be applied against it, and the motion keeps to it.
@@ -277,9 +239,8 @@ class HybridMotionForce(Law):
         Raises:
             RangeError: A start or a motion off the constraint, a force that no contact can bear.
         """
-        check_place(self.natural, x, self.tolerance)
-        check_forces(self.natural, x, ref)
-        self._check_motion(x, ref)
+        self.check_contact(x, ref)
+        check_motion(self.constraint, x, ref, self.motion.controlled_frame, self.tolerance)
 
     def check_reference_later(self, x: Snapshot, ref: Reference, rate: float) -> None:  # noqa: ARG002
         """The same of a phase that begins elsewhere, as far as it is known: the motion keeps to the constraint.
@@ -287,20 +248,21 @@ class HybridMotionForce(Law):
         Raises:
             RangeError: A motion off the constraint, a force that the contact cannot bear at any place.
         """
-        check_forces(self.natural, x, ref, later=True)
-        self._check_motion(x, ref, later=True)
+        self.check_contact(x, ref, later=True)
+        check_motion(self.constraint, x, ref, self.motion.controlled_frame, self.tolerance, later=True)
 
-    def _check_motion(self, x: Snapshot, ref: Reference, *, later: bool = False) -> None:
-        """Not of a law that estimates the surface: it goes along that, whatever the motion asks for against it."""
-        if self.estimate is None:
-            check_motion(self.natural, x, ref, self.motion.controlled_frame, self.tolerance, later=later)
+    def check_contact(self, x: Snapshot, ref: Reference, *, later: bool = False) -> None:
+        """A run starts on the constraint, and forces can be applied against it."""
+        if not later:
+            check_place(self.constraint, x, self.tolerance)
+        check_forces(self.constraint, x, ref, later=later)
 
     def touches(self, x: Snapshot) -> Any:
         """Whether the arm keeps to the constraint: phi within the tolerance, and a force on it where one is measured.
 
         Without a sensor, and for what holds both ways, phi alone tells.
         """
-        rows = self.natural.at(x)
+        rows = self.constraint.at(x)
         near = [tm.abs(value) <= self.tolerance for value in rows.phi]
         if self.measures and self.feedback == "wrench" and any(rows.one_sided):
             F = x.F_ext[:3]
@@ -309,7 +271,7 @@ class HybridMotionForce(Law):
 
     def contact_state(self, x: Snapshot) -> str:
         """How far the arm is from its constraint, of what the tolerance is, and the force where one is measured."""
-        rows = self.natural.at(x)
+        rows = self.constraint.at(x)
         phi = np.asarray(rows.phi, dtype=np.float64)
         row = int(np.argmax(np.abs(phi)))
         unit = "" if rows.A is None else " m" if np.any(np.asarray(rows.A)[row, :3]) else " rad"
@@ -321,19 +283,22 @@ class HybridMotionForce(Law):
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop | None:
         """That of its motion, along the constraint; against it (I + kfp) lam_e + kfi int(lam_e) = const."""
-        none, motion = np.zeros((self.rows, self.rows)), self.motion.closed_loop(x)
-        kfp, kfi = (getattr(self, name).matrix(self.rows) if self.gives(name) else none for name in ("kfp", "kfi"))
+        motion, eye = self.motion.closed_loop(x), np.eye(self.rows)
+        kfp, kfi = (0.0 * eye if gain is None else gain.matrix(self.rows) for gain in (self.kfp, self.kfi))
 
         def gains(motion: Law, g: PlacedGains) -> Law:
-            fed: dict[str, Any] = {} if g.force is None else {"kfi": g.force * (np.eye(self.rows) + kfp)}
+            fed: dict[str, Any] = {} if g.force is None else {"kfi": g.force * (eye + kfp)}
             return replace(self, motion=motion, **fed)
 
-        return None if motion is None else motion.held_by(gains, alone=motion.alone or self.motion, force=(kfp, kfi))
+        return motion and motion.held_by(gains, alone=motion.alone or self.motion, force=(kfp, kfi))
 
-    def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, object]]:
-        rows, estimated = self.natural.at(x), None
-        if isinstance(self.estimate, NormalEstimate):
-            rows, estimated = self._estimated(self.estimate, x, rows, memory["estimate"], dt)
+    def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
+        return self.controlled(x, ref, memory, dt, self.constraint.at(x))
+
+    def controlled(
+        self, x: Snapshot, ref: Any, memory: MemoryView, dt: float, rows: ConstraintRows, *, estimated: bool = False
+    ) -> tuple[Command, dict[str, Any]]:
+        """The command with given rows of the constraint; `estimated` ones are followed wherever the motion goes."""
         held = Constrained.of(rows, x.M_factors)
         command, motion = call(self.motion, *self._along(x, rows, ref.motion), memory["motion"], dt)
         if not isinstance(command, Torque):
@@ -353,51 +318,34 @@ class HybridMotionForce(Law):
             )
         told = lam.total if self.curvature else lam.total + curved
         after: dict[str, object] = {"motion": motion, "lam": told, "phi": rows.phi, **of_force}
-        after |= self._astray(x, ref.motion, memory.slipped + tm.zeros(rows.count), dt)
+        after |= self._astray(x, ref.motion, memory.slipped + tm.zeros(rows.count), dt, estimated=estimated)
         after["dependent"] = tm.array([tm.where(gone, 1.0, 0.0) for gone in held.mobility.dropped])
-        if estimated is not None:
-            after["estimate"] = estimated
         return Torque(tau), after
-
-    def _estimated(
-        self, estimate: NormalEstimate, x: Snapshot, stated: ConstraintRows, memory: Any, dt: Any
-    ) -> tuple[ConstraintRows, dict[str, object]]:
-        """The rows as they are turned by the estimate of the first one's normal, and its memory."""
-        assert self.natural.frame is not None
-        assert stated.A is not None
-        V = x.twist(*self.natural.frame)
-        size = tm.sqrt(stated.A[0, :3] @ stated.A[0, :3] + NEVER)
-        n_0 = stated.A[0, :3] / size
-        over = V[:3] + ((stated.A[0, 3:] @ V[3:] + stated.phi_t[0]) / size) * n_0
-        tilt = estimate.updated(memory["tilt"], n_0, over, x.F_ext[:3], dt)
-        n = n_0 + tilt
-        n = n / tm.sqrt(n @ n + NEVER)
-        return turned_rows(self.natural, x, turn_between(n_0, n)), {"tilt": tilt, "normal": n}
 
     def _along(self, x: Snapshot, rows: ConstraintRows, motion: Sample) -> tuple[Snapshot, Sample]:
         """What the law of motion sees and follows: of a tool that is constrained, without what is against that."""
         tool = self.motion.controlled_frame
-        if not isinstance(motion, TaskMotion) or not of_one_body(self.natural, x, tool):
+        if not isinstance(motion, TaskMotion) or not of_one_body(self.constraint, x, tool):
             return x, motion
-        assert self.natural.frame is not None
-        (frame,) = self.natural.frame
-        felt = felt_along(x, rows, frame) if of_one_body(self.natural, x, None) else x
+        assert self.constraint.frame is not None
+        (frame,) = self.constraint.frame
+        felt = felt_along(x, rows, frame) if of_one_body(self.constraint, x, None) else x
         return felt, along_constraint(x, rows, frame, motion, tool)
 
-    def _astray(self, x: Snapshot, motion: Sample, slipped: Vector, dt: Any) -> dict[str, object]:
+    def _astray(self, x: Snapshot, motion: Sample, slipped: Vector, dt: Any, *, estimated: bool) -> dict[str, object]:
         """1 where the motion asks for what is off the constraint by more than the tolerance, else 0.
 
         That is a pose, or a way against rows of velocities. Not of a law that estimates the surface: it goes along
         that, whatever the motion asks for against it.
         """
         tool = self.motion.controlled_frame
-        if self.estimate is not None or not isinstance(motion, TaskMotion) or not of_one_body(self.natural, x, tool):
+        if estimated or not isinstance(motion, TaskMotion) or not of_one_body(self.constraint, x, tool):
             return {"astray": 0.0, "slipped": slipped}
-        assert self.natural.frame is not None
-        (frame,) = self.natural.frame
+        assert self.constraint.frame is not None
+        (frame,) = self.constraint.frame
         T = asked_pose(x, frame, motion, tool)
-        slipped = slipped + dt * self.natural.slip_of(T, at_frame(x, frame, motion, tool).twist)
-        off = [tm.abs(y) for y in (*self.natural.phi_of(T, x.t), *slipped)]
+        slipped = slipped + dt * self.constraint.slip_of(T, at_frame(x, frame, motion, tool).twist)
+        off = [tm.abs(y) for y in (*self.constraint.phi_of(T, x.t), *slipped)]
         return {"astray": tm.where(functools.reduce(tm.maximum, off) > self.tolerance, 1.0, 0.0), "slipped": slipped}
 
     def _multipliers(
@@ -405,39 +353,39 @@ class HybridMotionForce(Law):
     ) -> tuple[Terms, dict[str, object]]:
         """(k,) the multipliers to apply, as terms; and the memory of the force after this tick."""
         zero = tm.zeros(rows.count)
-        after: dict[str, object] = {name: getattr(memory, name) for name in ("alone", "lost", "turned", "swings")}
-        after |= {name: getattr(memory, name) + zero for name in ("e_int", "e_last", "share")}
-        wanted, unborne = asked_multipliers(self.natural, rows, ref)
+        after: dict[str, object] = {name: getattr(memory, name) for name in ("alone", "lost", "reversals", "swings")}
+        after |= {name: getattr(memory, name) + zero for name in ("e_int", "e_last", "fraction")}
+        wanted, unborne = asked_multipliers(self.constraint, rows, ref)
         after |= {"bounded": memory.bounded, "unborne": unborne}
         lam, missing, contact = Terms(force=wanted), [0.0] * rows.count, self._per_row("contact", CONTACT)
         if self.measures:
             measured = self._measured(x, rows, held)
             e, patience = wanted - measured, self.patience.as_array()
             missing = missed(rows, wanted, measured, contact)
-            after |= swung(e, memory.e_last + zero, memory.turned, contact)
+            after |= swung(e, memory.e_last + zero, memory.reversals, contact)
             after |= counted(memory.alone, functools.reduce(tm.maximum, missing), patience, dt)
             if self.fades:
-                after["share"] = taken_back(memory.share + zero, tm.array(missing), patience, dt)
-        if self.gives("kfp"):
+                after["fraction"] = taken_back(memory.fraction + zero, tm.array(missing), patience, dt)
+        if self.kfp is not None:
             lam = lam + Terms(force_P=self.kfp @ e)
-        if self.gives("kdamp"):
+        if self.kdamp is not None:
             mobility = rows.A_q @ held.Minv_AT
             lam = lam + Terms(force_D=-damping_force(self.kdamp.matrix(rows.count), mobility, rows.rate(x.v), dt))
-        if self.gives("kfi"):
+        if self.kfi is not None:
             e_int = memory.e_int + zero
             pushed = (lam + Terms(force_I=self.kfi @ e_int)).total
             e_int, after["bounded"] = self._integral(x, rows, held, pushed, e_int, e, missing, dt)
             after["e_int"] = e_int
             lam = lam + Terms(force_I=self.kfi @ e_int)
         if self.fades:
-            lam = lam.up_to(gentler(rows, lam.total, memory.share + zero, contact), "lost")
+            lam = lam.up_to(gentler(rows, lam.total, memory.fraction + zero, contact), "lost")
         if any(rows.one_sided):
             total = tm.array(
                 [tm.minimum(y, 0.0) if side else y for y, side in zip(lam.total, rows.one_sided, strict=True)]
             )
             lam = lam.up_to(total, "one_sided")
         if self.fades:
-            lam = lam + Terms(lost=held.felt(braking(rows, rows.rate(x.v), memory.share + zero, dt)))
+            lam = lam + Terms(lost=held.felt(braking(rows, rows.rate(x.v), memory.fraction + zero, dt)))
         return lam, after
 
     def _integral(
@@ -470,28 +418,20 @@ class HybridMotionForce(Law):
 
     def _per_row(self, gain: str, default: tuple[float, float]) -> Vector:
         """(k,) a gain, or where it was not given what stands for forces and for moments."""
-        if not self.gives(gain):
-            return per_row(self.natural, default)
-        given: Vector = getattr(self, gain).as_array() + tm.zeros(self.rows)
-        return given
+        given: GainValue | None = getattr(self, gain)
+        if given is None:
+            return per_row(self.constraint, default)
+        values: Vector = given.as_array() + tm.zeros(self.rows)
+        return values
 
     @property
     def fades(self) -> bool:
         """Whether the force is taken back with a contact that is lost: where no kdamp bounds the speed."""
-        return self.measures and not self.gives("kdamp") and any(self.natural.one_sided)
+        return self.measures and self.kdamp is None and any(self.constraint.one_sided)
 
     def _measured(self, x: Snapshot, rows: ConstraintRows, held: Constrained) -> Vector:
         """(k,) the multipliers that are measured."""
         if self.feedback == "joint_torque":
             return held.lam(x.tau_meas - x.inverse_dynamics(np.zeros(x.n)))  # of all that acts on the links
-        (frame,) = self.natural.frame or (None,)
+        (frame,) = self.constraint.frame or (None,)
         return of_wrench(rows, -wrench_at(x, frame))
-
-
-def _tolerance(value: object) -> float:
-    number = float(float_array("tolerance", value, shape=()))  # type: ignore[arg-type]  # checked inside
-    if not number >= 0.0:
-        raise RangeError(
-            f"tolerance must be >= 0 [m, rad]; got {number!r}", name="tolerance", value=number, rule=">= 0"
-        )
-    return number

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from taut.base.checks import one_of
+from taut.base.fields import Part
 from taut.control.closed_loop import ClosedLoop
 from taut.control.command import Command, Terms, Torque, Velocity
-from taut.control.gains import Gain, Memory
+from taut.control.gains import Gain
+from taut.control.integral import Integral
 from taut.control.law import Law, MemoryView
-from taut.control.laws.integral import ANTI_WINDUP, AntiWindup, check_tracking, integrated
 from taut.control.trajectories.reference import JointMotion, Sample
 from taut.maths.snapshot import Snapshot
+from taut.trace import math as tm
 
 __all__ = [
     "PID",
@@ -36,25 +37,17 @@ class PID(Law):
                   stable for 0 <= ki < (b + kd) kp / M
                   a constant disturbance then leaves no error with ki > 0, and the error tau_dist / kp without
 
-    The integral includes this tick's error, as in the chapter's pseudocode. Where limits cut the torque it is kept
-    from winding up: anti_windup is "clamping", "back-calculation" (with the rate `tracking`) or "none".
+    The integral includes this tick's error, as in the chapter's pseudocode. Where limits cut the torque `integral`
+    keeps it from winding up.
 
     References:
         Section 10.2.1.1 PID control; section 10.2.2.1 decentralised multi-joint control.
     """
 
-    kp: Gain  # [N m/rad | N/m]
-    kd: Gain = Gain(0.0)  # [N m s/rad | N s/m]
-    ki: Gain = Gain(0.0)  # [N m/(rad s) | N/(m s)]
-    e_int: Memory = Memory(0.0)  # [rad s | m s]
-    anti_windup: AntiWindup = "clamping"
-    tracking: Gain = Gain(10.0, where=("anti_windup", "back-calculation"))  # [1/s]
-
-    def __post_init__(self) -> None:
-        one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
-
-    def check_rate(self, rate: float) -> None:
-        check_tracking(self.anti_windup, self.tracking, rate)
+    kp: Gain = Gain(unit="N m/rad | N/m")
+    kd: Gain = Gain(0.0, unit="N m s/rad | N s/m")
+    ki: Gain = Gain(0.0, unit="N m/(rad s) | N/(m s)")
+    integral: Part[Integral] = Part(Integral, default=Integral())
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop:
         """M e_ddot + kd e_dot + kp e + ki int(e) = 0, each joint with its own inertia unless gains are matrices."""
@@ -66,8 +59,8 @@ class PID(Law):
         self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
     ) -> tuple[Command, dict[str, object]]:
         e, e_dot = x.difference(ref.q), ref.v - x.v
-        e_int = integrated(memory.e_int, e, x, dt, self.anti_windup, self.ki, self.tracking)
-        return Torque(P=self.kp @ e, I=self.ki @ e_int, D=self.kd @ e_dot), {"e_int": e_int}
+        e_int, integral = self.integral.step(memory.integral, e, dt, ki=self.ki, cut=lambda: x.tau_cut)
+        return Torque(P=self.kp @ e, I=self.ki @ e_int, D=self.kd @ e_dot), {"integral": integral}
 
 
 class FeedForward(Law):
@@ -102,18 +95,10 @@ class ComputedTorque(Law):
         Section 10.2.1.3 feedforward plus feedback linearisation; section 10.2.2.2 centralised control.
     """
 
-    kp: Gain  # [1/s^2]
-    kd: Gain  # [1/s]
-    ki: Gain = Gain(0.0)  # [1/s^3]
-    e_int: Memory = Memory(0.0)  # [rad s | m s]
-    anti_windup: AntiWindup = "clamping"
-    tracking: Gain = Gain(10.0, where=("anti_windup", "back-calculation"))  # [1/s]
-
-    def __post_init__(self) -> None:
-        one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
-
-    def check_rate(self, rate: float) -> None:
-        check_tracking(self.anti_windup, self.tracking, rate)
+    kp: Gain = Gain(unit="1/s^2")
+    kd: Gain = Gain(unit="1/s")
+    ki: Gain = Gain(0.0, unit="1/s^3")
+    integral: Part[Integral] = Part(Integral, default=Integral())
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop:
         """e_ddot + kd e_dot + kp e + ki int(e) = 0."""
@@ -123,10 +108,16 @@ class ComputedTorque(Law):
         self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
     ) -> tuple[Command, dict[str, object]]:
         e, e_dot = x.difference(ref.q), ref.v - x.v
-        scheme, tracking = self.anti_windup, self.tracking
-        e_int = integrated(memory.e_int, e, x, dt, scheme, self.ki, tracking, acceleration=True)
+        e_int, integral = self.integral.step(
+            memory.integral,
+            e,
+            dt,
+            ki=self.ki,
+            cut=lambda: x.tau_cut,
+            lost=lambda: tm.solve_spd(x.M_factors, x.tau_cut),
+        )
         a = Terms(feedforward=ref.a, P=self.kp @ e, I=self.ki @ e_int, D=self.kd @ e_dot)
-        return Torque(x.M @ a + Terms(nonlinear=x.h)), {"e_int": e_int}
+        return Torque(x.M @ a + Terms(nonlinear=x.h)), {"integral": integral}
 
 
 class GravityPID(Law):
@@ -143,18 +134,10 @@ class GravityPID(Law):
         Section 10.2.2.2 centralised multi-joint control, equations 10.22 to 10.27.
     """
 
-    kp: Gain  # [N m/rad | N/m]
-    kd: Gain  # [N m s/rad | N s/m]
-    ki: Gain = Gain(0.0)  # [N m/(rad s) | N/(m s)]
-    e_int: Memory = Memory(0.0)  # [rad s | m s]
-    anti_windup: AntiWindup = "clamping"
-    tracking: Gain = Gain(10.0, where=("anti_windup", "back-calculation"))  # [1/s]
-
-    def __post_init__(self) -> None:
-        one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
-
-    def check_rate(self, rate: float) -> None:
-        check_tracking(self.anti_windup, self.tracking, rate)
+    kp: Gain = Gain(unit="N m/rad | N/m")
+    kd: Gain = Gain(unit="N m s/rad | N s/m")
+    ki: Gain = Gain(0.0, unit="N m/(rad s) | N/(m s)")
+    integral: Part[Integral] = Part(Integral, default=Integral())
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop:
         """M e_ddot + kd e_dot + kp e + ki int(e) = 0, each joint with its own inertia unless gains are matrices."""
@@ -166,9 +149,9 @@ class GravityPID(Law):
         self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
     ) -> tuple[Command, dict[str, object]]:
         e, e_dot = x.difference(ref.q), ref.v - x.v
-        e_int = integrated(memory.e_int, e, x, dt, self.anti_windup, self.ki, self.tracking)
+        e_int, integral = self.integral.step(memory.integral, e, dt, ki=self.ki, cut=lambda: x.tau_cut)
         tau = Torque(P=self.kp @ e, I=self.ki @ e_int, D=self.kd @ e_dot, gravity=x.g)
-        return tau, {"e_int": e_int}
+        return tau, {"integral": integral}
 
 
 class GravityCompensation(Law):
@@ -182,7 +165,7 @@ class GravityCompensation(Law):
     """
 
     ignores_reference = True
-    kd: Gain = Gain(0.0)  # [N m s/rad | N s/m]
+    kd: Gain = Gain(0.0, unit="N m s/rad | N s/m")
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop:
         """M v_dot + kd v = 0."""
@@ -204,17 +187,9 @@ class VelocityPI(Law):
         Lynch and Park, Modern Robotics (2017), section 11.3 motion control with velocity inputs.
     """
 
-    kp: Gain  # [1/s]
-    ki: Gain = Gain(0.0)  # [1/s^2]
-    e_int: Memory = Memory(0.0)  # [rad s | m s]
-    anti_windup: AntiWindup = "clamping"
-    tracking: Gain = Gain(10.0, where=("anti_windup", "back-calculation"))  # [1/s]
-
-    def __post_init__(self) -> None:
-        one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
-
-    def check_rate(self, rate: float) -> None:
-        check_tracking(self.anti_windup, self.tracking, rate)
+    kp: Gain = Gain(unit="1/s")
+    ki: Gain = Gain(0.0, unit="1/s^2")
+    integral: Part[Integral] = Part(Integral, default=Integral())
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop:
         """e_ddot + kp e_dot + ki e = 0; with ki = 0 one pole, e_dot + kp e = 0."""
@@ -224,5 +199,5 @@ class VelocityPI(Law):
         self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
     ) -> tuple[Command, dict[str, object]]:
         e = x.difference(ref.q)
-        e_int = integrated(memory.e_int, e, x, dt, self.anti_windup, self.ki, self.tracking)
-        return Velocity(feedforward=ref.v, P=self.kp @ e, I=self.ki @ e_int), {"e_int": e_int}
+        e_int, integral = self.integral.step(memory.integral, e, dt, ki=self.ki, cut=lambda: x.tau_cut)
+        return Velocity(feedforward=ref.v, P=self.kp @ e, I=self.ki @ e_int), {"integral": integral}

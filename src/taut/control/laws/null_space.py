@@ -13,17 +13,20 @@ import numpy as np
 
 from taut.arm.angles import require_radians
 from taut.base.checks import vector
-from taut.base.errors import ShapeError, UsageError
-from taut.base.types import ArrayLike, Vector
+from taut.base.errors import MatchError, UsageError, count_of
+from taut.base.fields import Field
+from taut.base.types import Vector
 from taut.control.command import Command, Terms, Torque
-from taut.control.gains import Gain, GainValue
-from taut.control.law import Law, MemoryView
+from taut.control.gains import Gain, Memory
+from taut.control.law import Law, MemoryView, call
 from taut.control.trajectories.reference import Sample
 from taut.maths import dynamics as dyn
+from taut.maths.singularity import ResolvedMotion
 from taut.maths.snapshot import Snapshot
+from taut.maths.task_inertia import TaskInertia
 from taut.trace import math as tm
 
-__all__ = ["LimitAvoidance", "Manipulability", "Posture"]
+__all__ = ["LimitAvoidance", "Manipulability", "Posture", "check_free", "check_null", "with_null_space"]
 
 
 class Posture(Law):
@@ -40,14 +43,10 @@ class Posture(Law):
     """
 
     ignores_reference = True
-    kp: Gain = Gain(10.0)  # [1/s^2]
-    kd: Gain = Gain(6.0)  # [1/s]
-    q: ArrayLike | None = None
-
-    def __post_init__(self) -> None:
-        if self.q is not None:
-            q = vector("q", self.q, np.size(self.q), unit="rad | m")
-            object.__setattr__(self, "q", q)
+    kp: Gain = Gain(10.0, unit="1/s^2")
+    kd: Gain = Gain(6.0, unit="1/s")
+    q: Field = Field(unit="rad | m", shape="joints", optional=True, run_time=False)
+    rest = Memory(unit="rad | m", doc="the posture that is kept")
 
     def start(self, x: Snapshot, ref: Sample) -> Mapping[str, Vector]:  # noqa: ARG002
         return {"rest": x.q if self.q is None else tm.array(vector("q", self.q, x.n, joints=x.arm.joint_names))}
@@ -76,12 +75,9 @@ class LimitAvoidance(Law):
     """
 
     ignores_reference = True
-    kp: Gain = Gain(100.0)  # [1/s^2]
-    kd: Gain = Gain(20.0)  # [1/s]
-    margin: Gain = Gain(0.2, minimum=1e-6)  # [rad | m]
-
-    def __post_init__(self) -> None:
-        _check_entries(self.margin, "rad | m")
+    kp: Gain = Gain(100.0, unit="1/s^2")
+    kd: Gain = Gain(20.0, unit="1/s")
+    margin: Gain = Gain(0.2, unit="rad | m", accepts=("scalar",), above=0.0)
 
     def command(self, x: Snapshot, ref: Sample) -> Command:  # noqa: ARG002
         lower, upper = x.arm.lower, x.arm.upper
@@ -109,13 +105,10 @@ class Manipulability(Law):
     """
 
     ignores_reference = True
-    gain: Gain = Gain(5.0)  # [1/s^2]
-    kd: Gain = Gain(6.0)  # [1/s]
-    most: Gain = Gain(5.0, minimum=1e-6)  # [1/rad | 1/m]
+    gain: Gain = Gain(5.0, unit="1/s^2")
+    kd: Gain = Gain(6.0, unit="1/s")
+    most: Gain = Gain(5.0, unit="1/rad | 1/m", accepts=("scalar",), above=0.0)
     tool: str | None = None
-
-    def __post_init__(self) -> None:
-        _check_entries(self.most, "1/rad | 1/m")
 
     def command(self, x: Snapshot, ref: Sample) -> Command:  # noqa: ARG002
         def measure(q: Vector) -> Any:
@@ -136,13 +129,81 @@ class Manipulability(Law):
         return Torque(x.M @ Terms(P=self.gain @ bounded, D=-(self.kd @ x.v)))
 
 
-def _check_entries(gain: GainValue, unit: str) -> None:
-    """What bounds each joint by itself is no matrix.
+# -------------------------------------------------------------------- how a task law holds them
+
+
+def check_null(law: Law) -> None:
+    """The field `null` of a law: what moves the free motion follows no reference. Raises Refusal."""
+    null = vars(law)["null"]
+    if null is not None and not null.ignores_reference:
+        follows = f"{type(null).__name__} follows a {null.reference.__name__}"
+        law.refuse("null", f"must be a law that follows no reference, such as taut.laws.Posture(); {follows}")
+
+
+def check_free(law: Law, x: Snapshot, dimensions: int) -> None:
+    """A law that is given for the free motion needs one; that which is there by default does nothing without.
 
     Raises:
-        ShapeError: It is one.
+        MatchError: The task leaves nothing free.
     """
-    if gain.ndim == 2:
-        raise ShapeError(
-            f"{gain.name} must be one number or one per joint [{unit}]; got shape {gain.shape}", name=gain.name
+    null = vars(law)["null"]
+    if "null" in law.specified and null is not None and x.n <= dimensions:
+        raise MatchError(
+            f"null={type(null).__name__}(...) is for motion that the task leaves free, and with "
+            f"{count_of(x.n, 'joint')} '{x.arm.name}' has none beside {dimensions} directions; leave null out",
+            name="null",
         )
+
+
+def with_null_space(
+    law: Law,
+    tau: Terms,
+    x: Snapshot,
+    ref: Any,
+    memory: MemoryView,
+    dt: Any,
+    inertia: TaskInertia | ResolvedMotion,
+    dimensions: int,
+    weight: Any = 1.0,
+) -> tuple[Terms, dict[str, Any]]:
+    """A torque with that of the law in `null`, where there is redundancy, and the new memory of that law.
+
+    Args:
+        law: The task law, with a field `null`.
+        tau: Its torque.
+        x: The arm.
+        ref: What it follows.
+        memory: Its memory.
+        dt: Period [s].
+        inertia: What projects a torque on the free motion.
+        dimensions: Directions of the task.
+        weight: Of the torque of `null`.
+    """
+    null: Law | None = vars(law)["null"]
+    if null is None:
+        return tau, {}
+    if x.n <= dimensions:
+        return tau, {"null": memory["null"]}
+    free, after = _null_torque(null, x, ref, memory["null"], dt, inertia)
+    return tau + weight * free, {"null": after}
+
+
+def _null_torque(
+    null: Law, x: Snapshot, ref: Any, memory: Any, dt: Any, inertia: TaskInertia | ResolvedMotion
+) -> tuple[Terms, dict[str, Any]]:
+    """The torque of a law for the free motion, through the dynamically consistent projector, as one term."""
+    own = x.with_own_record()
+    command, after = call(null, own, ref, memory, dt)
+    if not isinstance(command, Torque):
+        raise UsageError(
+            f"null must be a law that gives a torque, and {type(null).__name__} gives a {command.kind}", name="null"
+        )
+    twice = sorted(own.used & {"gravity", "coriolis", "friction"})
+    if twice:
+        raise UsageError(
+            f"null: {type(null).__name__} compensates {twice[0]}, which the law around it adds already; use a law "
+            "without, such as taut.laws.Posture()",
+            name="null",
+        )
+    x.used.update(own.used)
+    return Terms(null=inertia.project(command.total)), after

@@ -1,24 +1,24 @@
-"""Laws of task-space motion: section 10.2.3 of the chapter."""
+"""Laws of task-space motion: section 10.2.3 of the chapter; for torques, and for drives of velocity or position."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final, Literal
 
 import numpy as np
 
-from taut.base.checks import one_of, require_positive
-from taut.base.errors import MatchError, ShapeError, UsageError, count_of
+from taut.base.errors import RangeError
+from taut.base.fields import Choice, Part
 from taut.base.types import Vector
 from taut.control.closed_loop import ClosedLoop
-from taut.control.command import Command, Terms, Torque
+from taut.control.command import Command, Position, Terms, Torque, Velocity
 from taut.control.gains import Gain, GainValue, Memory
-from taut.control.law import Law, MemoryView, call
-from taut.control.laws.integral import ANTI_WINDUP, AntiWindup, check_tracking, integrated
-from taut.control.laws.null_space import Posture
-from taut.control.laws.spring import Bound
-from taut.control.laws.targets import asked_of, eased, out_of_reach
-from taut.control.laws.task_error import ERRORS, Coordinates, ErrorKind, check_coordinates, dimensions, task_error
+from taut.control.integral import Integral
+from taut.control.law import Law, MemoryView
+from taut.control.laws.null_space import Posture, check_free, check_null, with_null_space
+from taut.control.laws.task_error import ERRORS, Coordinates, ErrorKind, TaskError, task_error
+from taut.control.laws.task_space import TaskSpace, bound_of_error, eased, task_gain
 from taut.control.laws.tool_loop import tool_loop
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.singularity import ResolvedMotion, resolve
@@ -26,11 +26,10 @@ from taut.maths.snapshot import Snapshot
 from taut.maths.task_inertia import TaskInertia
 from taut.trace import math as tm
 
-__all__ = ["TaskComputedTorque", "check_error_max", "check_free", "check_null", "note_null", "null_torque"]
-
+__all__ = ["TaskComputedTorque", "TaskPosition", "TaskVelocity"]
 
 Singularity = Literal["robust", "plain"]
-SINGULARITY: Final[tuple[Singularity, ...]] = ("robust", "plain")
+ANY: Final = ("scalar", "pair", "matrix")
 
 
 class TaskComputedTorque(Law):
@@ -69,6 +68,7 @@ class TaskComputedTorque(Law):
         null: A law for the motion that the task leaves free, `Posture()` if not said, None for none: its torque
             goes through the dynamically consistent projector, I - J^T Lambda J M^-1, which the tool does not feel.
         tool: The frame that is controlled; the arm's tool if left out.
+        integral: What keeps the integral from winding up.
         singularity: "robust" or "plain".
         damping: With "plain", a constant damping [1/kg, 1/(kg m^2)].
 
@@ -77,37 +77,34 @@ class TaskComputedTorque(Law):
     """
 
     reference = TaskMotion
-    kp: Gain = Gain(size="dimensions", pairs=True)  # [1/s^2]
-    kd: Gain = Gain(size="dimensions", pairs=True)  # [1/s]
-    ki: Gain = Gain(0.0, size="dimensions", pairs=True)  # [1/s^3]
-    e_int: Memory = Memory(0.0)  # [m s, rad s]
-    error: ErrorKind = "decoupled"
-    coordinates: Coordinates | None = None
-    error_max: Gain = Gain(optional=True, size=2, minimum=1e-9)  # [m, rad]
+    error: Choice[ErrorKind] = Choice(*ERRORS)
+    coordinates: Part[Coordinates | None] = Part(Coordinates, optional=True)
+    kp: Gain = task_gain(unit="1/s^2", accepts=ANY)
+    kd: Gain = task_gain(unit="1/s", accepts=ANY)
+    ki: Gain = task_gain(0.0, unit="1/s^3", accepts=ANY)
+    integral: Part[Integral] = Part(Integral, default=Integral())
+    error_max: Gain = bound_of_error()
     null: Law | None = Posture()
     tool: str | None = None
-    anti_windup: AntiWindup = "clamping"
-    tracking: Gain = Gain(10.0, where=("anti_windup", "back-calculation"))  # [1/s]
-    singularity: Singularity = "robust"
-    damping: Gain = Gain(0.0, size=0, where=("singularity", "plain"))  # [1/kg, 1/(kg m^2)]
-    held: Memory = Memory(0.0)  # how far the limits of a singularity still act
+    singularity: Choice[Singularity] = Choice("robust", "plain")
+    damping: Gain = Gain(unit="1/kg, 1/(kg m^2)", shape="scalar", optional=True)
+    limited = Memory(doc="how far the limits near a singularity still act")
 
-    def __post_init__(self) -> None:
-        one_of("singularity", self.singularity, SINGULARITY)
-        one_of("error", self.error, ERRORS)
-        one_of("anti_windup", self.anti_windup, ANTI_WINDUP)
-        check_coordinates(self.error, self.coordinates, type(self).__name__)
-        check_error_max(self.error_max if self.gives("error_max") else None, self.error)
-        check_null(self.null)
-        note_null(self)
+    def check(self) -> None:
+        self.space.check(self)
+        check_null(self)
+        if self.damping is not None and self.singularity != "plain":
+            self.refuse("damping", "is for singularity 'plain'; leave one of the two out")
+
+    @property
+    def space(self) -> TaskSpace:
+        """Frame, error and bound in one value."""
+        return TaskSpace.of(self)
 
     @property
     def dimensions(self) -> int:
         """Entries of the error: 6, or those of the coordinates."""
-        return dimensions(self.error, self.coordinates)
-
-    def check_rate(self, rate: float) -> None:
-        check_tracking(self.anti_windup, self.tracking, rate)
+        return self.space.dimensions
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
         check_free(self, x, self.dimensions)
@@ -116,41 +113,40 @@ class TaskComputedTorque(Law):
         """V_e-dot + kd V_e + kp X_e + ki int(X_e) = 0."""
         return tool_loop(self, x, lambda g: replace(self, kp=g.K, kd=g.D, ki=g.Ki), inertia=np.eye(self.dimensions))
 
-    def command(
-        self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: float
-    ) -> tuple[Command, dict[str, object]]:
-        error = task_error(self.error, x, ref, self.tool, self.coordinates)
-        cut = error.J @ tm.solve_spd(x.M_factors, x.tau_cut) if self.anti_windup != "none" else None
-        scheme, tracking = self.anti_windup, self.tracking
-        e_int = integrated(memory.e_int, error.X, x, dt, scheme, self.ki, tracking, cut=cut)
+    def command(self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
+        error = self.space.at(x, ref).error
+        e_int, integral = self.integral.step(
+            memory.integral, error.X, dt, ki=self.ki, cut=lambda: error.J @ tm.solve_spd(x.M_factors, x.tau_cut)
+        )
         a = Terms(feedforward=error.acceleration, P=self.kp @ error.X, I=self.ki @ e_int, D=self.kd @ error.V)
         a = a + Terms(nonlinear=-error.Jdot_v)
-        if self.gives("error_max"):
-            a = a + Terms(bound=self.kp @ (Bound.of(self.error_max).error(error.X) - error.X))
-        after: dict[str, object] = {"e_int": e_int, "held": memory.held}
-        if self.null is not None:
-            after["null"] = memory["null"]
-        inertia: TaskInertia | ResolvedMotion
+        if self.space.bound is not None:
+            a = a + Terms(bound=self.kp @ (self.space.bound.error(error.X) - error.X))
         if self.singularity == "plain":
-            inertia = TaskInertia.of(error.J, x.M_factors, self.damping.as_array()[()])
-            tau = error.J.T @ (inertia.Lambda @ a)
+            damping = 0.0 if self.damping is None else self.damping.as_array()[()]
+            plain = TaskInertia.of(error.J, x.M_factors, damping)
+            tau, limited = error.J.T @ (plain.Lambda @ a), memory.limited
+            motion: TaskInertia | ResolvedMotion = plain
         else:
-            J, asked = error.J, a.total
-            away = out_of_reach(x, ref, self.tool, asked_of(self.error, self.coordinates))
-            if away is not None and x.n >= self.dimensions and not self.gives("error_max"):
-                asked = asked - (1.0 - eased(away, away.far, error.X)) * (self.kp @ error.X)
-            if self.error == "space":  # what is nearly lost, and how dear it is, is told at the tool
-                p, J = x.T(self.tool).p, x.J(self.tool)
-                a, asked = a.mapped(lambda b: _at_point(p, b)), _at_point(p, asked)
-            clear = 0.0 if away is None else away.clear
-            inertia = resolve(x, J, asked, rate=settling(self.kd), held=memory.held, beyond=clear)
-            tau = inertia.scale * (x.M @ a.mapped(inertia.of).up_to(inertia.accelerations, "singularity"))
-            after["held"] = inertia.held
+            a, resolved = self._resolved(x, ref, error, a, memory.limited)
+            tau = resolved.scale * (x.M @ a.mapped(resolved.of).up_to(resolved.accelerations, "singularity"))
+            motion, limited = resolved, resolved.held
         tau = tau + Terms(nonlinear=x.h)
-        if self.null is not None and x.n > self.dimensions:  # else there is no free motion
-            free, after["null"] = null_torque(self.null, x, ref, memory["null"], dt, inertia)
-            tau = tau + free
-        return Torque(tau), after
+        tau, null = with_null_space(self, tau, x, ref, memory, dt, motion, self.dimensions)
+        return Torque(tau), {"integral": integral, "limited": limited, **null}
+
+    def _resolved(
+        self, x: Snapshot, ref: TaskMotion, error: TaskError, a: Terms, limited: Any
+    ) -> tuple[Terms, ResolvedMotion]:
+        """The acceleration of the task, and that of the joints, bounded near singularities and out of reach."""
+        J, total, away = error.J, a.total, self.space.beyond_reach(x, ref)
+        if away is not None and x.n >= self.dimensions and self.error_max is None:
+            total = total - (1.0 - eased(away, away.far, error.X)) * (self.kp @ error.X)
+        if self.error == "space":  # what is nearly lost, and how dear it is, is seen at the tool
+            p, J = x.T(self.tool).p, x.J(self.tool)
+            a, total = a.mapped(lambda b: _at_point(p, b)), _at_point(p, total)
+        clear = 0.0 if away is None else away.clear
+        return a, resolve(x, J, total, rate=settling(self.kd), held=limited, beyond=clear)
 
 
 def _at_point(p: Vector, a: Vector) -> Vector:
@@ -167,85 +163,106 @@ def settling(kd: GainValue) -> Any:
     return most
 
 
-def check_error_max(error_max: GainValue | None, error: str) -> None:
-    """A bound of the spring is positive, and for errors that have a linear and an angular part.
+class TaskVelocity(Law):
+    """Task-space motion by joint velocities: feedforward plus P, for arms whose drives close the velocity loop.
+
+    Law:          v_cmd = J^+ (V_des + lead a_des + kp X_e),  J^+ = J^T (J J^T + damping^2)^-1
+    Closed loop:  X_e-dot + kp X_e = 0, where the drives follow v_cmd exactly and the tool can move
+                  a drive that lags by 1 / bandwidth and a delay t is led by lead = 1 / bandwidth + t: what is left of
+                  its lag is of second order
+                  stable for kp (1 / bandwidth + t) below about 1
+
+    Damping keeps joint speeds finite at singularities: at most 1 / (2 damping) for each m/s or rad/s of the tool, and
+    zero in a direction that is lost. X_e is the decoupled error, in world axes.
+
+    Args:
+        lead: What the drives lag by [s].
+        tool: The frame that is controlled; the arm's tool if left out.
+
+    References:
+        Lynch and Park, Modern Robotics (2017), section 11.3; Wampler (1986), IEEE Trans. SMC 16 (1), on the damping.
+    """
+
+    reference = TaskMotion
+    kp: Gain = task_gain(unit="1/s", shape=6, accepts=ANY)
+    lead: Gain = Gain(0.0, unit="s", shape="scalar")
+    damping: Gain = Gain(0.01, unit="m, 1", shape="scalar", above=0.0)
+    tool: str | None = None
+
+    def check_rate(self, rate: float) -> None:
+        check_feedback(self.kp, rate)
+
+    def closed_loop(self, x: Snapshot) -> ClosedLoop:
+        """X_e-dot + kp X_e = 0."""
+        return tool_loop(self, x, lambda g: replace(self, kp=g.D), inertia=np.eye(6), single_pole="always")
+
+    def command(self, x: Snapshot, ref: TaskMotion) -> Command:
+        error = task_error("decoupled", x, ref, self.tool, None)
+        V = Terms(feedforward=ref.twist, lead=self.lead.as_array() * ref.acceleration, P=self.kp @ error.X)
+        return Velocity(_joint_speeds(error.J, self.damping, V))
+
+
+class TaskPosition(Law):
+    """Task-space motion by joint positions: one damped Newton step of inverse kinematics a tick, for position drives.
+
+    Law:          v_cmd = J^+(q_cmd) (V_des + kp X_e(q_cmd)),  q_cmd grows by v_cmd dt,
+                  asked for is q_cmd + lead v_cmd + lead^2 J^+ a_des / 2;  J^+ = J^T (J J^T + damping^2)^-1
+    Closed loop:  X_e-dot + kp X_e = 0 of the commanded pose, whatever the arm does: nothing measured comes back
+                  a critically damped drive lags by 2 / bandwidth, and a delay t: lead = 2 / bandwidth + t asks for
+                  where the tool is to be then
+
+    q_cmd starts where the arm is. X_e is the decoupled error, in world axes.
+
+    Args:
+        lead: What the drives lag by [s].
+        tool: The frame that is controlled; the arm's tool if left out.
+
+    References:
+        Section 10.2.3, equations 10.28 and 10.29; Wampler (1986), IEEE Trans. SMC 16 (1), on the damping.
+    """
+
+    reference = TaskMotion
+    kp: Gain = task_gain(unit="1/s", shape=6, accepts=ANY)
+    lead: Gain = Gain(0.0, unit="s", shape="scalar")
+    damping: Gain = Gain(0.01, unit="m, 1", shape="scalar", above=0.0)
+    tool: str | None = None
+    q = Memory(unit="rad | m", doc="the positions that are commanded")
+
+    def check_rate(self, rate: float) -> None:
+        check_feedback(self.kp, rate)
+
+    def start(self, x: Snapshot, ref: TaskMotion) -> Mapping[str, Vector]:  # noqa: ARG002
+        return {"q": x.q}
+
+    def closed_loop(self, x: Snapshot) -> ClosedLoop:
+        """X_e-dot + kp X_e = 0."""
+        return tool_loop(self, x, lambda g: replace(self, kp=g.D), inertia=np.eye(6), single_pole="always")
+
+    def command(self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
+        error = task_error("decoupled", x.at(memory.q, np.zeros(x.n)), ref, self.tool, None)
+        V, lead = ref.twist + self.kp @ error.X, self.lead.as_array()
+        speeds = _joint_speeds(error.J, self.damping, Terms(V=V, a=0.5 * lead * ref.acceleration))
+        q = memory.q + dt * speeds.parts["V"]
+        return Position(solution=q, lead=lead * speeds.total), {"q": q}
+
+
+def _joint_speeds(J: Any, damping: GainValue, V: Terms) -> Terms:
+    """J^+ V, by damped least squares."""
+    factors = tm.factor_spd(J @ J.T + damping.as_array() ** 2 * tm.eye(6))
+    return V.mapped(lambda part: J.T @ factors.solve(part))
+
+
+def check_feedback(kp: GainValue, rate: float) -> None:
+    """An error cannot be taken away faster than the rate [Hz].
 
     Raises:
-        ShapeError: It is not two numbers.
-        UsageError: It is given for coordinates.
-        RangeError: It is not positive.
+        RangeError: It is asked to.
     """
-    if error_max is None:
-        return
-    if error_max.shape != (2,):
-        raise ShapeError(
-            "error_max needs one number for metres and one for radians, error_max=(linear, angular) [m, rad]; got "
-            f"shape {error_max.shape}",
-            name="error_max",
+    values = np.asarray(kp.as_array(), dtype=np.float64)
+    largest = float(np.linalg.eigvalsh(values)[-1]) if values.ndim == 2 else float(values.max())
+    if largest > rate:
+        raise RangeError(
+            f"kp must be at most the rate, {rate:g} [1/s], with which the error is gone in one tick; got {largest:g}",
+            name="kp",
+            value=largest,
         )
-    if error == "coordinates":
-        raise UsageError(
-            "error_max=(linear, angular) bounds the errors of a pose, and error='coordinates' has others; leave "
-            "it out",
-            name="error_max",
-        )
-    require_positive("error_max", np.asarray(error_max.as_array()), unit="m, rad")
-
-
-def check_null(null: object) -> None:
-    """What moves the free motion is a law that follows no reference.
-
-    Raises:
-        UsageError: It is none, or follows one.
-    """
-    if null is None:
-        return
-    if not isinstance(null, Law):
-        raise UsageError(f"null holds a law such as taut.laws.Posture(); got {type(null).__name__}", name="null")
-    if not null.ignores_reference:
-        raise UsageError(
-            f"null holds a law that follows no reference, such as taut.laws.Posture(), and {type(null).__name__} "
-            f"follows a {null.reference.__name__}",
-            name="null",
-        )
-
-
-def note_null(law: Law) -> None:
-    """Keep in mind whether a law was given its `null`, which the law bound to other gains does not show."""
-    object.__setattr__(law, "_null_given", vars(law)["null"] is not vars(type(law))["null"])
-
-
-def check_free(law: Law, x: Snapshot, dimensions: int) -> None:
-    """A law that is given for the free motion needs one; that which is there unsaid does nothing without.
-
-    Raises:
-        MatchError: The task leaves nothing free.
-    """
-    null = vars(law)["null"]
-    if vars(law)["_null_given"] and null is not None and x.n <= dimensions:
-        raise MatchError(
-            f"null={type(null).__name__}(...) is for motion that the task leaves free, and with "
-            f"{count_of(x.n, 'joint')} '{x.arm.name}' has none beside {dimensions} directions; leave null out",
-            name="null",
-        )
-
-
-def null_torque(
-    null: Law, x: Snapshot, ref: Any, memory: Any, dt: Any, inertia: TaskInertia | ResolvedMotion
-) -> tuple[Terms, dict[str, Any]]:
-    """The torque of a law for the free motion, through the dynamically consistent projector, as one term."""
-    own = x.with_own_record()
-    command, after = call(null, own, ref, memory, dt)
-    if not isinstance(command, Torque):
-        raise UsageError(
-            f"null holds a law that gives a torque, and {type(null).__name__} gives a {command.kind}", name="null"
-        )
-    twice = sorted(own.used & {"gravity", "coriolis", "friction"})
-    if twice:
-        raise UsageError(
-            f"null: {type(null).__name__} compensates {twice[0]}, which the law around it adds already; use a law "
-            "without, such as taut.laws.Posture()",
-            name="null",
-        )
-    x.used.update(own.used)
-    return Terms(null=inertia.project(command.total)), after

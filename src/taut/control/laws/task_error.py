@@ -12,7 +12,8 @@ from typing import Any, Final, Literal, Self
 
 import numpy as np
 
-from taut.base.errors import ShapeError, UsageError
+from taut.base.errors import ShapeError
+from taut.base.fields import Declared, Plain
 from taut.base.types import Array, Matrix, Twist, Vector
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
@@ -37,8 +38,7 @@ class TaskError:
     Jdot_v: Vector  # (k,)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Coordinates:
+class Coordinates(Declared):
     """Minimal coordinates of a pose: y = function(T), k numbers, and which of them are angles.
 
     Args:
@@ -56,21 +56,18 @@ class Coordinates:
         (3, 4, 5)
     """
 
-    function: Callable[[Pose], Array]
+    function: Plain[Callable[[Pose], Array]] = Plain(Callable)  # type: ignore[arg-type]  # an abstract class
     angles: tuple[int, ...] = ()
 
-    def __post_init__(self) -> None:
-        if not callable(self.function):  # callers without a type checker
-            raise UsageError(
-                "Coordinates.function must be a function of the pose, such as lambda T: T.p; got "
-                f"{type(self.function).__name__}",
-                name="function",
-            )
+    def check(self) -> None:
         if not isinstance(self.angles, tuple) or not all(type(i) is int for i in self.angles):
-            raise UsageError(
-                f"Coordinates.angles must be a tuple of entries, such as angles=(2,); got {self.angles!r}",
-                name="angles",
-            )
+            self.refuse("angles", f"must be a tuple of entries, such as (2,); got {self.angles!r}")
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Coordinates) and (self.function, self.angles) == (other.function, other.angles)
+
+    def __hash__(self) -> int:
+        return hash((self.function, self.angles))
 
     @classmethod
     def position(cls) -> Self:
@@ -230,49 +227,31 @@ def _second(coordinates: Coordinates, T: Pose, V: Twist) -> Vector:
 
 def dimensions(kind: ErrorKind, coordinates: Coordinates | None) -> int:
     """Entries of the error."""
-    return 6 if kind != "coordinates" or coordinates is None else len(coordinates.function(SOMEWHERE))
+    if kind != "coordinates" or coordinates is None:
+        return 6
+    try:
+        return len(coordinates.function(SOMEWHERE))
+    except (TypeError, ValueError):  # no vector, which `check_coordinates` refuses
+        return 6
 
 
 SOMEWHERE: Final = Pose([0.4, -0.3, 0.5], rpy=[0.3, -0.4, 0.5])
 
 
-def check_coordinates(kind: ErrorKind, coordinates: object, law: str) -> None:
-    """Coordinates go with the error of that name, and are a function of the pose.
-
-    Raises:
-        UsageError: One without the other, or no Coordinates.
-        ShapeError: The function gives something else than 1 to 6 numbers.
-    """
+def check_coordinates(law: Declared, kind: ErrorKind, coordinates: Coordinates | None) -> None:
+    """Coordinates go with the error of that name, and give 1 to 6 numbers. Raises Refusal."""
+    if (kind == "coordinates") != (coordinates is not None):
+        law.refuse("coordinates", "is for error 'coordinates', which needs it; give both or neither")
     if coordinates is None:
-        if kind == "coordinates":
-            raise UsageError(
-                f"{law} with error='coordinates' needs coordinates=taut.Coordinates(function=lambda T: T.p)",
-                name="coordinates",
-            )
         return
-    if not isinstance(coordinates, Coordinates):
-        raise UsageError(
-            f"coordinates must be taut.Coordinates(function=lambda T: T.p); got {type(coordinates).__name__}",
-            name="coordinates",
-        )
-    if kind != "coordinates":
-        raise UsageError(
-            f"coordinates are for error='coordinates', and this {law} has error='{kind}'; leave one of them out",
-            name="coordinates",
-        )
     try:
         shape = np.shape(coordinates.function(SOMEWHERE))
-    except ValueError as cause:  # rows of different lengths
-        raise ShapeError(
-            "coordinates must be 1 to 6 numbers, (k,); the function gives rows of different lengths",
-            name="coordinates",
-        ) from cause
-    if len(shape) != 1 or not 1 <= shape[0] <= 6:
-        raise ShapeError(
-            f"coordinates must be 1 to 6 numbers, (k,); the function gives shape {shape}", name="coordinates"
+    except ValueError:  # rows of different lengths
+        law.refuse(
+            "coordinates", "must be 1 to 6 numbers, (k,); the function gives rows of different lengths", ShapeError
         )
+    if len(shape) != 1 or not 1 <= shape[0] <= 6:
+        law.refuse("coordinates", f"must be 1 to 6 numbers, (k,); it gives shape {shape}", ShapeError)
     wrong = [i for i in coordinates.angles if not 0 <= i < shape[0]]
     if wrong:
-        raise ShapeError(
-            f"angles must be entries 0 to {shape[0] - 1} of the coordinates; got {wrong[0]}", name="angles"
-        )
+        law.refuse("coordinates", f"has angles that are no entries 0 to {shape[0] - 1}; got {wrong[0]}", ShapeError)

@@ -9,7 +9,7 @@ import numpy as np
 
 from taut.control.closed_loop import ClosedLoop, PlacedGains
 from taut.control.law import Law
-from taut.control.laws.compliance import Compliance
+from taut.control.laws.task_space import TaskSpace
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
 
@@ -28,12 +28,8 @@ def tool_loop(law: Law, x: Snapshot, gains: Callable[[PlacedGains], Law], **opti
         gains: The law with other gains.
         **options: Fields of `ClosedLoop`.
     """
-    fields = vars(law)
-    ref = TaskMotion.at_rest(x, fields["tool"])
-    at = Compliance.of(
-        fields.get("error", "decoupled"), fields.get("frame", "world"), x, ref, fields["tool"],
-        fields.get("coordinates"),
-    )  # fmt: skip
+    space = TaskSpace.of(law)
+    at = space.at(x, TaskMotion.at_rest(x, space.tool))
     J = np.asarray(at.inwards(at.error.J), dtype=np.float64)
     six = len(J) == len(AXES)
     names, units = (AXES, UNITS) if six else (tuple(f"y{i}" for i in range(len(J))), ("m",) * len(J))

@@ -7,12 +7,12 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from taut.base.checks import finite_array, one_of
-from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.errors import ShapeError
+from taut.base.fields import Choice, Field
 from taut.base.types import Array, ArrayLike, Matrix, Vector
 from taut.control.closed_loop import ClosedLoop
 from taut.control.command import Command
-from taut.control.gains import Gain, GainValue
+from taut.control.gains import Gain, Memory
 from taut.control.law import Law, MemoryView, call
 from taut.control.trajectories.reference import JointMotion, Sample
 from taut.control.trajectories.task_reference import TaskMotion
@@ -34,7 +34,7 @@ from taut.trace import math as tm
 
 __all__ = ["ViaJointSpace", "via_joint_space"]
 
-MOST_STEPS: Final = 10
+MAX_STEPS: Final = 10
 ARRIVED: Final = 1e-5  # [m, rad] an error under which the tool's target is met
 MOVING: Final = 1e-3  # share of full speed above which the joints are on their way
 NEVER: Final = 1e-30  # keeps a quotient finite
@@ -73,41 +73,23 @@ class ViaJointSpace(Law):
     """
 
     reference: ClassVar[type[Sample]] = TaskMotion
-    recorded: ClassVar[tuple[str, ...]] = ("q_des", "ik_error", "ik_outcome")
-
     inner: Law
-    steps: int = 1
+    steps: Choice[int] = Choice(*range(1, MAX_STEPS + 1))
     tool: str | None = None
-    directions: Directions = "all"
-    posture: ArrayLike | None = None  # [rad | m]
-    pull: Gain = Gain(1.0)  # [1/s]
-    damping: Gain = Gain(0.1, minimum=1e-6)
-    speed: Gain = Gain(1.0, minimum=1e-6)  # [rad/s | m/s]
-    rise: Gain = Gain(0.1, minimum=1e-3)  # [s]
+    directions: Choice[Directions] = Choice(*DIRECTIONS)
+    posture: Field = Field(unit="rad | m", shape="joints", optional=True, run_time=False)
+    pull: Gain = Gain(1.0, unit="1/s", shape="scalar")
+    damping: Gain = Gain(0.1, unit="1", shape="scalar", above=0.0)
+    speed: Gain = Gain(1.0, unit="rad/s | m/s", accepts=("scalar",), above=0.0)
+    rise: Gain = Gain(0.1, unit="s", shape="scalar", minimum=1e-3)
+    q_des = Memory(unit="rad | m", record=True)
+    ik_error = Memory((0.0, 0.0), unit="m, rad", record=True)
+    ik_outcome = Memory(record=True, doc="how the tick ended, IkOutcome.of(...)")
 
-    def __post_init__(self) -> None:
-        if not isinstance(self.inner, Law):
-            raise UsageError(
-                f"via_joint_space takes a law: taut.laws.ComputedTorque(...); got {type(self.inner).__name__}",
-                name="inner",
-            )
+    def check(self) -> None:
         if self.inner.reference is not JointMotion:
-            raise UsageError(
-                f"via_joint_space gives a JointMotion, and {type(self.inner).__name__} follows a "
-                f"{self.inner.reference.__name__}; hold a law of joint motion, such as ComputedTorque",
-                name="inner",
-            )
-        one_of("directions", self.directions, DIRECTIONS)
-        if isinstance(self.steps, bool) or not isinstance(self.steps, int) or not 1 <= self.steps <= MOST_STEPS:
-            raise RangeError(
-                f"steps must be a whole number from 1 to {MOST_STEPS}; got {self.steps!r}", name="steps", value=None
-            )
-        for name in ("pull", "damping", "rise"):
-            _require_scalar(name, getattr(self, name))
-        if self.speed.ndim == 2:
-            raise ShapeError(f"speed must be a scalar or one per joint; got shape {self.speed.shape}", name="speed")
-        if self.posture is not None:
-            object.__setattr__(self, "posture", finite_array("posture", self.posture, unit="rad | m"))
+            follows = f"{type(self.inner).__name__} follows a {self.inner.reference.__name__}"
+            self.refuse("inner", f"must be a law of joint motion, such as ComputedTorque; {follows}")
 
     def seen_by(self, child: str, x: Snapshot, ref: Sample) -> tuple[Snapshot, Sample]:  # noqa: ARG002
         """The law that it holds begins with a rest where the arm is."""
@@ -130,8 +112,7 @@ class ViaJointSpace(Law):
     def closed_loop(self, x: Snapshot) -> ClosedLoop | None:
         """That of the law of joints that it holds."""
         inner = self.inner.closed_loop(x)
-        held = inner and inner.held_by(lambda law, _: replace(self, inner=law))
-        return held and replace(held, alone=held.alone or self.inner)
+        return inner and inner.held_by(lambda law, _: replace(self, inner=law), alone=inner.alone or self.inner)
 
     def command(self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: Any) -> tuple[Command, dict[str, Any]]:
         wanted = self._joint_motion(x, ref, memory, dt)
@@ -291,11 +272,6 @@ def _largest(values: Vector) -> Any:
     for value in values[1:]:
         out = tm.maximum(out, value)
     return out
-
-
-def _require_scalar(name: str, gain: GainValue) -> None:
-    if gain.ndim:
-        raise ShapeError(f"{name} must be one number; got shape {gain.shape}", name=name)
 
 
 def via_joint_space(

@@ -50,19 +50,15 @@ class VirtualWall(Law):
     """
 
     ignores_reference = True
-    point: Gain = Gain(minimum=-np.inf, size=3)  # [m]
-    normal: Gain = Gain(minimum=-np.inf, size=3)  # [1]
-    K: Gain = Gain(size=0)  # [N/m]
-    B: Gain = Gain(0.0, size=0)  # [N s/m]
-    fade: Gain = Gain(1e-3, minimum=1e-9, size=0)  # [m]
+    point: Gain = Gain(unit="m", shape=3, accepts=(), minimum=-np.inf)
+    normal: Gain = Gain(unit="1", shape=3, accepts=(), minimum=-np.inf)
+    K: Gain = Gain(shape="scalar", unit="N/m")
+    B: Gain = Gain(0.0, shape="scalar", unit="N s/m")
+    fade: Gain = Gain(1e-3, unit="m", shape="scalar", above=0.0)
     tool: str | None = None
 
-    def __post_init__(self) -> None:
-        _check_place(self, "point", "normal")
-        _check_direction("normal", self.normal)
-
-    def check_rate(self, rate: float) -> None:  # noqa: ARG002
-        _check_direction("normal", self.normal)
+    def check(self) -> None:
+        _check_direction(self, "normal")
 
     def command(self, x: Snapshot, ref: Sample) -> Command:  # noqa: ARG002
         n = _unit(self.normal)
@@ -89,18 +85,14 @@ class VirtualGroove(Law):
     """
 
     ignores_reference = True
-    point: Gain = Gain(minimum=-np.inf, size=3)  # [m]
-    direction: Gain = Gain(minimum=-np.inf, size=3)  # [1]
-    K: Gain = Gain(size=0)  # [N/m]
-    B: Gain = Gain(0.0, size=0)  # [N s/m]
+    point: Gain = Gain(unit="m", shape=3, accepts=(), minimum=-np.inf)
+    direction: Gain = Gain(unit="1", shape=3, accepts=(), minimum=-np.inf)
+    K: Gain = Gain(shape="scalar", unit="N/m")
+    B: Gain = Gain(0.0, shape="scalar", unit="N s/m")
     tool: str | None = None
 
-    def __post_init__(self) -> None:
-        _check_place(self, "point", "direction")
-        _check_direction("direction", self.direction)
-
-    def check_rate(self, rate: float) -> None:  # noqa: ARG002
-        _check_direction("direction", self.direction)
+    def check(self) -> None:
+        _check_direction(self, "direction")
 
     def command(self, x: Snapshot, ref: Sample) -> Command:  # noqa: ARG002
         u, J = _unit(self.direction), x.J(self.tool)[:3]
@@ -133,16 +125,13 @@ class VirtualBall(Law):
     """
 
     ignores_reference = True
-    center: Gain = Gain(minimum=-np.inf, size=3)  # [m]
-    radius: Gain = Gain(size=0)  # [m]
-    K: Gain = Gain(size=0)  # [N/m]
-    B: Gain = Gain(0.0, size=0)  # [N s/m]
-    fade: Gain = Gain(1e-3, minimum=1e-9, size=0)  # [m]
+    center: Gain = Gain(unit="m", shape=3, accepts=(), minimum=-np.inf)
+    radius: Gain = Gain(shape="scalar", unit="m")
+    K: Gain = Gain(shape="scalar", unit="N/m")
+    B: Gain = Gain(0.0, shape="scalar", unit="N s/m")
+    fade: Gain = Gain(1e-3, unit="m", shape="scalar", above=0.0)
     inside: bool = False
     tool: str | None = None
-
-    def __post_init__(self) -> None:
-        _check_place(self, "center")
 
     def command(self, x: Snapshot, ref: Sample) -> Command:  # noqa: ARG002
         offset = x.T(self.tool).p - self.center.as_array()
@@ -171,26 +160,8 @@ def _unit(direction: GainValue) -> Vector3:
     return d / tm.sqrt(d @ d)  # type: ignore[no-any-return]
 
 
-def _check_place(law: Law, *names: str) -> None:
-    """Points and directions are three numbers, which a gain alone would not ask for.
-
-    Raises:
-        RangeError: They are something else.
-    """
-    for name in names:
-        value: GainValue = getattr(law, name)
-        if value.shape != (3,):
-            raise RangeError(
-                f"{name} must be three numbers (x, y, z) in world axes; got shape {value.shape}", name=name
-            )
-
-
-def _check_direction(name: str, direction: GainValue) -> None:
-    """A direction has a length.
-
-    Raises:
-        RangeError: It is zero.
-    """
-    values = np.asarray(direction.as_array(), dtype=np.float64)
+def _check_direction(law: Law, name: str) -> None:
+    """A direction has a length."""
+    values = np.asarray(getattr(law, name), dtype=np.float64)
     if float(np.linalg.norm(values)) < NEAR:
-        raise RangeError(f"{name} must be a direction, of any length but zero; got {values.tolist()}", name=name)
+        law.refuse(name, f"must be a direction, of any length but zero; got {values.tolist()}", RangeError)

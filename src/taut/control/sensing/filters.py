@@ -9,25 +9,23 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar, Final, Literal, Protocol
+from typing import Any, Final, Literal, Protocol
 
 import numpy as np
 
-from taut.base.checks import entry_names, finite_array, one_of
+from taut.base.checks import entry_names
 from taut.base.errors import RangeError
-from taut.base.quantity import Quantified, Quantity, keep_quantities
-from taut.base.types import Array, ArrayLike, Float64Array
+from taut.base.fields import Choice, Declared, Field
+from taut.base.types import Array, Float64Array
 from taut.trace import math as tm
 
-__all__ = ["Filter", "LowPass", "Notch", "check_filter", "checked_number", "parameters_of"]
+__all__ = ["Filter", "LowPass", "Notch", "check_filter", "low_pass", "low_pass_start"]
 
 Values = Mapping[str, Any]
-ORDERS: Final = (1, 2)
 DECIBEL: Final = math.log(10.0) / 20.0  # natural logarithm of an amplitude per decibel
 
 
-class Filter(Quantified, Protocol):
+class Filter(Protocol):
     """What sensing needs of a filter of one measurement."""
 
     def start(self, u: Array) -> dict[str, Any]:
@@ -39,8 +37,7 @@ class Filter(Quantified, Protocol):
         ...
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LowPass:
+class LowPass(Declared):
     """A Butterworth low-pass of first or second order. As a velocity it filters the measured one.
 
     Law:          order 1: H(s) = w / (s + w),  order 2: H(s) = w^2 / (s^2 + sqrt(2) w s + w^2),  w = 2 pi cutoff,
@@ -64,21 +61,8 @@ class LowPass:
         Oppenheim and Schafer, Discrete-time signal processing (2010), section 7.2. Chapter, section 10.1.
     """
 
-    title: ClassVar[str] = "low_pass"
-    quantities: ClassVar[Mapping[str, Quantity]] = {
-        "cutoff": Quantity(unit="Hz", rule="> 0", instead="leave the filter out for none")
-    }
-
-    cutoff: ArrayLike
-    order: Literal[1, 2] = 1
-
-    def __post_init__(self) -> None:
-        keep_quantities(self)
-        check_order(self.order)
-
-    def parameters(self) -> dict[str, Float64Array]:
-        """Run-time parameters by name."""
-        return parameters_of(self)
+    cutoff: Field = Field(unit="Hz", shape="n", above=0.0, hint="leave the filter out for none")
+    order: Choice[Literal[1, 2]] = Choice(1, 2)
 
     def start(self, u: Array) -> dict[str, Any]:
         """Memory at the first tick, as if u had stood for ever."""
@@ -89,8 +73,7 @@ class LowPass:
         return low_pass(u, memory, parameters["cutoff"], self.order, dt)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Notch:
+class Notch(Declared):
     """A notch in positions and velocities: it takes out a vibration, such as that of an elastic joint.
 
     Law:          H(s) = (s^2 + g b s + w^2) / (s^2 + b s + w^2),  w = 2 pi frequency, b = 2 pi width,
@@ -113,23 +96,9 @@ class Notch:
         Orfanidis, Introduction to signal processing (1996), section 11.3.
     """
 
-    title: ClassVar[str] = "notch"
-    quantities: ClassVar[Mapping[str, Quantity]] = {
-        "frequency": Quantity(unit="Hz", rule="> 0 somewhere", instead="leave the notch out for none"),
-        "width": Quantity(unit="Hz", rule="> 0", instead="leave the notch out for none"),
-        "depth": Quantity(unit="dB", rule="> 0", instead="leave the notch out for none"),
-    }
-
-    frequency: ArrayLike
-    width: ArrayLike
-    depth: ArrayLike = 40.0
-
-    def __post_init__(self) -> None:
-        keep_quantities(self)
-
-    def parameters(self) -> dict[str, Float64Array]:
-        """Run-time parameters by name."""
-        return parameters_of(self)
+    frequency: Field = Field(unit="Hz", shape="n", above=0.0, zero_for_none=True, hint="leave the notch out for none")
+    width: Field = Field(unit="Hz", shape="n", above=0.0, hint="leave the notch out for none")
+    depth: Field = Field(40.0, unit="dB", shape="n", above=0.0, hint="leave the notch out for none")
 
     def start(self, u: Array) -> dict[str, Any]:
         """Memory at the first tick, as if u had stood for ever: the last input and its last change, two outputs."""
@@ -195,58 +164,24 @@ def low_pass(u: Array, memory: Values, cutoff: Array, order: int, dt: Any) -> tu
 # -------------------------------------------------------------------- checks
 
 
-def parameters_of(part: Quantified) -> dict[str, Float64Array]:
-    """The numbers of a filter by name, without those that are None."""
-    given = {name: getattr(part, name) for name in part.quantities}
-    return {name: np.asarray(value, dtype=np.float64) for name, value in given.items() if value is not None}
-
-
-def check_order(order: object) -> None:
-    """The order of a low-pass.
-
-    Raises:
-        UsageError: It is not 1 or 2.
-    """
-    one_of("order", order, ORDERS)  # type: ignore[type-var]  # of numbers
-
-
-def checked_number(
-    part: Quantified,
-    name: str,
-    path: str,
-    value: ArrayLike,
-    rate: float,
-    size: int,
-    entries: Sequence[str] | None = None,
-) -> Float64Array:
-    """A number of a filter, checked for a rate and for how many entries it filters.
+def check_filter(part: Declared, path: str, rate: float, joints: Sequence[str] | int) -> None:
+    """Every number of a filter is a scalar or one for each entry of what it filters, and below half the rate.
 
     Args:
         part: The filter.
-        name: The number's name.
         path: What messages call it.
-        value: The number.
         rate: Of the controller [Hz].
-        size: Entries of what is filtered.
-        entries: Names of these entries, if they have some.
+        joints: Names of the entries that it filters, or their number.
 
     Raises:
         ShapeError: Neither a scalar nor one for each.
-        RangeError: Against its rule, or a frequency at half the rate or above.
+        RangeError: A frequency at half the rate or above.
     """
-    quantity = part.quantities[name]
-    new = quantity.checked(path, value, joints=entries)
-    if new.ndim:
-        finite_array(path, new, shape=(size,), joints=entries, unit=quantity.unit)
-    if quantity.unit == "Hz":
-        _below_nyquist(path, new, rate, entries)
-    return new
-
-
-def check_filter(part: Quantified, path: str, rate: float, size: int, entries: Sequence[str] | None = None) -> None:
-    """Every number of a filter, as `checked_number` does."""
-    for name, value in parameters_of(part).items():
-        checked_number(part, name, f"{path}.{name}", value, rate, size, entries)
+    part.check_size(joints, f"{path}.")
+    for name, unit in part.units().items():
+        if unit == "Hz":
+            names = None if isinstance(joints, int) else joints
+            _below_nyquist(f"{path}.{name}", part.parameters()[name], rate, names)
 
 
 def _below_nyquist(path: str, values: Float64Array, rate: float, entries: Sequence[str] | None) -> None:

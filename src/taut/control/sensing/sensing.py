@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Set
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Mapping, Set
 from typing import Any, Final, Literal, TypeAlias
 
 from taut.arm.description import Arm
 from taut.base.errors import UsageError
-from taut.base.front_door import public_name
+from taut.base.fields import Declared, Part, Plain
 from taut.base.paths import subtree
-from taut.base.quantity import Quantified
-from taut.base.types import ArrayLike, Float64Array
-from taut.control.sensing.filters import LowPass, Notch, check_filter, checked_number, parameters_of
+from taut.control.sensing.filters import LowPass, Notch, check_filter
 from taut.control.sensing.velocity import Difference, Kalman, Measured, VelocitySource
 from taut.control.sensing.wrist import SATURATED, Wrist
 from taut.maths.model import PayloadValues
@@ -26,8 +22,7 @@ VELOCITIES: Final[tuple[Literal["measured", "difference"], ...]] = ("measured", 
 FILTERED: Final = ("F_ext", "tau_meas")  # measurements that may have a low-pass of their own
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Sensing:
+class Sensing(Declared):
     """How the law gets what it sees from what the sensors give.
 
     Positions and measured velocities go through the notch first; velocities are made from what it lets through.
@@ -35,9 +30,8 @@ class Sensing:
 
     Args:
         velocity: "measured" takes the velocity that the plant measures, `taut.sensors.LowPass(cutoff=)` filters it;
-            "difference" differences positions of successive ticks, `taut.sensors.Difference(cutoff=)` with a "
-            "low-pass;
-            `taut.sensors.Kalman(...)` estimates it from positions.
+            "difference" differences positions of successive ticks, `taut.sensors.Difference(cutoff=)` with a
+            low-pass; `taut.sensors.Kalman(...)` estimates it from positions.
         notch: Takes a vibration out of positions and velocities.
         wrist: What is known of the wrist's sensor: bias and load are taken out of the measured wrench, its range and
             its faults are watched.
@@ -56,42 +50,25 @@ class Sensing:
         Chapter, section 10.1 control system overview, and the pseudocode of figures 10.8 and 10.13.
     """
 
-    velocity: Velocity = "measured"
-    notch: Notch | None = None
-    wrist: Wrist | None = None
-    F_ext: LowPass | None = None
-    tau_meas: LowPass | None = None
+    velocity: Plain[Velocity] = Plain(default="measured")
+    notch: Part[Notch | None] = Part(Notch, optional=True)
+    wrist: Part[Wrist | None] = Part(Wrist, optional=True)
+    F_ext: Part[LowPass | None] = Part(LowPass, optional=True)
+    tau_meas: Part[LowPass | None] = Part(LowPass, optional=True)
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
         word = isinstance(self.velocity, str)
         if self.velocity not in VELOCITIES if word else not isinstance(self.velocity, (LowPass, Difference, Kalman)):
-            got = repr(self.velocity) if word else type(self.velocity).__name__
-            raise UsageError(
-                "velocity must be 'measured', 'difference', taut.sensors.LowPass(...), "
-                "taut.sensors.Difference(...) or "
-                f"taut.sensors.Kalman(...); got {got}",
-                name="velocity",
-            )
-        kinds: dict[str, type] = {"notch": Notch, "wrist": Wrist} | dict.fromkeys(FILTERED, LowPass)
-        for name, kind in kinds.items():
-            value = getattr(self, name)
-            if value is not None and not isinstance(value, kind):
-                raise UsageError(
-                    f"{name} must be {public_name(kind)}(...) or None; got {type(value).__name__}", name=name
-                )
+            words = ", ".join(map(repr, VELOCITIES))
+            self.refuse("velocity", f"must be {words}, a LowPass, Difference or Kalman; got {self.velocity!r}")
 
-    @cached_property
+    @property
     def _source(self) -> VelocitySource:
         if isinstance(self.velocity, LowPass):
             return Measured(low_pass=self.velocity)
         if isinstance(self.velocity, (Difference, Kalman)):
             return self.velocity
         return Measured() if self.velocity == "measured" else Difference()
-
-    @property
-    def _parts(self) -> dict[str, Quantified]:
-        given = {name: getattr(self, name) for name in ("notch", *FILTERED)}
-        return {"velocity": self._source} | {name: part for name, part in given.items() if part is not None}
 
     # ---------------------------------------------------------------- what it declares
 
@@ -121,22 +98,9 @@ class Sensing:
         of_notch = {"q", "v"} if self.notch is not None else set()
         return frozenset({*of_notch, *self.needs, *(() if self.velocity == "measured" else ("v",))})
 
-    def parameters(self) -> dict[str, Float64Array]:
-        """Run-time parameters by path."""
-        out = {
-            f"{name}.{word}": values
-            for name, part in self._parts.items()
-            for word, values in parameters_of(part).items()
-        }
-        return out if self.wrist is None else out | _below("wrist", self.wrist.parameters())
-
     # ---------------------------------------------------------------- checks
 
-    def _sizes(self, arm: Arm) -> Iterator[tuple[str, Quantified, int, tuple[str, ...] | None]]:
-        for name, part in self._parts.items():
-            yield (name, part, 6, None) if name == "F_ext" else (name, part, arm.n, arm.joint_names)
-
-    def check(self, arm: Arm, rate: float) -> None:
+    def check_fit(self, arm: Arm, rate: float) -> None:
         """Whether it fits an arm and a rate [Hz].
 
         Raises:
@@ -144,19 +108,11 @@ class Sensing:
             RangeError: A frequency at half the rate or above.
             UnknownNameError, UsageError: A wrist sensor at a frame that does not exist, or that leaves the tool.
         """
-        if self.wrist is not None:
-            self.wrist.check(arm)
-        for name, part, size, entries in self._sizes(arm):
-            check_filter(part, f"sensing.{name}", rate, size, entries)
-
-    def checked_parameter(self, path: str, value: ArrayLike, arm: Arm, rate: float) -> Float64Array:
-        """A new value of a parameter by its path below "sensing", checked like the first one."""
-        head, _, word = path.partition(".")
-        if head == "wrist":
-            assert self.wrist is not None
-            return self.wrist.checked(word, value, f"sensing.{path}")
-        name, part, size, entries = next(each for each in self._sizes(arm) if each[0] == head)
-        return checked_number(part, word, f"sensing.{name}.{word}", value, rate, size, entries)
+        for name, part in self.declared_parts().items():
+            if isinstance(part, Wrist):
+                part.check_fit(arm)
+            else:
+                check_filter(part, f"sensing.{name}", rate, 6 if name == "F_ext" else arm.joint_names)
 
     def check_used(self, used: Set[str], law: str) -> None:
         """What changes a measurement that the law does not use would be a number that changes nothing.

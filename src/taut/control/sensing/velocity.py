@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Protocol
 
 from taut.arm.description import Arm
-from taut.base.errors import UsageError
-from taut.base.quantity import Quantified, Quantity, keep_quantities
-from taut.base.types import Array, ArrayLike, Vector
-from taut.control.sensing.filters import LowPass, check_order, low_pass, low_pass_start
+from taut.base.fields import Choice, Declared, Field, Part
+from taut.base.types import Array, Vector
+from taut.control.sensing.filters import LowPass, low_pass, low_pass_start
 from taut.trace import math as tm
 
 __all__ = ["Difference", "Kalman", "Measured", "VelocitySource", "kalman_gains"]
@@ -18,7 +16,7 @@ __all__ = ["Difference", "Kalman", "Measured", "VelocitySource", "kalman_gains"]
 Values = Mapping[str, Any]
 
 
-class VelocitySource(Quantified, Protocol):
+class VelocitySource(Protocol):
     """What sensing needs of a way to a velocity."""
 
     needs_velocity: ClassVar[bool]
@@ -35,20 +33,11 @@ class VelocitySource(Quantified, Protocol):
         ...
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Measured:
+class Measured(Declared):
     """The measured velocity, through a low-pass if there is one."""
 
-    title: ClassVar[str] = "measured"
-    quantities: ClassVar[Mapping[str, Quantity]] = LowPass.quantities
     needs_velocity: ClassVar[bool] = True
-
-    low_pass: LowPass | None = None
-
-    @property
-    def cutoff(self) -> ArrayLike | None:
-        """Of the low-pass [Hz]."""
-        return None if self.low_pass is None else self.low_pass.cutoff
+    low_pass: Part[LowPass | None] = Part(LowPass, optional=True, inline=True)
 
     def start(self, q: Vector, v: Vector) -> dict[str, Any]:  # noqa: ARG002
         """Memory at the first tick."""
@@ -67,8 +56,7 @@ class Measured:
         return (v, {}) if self.low_pass is None else self.low_pass.filtered(v, memory, parameters, dt)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Difference:
+class Difference(Declared):
     """Differences of positions of successive ticks, through a low-pass that takes the jitter of their steps.
 
     Law:          v = (q - q_prev) / dt, with q_prev the first position in the first tick, then `LowPass`
@@ -86,20 +74,13 @@ class Difference:
         Chapter, section 10.1 control system overview, and the pseudocode of figures 10.8 and 10.13.
     """
 
-    title: ClassVar[str] = "difference"
-    quantities: ClassVar[Mapping[str, Quantity]] = {
-        "cutoff": Quantity(unit="Hz", rule="> 0", instead="leave it out for no low-pass")
-    }
     needs_velocity: ClassVar[bool] = False
+    cutoff: Field = Field(unit="Hz", shape="n", above=0.0, optional=True, hint="leave it out for no low-pass")
+    order: Choice[Literal[1, 2]] = Choice(1, 2)
 
-    cutoff: ArrayLike | None = None
-    order: Literal[1, 2] = 1
-
-    def __post_init__(self) -> None:
-        keep_quantities(self)
-        check_order(self.order)
+    def check(self) -> None:
         if self.cutoff is None and self.order != 1:
-            raise UsageError(f"order={self.order} is that of the low-pass; give cutoff= too", name="order")
+            self.refuse("order", "is that of the low-pass; give cutoff too")
 
     def start(self, q: Vector, v: Vector) -> dict[str, Any]:  # noqa: ARG002
         """Memory at the first tick: at rest."""
@@ -125,8 +106,7 @@ class Difference:
         return smooth, {"q": q, **after}
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Kalman:
+class Kalman(Declared):
     """A steady Kalman filter of each joint's position and velocity, from measured positions alone.
 
     Law:          prediction  q- = q_hat + v_hat dt,  v- = v_hat
@@ -159,20 +139,11 @@ class Kalman:
         the root in closed form is ours. Kalata, The tracking index (1984), for the name.
     """
 
-    title: ClassVar[str] = "kalman"
-    quantities: ClassVar[Mapping[str, Quantity]] = {
-        "acceleration_noise": Quantity(unit="rad/s^2/sqrt(Hz) | m/s^2/sqrt(Hz)", rule="> 0"),
-        "position_noise": Quantity(
-            unit="rad | m", rule="> 0", instead="of exact positions take velocity='difference'"
-        ),
-    }
     needs_velocity: ClassVar[bool] = False
-
-    acceleration_noise: ArrayLike
-    position_noise: ArrayLike
-
-    def __post_init__(self) -> None:
-        keep_quantities(self)
+    acceleration_noise: Field = Field(unit="rad/s^2/sqrt(Hz) | m/s^2/sqrt(Hz)", shape="n", above=0.0)
+    position_noise: Field = Field(
+        unit="rad | m", shape="n", above=0.0, hint="of exact positions take the velocity 'difference'"
+    )
 
     def start(self, q: Vector, v: Vector) -> dict[str, Any]:  # noqa: ARG002
         """Memory at the first tick: at rest."""

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar, Final
+from typing import Any, Final
 
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.errors import RangeError, ShapeError, UsageError
-from taut.base.quantity import FORCE_AND_MOMENT, Quantity, six_of
-from taut.base.types import Array, ArrayLike, Float64Array, Vector, Wrench
+from taut.base.errors import RangeError
+from taut.base.fields import Declared, Field, Plain
+from taut.base.types import Array, Vector, Wrench
 from taut.maths import dynamics as dyn
 from taut.maths.model import PayloadValues, model_of
 from taut.maths.wrist import load_wrench, sensor_place
@@ -21,12 +20,12 @@ __all__ = ["SATURATED", "Wrist"]
 
 Values = Mapping[str, Any]
 SATURATED: Final = "saturated.F_ext"  # 1.0 in a tick whose reading is at the end of the sensor's range
+WRENCH: Final = "N, N m"
 AT_END: Final = 1.0 - 1e-9  # of the range: turning a reading into the world and back rounds
 SAME: Final = 1e-9  # of a reading's size: two that differ by less are one; noise of a sensor is far above that
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Wrist:
+class Wrist(Declared):
     """What is known of a sensor between arm and tool, so that a law sees contact alone as `x.F_ext`.
 
     Law:          F_ext = reading - bias - weight of the tool - weight of the controller's payload
@@ -67,68 +66,37 @@ class Wrist:
         IROS (2007): the load beyond a wrist sensor. Chapter, section 10.3 force control.
     """
 
-    title: ClassVar[str] = "wrist"
-    quantities: ClassVar[Mapping[str, Quantity]] = {
-        "bias": Quantity(unit=FORCE_AND_MOMENT),
-        "mass": Quantity(unit="kg", rule=">= 0"),
-        "com": Quantity(unit="m"),
-        "range": Quantity(
-            unit=FORCE_AND_MOMENT, rule="> 0", instead="leave it out for a sensor without end", infinite=True
-        ),
-    }
-
-    bias: ArrayLike = (0.0, 0.0)
-    mass: ArrayLike | None = None
-    com: ArrayLike | None = None
-    range: ArrayLike | None = None
-    repeats: int | None = None
+    bias: Field = Field((0.0,) * 6, unit=WRENCH, shape=6, accepts=("pair",))
+    mass: Field = Field(unit="kg", minimum=0.0, optional=True)
+    com: Field = Field(unit="m", shape=3, optional=True)
+    range: Field = Field(
+        unit=WRENCH,
+        shape=6,
+        accepts=("pair",),
+        above=0.0,
+        infinite=True,
+        optional=True,
+        hint="leave it out for a sensor without end",
+    )
+    repeats: Plain[int | None] = Plain(int, optional=True)
     frame: str | None = None
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
         if self.mass is None and self.com is not None:
-            raise UsageError("wrist.com is that of the tool, whose mass is missing; give mass= too", name="com")
+            self.refuse("com", "is that of the tool, whose mass is missing; give mass too")
         if self.mass is not None and self.com is None:
-            object.__setattr__(self, "com", np.zeros(3))
-        for name in self.quantities:
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, self.checked(name, getattr(self, name), f"{self.title}.{name}"))
-        if self.repeats is None:
-            return
-        if isinstance(self.repeats, bool) or not isinstance(self.repeats, int):
-            raise UsageError(f"wrist.repeats must be a whole number of ticks; got {self.repeats!r}", name="repeats")
-        if self.repeats < 2:
-            raise RangeError(f"wrist.repeats must be >= 2 ticks; got {self.repeats}", name="repeats")
+            self.__dict__["com"] = np.zeros(3)
+        if self.repeats is not None and self.repeats < 2:
+            self.refuse("repeats", f"must be >= 2 ticks; got {self.repeats}", RangeError)
 
     # ---------------------------------------------------------------- what it declares
-
-    def parameters(self) -> dict[str, Float64Array]:
-        """Run-time parameters by name: those that are there."""
-        given = {name: getattr(self, name) for name in self.quantities}
-        return {name: np.asarray(value, dtype=np.float64) for name, value in given.items() if value is not None}
 
     @property
     def takes_out(self) -> str:
         """What it takes out of a reading, in words."""
         return "bias" if self.mass is None else "bias, tool and payload"
 
-    def checked(self, name: str, value: ArrayLike, path: str) -> Float64Array:
-        """A number of it, checked; `path` is what messages call it.
-
-        Raises:
-            ShapeError: Another shape than it has.
-            RangeError: Against its rule.
-        """
-        quantity = self.quantities[name]
-        if name in ("bias", "range"):
-            return six_of(path, quantity, value)
-        new = quantity.checked(path, value)
-        if name == "mass" and new.shape != ():
-            raise ShapeError(f"{path} must be one number [kg]; got shape {new.shape}", name=path)
-        if name == "com" and new.shape != (3,):
-            raise ShapeError(f"{path} must have shape (3,) [m]; got shape {new.shape}", name=path)
-        return new
-
-    def check(self, arm: Arm) -> None:
+    def check_fit(self, arm: Arm) -> None:
         """Whether it fits an arm.
 
         Raises:

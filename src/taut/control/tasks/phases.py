@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Self, TypeVar
 
 import numpy as np
 
@@ -81,13 +81,13 @@ class Phases(Law):
     def children(self) -> dict[str, Law]:
         return dict(self.laws)
 
-    def with_children(self, children: Mapping[str, Law]) -> Law:
+    def with_children(self, children: Mapping[str, Law]) -> Self:
         return self._replaced({"laws": dict(children)})
 
-    def check_size(self, n: int) -> None:
+    def check_size(self, joints: Sequence[str] | int, prefix: str = "") -> None:
         for name, law in self.laws.items():
             try:
-                law.check_size(n)
+                law.check_size(joints, prefix)
             except ShapeError as cause:
                 raise ShapeError(f"phase '{name}': {cause}", name=name) from cause
 

@@ -12,9 +12,9 @@ from taut.arm.angles import short_way
 from taut.arm.description import Arm
 from taut.base.types import Float64Array
 from taut.control.trajectories.reference import JointMotion, Sample
-from taut.control.trajectories.scaling import quintic_between
 from taut.control.trajectories.task_blend import faded, offset
 from taut.control.trajectories.task_reference import TaskMotion
+from taut.control.trajectories.timing import quintic_between
 
 __all__ = ["Fade", "can_fade"]
 

@@ -17,7 +17,7 @@ from taut.base.errors import NumericalError, ShapeError, missing_extra
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.tables import read_rows, require_moderate, sample_times
 from taut.control.trajectories.reference import JointMotion
-from taut.control.trajectories.scaling import (
+from taut.control.trajectories.timing import (
     CUBIC,
     QUINTIC,
     Scaling,

@@ -8,7 +8,7 @@ import numpy as np
 
 from taut.base.types import Float64Array
 from taut.control.tasks.phase_sample import PhaseSample
-from taut.control.trajectories.hybrid_motion import HybridMotion
+from taut.control.trajectories.force_reference import HybridMotion
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.record.force import wanted_wrench
 from taut.record.plots.style import DASHED, INK, colour, legend_above, line, prepared, short_name

@@ -1,0 +1,427 @@
+"""Task space of a law: the error of a pose, the axes of the gains, the spring and its bound, targets out of reach.
+
+Laws of the tool have the arguments `tool`, `error`, `coordinates`, `frame` and `error_max`; `TaskSpace.of(law)` is
+what these say, in one value. Everything is in the axes C of the gains: those of the world, of the reference ("task")
+or of the tool; with another error than "decoupled", in the coordinates of that error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Final, Literal, Self
+
+import numpy as np
+
+from taut.base.errors import MatchError, RangeError, count_of
+from taut.base.types import Array, Float64Array, Matrix, Rotation, Vector, Vector3, Wrench
+from taut.control.command import Terms
+from taut.control.gains import Gain, GainValue
+from taut.control.law import Law
+from taut.control.laws.task_error import Coordinates, ErrorKind, TaskError, check_coordinates, dimensions, task_error
+from taut.control.side_by_side import SideBySide
+from taut.control.trajectories.task_reference import TaskMotion
+from taut.maths.out_of_reach import Asked, Beyond, distance_beyond, spheres
+from taut.maths.singularity import TOP_SPEED
+from taut.maths.snapshot import Snapshot
+from taut.maths.spatial import curve, pose_log_rate, rotated, rotated_matrix, turned_back
+from taut.maths.task_inertia import TaskInertia
+from taut.trace import math as tm
+from taut.trace.linalg import LTDL, times_square_root
+
+__all__ = [
+    "FRAMES",
+    "RATE",
+    "Bound",
+    "Compliance",
+    "GainFrame",
+    "TaskSpace",
+    "bound_of_error",
+    "bounded_inertia",
+    "check_damping",
+    "check_directions",
+    "check_sensor",
+    "far_away",
+    "may_bound",
+    "modal_damping",
+    "pulled",
+    "task_gain",
+    "within_speed",
+    "wrench_at",
+    "wrench_moved",
+]
+
+GainFrame = Literal["world", "task", "tool"]
+FRAMES: Final[tuple[GainFrame, ...]] = ("world", "task", "tool")
+EASED: Final = (0.05, 0.3)  # of the reach, and [rad]: what an error counts for at most, out of reach
+RATE: Final = 5.0  # [1/s] at which joints settle under a spring to a target out of reach
+HEAVY: Final = 10.0  # times the arm's mass, which no direction of its tool is made heavier than
+LOST: Final = 1e-9  # of the largest singular value: below it a direction is not there
+
+
+def task_gain(default: Any = ..., *, unit: str, accepts: Iterable[str] = ("pair", "matrix"), **more: Any) -> Gain:
+    """A gain on the error of a task: (linear, angular), one for each direction, or a matrix."""
+    given = {} if default is ... else {"default": default}
+    return Gain(**given, unit=unit, shape=more.pop("shape", "dimensions"), accepts=accepts, **more)
+
+
+def bound_of_error() -> Gain:
+    """error_max: (linear, angular), the largest error that a spring answers."""
+    return Gain(unit="m, rad", shape=2, accepts=("pair",), above=0.0, optional=True)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TaskSpace:
+    """Frame, error, axes and bound of a law of the tool."""
+
+    tool: str | None = None
+    error: ErrorKind = "decoupled"
+    frame: GainFrame = "world"
+    coordinates: Coordinates | None = None
+    error_max: GainValue | None = None
+
+    @classmethod
+    def of(cls, law: Any) -> Self:
+        """That of a law with these arguments; what it does not have is left as it is."""
+        own = vars(law)
+        names = ("tool", "error", "frame", "coordinates", "error_max")
+        return cls(**{name: own[name] for name in names if name in own})
+
+    def check(self, law: Law) -> None:
+        """The relations between these arguments. Raises Refusal."""
+        check_coordinates(law, self.error, self.coordinates)
+        if self.frame != "world" and self.error != "decoupled":
+            law.refuse("frame", f"is for error 'decoupled'; '{self.error}' has axes of its own; leave frame out")
+        if self.error_max is not None and self.error == "coordinates":
+            law.refuse("error_max", "bounds the errors of a pose, and 'coordinates' has others; leave it out")
+
+    @property
+    def dimensions(self) -> int:
+        """Entries of the error: 6, or those of the coordinates."""
+        return dimensions(self.error, self.coordinates)
+
+    def at(self, x: Snapshot, ref: TaskMotion) -> Compliance:
+        """The error X, its rate V, and J in the coordinates of the error."""
+        return Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
+
+    @property
+    def bound(self) -> Bound | None:
+        """What bounds the spring."""
+        return None if self.error_max is None else Bound.of(self.error_max)
+
+    def spring(self, K: GainValue, c: Compliance) -> Terms:
+        """The force of the spring in the axes of the gains, and what its bound takes of it."""
+        whole = Terms(P=K @ c.X)
+        return whole if self.bound is None else whole + Terms(bound=self.bound.force(K, c.X) - K @ c.X)
+
+    def energy(self, K: GainValue, c: Compliance) -> Any:
+        """Energy of the spring [J]."""
+        X = c.X if self.bound is None else self.bound.stretch(c.X)
+        return 0.5 * (X @ (K @ X))
+
+    def measured_wrench(self, x: Snapshot, inertia: TaskInertia) -> Wrench:
+        """(k,) F_ext in the coordinates of the error, by the exact adjoint."""
+        F, T = wrench_at(x, self.tool), x.T(self.tool)
+        if self.error == "body":
+            return rotated(T.R.T, F)
+        if self.error == "space":
+            return wrench_moved(F, T.p)
+        if self.error == "coordinates":
+            out: Array = inertia.wrench(x.J(self.tool).T @ F)
+            return out
+        return F
+
+    def beyond_reach(self, x: Snapshot, ref: TaskMotion) -> Beyond | None:
+        """How clearly a target is out of reach; None where an error does not say enough to know."""
+        asked = asked_of(self.error, self.coordinates)
+        found = None if asked is None else spheres(x.model, self.tool, asked)
+        return Beyond.of(found, ref.p, ref.R) if found else None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Compliance:
+    """The error of a pose in the axes of the gains, and the way back of wrenches."""
+
+    error: TaskError
+    kind: ErrorKind
+    frame: GainFrame
+    R: Rotation | None  # R_WC, None for the world and for other errors
+    X: Vector  # (k,) desired minus actual
+    V: Vector  # (k,)
+
+    @classmethod
+    def of(
+        cls,
+        kind: ErrorKind,
+        frame: GainFrame,
+        x: Snapshot,
+        ref: TaskMotion,
+        tool: str | None,
+        coordinates: Coordinates | None,
+    ) -> Compliance:
+        """That of a tool and its reference."""
+        error = task_error(kind, x, ref, tool, coordinates)
+        R = {"world": None, "task": ref.R, "tool": x.T(tool).R}[frame] if kind == "decoupled" else None
+        X, V = (error.X, error.V) if R is None else (rotated(R.T, error.X), rotated(R.T, error.V))
+        return cls(error=error, kind=kind, frame=frame, R=R, X=X, V=V)
+
+    def inwards(self, six: Array) -> Array:
+        """What the law computes in the coordinates of the error, in the axes of the gains."""
+        return six if self.R is None else rotated(self.R.T, six)
+
+    def outwards(self, six: Array) -> Array:
+        """The way back."""
+        return six if self.R is None else rotated(self.R, six)
+
+    def matrix_outwards(self, C: Matrix) -> Matrix:
+        """(k, k) a symmetric matrix of the gains' axes in the coordinates of the error."""
+        return C if self.R is None else rotated_matrix(self.R, C)
+
+    def matrix_inwards(self, C: Matrix) -> Matrix:
+        """(k, k) the way back."""
+        return C if self.R is None else rotated_matrix(self.R.T, C)
+
+    def wrench(self, force: Array) -> Wrench:
+        """(k,) what pulls the tool where the potential X . force falls, in the axes of the gains."""
+        if self.kind == "coordinates":
+            return force
+        if self.kind in ("body", "space"):
+            out: Wrench = pose_log_rate(self.X if self.kind == "body" else -self.X).T @ force
+            return out
+        return pulled(self.X, force, turning=self.frame == "tool")
+
+
+def modal_damping(inertia: LTDL, K: Matrix, zeta: Any, V: Vector) -> Vector:
+    """(k,) B V with the damping ratio zeta in each mode of inertia and stiffness.
+
+    With inertia = U U^T, B = 2 zeta U (U^-1 K U^-T)^(1/2) U^T:
+    each generalised eigenvector of K and the inertia has 2 zeta omega_n, exactly.
+
+    References:
+        Albu-Schaffer, Ott and Hirzinger (2003), IEEE ICRA, double diagonalisation.
+    """
+    mapped = times_square_root(inertia.between_roots(K), inertia.times_root_transposed(V))
+    out: Vector = 2.0 * zeta * inertia.times_root(mapped)
+    return out
+
+
+def wrench_at(x: Snapshot, tool: str | None) -> Wrench:
+    """(6,) the measured wrench at the origin of a frame of the link that carries the sensor, world axes [N, N m]."""
+    F = x.F_ext
+    if tool is None or tool == x.arm.tool:
+        return F
+    return wrench_moved(F, x.T().p - x.T(tool).p)
+
+
+def wrench_moved(F: Wrench, r: Vector3) -> Wrench:
+    """(6,) the same wrench at another point, from which r leads to where it stands, in its axes."""
+    return tm.array([*F[:3], *(F[3:] + tm.cross(r, F[:3]))])
+
+
+def check_sensor(x: Snapshot, tool: str | None) -> None:
+    """A wrist sensor tells what acts on the link of the arm's tool, and nothing of other links.
+
+    Raises:
+        MatchError: The frame that is controlled is on another one.
+    """
+    if x.model.placement(tool)[0] != x.model.placement(None)[0]:
+        raise MatchError(
+            f"the wrist sensor of '{x.arm.name}' is at its tool '{x.arm.tool}', and '{tool}' is on another link, of "
+            "which it knows nothing; control a frame of the tool's link, or load the arm with that tool",
+            name="tool",
+        )
+
+
+def bounded_inertia(x: Snapshot, J: Matrix) -> TaskInertia:
+    """The arm's inertia at the tool, bounded where a direction is nearly lost."""
+    return TaskInertia.bounded(J, x.M_factors, HEAVY * sum(body.mass for body in x.arm.bodies))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Bound:
+    """What bounds the linear and the angular part of an error: r^2 is its squared length times the part's curve.
+
+    Args:
+        curves: 1 / error_max^2 of each part [1/m^2, 1/rad^2]; 0 where there is no bound.
+    """
+
+    curves: tuple[Any, Any]
+
+    @classmethod
+    def of(cls, error_max: GainValue) -> Self:
+        """That of error_max=(linear, angular) [m, rad]."""
+        return cls(curves=(1.0 / (error_max[0] * error_max[0]), 1.0 / (error_max[1] * error_max[1])))
+
+    def error(self, X: Vector) -> Vector:
+        """(k,) part by part X / sqrt(1 + r^2), which is shorter than error_max."""
+        return _by_parts(X, [1.0 / root for root in self._roots(X)])
+
+    def stretch(self, X: Vector) -> Vector:
+        """(k,) Y, with the energy Y . K Y / 2 of the bounded spring: part by part X sqrt(2 / (1 + root))."""
+        return _by_parts(X, [tm.sqrt(2.0 / (1.0 + root)) for root in self._roots(X)])
+
+    def force(self, K: GainValue | Matrix, X: Vector) -> Wrench:
+        """(k,) the gradient of that energy; with one stiffness for all directions of a part it is K error(X)."""
+        whole, out = K @ self.stretch(X), []
+        for places, root, bound in zip(_places(X), self._roots(X), self.curves, strict=False):
+            part, own = X[places], whole[places]
+            bend = 0.5 * bound / ((1.0 + root) * root)
+            out.extend(tm.sqrt(2.0 / (1.0 + root)) * (own - bend * (part @ own) * part))
+        return tm.array(out)
+
+    def _roots(self, X: Vector) -> list[Any]:
+        return [
+            tm.sqrt(1.0 + (X[places] @ X[places]) * bound)
+            for places, bound in zip(_places(X), self.curves, strict=False)
+        ]
+
+
+def pulled(X: Vector, force: Vector, *, turning: bool) -> Wrench:
+    """(6,) what pulls the tool where the potential X . force falls, with X the decoupled error, desired minus actual.
+
+    -X-dot = A V of the tool at a resting reference, and the wrench is A^T force. For forces along X it is the force
+    itself; for a stiffness that differs by direction the rest is what makes the spring conservative.
+
+    Args:
+        X: (6,) in the axes of the gains.
+        force: (6,) likewise.
+        turning: Whether these axes are those of the tool, and turn with it.
+    """
+    w = X[3:]
+    moment = turned_back(w, curve(w), force[3:], -1.0 if turning else 1.0)
+    if turning:
+        moment = moment + tm.cross(X[:3], force[:3])
+    return tm.array([*force[:3], *moment])
+
+
+def _places(X: Vector) -> list[slice]:
+    """The linear and the angular part; of three numbers the linear one alone."""
+    return [slice(0, 3), slice(3, 6)][: len(X) // 3]
+
+
+def _by_parts(X: Vector, shares: list[Any]) -> Vector:
+    return tm.array([entry for places, share in zip(_places(X), shares, strict=True) for entry in share * X[places]])
+
+
+# -------------------------------------------------------------------- targets out of reach
+
+
+def asked_of(kind: ErrorKind, coordinates: Coordinates | None) -> Asked | None:
+    """What an error says of the pose: all of it, its position, or nothing that is known."""
+    if kind != "coordinates":
+        return "pose"
+    return "position" if coordinates == Coordinates.position() else None
+
+
+def eased(away: Beyond, share: Any, X: Vector) -> Any:
+    """The factor, at most 1, of a spring with the error X to a target out of reach; 1 where share is 0.
+
+    In full, X counts for less than EASED: it is X / sqrt(1 + r^2), with r its length in parts of that.
+    """
+    length = (X[:3] @ X[:3]) * (1.0 / (EASED[0] * away.reach) ** 2)
+    turn = (X[3:] @ X[3:]) * (1.0 / EASED[1] ** 2) if len(X) == 6 else 0.0
+    return 1.0 / tm.sqrt(1.0 + share * (length + turn))
+
+
+def within_speed(x: Snapshot, inertia: TaskInertia, F: Wrench) -> Wrench:
+    """(k,) a spring's wrench, made smaller until it brings no joint beyond its speed limit.
+
+    With tau = J^T F - RATE M v + h the joint speeds follow M^-1 J^T F / RATE at that rate.
+
+    Args:
+        x: The arm at its measured state.
+        inertia: That of the task.
+        F: (k,) in the coordinates of J.
+    """
+    most: Any = 1.0
+    for speed, top in zip(inertia.joint_acceleration(F), x.arm.velocity, strict=True):
+        if np.isfinite(top):
+            most = tm.maximum(most, tm.abs(speed) * (1.0 / (TOP_SPEED * RATE * top)))
+    out: Wrench = F / most
+    return out
+
+
+def far_away(law: Law, x: Snapshot, rows: dict[str, Float64Array]) -> Float64Array | None:
+    """(k,) how far at least the targets of a run are out of reach [m]; None where the law follows no pose.
+
+    Args:
+        law: The law of the run.
+        x: Any state of its arm.
+        rows: (k, ...) each field of what it followed.
+    """
+    if isinstance(law, SideBySide):
+        seen = law.seen(x)
+        parts = [
+            far_away(
+                part,
+                seen[name],
+                {field[len(name) + 1 :]: rows[field] for field in rows if field.startswith(f"{name}_")},
+            )
+            for name, part in law.parts.items()
+        ]
+        known = [part for part in parts if part is not None]
+        return np.max(known, axis=0) if known else None
+    asked = _asked(law) if law.reference is TaskMotion else None
+    if asked is None:
+        return None
+    return distance_beyond(spheres(x.model, law.controlled_frame, asked), rows["p"], rows["R"])
+
+
+def may_bound(law: Law) -> bool:
+    """Whether a law, or one that it holds, has a spring that could be bounded and is not."""
+    return ("error_max" in law.declared and vars(law)["error_max"] is None) or any(
+        map(may_bound, law.children().values())
+    )
+
+
+def _asked(law: Law) -> Asked | None:
+    """What of the pose a law asks for, or the law that it holds."""
+    own = vars(law)
+    if "directions" in own:
+        return "pose" if own["directions"] == "all" else "position"
+    if "error" in own:
+        return asked_of(own["error"], own["coordinates"])
+    inner = [
+        child for child in law.children().values() if child.reference is TaskMotion and not child.ignores_reference
+    ]
+    return _asked(inner[0]) if inner else "pose"
+
+
+# -------------------------------------------------------------------- checks
+
+
+def check_damping(law: Law, K: GainValue, B: GainValue | None, zeta: GainValue | None, D: GainValue | None) -> None:
+    """Exactly one of B and zeta; zeta needs a stiffness to oscillate on; D is divided by. Raises Refusal."""
+    if (B is None) == (zeta is None):
+        law.refuse("zeta", "designs B from K and the inertia; give exactly one of B and zeta")
+    if zeta is not None and smallest(K) <= 0.0:
+        law.refuse("zeta", "needs a K with stiffness in every direction; give B instead", RangeError)
+    if D is not None and smallest(D) <= 0.0:
+        law.refuse("D", "must be > 0 [kg, kg m^2] in every direction: wrenches are divided by it", RangeError)
+
+
+def smallest(gain: GainValue) -> float:
+    """The smallest entry, or eigenvalue, of a gain."""
+    values = np.asarray(gain.as_array(), dtype=np.float64)
+    return float(np.linalg.eigvalsh(values)[0]) if values.ndim == 2 else float(values.min())
+
+
+def check_directions(x: Snapshot, tool: str | None, J: Matrix) -> None:
+    """An arm may lack one direction of its tool, and those that a planar arm never has, but no more.
+
+    Raises:
+        MatchError: It lacks more.
+    """
+    rows = [i for i in range(len(J)) if np.any(J[i] != 0.0)]
+    sizes = np.linalg.svd(np.asarray(J, dtype=np.float64)[rows], compute_uv=False)
+    body = x.model.placement(tool)[0]
+    moving = len(x.arm.ancestors(body)) if body >= 0 else 0
+    lost = len(rows) - min(len(rows), moving)
+    if lost > 1 and len(rows) - int(np.sum(sizes > LOST * sizes[0])) > 1:
+        name = tool or x.arm.tool
+        raise MatchError(
+            f"frame '{name}' of '{x.arm.name}' is moved by {count_of(moving, 'joint')}, and is asked for "
+            f"{len(rows)} directions; control another frame, or what it can do: error='coordinates', "
+            "coordinates=taut.Coordinates.position()",
+            name="tool",
+        )

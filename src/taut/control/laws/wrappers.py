@@ -1,0 +1,275 @@
+"""Wrappers of task laws: an energy tank for changing gains, and an estimate of the normal of a surface."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any, Final, Protocol, runtime_checkable
+
+import numpy as np
+
+from taut.base.checks import finite_array, require_at_least, symmetric_psd
+from taut.base.errors import UsageError
+from taut.base.fields import Part, Plain
+from taut.base.types import Rotation, Vector3
+from taut.control.combine import Wrapper
+from taut.control.command import Command
+from taut.control.gains import Gain, GainValue, Memory
+from taut.control.law import MemoryView
+from taut.control.laws.constraints import check_surface
+from taut.control.laws.hybrid import HybridMotionForce
+from taut.control.laws.task_space import check_sensor
+from taut.control.trajectories.reference import Reference
+from taut.control.trajectories.task_reference import TaskMotion
+from taut.maths.constraints.constraint import Constraint
+from taut.maths.constraints.rows import ConstraintRows
+from taut.maths.snapshot import Snapshot
+from taut.maths.spatial import rotated
+from taut.trace import math as tm
+
+__all__ = ["EnergyTank", "NormalEstimate", "turn_between", "turned_rows"]
+
+NEVER: Final = 1e-24  # keeps a root from zero, where it has no slope
+PAID: Final = ("K", "D")  # gains whose change the tank pays for
+OfPose = Callable[[Any], Any]
+
+
+@runtime_checkable
+class WithEnergy(Protocol):
+    """A law that states its energy, such as `taut.laws.Impedance`: what an energy tank needs."""
+
+    def energy(self, x: Snapshot, ref: Any) -> Any:
+        """Energy that changes with the gains [J]."""
+
+    def dissipation(self, x: Snapshot, ref: Any) -> Any:
+        """Power that damping takes from the arm [W]."""
+
+
+class EnergyTank(Wrapper):
+    """Energy tank: changes of K and D of a law bring in no more energy than is kept for them.
+
+    Law:          K_now' = K_now + s (K - K_now) dt / settle, with s <= 1 such that the energy E of the tank pays
+                  E' = E - (U(K_now') - U(K_now)) + max(dissipation, 0) dt, within [0, capacity]; it starts full
+    Closed loop:  that of the law with K_now; passive while K and D change
+
+    What damping takes from the arm fills the tank, up to `capacity`. In a run the energy is the column `law.energy`.
+
+    Args:
+        law: A law with gains K or D that states `energy` and `dissipation`, such as `taut.laws.Impedance`.
+        capacity: Energy that is kept for changes of K and D.
+        settle: Time constant of such changes.
+        stiffness: A function of the pose in the place of the law's K, such as a stiffness that differs by place.
+
+    Example:
+        >>> import taut
+        >>> law = EnergyTank(law=taut.laws.Impedance(K=(800.0, 30.0), B=(60.0, 4.0)), capacity=0.5)
+        >>> sorted(law.parameters())
+        ['B', 'K', 'capacity', 'null.kd', 'null.kp', 'settle']
+
+    References:
+        Ferraguti, Secchi and Fantuzzi (2013), IEEE ICRA.
+    """
+
+    capacity: Gain = Gain(unit="J", shape="scalar")
+    settle: Gain = Gain(0.1, unit="s", shape="scalar", above=0.0)
+    stiffness: Plain[OfPose | None] = Plain(Callable, optional=True)  # type: ignore[arg-type]  # an abstract class
+    energy = Memory(unit="J", record=True)
+    now = Memory(doc="the gains that act, by name")
+
+    def check(self) -> None:
+        super().check()
+        if not isinstance(self.law, WithEnergy) or not self._gains():
+            self.refuse("law", "must have gains K or D and state its energy and dissipation, such as Impedance")
+
+    def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
+        """What a function of the pose gives where a run starts is as good as numbers would be."""
+        if self.stiffness is not None:
+            values = finite_array("K", np.asarray(self._wanted(x)["K"], dtype=np.float64))
+            if values.ndim == 2:
+                symmetric_psd("K", values)
+            else:
+                require_at_least("K", values, 0.0)
+
+    def start(self, x: Snapshot, ref: Any) -> Mapping[str, Any]:  # noqa: ARG002
+        return {"energy": self.capacity.as_array(), "now": self._wanted(x)}
+
+    def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
+        before = memory["now"]
+        fraction = dt / tm.maximum(self.settle.as_array(), dt)
+        step = {name: (gain - before[name]) * fraction for name, gain in self._wanted(x).items()}
+        cost = self._energy(x, ref, step)  # energy is linear in the gains
+        short = cost > memory.energy
+        paid = tm.where(short, memory.energy / tm.where(short, cost, 1.0), 1.0)
+        now = {name: before[name] + paid * change for name, change in step.items()}
+        law = self.law.bound(now)
+        command, after = self.inner(law, x, ref, memory, dt)
+        gained = tm.maximum(law.dissipation(x, ref), 0.0) * dt
+        energy = tm.clip(memory.energy - paid * cost + gained, 0.0, self.capacity.as_array())
+        return command, {**after, "energy": energy, "now": now}
+
+    def _energy(self, x: Snapshot, ref: Any, gains: Mapping[str, Any]) -> Any:
+        return self.law.bound(gains).energy(x, ref)
+
+    def _gains(self) -> dict[str, Any]:
+        """The gains whose change the tank pays for."""
+        return {name: gain.as_array() for name, gain in self.law.gains().items() if name in PAID}
+
+    def _wanted(self, x: Snapshot) -> dict[str, Any]:
+        """What these gains are to be at a pose."""
+        gains = self._gains()
+        if self.stiffness is not None:
+            gains["K"] = _six(self.stiffness(x.T(self.law.controlled_frame)), self.law.dimensions)
+        return gains
+
+
+def _six(value: Any, size: int) -> Any:
+    """What a function of the pose gives as a gain: a pair, one per direction, or a matrix."""
+    array = tm.array(value) if not isinstance(value, np.ndarray) else value
+    if size == 6 and array.shape == (2,):
+        array = tm.array([array[0]] * 3 + [array[1]] * 3)
+    if array.shape not in ((size,), (size, size)):
+        raise UsageError(
+            f"K as a function of the pose must give (linear, angular), ({size},) or ({size}, {size}); got shape "
+            f"{array.shape}",
+            name="K",
+        )
+    return array
+
+
+class NormalEstimate(Wrapper):
+    """Estimate of the normal of a surface from force and motion, around a `HybridMotionForce`, which then follows it.
+
+    Law:          n_hat = (n_0 + tilt) / |n_0 + tilt|, with the stated normal n_0 and tilt at right angles to it
+                  tilt-dot = rate w (seen - tilt)
+                    seen = g / (n_0 . g) - n_0,  g = F_ext - (F_ext . s) s,  s = v / |v|
+                    v is the velocity of the tool over the surface
+                    w = 1 where the tool slides and presses, 0 below `speed` or `force` and beyond the angle `most`
+    Closed loop:  tilt - tilt_true falls as exp(-rate integral(w dt)), whatever the arm does, for nothing of the
+                    estimate is in `seen`. 15 degrees become 1 in 2.8 / rate of sliding, 0.34 s with rate = 8
+                  The contact gives N n - mu N s with an unknown mu. A sliding tool moves in the surface, n . s = 0,
+                    so g = N n: friction is in F_ext and not in g, and one direction of sliding shows both tilts, that
+                    across it by the force, that along it by the motion alone
+                  White noise of d_F and d_v in each tick leaves sqrt(rate dt / 2) (d_F / N, d_v / |v|) rad across and
+                    along the motion; a constant force that is no contact's, such as a bias, leaves its share of N
+                  n_hat turns by less than 2 rate tan(most) a second, and not at all where the tool rests or is free
+
+    What is estimated is a rotation of the whole constraint about where the tool touches: rows of a face turn with it,
+    and a curved surface bends as it is stated to. Where the true surface is elsewhere on a curve the tilt changes on
+    the way, at a rate w_n, and the estimate is w_n / rate behind.
+
+    Frames:
+        World axes. Of a surface that moves, what moves along n_0 is counted: one that moves in its own plane drags by
+        friction where nothing says so.
+
+    Args:
+        law: The hybrid law, with its stated constraint.
+        rate: Of the estimate.
+        speed: Of sliding, below which nothing is believed; from twice that on everything is.
+        force: Likewise, of pressing.
+        most: Largest angle between the stated and the true normal; believed in full up to half its tangent.
+
+    Example:
+        >>> import taut
+        >>> hybrid = taut.laws.HybridMotionForce(
+        ...     constraint=taut.Constraint.plane(point=[0, 0, 0.1], normal=[0, 0, 1]),
+        ...     motion=taut.laws.TaskComputedTorque(kp=100.0, kd=20.0),
+        ...     kfi=5.0,
+        ... )
+        >>> sorted(NormalEstimate(law=hybrid, rate=8.0).parameters())[:4]
+        ['force', 'kfi', 'most', 'motion.kd']
+
+    References:
+        Section 10.4.2 hybrid motion-force control, what to do about wrong constraints. Yoshikawa and Sudou (1993),
+        IEEE Transactions on Robotics and Automation 9 (2), normals from force and motion.
+    """
+
+    law: Part[HybridMotionForce] = Part(HybridMotionForce, inline=True)
+    rate: Gain = Gain(8.0, unit="1/s", shape="scalar")
+    speed: Gain = Gain(0.02, unit="m/s", shape="scalar", above=0.0)
+    force: Gain = Gain(1.0, unit="N", shape="scalar", above=0.0)
+    most: Gain = Gain(0.6, unit="rad", shape="scalar", above=0.0, maximum=1.2)
+    tilt = Memory((0.0, 0.0, 0.0), unit="1", doc="tangent of the angle, across the stated normal")
+    normal = Memory((0.0, 0.0, 0.0), unit="1", record=True, doc="n_hat, world axes")
+
+    def check(self) -> None:
+        super().check()
+        if self.law.constraint.frame is None or self.law.motion.reference is not TaskMotion:
+            self.refuse("law", "must have a surface that one frame touches, and a motion of that frame")
+
+    def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
+        (frame,) = self.law.constraint.frame or (None,)
+        check_sensor(x, frame)
+        check_surface(self.law.constraint, x, self.law.motion.controlled_frame)
+
+    def check_references(self, x: Snapshot, ref: Reference, rate: float, *, later: bool = False) -> None:  # noqa: ARG002
+        """Not the motion: it goes along the surface that is estimated, whatever it asks for against it."""
+        self.law.check_contact(x, ref, later=later)
+
+    def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
+        constraint = self.law.constraint
+        stated, V = constraint.at(x), x.twist(*(constraint.frame or ()))
+        assert stated.A is not None
+        size = tm.sqrt(stated.A[0, :3] @ stated.A[0, :3] + NEVER)
+        n_0 = stated.A[0, :3] / size
+        sliding = V[:3] + ((stated.A[0, 3:] @ V[3:] + stated.phi_t[0]) / size) * n_0
+        tilt = self.updated(memory.tilt, n_0, sliding, x.F_ext[:3], dt)
+        n = n_0 + tilt
+        n = n / tm.sqrt(n @ n + NEVER)
+        rows = turned_rows(constraint, x, turn_between(n_0, n))
+        inner = {name: memory[name] for name in memory if name not in self.memories}
+        tau, after = self.law.controlled(x, ref, MemoryView(inner, "HybridMotionForce"), dt, rows, estimated=True)
+        return tau, {**after, "tilt": tilt, "normal": n}
+
+    def updated(self, tilt: Vector3, n_0: Vector3, v: Vector3, F: Vector3, dt: Any) -> Vector3:
+        """(3,) the tilt after a tick.
+
+        Args:
+            tilt: (3,) the last one.
+            n_0: (3,) stated normal, away from the surface.
+            v: (3,) of the tool's origin over the surface [m/s].
+            F: (3,) of the environment on the tool [N].
+            dt: [s].
+        """
+        flat = _across(n_0, v)
+        speed = tm.sqrt(flat @ flat + NEVER)
+        g = F - v * ((v @ F) / (v @ v + NEVER))
+        N = n_0 @ g
+        seen = _across(n_0, g) / tm.maximum(N, self.force[()])
+        # A tool that comes or goes is among what is too steep: g . v = 0, so |seen| >= |n_0 . v| / speed.
+        steep = _within(tm.sqrt(seen @ seen + NEVER), tm.tan(self.most[()]))
+        w = _above(speed, self.speed) * _above(N, self.force) * steep
+        old = _across(n_0, tilt)
+        out: Vector3 = old + (1.0 - tm.exp(-self.rate[()] * w * dt)) * (seen - old)
+        return out
+
+
+def _across(n: Vector3, v: Vector3) -> Vector3:
+    out: Vector3 = v - (n @ v) * n
+    return out
+
+
+def _above(value: Any, least: GainValue) -> Any:
+    """0 below `least`, 1 from twice that on."""
+    return tm.clip(value / least[()] - 1.0, 0.0, 1.0)
+
+
+def _within(tangent: Any, steepest: Any) -> Any:
+    """1 up to half of the steepest, 0 beyond it."""
+    return tm.clip(2.0 - 2.0 * tangent / steepest, 0.0, 1.0)
+
+
+def turn_between(n_0: Vector3, n: Vector3) -> Rotation:
+    """(3, 3) the smallest rotation that takes one unit vector to another, less than a half turn away."""
+    w = tm.cross(n_0, n)
+    W = tm.skew(w)
+    out: Rotation = tm.eye(3) + W + (W @ W) / (1.0 + n_0 @ n)
+    return out
+
+
+def turned_rows(constraint: Constraint, x: Snapshot, R: Rotation) -> ConstraintRows:
+    """Rows of a constraint of one frame whose surface is turned by R about where the frame is."""
+    assert constraint.frame is not None
+    (frame,) = constraint.frame
+    seen = constraint.at(x.turned(R, frame))
+    assert seen.A is not None
+    return dataclasses.replace(seen, A=tm.array([rotated(R, row) for row in seen.A]))
