@@ -54,8 +54,8 @@ if TYPE_CHECKING:
     from taut.control.limits import Limits as Limits
     from taut.control.sensing.sensing import Sensing as Sensing
     from taut.control.side_by_side import SideBySide as SideBySide
-    from taut.control.side_by_side import together as together
     from taut.control.tasks.phase import Phase as Phase
+    from taut.control.trajectories.compound import together as together
     from taut.control.trajectories.hybrid_motion import pressing as pressing
     from taut.control.trajectories.reference import JointMotion as JointMotion
     from taut.control.trajectories.reference import chunk as chunk
@@ -63,8 +63,8 @@ if TYPE_CHECKING:
     from taut.control.trajectories.reference import stream as stream
     from taut.control.trajectories.task_force import TaskForce as TaskForce
     from taut.control.trajectories.task_reference import TaskMotion as TaskMotion
-    from taut.controller import Controller as Controller
-    from taut.controller import compile as compile
+    from taut.controller.compile import compile as compile
+    from taut.controller.controller import Controller as Controller
     from taut.linear.linearise import linearise as linearise
     from taut.loop import Loop as Loop
     from taut.maths.constraints.constraint import Constraint as Constraint

@@ -20,7 +20,6 @@ from taut.analysis.diagnosis.finding import FAULTS, Number
 from taut.analysis.diagnosis.line import line_of
 from taut.analysis.diagnosis.model import model_of_run
 from taut.cli.main import main
-from taut.control.tasks.phases import Phases
 from taut.record.outcome import Outcome
 from taut.scenarios.scenario import built_in_scenarios, load_scenario
 
@@ -150,7 +149,7 @@ def said_of(scenario: str) -> dict[tuple[str, str, str], tuple[str, str] | None]
         run = taut.run(
             ctrl,
             one.plant,
-            None if isinstance(ctrl.law, Phases) else one.reference,
+            None if ctrl.side.task is not None else one.reference,
             duration=one.duration,
             q0=one.q0,
             v0=one.v0,

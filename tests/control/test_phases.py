@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.control.tasks.phases import Phases
+from taut.control.tasks.task import Task
 
 PLANAR = taut.load_arm("planar3")
 REST = np.array([0.5, 0.8, 0.6])
@@ -601,7 +601,7 @@ def test_what_is_no_task_is_refused_in_a_sentence() -> None:
         (lambda: taut.compile([a], PLANAR).step(REST[:2], np.zeros(3)), taut.errors.ShapeError, "q must have shape (3,); got shape (2,)"),
         (lambda: taut.compile([a], PLANAR).step(), taut.errors.UsageError, "step needs q; got none"),
         (lambda: taut.compile([wrist], PLANAR).step(REST, np.zeros(3)), taut.errors.UsageError, "step needs F_ext, which the law asks for: pass F_ext= or F_app=; got none"),
-        (lambda: taut.snapshot(PLANAR, REST).elapsed, taut.errors.UsageError, "x.elapsed is for the guards of a taut.Phase; a law has no phase"),
+        (lambda: taut.snapshot(PLANAR, REST).elapsed, AttributeError, "the snapshot x has no quantity 'elapsed'; did you mean 'measured'?"),
         (lambda: taut.trajectories.Steady(T0=taut.Pose([0, 0, 0])), taut.errors.RangeError, "velocity or angular must be above zero, or nothing moves; got zeros"),
     ]  # fmt: skip
     for make, kind, text in cases:
@@ -646,7 +646,8 @@ def test_a_steady_motion_has_the_rates_of_its_pose() -> None:
 
 
 def test_the_gains_of_a_task_have_the_names_of_its_phases() -> None:
-    law = Phases.of([taut.Phase(PD, name="a"), taut.Phase(PID)])
+    law = Task.of([taut.Phase(PD, name="a"), taut.Phase(PID)])
+    assert not isinstance(law, taut.Law)
     assert list(law.parameters()) == [
         "a.kp",
         "a.kd",

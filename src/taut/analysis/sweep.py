@@ -10,7 +10,7 @@ import numpy as np
 from taut.base.errors import RangeError
 from taut.base.types import Float64Array
 from taut.codegen.coordinates import small_turns
-from taut.codegen.loop import FloatLoop, NativeLoop
+from taut.codegen.loop import StepLoop
 from taut.linear.frequency import Complex
 from taut.linear.linear_loop import LinearLoop
 from taut.linear.linearise import WITHIN, rest_of
@@ -44,11 +44,7 @@ def swept(loop: Loop, lin: LinearLoop, direction: Float64Array, omega: Float64Ar
     # What is held is the start of the model's own search, not where a law that sags came to rest.
     within = WITHIN + float(np.abs(lin.moved).max())
     point = rest_of(loop, map_, lin.q - lin.moved, within).point
-    blocks = (map_.inputs, map_.parameters, map_.memory)
-    kind = NativeLoop if loop.engine == "native" else FloatLoop
-    made = kind(
-        map_.step, map_.substep, map_.plant.substeps - 1, *blocks, (point.inputs, point.parameters, point.memory)
-    )
+    made = StepLoop(map_.period, (point.inputs, point.parameters, point.memory), engine=loop.engine)
     dying = np.abs(lin.poles)[np.abs(lin.poles) < SLOW]
     settling = math.ceil(math.log(LEFT) / math.log(dying.max(initial=0.5)))
     first = map_.recorded(map_.derivative(point))

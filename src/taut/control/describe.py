@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Iterator
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from taut.base.types import Array
 from taut.control.combine import Sum
 from taut.control.law import Law, field_units
 from taut.control.limits import UNITS
+
+if TYPE_CHECKING:
+    from taut.control.tasks.task import Task
 
 __all__ = [
     "PARAMETER_UNITS",
@@ -50,9 +53,10 @@ PARAMETER_UNITS: Final = {
 OPTIONAL: Final = ("Law | None", "taut.Law | None")  # annotations of a field
 
 
-def all_laws(law: Law, name: str = "") -> Iterator[tuple[str, Law]]:
-    """A law and the laws that it holds, each with its path."""
-    yield name, law
+def all_laws(law: Law | Task, name: str = "") -> Iterator[tuple[str, Law]]:
+    """A law and the laws that it holds, each with its path; of a task, those of its phases."""
+    if isinstance(law, Law):
+        yield name, law
     for child, inner in law.children().items():
         yield from all_laws(inner, f"{name}.{child}" if name else child)
 
@@ -67,20 +71,18 @@ def optional_laws(law: type[Law]) -> list[str]:
     return [name for name, kind in inspect.get_annotations(law).items() if str(kind) in OPTIONAL]
 
 
-def gain_units(law: Law) -> dict[str, str]:
+def gain_units(law: Law | Task) -> dict[str, str]:
     """Unit of each gain of a law and of the laws it holds, by path."""
-    units = dict(field_units(type(law)))
+    units = dict(field_units(type(law))) if isinstance(law, Law) else {}
     for child, inner in law.children().items():
         units |= {f"{child}.{path}": unit for path, unit in gain_units(inner).items()}
     return units
 
 
-def title(law: Law) -> str:
+def title(law: Law | Task) -> str:
     """A law's name; of a sum, the names of its parts, and of a task those of its phases."""
-    from taut.control.tasks.phases import Phases
-
-    if isinstance(law, Phases):
-        return f"the task of {', '.join(law.phases)}"
+    if not isinstance(law, Law):
+        return law.title
     return " + ".join(law.children()) if isinstance(law, Sum) else type(law).__name__
 
 

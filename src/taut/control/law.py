@@ -13,7 +13,7 @@ import io
 import re
 import tokenize
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, ClassVar, Final, NoReturn, dataclass_transform
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NoReturn, dataclass_transform
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from taut.control.gains import Gain, GainValue, Memory
 from taut.control.trajectories.reference import JointMotion, Reference, Sample
 from taut.maths.snapshot import Snapshot
 from taut.trace.array import has_symbols, traced_array
+
+if TYPE_CHECKING:
+    from taut.control.tasks.task import Task
 
 __all__ = ["Law", "LawMemory", "call", "field_units", "initial_memory"]
 
@@ -467,14 +470,14 @@ RESERVED: Final = frozenset(name for name in vars(Law) if not name.startswith("_
 }
 
 
-def call(law: Law, x: Snapshot, ref: Sample, memory: LawMemory, dt: Any) -> tuple[Command, dict[str, Any]]:
+def call(law: Law | Task, x: Snapshot, ref: Sample, memory: LawMemory, dt: Any) -> tuple[Command, dict[str, Any]]:
     """One evaluation of a law.
 
     Raises:
         UsageError: What it returns is no command, or its memory does not fit.
     """
     who = type(law).__name__
-    run: Callable[..., Any] = law.command  # type: ignore[attr-defined]  # each subclass declares its own
+    run: Callable[..., Any] = law.command  # type: ignore[union-attr]  # each subclass declares its own
     result = run(x, ref, MemoryView(memory, who), dt) if law.uses_memory else run(x, ref)
     after: Mapping[str, Any] = {}
     if isinstance(result, tuple) and len(result) == 2:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -18,12 +18,11 @@ from taut.base.errors import MatchError, NumericalError, RangeError, ShapeError,
 from taut.base.paths import flatten, subtree, unflatten
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
 from taut.control.command import Command, Terms, Torque, Velocity
-from taut.control.describe import all_laws
+from taut.control.describe import all_laws, title
 from taut.control.law import Law, as_array, call, initial_memory
 from taut.control.limiting import anew, fresh_blend, limited, term_names
 from taut.control.limits import Limits
 from taut.control.sensing.sensing import Sensing
-from taut.control.tasks.phases import Phases
 from taut.control.trajectories.reference import Reference, Sample
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
@@ -31,6 +30,9 @@ from taut.maths.model import Model, PayloadValues, model_of
 from taut.maths.snapshot import AT_TOOL, MEASUREMENTS, Snapshot, measurement_shapes
 from taut.trace import math as tm
 from taut.trace.graph import LARGEST
+
+if TYPE_CHECKING:
+    from taut.control.tasks.task import Task
 
 __all__ = ["HELD", "TOLD", "LawSide", "Probe", "Tick", "WildTerm", "wild_term"]
 
@@ -69,9 +71,18 @@ class Probe:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LawSide:
-    """A law with what surrounds it on the controller's side, for one arm and one rate."""
+    """A law, or a task that selects among laws, with what surrounds it on the controller's side.
 
-    law: Law
+    Args:
+        law: The law, or the task.
+        arm: The controller's model of the arm.
+        rate: [Hz].
+        sensing: What the law sees of what is measured.
+        limits: What its command is cut to; None for no limit.
+        adds: What the plant adds itself.
+    """
+
+    law: Law | Task
     arm: Arm
     rate: float  # [Hz]
     sensing: Sensing
@@ -82,6 +93,27 @@ class LawSide:
     def dt(self) -> float:
         """Nominal period [s]."""
         return 1.0 / self.rate
+
+    @property
+    def task(self) -> Task | None:
+        """The task, if it is one."""
+        return None if isinstance(self.law, Law) else self.law
+
+    @property
+    def single_law(self) -> Law:
+        """The law, where one acts all the time.
+
+        Raises:
+            UsageError: It is a task.
+        """
+        if not isinstance(self.law, Law):
+            raise UsageError(f"{self.title} has several laws; take a controller of one of them", name="law")
+        return self.law
+
+    @property
+    def title(self) -> str:
+        """What the law is called in messages."""
+        return title(self.law)
 
     @cached_property
     def model(self) -> Model:
@@ -159,13 +191,13 @@ class LawSide:
             self.check_start(elsewhere, self._own_parameters)  # a law that knows why says it better
             x, command, after = self._first_run(elsewhere)
         self.check_start(x.q, self._own_parameters)
-        total = as_array(command.total, f"the command of {type(self.law).__name__}")
+        total = as_array(command.total, f"the command of {self.title}")
         if isinstance(command, Torque) and "gravity" in x.used:
             self._check_gravity_once(np.asarray(total), np.asarray(x.g))
         added = self._limit_terms(command)
         shapes = {f"law.{path}": np.shape(as_array(v, path)) for path, v in flatten(after).items()}
         n = (self.arm.n,)
-        self.sensing.check_used(x.used, type(self.law).__name__)
+        self.sensing.check_used(x.used, self.title)
         at_rest = self.sensing_at_start(self.measurements_at_rest(self.arm.home), self._own_parameters)
         shapes |= {f"sensing.{path}": np.shape(value) for path, value in at_rest.items()}
         if (isinstance(command, Torque) and "tau_applied" in x.used) or {"rate_limit", "blend"} & set(added):
@@ -184,7 +216,7 @@ class LawSide:
             MatchError: It does.
         """
         if np.abs(g).max() > ROUNDING and np.abs(tau - 2.0 * g).max() <= ROUNDING * np.abs(g).max():
-            who = type(self.law).__name__
+            who = self.title
             raise MatchError(
                 f"{who} adds gravity twice: at rest it gives 2 g, {np.round(tau, 4).tolist()}; x.h is "
                 "C v + g, so add x.h or x.g, not both",
@@ -201,7 +233,7 @@ class LawSide:
         """
         if self.limits is None:
             return ()
-        who, given = type(self.law).__name__, self.limits.given()
+        who, given = self.title, self.limits.given()
         if not isinstance(command, (Torque, Velocity)):
             raise MatchError(
                 f"limits cut torques and velocities, and {who} gives a {command.kind}; leave limits=None",
@@ -228,7 +260,7 @@ class LawSide:
         measured, ref = self.measurements_at_rest(q), self.at_rest(q)
         x = self._snapshot(measured, np.zeros(self.arm.n), self._own_parameters, {})
         law = self.law.bound(subtree(self._own_parameters, "law"))
-        _, after = call(law, x, ref, initial_memory(law, x, ref), self.dt)
+        _, after = call(law, x, ref, _initial(law, x, ref), self.dt)
         command, after = call(law, x, ref, after, self.dt)
         return x, command, after
 
@@ -275,7 +307,7 @@ class LawSide:
     @cached_property
     def recorded(self) -> dict[str, str]:
         """Paths of the memory that a run keeps, as it is after each tick, by its column: law.ik_error."""
-        of_task = {"phase": "law.phase", "phase_ended": "law.ended"} if isinstance(self.law, Phases) else {}
+        of_task = {} if self.task is None else {"phase": "law.phase", "phase_ended": "law.ended"}
         kept = (f"{path}.{name}" for path, law in all_laws(self.law, "law") for name in law.recorded)
         return of_task | {path: path for path in kept if path in self.probe.shapes}
 
@@ -340,6 +372,35 @@ class LawSide:
                     f"{error} in tick {tick}", name=name, joint=error.joint, value=error.value, rule=error.rule
                 ) from None
 
+    def seen(
+        self,
+        measured: Mapping[str, Any],
+        sensing: Mapping[str, Any] | None,
+        parameters: Mapping[str, Any],
+        t: float,
+    ) -> Snapshot:
+        """What the law sees at one instant, as plain numbers: what the source of a stream is given.
+
+        Args:
+            measured: What the sensors give; copied.
+            sensing: Memory of sensing, by path below "sensing"; None before the first tick.
+            parameters: All parameters of the law side, by path.
+            t: [s].
+        """
+        copies = {name: np.array(value, dtype=np.float64) for name, value in measured.items()}
+        before = self.sensing_at_start(copies, parameters) if sensing is None else sensing
+        seen, _ = self.sense(copies, before, parameters, self.dt)
+        payload = {name: np.array(value) for name, value in subtree(parameters, "model.payload").items()}
+        return Snapshot(
+            self.model,
+            q=seen["q"],
+            v=seen["v"],
+            t=t,
+            payload=PayloadValues.of(payload),
+            adds=self.adds,
+            measured={name: seen[name] for name in MEASUREMENTS if name in seen},
+        )
+
     def check_reading(self, measured: Mapping[str, Any], memory: Memory, tick: int) -> None:
         """Whether a tick that was not finite, with finite inputs, had a sensor's fault.
 
@@ -374,7 +435,7 @@ class LawSide:
             held = {"tau_applied": tau}
             x = self._snapshot(seen, seen["v"], parameters, held)
         law = self.law.bound(subtree(parameters, "law"))
-        memory = flatten({"law": initial_memory(law, x, ref), "sensing": sensing, "limits": held})
+        memory = flatten({"law": _initial(law, x, ref), "sensing": sensing, "limits": held})
         if "limits.tau_cut" in shapes:
             memory["limits.tau_cut"] = tm.zeros(self.arm.n)
         if "limits.bump" in shapes:
@@ -395,7 +456,7 @@ class LawSide:
     ) -> Tick:
         """One tick: sense, evaluate the law, limit."""
         nested = unflatten(memory)
-        begins = Phases.begins(nested["law"]) if isinstance(self.law, Phases) else None
+        begins = None if self.task is None else self.task.begins(nested["law"])
         before = nested.get("limits", {})
         if begins is not None and "tau_cut" in before:  # what another law was cut is nothing for this one's integral
             before = {**before, "tau_cut": tm.where(begins, tm.zeros(self.arm.n), before["tau_cut"])}
@@ -499,7 +560,12 @@ def in_compiled_shape(path: str, value: Float64Array, shape: tuple[int, ...]) ->
     )
 
 
-def _nested_memory(law: Law, memory: Mapping[str, Any]) -> dict[str, Any]:
+def _initial(law: Law | Task, x: Snapshot, ref: Sample) -> dict[str, Any]:
+    """Memory at the first tick."""
+    return initial_memory(law, x, ref) if isinstance(law, Law) else law.initial_memory(x, ref)
+
+
+def _nested_memory(law: Law | Task, memory: Mapping[str, Any]) -> dict[str, Any]:
     """Memory with a place for every law that is held, also for those that remember nothing."""
     children = {name: _nested_memory(child, memory.get(name, {})) for name, child in law.children().items()}
     return {**memory, **children}

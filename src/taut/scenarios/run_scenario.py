@@ -22,7 +22,6 @@ from taut.analysis.tool.impedance import check_impedance, impedance_of
 from taut.base.errors import FileError, ScenarioError, TautError, UsageError
 from taut.control.laws.hybrid import HybridMotionForce
 from taut.control.laws.impedance import Impedance
-from taut.control.tasks.phases import Phases
 from taut.controller import Controller, compile
 from taut.maths.snapshot import Snapshot, snapshot
 from taut.record.compare import compare
@@ -262,7 +261,7 @@ def _one_run(scenario: Scenario, ctrl: Controller, trial: Trial, say: Callable[[
         done = run(
             ctrl,
             scenario.plant,
-            None if isinstance(ctrl.law, Phases) else scenario.reference,
+            None if ctrl.side.task is not None else scenario.reference,
             duration=scenario.duration,
             q0=scenario.q0,
             v0=scenario.v0,
@@ -291,8 +290,8 @@ def _remark(ctrl: Controller, scenario: Scenario) -> str:
     q = scenario.arm.home if scenario.q0 is None else scenario.q0
     if isinstance(ctrl.law, HybridMotionForce):
         return _freedoms_of(ctrl.law, snapshot(scenario.arm, q))
-    if isinstance(ctrl.law, Phases):
-        x, laws = snapshot(scenario.arm, q), ctrl.law.laws
+    if ctrl.side.task is not None:
+        x, laws = snapshot(scenario.arm, q), ctrl.side.task.laws
         hybrid = {name: law for name, law in laws.items() if isinstance(law, HybridMotionForce)}
         return "\n".join(f"phase '{name}': {_freedoms_of(law, x)}" for name, law in hybrid.items())
     found = impedance_of(ctrl.law)

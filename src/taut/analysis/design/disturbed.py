@@ -8,7 +8,7 @@ import numpy as np
 
 from taut.base.errors import RangeError
 from taut.base.types import Float64Array
-from taut.codegen.loop import FloatLoop, NativeLoop
+from taut.codegen.loop import StepLoop
 from taut.linear.loop_map import Point, loop_map
 from taut.loop import Loop
 
@@ -23,10 +23,7 @@ def runs_from(loop: Loop, start: Point, inputs: Sequence[Float64Array], ticks: i
     """
     map_ = loop_map(loop)
     rows = np.tile(start.inputs, (ticks, 1))
-    kind = NativeLoop if loop.engine == "native" else FloatLoop
-    blocks = (map_.inputs, map_.parameters, map_.memory)
-    first = (rows[0], start.parameters, start.memory)
-    made = kind(map_.step, map_.substep, map_.plant.substeps - 1, *blocks, first)
+    made = StepLoop(map_.period, (rows[0], start.parameters, start.memory), engine=loop.engine)
     seen = []
     for each in inputs:
         rows[:] = each

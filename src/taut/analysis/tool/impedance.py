@@ -19,6 +19,7 @@ from taut.control.laws.friction import FrictionCompensation
 from taut.control.laws.impedance import Impedance, Stiffness
 from taut.control.laws.virtual_objects import VirtualBall, VirtualGroove, VirtualWall
 from taut.control.sensing.velocity import Kalman
+from taut.control.tasks.task import Task
 from taut.controller import Controller
 from taut.linear.sampled import SampledLoop
 from taut.maths.model import PayloadValues
@@ -33,7 +34,7 @@ ROUNDING: Final = 1e-7  # of the largest stiffness or damping, below which diffe
 NO_DRY: Final = 1e12  # [rad/s | m/s] of speed over which dry friction is compensated: none is
 
 
-def impedance_of(law: Law) -> tuple[Impedance | Stiffness, str] | None:
+def impedance_of(law: Law | Task) -> tuple[Impedance | Stiffness, str] | None:
     """The one law of impedance in a law, and its path; None where there is none, or more than one."""
     found = [(law, "law")] if isinstance(law, (Impedance, Stiffness)) else []
     for name, child in law.children().items():
@@ -129,7 +130,7 @@ def _feedback(ctrl: Controller, q: Float64Array) -> tuple[Float64Array, Float64A
     for path, law in all_laws(ctrl.law, "law"):
         if isinstance(law, FrictionCompensation):
             values[f"{path}.width"] = np.asarray(NO_DRY)
-    law = ctrl.law.bound(subtree(values, "law"))
+    law = ctrl.side.single_law.bound(subtree(values, "law"))
     payload = PayloadValues.of(subtree(values, "model.payload"))
     n = ctrl.arm.n
 

@@ -258,7 +258,7 @@ def tip_impedance(
             "another direction or pose",
             name="direction",
         )
-    law = loop.side.law.bound(subtree(loop.parameters, "law"))
+    law = loop.side.single_law.bound(subtree(loop.parameters, "law"))
     return TipResponse(loop=loop, lin=lin, direction=way, asked=asked_admittance(law, x, reach), reach=reach)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from taut.maths.singularity import TOP_SPEED
 from taut.maths.snapshot import Snapshot
 from taut.maths.task_inertia import TaskInertia
 from taut.trace import math as tm
+
+if TYPE_CHECKING:
+    from taut.control.tasks.task import Task
 
 __all__ = ["RATE", "asked_of", "eased", "far_away", "may_bound", "out_of_reach", "within_speed"]
 
@@ -66,7 +69,7 @@ def within_speed(x: Snapshot, inertia: TaskInertia, F: Wrench) -> Wrench:
     return out
 
 
-def far_away(law: Law, x: Snapshot, rows: dict[str, Float64Array]) -> Float64Array | None:
+def far_away(law: Law | Task, x: Snapshot, rows: dict[str, Float64Array]) -> Float64Array | None:
     """(k,) how far at least the targets of a run are out of reach [m]; None where the law follows no pose.
 
     Args:
@@ -92,12 +95,13 @@ def far_away(law: Law, x: Snapshot, rows: dict[str, Float64Array]) -> Float64Arr
     return distance_beyond(spheres(x.model, law.controlled_frame, asked), rows["p"], rows["R"])
 
 
-def may_bound(law: Law) -> bool:
+def may_bound(law: Law | Task) -> bool:
     """Whether a law, or one that it holds, has a spring that could be bounded and is not."""
-    return ("error_max" in vars(law) and not law.gives("error_max")) or any(map(may_bound, law.children().values()))
+    own = isinstance(law, Law) and "error_max" in vars(law) and not law.gives("error_max")
+    return own or any(map(may_bound, law.children().values()))
 
 
-def _asked(law: Law) -> Asked | None:
+def _asked(law: Law | Task) -> Asked | None:
     """What of the pose a law asks for, or the law that it holds."""
     own = vars(law)
     if "directions" in own:

@@ -1,0 +1,92 @@
+"""What a call of `ctrl.step` gives that is not plain: read, checked in words, converted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from taut.base.checks import finite_array, float_array
+from taut.base.errors import UsageError, unknown_name
+from taut.base.types import Float64Array
+from taut.control.lawside import LawSide
+from taut.control.trajectories.reference import Sample, Trajectory
+from taut.maths.snapshot import AT_TOOL, MEASUREMENTS
+
+__all__ = ["checked_arguments", "sample_arguments", "step_arguments"]
+
+WHY: Final = {
+    "v": ", measured velocities, unless compiled with sensing=taut.Sensing(velocity='difference')",
+    "F_ext": ", which the law asks for: pass F_ext= or F_app=",
+} | {name: f", which the law asks for: pass {name}=" for name in MEASUREMENTS if name != "F_ext"}
+"""What asks for a measurement, and what would do without it."""
+
+
+def step_arguments(side: LawSide, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[dict[str, Any], Any]:
+    """What is measured, by name, and the sample of the reference, or None.
+
+    Raises:
+        UsageError: Something that is missing, or that this controller does not take.
+    """
+    known = ("q", "v", "ref", "F_app", *MEASUREMENTS)
+    positional: tuple[str, ...] = known[:3]
+    if len(args) == 2 and isinstance(args[1], Sample):
+        positional = ("q", "ref")
+    if len(args) > len(positional):
+        raise UsageError(f"step takes {', '.join(positional)}; got {len(args)} positional arguments")
+    given = dict(zip(positional, args, strict=False))
+    for name, value in kwargs.items():
+        if name not in known:
+            raise unknown_name("step", "argument", name, known)
+        if name in given:
+            raise UsageError(f"step got {name} twice", name=name)
+        given[name] = value
+    if given.get("F_app") is not None:
+        if given.get("F_ext") is not None:
+            raise UsageError("step takes F_ext or F_app, not both: one is minus the other", name="F_app")
+        given["F_ext"] = -finite_array("F_app", given.pop("F_app"), shape=(6,), unit="N, N m")
+    given.pop("F_app", None)
+    ref = given.pop("ref", None)
+    measured = {name: value for name, value in given.items() if value is not None}
+    for name in ("q", *side.needs):
+        if name not in measured:
+            raise UsageError(f"step needs {name}{WHY.get(name, '')}; got none", name=name)
+    for name in measured:
+        if name not in ("q", *side.takes):
+            raise UsageError(
+                f"step got {name}, which this controller does not use"
+                f"{'; its sensing makes v from positions' if name == 'v' else ''}; leave it out",
+                name=name,
+            )
+    return measured, ref
+
+
+def sample_arguments(side: LawSide, ref: Any) -> dict[str, Any]:
+    """The fields of the sample that a law follows, by the path of the input.
+
+    Raises:
+        UsageError: Another kind of sample, or none.
+    """
+    kind = side.law.reference
+    if not isinstance(ref, kind):
+        hint = "; for a trajectory pass ref.at(t)" if isinstance(ref, Trajectory) else ""
+        got = "none" if ref is None else type(ref).__name__
+        raise UsageError(f"step needs ref, a taut.{kind.described()}; got {got}{hint}", name="ref")
+    return {f"ref.{field}": getattr(ref, field) for field in kind.fields(side.arm.n)}
+
+
+def checked_arguments(
+    side: LawSide, given: Mapping[str, Any], inputs: Mapping[str, Float64Array], tick: int
+) -> dict[str, Float64Array]:
+    """What is given as arrays of the shapes of the inputs, by path.
+
+    Raises:
+        ShapeError: An array of another shape.
+        RangeError: NaN or infinity.
+    """
+    joints = side.arm.joint_names
+    checked = {
+        path: float_array(path, value, shape=inputs[path].shape, joints=None if path in AT_TOOL else joints)
+        for path, value in given.items()
+    }
+    side.check_finite(checked, tick)
+    return checked
