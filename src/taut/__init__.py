@@ -57,10 +57,10 @@ if TYPE_CHECKING:
     from taut.control.sensing.sensing import Sensing as Sensing
     from taut.control.side_by_side import SideBySide as SideBySide
     from taut.control.tasks.phase import Phase as Phase
+    from taut.control.trajectories.chunk import chunk as chunk
     from taut.control.trajectories.compound import together as together
     from taut.control.trajectories.hybrid_motion import pressing as pressing
     from taut.control.trajectories.reference import JointMotion as JointMotion
-    from taut.control.trajectories.reference import chunk as chunk
     from taut.control.trajectories.reference import hold as hold
     from taut.control.trajectories.reference import stream as stream
     from taut.control.trajectories.task_force import TaskForce as TaskForce

@@ -12,7 +12,7 @@ from runtime_laws import Array, Pushed, Seen, Spring, TorqueOf, seen
 import taut
 from taut.codegen import loop as codegen_loop
 from taut.codegen import native
-from taut.runtime import fused
+from taut.control.trajectories.feed import ReferenceFeed
 
 # The same formulas in the same order but for the compiler's: relative to the largest number of the column.
 SAME = 1e-12
@@ -225,9 +225,9 @@ class TestLongRuns:
         ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0, ki=5.0), PLANAR)
         plant, ref = taut.RigidPlant(PLANAR, substeps=2), wave(PLANAR)
         whole = taut.run(ctrl, plant, ref, duration=9.0)
-        assert len(whole) > 2 * fused.BLOCK
+        assert len(whole) > 2 * ReferenceFeed.block
         for block in (1 << 20, 999):
-            monkeypatch.setattr(fused, "BLOCK", block)
+            monkeypatch.setattr(ReferenceFeed, "block", block)
             np.testing.assert_array_equal(taut.run(ctrl, plant, ref, duration=9.0).q, whole.q)
 
     def test_keep_one_number_per_tick_and_column(self) -> None:

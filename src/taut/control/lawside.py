@@ -18,9 +18,7 @@ from taut.base.errors import MatchError, NumericalError, RangeError, ShapeError,
 from taut.base.paths import flatten, subtree, unflatten
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
 from taut.control.command import Command, Terms, Torque, Velocity
-from taut.control.describe import all_laws, title
 from taut.control.law import Law, as_array, call, initial_memory
-from taut.control.limiting import anew, fresh_blend, limited, term_names
 from taut.control.limits import Limits
 from taut.control.sensing.sensing import Sensing
 from taut.control.trajectories.reference import Reference, Sample
@@ -113,7 +111,16 @@ class LawSide:
     @property
     def title(self) -> str:
         """What the law is called in messages."""
+        from taut.control.describe import title
+
         return title(self.law)
+
+    @property
+    def laws(self) -> list[tuple[str, Law]]:
+        """All laws by path: the law, or those of the phases, and the laws that they hold."""
+        from taut.control.describe import all_laws
+
+        return list(all_laws(self.law, "law"))
 
     @cached_property
     def model(self) -> Model:
@@ -191,13 +198,14 @@ class LawSide:
             self.check_start(elsewhere, self._own_parameters)  # a law that knows why says it better
             x, command, after = self._first_run(elsewhere)
         self.check_start(x.q, self._own_parameters)
-        total = as_array(command.total, f"the command of {self.title}")
+        total = as_array(command.total, f"the command of {type(self.law).__name__}")
         if isinstance(command, Torque) and "gravity" in x.used:
             self._check_gravity_once(np.asarray(total), np.asarray(x.g))
         added = self._limit_terms(command)
         shapes = {f"law.{path}": np.shape(as_array(v, path)) for path, v in flatten(after).items()}
         n = (self.arm.n,)
-        self.sensing.check_used(x.used, self.title)
+        if self.sensing.needs:
+            self.sensing.check_used(x.used, self.title)
         at_rest = self.sensing_at_start(self.measurements_at_rest(self.arm.home), self._own_parameters)
         shapes |= {f"sensing.{path}": np.shape(value) for path, value in at_rest.items()}
         if (isinstance(command, Torque) and "tau_applied" in x.used) or {"rate_limit", "blend"} & set(added):
@@ -205,6 +213,8 @@ class LawSide:
         if self.limits is not None and "tau_cut" in x.used:
             shapes["limits.tau_cut"] = n
         if "blend" in added:
+            from taut.control.limiting import fresh_blend
+
             shapes |= {f"limits.{name}": np.shape(value) for name, value in fresh_blend(self.arm.n).items()}
         used = x.used | ({"v"} if "speed_limit" in added and isinstance(command, Torque) else set())
         return Probe(kind=command.kind, used=frozenset(used), shapes=shapes, terms=(*command.terms.parts, *added))
@@ -233,6 +243,8 @@ class LawSide:
         """
         if self.limits is None:
             return ()
+        from taut.control.limiting import term_names
+
         who, given = self.title, self.limits.given()
         if not isinstance(command, (Torque, Velocity)):
             raise MatchError(
@@ -308,13 +320,13 @@ class LawSide:
     def recorded(self) -> dict[str, str]:
         """Paths of the memory that a run keeps, as it is after each tick, by its column: law.ik_error."""
         of_task = {} if self.task is None else {"phase": "law.phase", "phase_ended": "law.ended"}
-        kept = (f"{path}.{name}" for path, law in all_laws(self.law, "law") for name in law.recorded)
+        kept = (f"{path}.{name}" for path, law in self.laws for name in law.recorded)
         return of_task | {path: path for path in kept if path in self.probe.shapes}
 
     @cached_property
     def notices(self) -> dict[str, str]:
         """What a run's outcome says where a recorded entry of the memory is not zero, by path."""
-        return {f"{path}.{name}": text for path, law in all_laws(self.law, "law") for name, text in law.notices}
+        return {f"{path}.{name}": text for path, law in self.laws for name, text in law.notices}
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -439,6 +451,8 @@ class LawSide:
         if "limits.tau_cut" in shapes:
             memory["limits.tau_cut"] = tm.zeros(self.arm.n)
         if "limits.bump" in shapes:
+            from taut.control.limiting import fresh_blend
+
             memory |= {f"limits.{name}": value for name, value in fresh_blend(self.arm.n).items()}
         filled = {path: _filled(as_array(memory[path], path), shape) for path, shape in shapes.items()}
         if "limits.bump" in shapes:
@@ -467,6 +481,8 @@ class LawSide:
         total = as_array(command.total, "command")
         applied, terms, held = total, {}, {}
         if self.limits is not None:
+            from taut.control.limiting import anew, limited
+
             given, moving = subtree(parameters, "limits"), x if command.kind == Torque.kind else None
             kept = before if begins is None or "blend" not in given else anew(before, total, begins)
             made = limited(total, kept, given, dt, moving)

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from taut.arm.description import Arm
 from taut.base.errors import UsageError
-from taut.base.named import Named
-from taut.base.paths import subtree
+from taut.base.paths import Named, subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.codegen.engine import Engine
 from taut.codegen.kernel import Kernel
@@ -16,7 +15,6 @@ from taut.codegen.program import Program, trace
 from taut.control.law import Law
 from taut.control.lawside import LawSide
 from taut.control.trajectories.reference import Sample
-from taut.controller.arguments import checked_arguments, sample_arguments, step_arguments
 from taut.controller.kernel import SideFunctions, kernel_of, not_finite, recording_kernel, reference_shapes
 from taut.controller.parameters import Parameters, StateMachine
 from taut.maths.adds import Adds
@@ -24,7 +22,7 @@ from taut.maths.adds import Adds
 if TYPE_CHECKING:
     from taut.control.tasks.feed import TaskSteps
     from taut.control.tasks.task import Task
-    from taut.controller.bound import BoundKernel
+    from taut.controller.calls import BoundKernel
 
 __all__ = ["Controller"]
 
@@ -184,6 +182,8 @@ class Controller:
 
     def _slow(self, *args: Any, **kwargs: Any) -> Any:
         """A tick with whatever was passed: checked in words, converted, started where needed."""
+        from taut.controller.calls import checked_arguments, sample_arguments, step_arguments
+
         given, ref = step_arguments(self.side, args, kwargs)
         kernel, tick = self._kernel, self.ticks if self._machine.started else 0
         with kernel.alone:
@@ -230,7 +230,7 @@ class Controller:
                 "its phases begin: take ctrl.step",
                 name="bind",
             )
-        from taut.controller.bound import BoundKernel
+        from taut.controller.calls import BoundKernel
 
         return BoundKernel(self._kernel, self.law.reference)
 

@@ -131,7 +131,7 @@ def kernel_of(
         first=first,
         failed=failed,
         call=None if slow is None else _call_of(side, slow),
-        what=side.title,
+        what=type(side.law).__name__,
         samples=lambda: _random_samples(side, blocks),
         time="t",
         dt=side.dt,

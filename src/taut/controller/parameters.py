@@ -14,9 +14,7 @@ from taut.base.errors import UsageError, unknown_name
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.kernel import Kernel
-from taut.control.describe import short
 from taut.control.lawside import HELD, TOLD, LawSide
-from taut.control.limiting import take_up
 
 __all__ = ["Parameters", "State", "StateMachine", "take_up_change"]
 
@@ -136,6 +134,8 @@ def take_up_change(kernel: Kernel, before: Float64Array) -> None:
         kernel: Of a controller that blends; its inputs are those of the next tick.
         before: Parameters, flat.
     """
+    from taut.control.limiting import take_up
+
     asked = [kernel.preview(values)["limits.asked"] for values in (before, kernel.blocks.parameters)]
     take_up(kernel.blocks.views("memory"), *asked)
 
@@ -183,6 +183,8 @@ class Parameters(MutableMapping[str, Float64Array]):
         return len(self._side.parameters)
 
     def __repr__(self) -> str:
+        from taut.control.describe import short
+
         return "{" + ", ".join(f"'{path}': {short(value)}" for path, value in self.items()) + "}"
 
     def __reduce__(self) -> NoReturn:

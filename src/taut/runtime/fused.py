@@ -249,7 +249,7 @@ class FusedRun:
         inputs, outputs, before = self.tape.input_rows, self.tape.output_rows, self._state.copy()
         done = self._run.run(inputs[k:end], self._values, self._state, outputs[k:end])
         last = self._feed.ends(self.tape.outputs, k, k + done)
-        if last == k + done:
+        if last is None or last == end:
             return end, done
         self._state[:] = before
         return last, self._run.run(inputs[k:last], self._values, self._state, outputs[k:last])

@@ -7,7 +7,8 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from taut.control.trajectories.reference import Chunk, chunk
+from taut.control.trajectories.chunk import chunk
+from taut.control.trajectories.reference import Chunk
 from taut.control.trajectories.task_force import FRAMES, TaskForce
 from taut.scenarios.toml import Section
 

@@ -5,23 +5,25 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 from taut.arm.description import Arm
 from taut.base.errors import UsageError
 from taut.base.front_door import public_name
 from taut.base.paths import subtree
-from taut.base.quantity import Quantified
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.sensing.filters import LowPass, Notch, check_filter, checked_number, parameters_of
-from taut.control.sensing.velocity import Difference, Kalman, Measured, VelocitySource
-from taut.control.sensing.wrist import SATURATED, Wrist
 from taut.maths.model import PayloadValues
+
+if TYPE_CHECKING:
+    from taut.base.quantity import Quantified
+    from taut.control.sensing.filters import LowPass, Notch
+    from taut.control.sensing.velocity import Difference, Kalman, VelocitySource
+    from taut.control.sensing.wrist import Wrist
 
 __all__ = ["FILTERED", "VELOCITIES", "Sensing"]
 
 Values = Mapping[str, Any]
-Velocity: TypeAlias = Literal["measured", "difference"] | LowPass | Difference | Kalman
+Velocity: TypeAlias = "Literal['measured', 'difference'] | LowPass | Difference | Kalman"
 VELOCITIES: Final[tuple[Literal["measured", "difference"], ...]] = ("measured", "difference")
 FILTERED: Final = ("F_ext", "tau_meas")  # measurements that may have a low-pass of their own
 
@@ -63,6 +65,23 @@ class Sensing:
     tau_meas: LowPass | None = None
 
     def __post_init__(self) -> None:
+        if not self._takes_measured or any(part is not None for part in self._optional.values()):
+            self._check_kinds()
+
+    @property
+    def _takes_measured(self) -> bool:
+        """Whether the law sees the measured velocity as it is, if there is no notch."""
+        return isinstance(self.velocity, str) and self.velocity == "measured"
+
+    @property
+    def _optional(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in ("notch", "wrist", *FILTERED)}
+
+    def _check_kinds(self) -> None:
+        from taut.control.sensing.filters import LowPass, Notch
+        from taut.control.sensing.velocity import Difference, Kalman
+        from taut.control.sensing.wrist import Wrist
+
         word = isinstance(self.velocity, str)
         if self.velocity not in VELOCITIES if word else not isinstance(self.velocity, (LowPass, Difference, Kalman)):
             got = repr(self.velocity) if word else type(self.velocity).__name__
@@ -73,32 +92,35 @@ class Sensing:
                 name="velocity",
             )
         kinds: dict[str, type] = {"notch": Notch, "wrist": Wrist} | dict.fromkeys(FILTERED, LowPass)
-        for name, kind in kinds.items():
-            value = getattr(self, name)
-            if value is not None and not isinstance(value, kind):
+        for name, value in self._optional.items():
+            if value is not None and not isinstance(value, kinds[name]):
                 raise UsageError(
-                    f"{name} must be {public_name(kind)}(...) or None; got {type(value).__name__}", name=name
+                    f"{name} must be {public_name(kinds[name])}(...) or None; got {type(value).__name__}", name=name
                 )
 
     @cached_property
-    def _source(self) -> VelocitySource:
-        if isinstance(self.velocity, LowPass):
-            return Measured(low_pass=self.velocity)
-        if isinstance(self.velocity, (Difference, Kalman)):
-            return self.velocity
-        return Measured() if self.velocity == "measured" else Difference()
+    def _source(self) -> VelocitySource | None:
+        """What makes the velocity; None where the law sees the measured one as it is."""
+        if self._takes_measured:
+            return None
+        from taut.control.sensing.filters import LowPass
+        from taut.control.sensing.velocity import Difference, Measured
+
+        if isinstance(self.velocity, str):
+            return Difference()
+        return Measured(low_pass=self.velocity) if isinstance(self.velocity, LowPass) else self.velocity
 
     @property
     def _parts(self) -> dict[str, Quantified]:
-        given = {name: getattr(self, name) for name in ("notch", *FILTERED)}
-        return {"velocity": self._source} | {name: part for name, part in given.items() if part is not None}
+        given = {"velocity": self._source, **{name: getattr(self, name) for name in ("notch", *FILTERED)}}
+        return {name: part for name, part in given.items() if part is not None}
 
     # ---------------------------------------------------------------- what it declares
 
     @property
     def needs_velocity(self) -> bool:
         """Whether a measured velocity is used."""
-        return self._source.needs_velocity
+        return self._source is None or self._source.needs_velocity
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -113,21 +135,21 @@ class Sensing:
     @property
     def tells(self) -> tuple[str, ...]:
         """What it gives beside measurements: 1.0 in a tick in which a sensor is at the end of its range."""
-        return (SATURATED,) if self.wrist is not None and self.wrist.range is not None else ()
+        return (self.wrist.saturated,) if self.wrist is not None and self.wrist.range is not None else ()
 
     @property
     def alters(self) -> frozenset[str]:
         """Measurements that the law sees otherwise than they are measured."""
         of_notch = {"q", "v"} if self.notch is not None else set()
-        return frozenset({*of_notch, *self.needs, *(() if self.velocity == "measured" else ("v",))})
+        return frozenset({*of_notch, *self.needs, *(() if self._takes_measured else ("v",))})
 
     def parameters(self) -> dict[str, Float64Array]:
         """Run-time parameters by path."""
-        out = {
-            f"{name}.{word}": values
-            for name, part in self._parts.items()
-            for word, values in parameters_of(part).items()
-        }
+        out: dict[str, Float64Array] = {}
+        for name, part in self._parts.items():
+            from taut.control.sensing.filters import parameters_of
+
+            out |= _below(name, parameters_of(part))
         return out if self.wrist is None else out | _below("wrist", self.wrist.parameters())
 
     # ---------------------------------------------------------------- checks
@@ -147,6 +169,8 @@ class Sensing:
         if self.wrist is not None:
             self.wrist.check(arm)
         for name, part, size, entries in self._sizes(arm):
+            from taut.control.sensing.filters import check_filter
+
             check_filter(part, f"sensing.{name}", rate, size, entries)
 
     def checked_parameter(self, path: str, value: ArrayLike, arm: Arm, rate: float) -> Float64Array:
@@ -155,6 +179,8 @@ class Sensing:
         if head == "wrist":
             assert self.wrist is not None
             return self.wrist.checked(word, value, f"sensing.{path}")
+        from taut.control.sensing.filters import checked_number
+
         name, part, size, entries = next(each for each in self._sizes(arm) if each[0] == head)
         return checked_number(part, word, f"sensing.{name}.{word}", value, rate, size, entries)
 
@@ -194,7 +220,7 @@ class Sensing:
             payload: What the tool carries, by the controller's model.
         """
         q, v = measured["q"], measured["v"]
-        memory = _below("velocity", self._source.start(q, v))
+        memory = {} if self._source is None else _below("velocity", self._source.start(q, v))
         if self.notch is not None:
             memory |= _below("notch.q", self.notch.start(q))
             if self.needs_velocity:
@@ -216,7 +242,7 @@ class Sensing:
             return {}
         own = subtree(parameters, "wrist")
         F_ext, cut = self.wrist.corrected(arm, measured["q"], measured["F_ext"], own, payload)
-        return {"F_ext": F_ext} if cut is None else {"F_ext": F_ext, SATURATED: cut}
+        return {"F_ext": F_ext} if cut is None else {"F_ext": F_ext, self.wrist.saturated: cut}
 
     def see(
         self, arm: Arm, measured: Values, memory: Values, parameters: Values, payload: PayloadValues, dt: Any
@@ -240,8 +266,10 @@ class Sensing:
             if self.needs_velocity:
                 v, new = self.notch.filtered(v, subtree(memory, "notch.v"), own, dt)
                 after |= _below("notch.v", new)
-        v, new = self._source.velocity(arm, q, v, subtree(memory, "velocity"), subtree(parameters, "velocity"), dt)
-        after |= _below("velocity", new)
+        if self._source is not None:
+            own, before = subtree(parameters, "velocity"), subtree(memory, "velocity")
+            v, new = self._source.velocity(arm, q, v, before, own, dt)
+            after |= _below("velocity", new)
         if self.wrist is not None:
             new = self.wrist.remembered(arm, measured["q"], measured["F_ext"], subtree(memory, "wrist"))
             after |= _below("wrist", new)
@@ -256,7 +284,7 @@ class Sensing:
     def summary(self) -> str:
         """What it does, in one line."""
         source = self.velocity if isinstance(self.velocity, str) else type(self.velocity).__name__
-        said = [f"v by {source}"] if self.velocity != "measured" else []
+        said = [f"v by {source}"] if not self._takes_measured else []
         said += ["Notch of q and v"] if self.notch is not None else []
         said += [] if self.wrist is None else [f"F_ext without {self.wrist.takes_out}"]
         return ", ".join([*said, *(f"LowPass of {name}" for name in self._filters)]) or "as measured"

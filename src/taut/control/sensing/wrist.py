@@ -17,10 +17,9 @@ from taut.maths.model import PayloadValues, model_of
 from taut.maths.wrist import load_wrench, sensor_place
 from taut.trace import math as tm
 
-__all__ = ["SATURATED", "Wrist"]
+__all__ = ["Wrist"]
 
 Values = Mapping[str, Any]
-SATURATED: Final = "saturated.F_ext"  # 1.0 in a tick whose reading is at the end of the sensor's range
 AT_END: Final = 1.0 - 1e-9  # of the range: turning a reading into the world and back rounds
 SAME: Final = 1e-9  # of a reading's size: two that differ by less are one; noise of a sensor is far above that
 
@@ -68,6 +67,7 @@ class Wrist:
     """
 
     title: ClassVar[str] = "wrist"
+    saturated: ClassVar[str] = "saturated.F_ext"  # 1.0 in a tick whose reading is at the end of the sensor's range
     quantities: ClassVar[Mapping[str, Quantity]] = {
         "bias": Quantity(unit=FORCE_AND_MOMENT),
         "mass": Quantity(unit="kg", rule=">= 0"),

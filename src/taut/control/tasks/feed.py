@@ -24,7 +24,7 @@ __all__ = ["TaskFeed", "TaskSteps", "feed_of"]
 
 NEXT: Final = "law.next"
 TICKS: Final = "law.ticks"
-BLOCK: Final = 256  # ticks that a run takes at once: more would be taken back where a phase begins among them
+TASK_BLOCK: Final = 256  # ticks that a run takes at once: more would be taken back where a phase begins among them
 AHEAD: Final = 512  # ticks whose samples are made at once where ticks are taken one by one
 ONE_BY_ONE: Final = 16  # the same of a trajectory that gives one at a time, so that no tick waits long for them
 
@@ -62,7 +62,7 @@ class TaskFeed:
         UsageError: A stream without a source, in a run.
     """
 
-    block = BLOCK
+    block = TASK_BLOCK
 
     def __init__(self, side: LawSide, task: Task, parameters: Callable[[], Mapping[str, Any]] | None = None) -> None:
         self._side, self._task, self._parameters = side, task, parameters
@@ -107,10 +107,10 @@ class TaskFeed:
         self.prepare(state)
         return True
 
-    def ends(self, outputs: Mapping[str, Float64Array], first: int, end: int) -> int:
-        """Where the ticks from first to end are to end: with the first of them that ends a phase."""
+    def ends(self, outputs: Mapping[str, Float64Array], first: int, end: int) -> int | None:
+        """The tick after the first one from first to end that ends a phase."""
         ended = np.flatnonzero(outputs["phase_ended"][first:end])
-        return first + int(ended[0]) + 1 if len(ended) else end
+        return first + int(ended[0]) + 1 if len(ended) else None
 
     def prepare(self, state: Callable[[], Any]) -> None:
         """Make the reference of the phase from what is seen in its first tick, if that was not done yet."""

@@ -33,8 +33,8 @@ class Feed(Protocol):
         """Whether another reference begins with a tick, so that what was filled beyond it is void."""
         ...
 
-    def ends(self, outputs: Mapping[str, Float64Array], first: int, end: int) -> int:
-        """Where the ticks from first to end, whose outputs are given, are to end as a block."""
+    def ends(self, outputs: Mapping[str, Float64Array], first: int, end: int) -> int | None:
+        """The tick with which another reference begins after the ticks from first to end, by their outputs."""
         ...
 
     def next_question(self, tick: int) -> int | None:
@@ -88,9 +88,9 @@ class ReferenceFeed:
         """Whether another reference begins with a tick: a run of one law has one."""
         return False
 
-    def ends(self, outputs: Mapping[str, Float64Array], first: int, end: int) -> int:  # noqa: ARG002
-        """Where a block of ticks is to end: no tick changes what is followed later."""
-        return end
+    def ends(self, outputs: Mapping[str, Float64Array], first: int, end: int) -> int | None:  # noqa: ARG002
+        """The tick with which another reference begins: none."""
+        return None
 
     def next_question(self, tick: int) -> int | None:
         """The first tick after `tick` at which the source of a stream is asked; None if never.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.arm.doubts import indefinite
+from taut.arm.rules import indefinite
 from taut.base.types import Float64Array
 from taut.control.tasks.task import ENDED
 from taut.control.trajectories.compound import PhaseSample

@@ -12,10 +12,9 @@ from typing import IO, Any, Final
 import numpy as np
 
 from taut.base.checks import readable_file
-from taut.base.errors import FileError, UsageError
+from taut.base.errors import FileError, UsageError, printable
 from taut.base.paths import subtree
 from taut.base.types import Array, Float64Array
-from taut.base.words import printable
 from taut.control.trajectories.compound import TOGETHER, PhaseSample, phase_sample, together_kind
 from taut.control.trajectories.reference import Sample
 from taut.record.description import description_from, outcome_from, unsealed
