@@ -24,8 +24,8 @@ from taut.maths.dynamics import pose
 from taut.maths.model import model_of
 from taut.maths.snapshot import MEASUREMENTS
 from taut.plant.disturbance import COMMAND, of_plant
+from taut.plant.force_feedback import check_force_feedback
 from taut.plant.sensors.sensors import Sensors
-from taut.plant.swing import check_swing
 
 __all__ = [
     "AnyPlant",
@@ -116,7 +116,7 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
     Raises:
         MatchError: Another kind of command; a quantity that is not measured, or compensated twice or not at all.
         ShapeError: Another number of joints.
-        RangeError: A force that swings up on a rigid contact.
+        RangeError: Force feedback that is unstable on a rigid contact.
     """
     law, probe = side.title, side.probe
     if side.arm.n != plant.arm.n:
@@ -151,7 +151,7 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
                 name=name,
             )
     _check_tool(side, plant)
-    check_swing(side, plant)
+    check_force_feedback(side, plant)
     _check_weight(side, plant)
     _check_adds(law, side.adds, probe.used, plant)
     _check_start(side, plant)

@@ -24,7 +24,7 @@ from taut.control.trajectories.feed import ReferenceFeed
 from taut.control.trajectories.reference import Hold
 from taut.loop import DT, Loop
 from taut.maths.snapshot import Snapshot
-from taut.plant.swing import check_swing
+from taut.plant.force_feedback import check_force_feedback
 from taut.record.outcome import Outcome
 from taut.runtime.events import Event, Schedule
 from taut.runtime.tape import LOG_PERIOD, RowLog, Tape
@@ -127,7 +127,7 @@ class FusedRun:
         # changes the numbers.
         self._noise = {name: np.random.default_rng([seed, *name.encode()]) for name in loop.plant.noise}
         side.check_start(q, self._numbers, loop.ref)
-        check_swing(side, loop.plant, q, self._numbers)
+        check_force_feedback(side, loop.plant, q, self._numbers)
         block, packed = self._parameters, self._values  # the feed holds these, and not the run, which holds the feed
         self._feed = feed_of(side, loop.ref, q, lambda: block.views(packed))
         self._drawn = 1  # the noise of row 0 is drawn at the start
