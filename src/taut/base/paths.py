@@ -58,7 +58,7 @@ def subtree(flat: Mapping[str, Any], head: str) -> dict[str, Any]:
 
 
 class Named(dict[str, T]):
-    """A dict whose missing names are told.
+    """A dict that reports missing names with the nearest ones.
 
     Args:
         owner: What has the names, for the message: "the run".
