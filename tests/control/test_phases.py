@@ -142,6 +142,32 @@ def test_guards_tell_where_the_arm_is() -> None:
     assert not holds(lambda x: taut.guards.moved(x, way * 1.001), far)
 
 
+def test_a_guard_sees_the_snapshot_and_the_phase_and_a_law_the_snapshot_alone() -> None:
+    seen: list[Any] = []
+
+    def look(x: taut.guards.GuardView) -> Any:
+        seen.append((type(x), x.elapsed, x.ref, x.begin.q, x.tool, x.T("tool").p, x.n))
+        return x.q[0] > 10.0
+
+    class Looks(taut.Law):
+        """Law: tau = t."""
+
+        def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+            assert isinstance(x, taut.Snapshot)
+            assert not any(hasattr(x, word) for word in ("elapsed", "ref", "begin"))
+            return taut.Torque(P=0.0 * x.q)
+
+    ctrl = taut.compile([taut.Phase(Looks(), Q, until=look)], PLANAR, engine="float")
+    for k in range(3):
+        ctrl.step(REST + 0.1 * k, np.zeros(3))
+    kind, elapsed, ref, begin, tool, p, n = seen[-1]
+    assert (kind, tool, n) == (taut.guards.GuardView, None, 3)
+    assert float(elapsed) == pytest.approx(0.002)
+    np.testing.assert_array_equal(ref.q, REST)
+    np.testing.assert_array_equal(begin, REST)
+    np.testing.assert_array_equal(p, taut.snapshot(PLANAR, REST + 0.2).T("tool").p)
+
+
 def test_the_direction_of_a_contact_may_be_one_of_the_tool() -> None:
     def phase_after(F: list[float], **axes: Any) -> str:
         task = [taut.Phase(PD, until=lambda x: taut.guards.contact(x, 1.0, **axes), name="a")]

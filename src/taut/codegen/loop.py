@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import ctypes
 import functools
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import Final, TypeAlias
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -16,8 +18,9 @@ from taut.codegen.llvm import declarations, kernel
 from taut.codegen.native import NativeModule, compiled, level_for
 from taut.codegen.program import Program, trace
 from taut.codegen.text import Writer
+from taut.loop import Loop
 
-__all__ = ["StepLoop", "TracedSteps", "write_period"]
+__all__ = ["StepLoop", "TracedSteps", "compiled_loop", "write_period"]
 
 COMMAND = "command"  # the output that must be finite as memory must be
 Run: TypeAlias = Callable[[Float64Array, Float64Array, Float64Array, Float64Array], int]
@@ -156,6 +159,32 @@ class StepLoop:
                 return k
             memory[:] = new
         return len(inputs)
+
+
+# A loop keeps its code, so that it is traced once however often it runs. The code is that of a twin of the loop: code
+# that held the loop itself would never be released.
+_COMPILED: Final[WeakKeyDictionary[Loop, StepLoop]] = WeakKeyDictionary()
+
+
+def compiled_loop(loop: Loop, blocks: tuple[Block, Block, Block], example: Flat, *, sound: bool = True) -> StepLoop:
+    """The code of a loop for its engine, made once.
+
+    Args:
+        loop: The loop.
+        blocks: Of inputs, parameters and memory.
+        example: A state of each, flat.
+        sound: Whether engines can be compared at the example; plain Python that is not kept if they cannot.
+    """
+    made = _COMPILED.get(loop)
+    if made is not None:
+        made.expect(loop.ticks)
+        return made
+    twin = copy.copy(loop)
+    steps = Steps(twin.step, *blocks, twin.substep, loop.plant.substeps - 1)
+    made = StepLoop(steps, example, engine=loop.engine if sound else "float", ticks=loop.ticks)
+    if sound:
+        _COMPILED[loop] = made
+    return made
 
 
 def _copied(values: dict[str, Float64Array]) -> dict[str, Float64Array]:

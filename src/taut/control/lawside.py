@@ -400,18 +400,10 @@ class LawSide:
             t: [s].
         """
         copies = {name: np.array(value, dtype=np.float64) for name, value in measured.items()}
-        before = self.sensing_at_start(copies, parameters) if sensing is None else sensing
-        seen, _ = self.sense(copies, before, parameters, self.dt)
-        payload = {name: np.array(value) for name, value in subtree(parameters, "model.payload").items()}
-        return Snapshot(
-            self.model,
-            q=seen["q"],
-            v=seen["v"],
-            t=t,
-            payload=PayloadValues.of(payload),
-            adds=self.adds,
-            measured={name: seen[name] for name in MEASUREMENTS if name in seen},
-        )
+        numbers = {path: np.array(value) for path, value in parameters.items()}
+        before = self.sensing_at_start(copies, numbers) if sensing is None else sensing
+        seen, _ = self.sense(copies, before, numbers, self.dt)
+        return self._snapshot({**seen, "t": t}, seen["v"], numbers, {})
 
     def check_reading(self, measured: Mapping[str, Any], memory: Memory, tick: int) -> None:
         """Whether a tick that was not finite, with finite inputs, had a sensor's fault.

@@ -15,7 +15,7 @@ from taut.codegen.program import Program, trace
 from taut.control.law import Law
 from taut.control.lawside import LawSide
 from taut.control.trajectories.reference import Sample
-from taut.controller.kernel import SideFunctions, kernel_of, not_finite, recording_kernel, reference_shapes
+from taut.controller.kernel import SideFunctions, kernel_of, recording_kernel, reference_shapes
 from taut.controller.parameters import Parameters, StateMachine
 from taut.maths.adds import Adds
 
@@ -36,10 +36,10 @@ class Controller:
 
     def __init__(self, side: LawSide, engine: Engine) -> None:
         self.side = side
-        self._machine = StateMachine(side)
-        self._kernel = kernel_of(side, engine, slow=self._slow, first=self._machine.first, failed=self._failed)
-        self._machine.kernel = self._kernel
-        self.parameters = Parameters(side, self._machine)
+        self._machine = machine = StateMachine(side)
+        self._kernel = kernel_of(side, engine, slow=self._slow, first=machine.first, failed=machine.failed)
+        machine.kernel = self._kernel
+        self.parameters = Parameters(side, machine)
         self._inputs = self._kernel.blocks.views("inputs")
         self._command = self._kernel.blocks.views("outputs")["command"]
         self._task: TaskSteps | None = None
@@ -58,7 +58,7 @@ class Controller:
         return TaskSteps(self.side, task, blocks.views("memory"), sample)
 
     def recording_kernel(self, sensed: tuple[str, ...] = (), ticks: int | None = None) -> Kernel:
-        """A kernel of the same law with blocks of its own, that gives every term in every tick: for simulations.
+        """A kernel of the same law with blocks of its own, which gives every term in every tick: for simulations.
 
         Args:
             sensed: Measurements that it gives too, as the law sees them.
@@ -196,9 +196,6 @@ class Controller:
                 self._inputs[path][...] = value
             kernel.tick()
             return self._command.copy()
-
-    def _failed(self) -> None:
-        raise not_finite(self.side, self._kernel)
 
     def reset(self, tau_applied: ArrayLike | None = None) -> None:
         """Forget everything: the next tick starts memory from what is measured then.

@@ -15,6 +15,7 @@ from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.kernel import Kernel
 from taut.control.lawside import HELD, TOLD, LawSide
+from taut.controller.kernel import not_finite
 
 __all__ = ["Parameters", "State", "StateMachine", "take_up_change"]
 
@@ -109,6 +110,10 @@ class StateMachine:
                 self._enter(state)  # nothing has happened yet
                 raise
             self._torque_at_start = None
+
+    def failed(self) -> NoReturn:
+        """Raise the error of a tick whose numbers are not finite."""
+        raise not_finite(self._side, self.kernel)
 
     def _start(self) -> None:
         """Start memory from the inputs, and from the torque that the plant holds."""

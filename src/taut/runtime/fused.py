@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Iterable, Mapping
 from time import monotonic
 from typing import Any, Final
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -15,9 +13,8 @@ from taut.base.errors import NumericalError, RangeError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.coordinates import BlockCoordinates
-from taut.codegen.engine import Steps
 from taut.codegen.layout import Block
-from taut.codegen.loop import StepLoop
+from taut.codegen.loop import StepLoop, compiled_loop
 from taut.control.limiting import take_up
 from taut.control.tasks.feed import feed_of
 from taut.control.trajectories.feed import ReferenceFeed
@@ -32,10 +29,6 @@ from taut.runtime.tape import LOG_PERIOD, RowLog, Tape
 __all__ = ["FusedRun", "Period"]
 
 FIRST_BLOCK: Final = 16  # of a run with a log, which is written by time: how long a tick takes is not known yet
-
-# A loop keeps its code, so that it is traced once however often it runs. The code is that of a twin of the loop: code
-# that held the loop itself would never be released.
-_COMPILED: Final[WeakKeyDictionary[Loop, StepLoop]] = WeakKeyDictionary()
 
 
 class Period:
@@ -136,7 +129,9 @@ class FusedRun:
         memory = self._started(q, v, first)
         self._memory = Block.of({path: np.shape(value) for path, value in memory.items()})
         self._state = self._memory.pack(memory)
-        self._run = self._compiled(memory, first[0])
+        # A sensor that fails at once is no state to compare engines at.
+        blocks, example = (self._inputs, self._parameters, self._memory), (first[0], self._values, self._state)
+        self._run = compiled_loop(loop, blocks, example, sound=self._sound(memory, first[0]))
         self.tape = Tape(side, loop.plant, loop.ticks, self._inputs, self._run.outputs, info)
         self.tape.input_rows[0] = first[0]
 
@@ -163,23 +158,6 @@ class FusedRun:
         row, plant = self._inputs.views(first[0]), self._loop.plant_at_start(q, v, parameters)
         self._feed.fill(subtree(views, "ref"), 0, lambda: self._seen(plant, None, row))
         return self._loop.start(q, v, row, parameters)
-
-    def _compiled(self, memory: Mapping[str, Any], row: Float64Array) -> StepLoop:
-        """The loop's code; plain Python where a sensor fails at once: that is no state to compare engines at."""
-        loop = self._loop
-        made = _COMPILED.get(loop)
-        if made is not None:
-            made.expect(loop.ticks)
-            return made
-        sound = self._sound(memory, row)
-        twin = copy.copy(loop)
-        blocks = self._inputs, self._parameters, self._memory
-        steps = Steps(twin.step, *blocks, twin.substep, loop.plant.substeps - 1)
-        example = row, self._values, self._state
-        made = StepLoop(steps, example, engine=loop.engine if sound else "float", ticks=loop.ticks)
-        if sound:
-            _COMPILED[loop] = made
-        return made
 
     def _sound(self, memory: Mapping[str, Any], row: Float64Array) -> bool:
         """Whether all that is measured in the first tick is finite."""
