@@ -9,7 +9,7 @@ import numpy as np
 
 from taut.base.checks import finite_array, finite_scalar, read_only, require_at_least, symmetric_psd, vector
 from taut.base.errors import RangeError
-from taut.base.types import Array, Float64Array, Matrix
+from taut.base.types import Array, ArrayLike, Float64Array, Matrix
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
@@ -25,6 +25,7 @@ __all__ = [
     "Payload",
     "Shape",
     "Visual",
+    "checked_payload_entry",
     "inertia_entries",
     "inertia_matrix",
 ]
@@ -173,6 +174,18 @@ def _check_moments(six: Float64Array) -> None:
             name="payload.inertia",
             rule="triangle inequality",
         )
+
+
+def checked_payload_entry(path: str, value: ArrayLike) -> Float64Array:
+    """A new mass, com or inertia of a payload, by the last name in its path."""
+    name = path.rpartition(".")[2]
+    if name == "mass":
+        mass = np.asarray(finite_scalar(path, value, unit="kg"))
+        require_at_least(path, mass, 0.0, unit="kg")
+        return mass
+    if name == "com":
+        return vector(path, value, 3, unit="m")
+    return Payload(inertia=vector(path, value, 6, unit="kg m^2")).inertia
 
 
 # -------------------------------------------------------------------- an inertia as six numbers

@@ -8,16 +8,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from taut.arm.description import Arm, Payload
-from taut.base.checks import finite_array, finite_scalar, require_at_least, vector
+from taut.arm.description import Arm
+from taut.arm.parts import checked_payload_entry
+from taut.base.checks import finite_array, in_compiled_shape
 from taut.base.errors import MatchError, NumericalError, RangeError, ShapeError, UsageError, unknown_name
 from taut.base.paths import flatten, subtree, unflatten
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
-from taut.control.command import Command, Terms, Torque, Velocity
+from taut.control.command import Command, Terms, Torque
 from taut.control.law import Law, as_array, call, initial_memory
 from taut.control.limits import Limits
 from taut.control.sensing.sensing import Sensing
@@ -32,7 +33,7 @@ from taut.trace.graph import LARGEST
 if TYPE_CHECKING:
     from taut.control.tasks.task import Task
 
-__all__ = ["HELD", "TOLD", "LawSide", "Probe", "Tick", "WildTerm", "wild_term"]
+__all__ = ["HELD", "TOLD", "LawSide", "Probe", "Tick"]
 
 TOLD: Final = "held.told"  # inputs of the first tick: whether the torque that the plant holds was told, and it
 HELD: Final = "held.tau_applied"
@@ -201,7 +202,11 @@ class LawSide:
         total = as_array(command.total, f"the command of {type(self.law).__name__}")
         if isinstance(command, Torque) and "gravity" in x.used:
             self._check_gravity_once(np.asarray(total), np.asarray(x.g))
-        added = self._limit_terms(command)
+        added: tuple[str, ...] = ()
+        if self.limits is not None:
+            from taut.control.limiting import terms_of
+
+            added = terms_of(self.limits, command, self.title)
         shapes = {f"law.{path}": np.shape(as_array(v, path)) for path, v in flatten(after).items()}
         n = (self.arm.n,)
         if self.sensing.needs:
@@ -233,39 +238,6 @@ class LawSide:
                 name=who,
                 rule="added once",
             )
-
-    def _limit_terms(self, command: Command) -> tuple[str, ...]:
-        """The terms that limits add to a command of this kind.
-
-        Raises:
-            MatchError: Limits that have no meaning for it.
-            UsageError: The law has a term of that name.
-        """
-        if self.limits is None:
-            return ()
-        from taut.control.limiting import term_names
-
-        who, given = self.title, self.limits.given()
-        if not isinstance(command, (Torque, Velocity)):
-            raise MatchError(
-                f"limits cut torques and velocities, and {who} gives a {command.kind}; leave limits=None",
-                name="limits",
-            )
-        wrong = sorted(given & {"tau", "tau_dot", "v_gain"})
-        if wrong and not isinstance(command, Torque):
-            raise MatchError(
-                f"limits.{wrong[0]} is for torques, and {who} gives a {command.kind}; leave it out, or "
-                "give taut.Limits(v=...)",
-                name="limits",
-            )
-        added = term_names(given)
-        taken = [name for name in added if name in command.terms.parts]
-        if taken:
-            raise UsageError(
-                f"{who} names a term '{taken[0]}', which is what the controller's limits add; give it another name",
-                name=taken[0],
-            )
-        return added
 
     def _first_run(self, q: Float64Array) -> tuple[Snapshot, Command, dict[str, Any]]:
         """Two ticks at rest at q: what was asked for, the command, the memory."""
@@ -515,57 +487,9 @@ class LawSide:
         )
 
 
-class WildTerm(NamedTuple):
-    """A term of a command that is not finite."""
-
-    name: str
-    joint: int
-    value: float
-
-
-def wild_term(terms: Mapping[str, Float64Array]) -> WildTerm | None:
-    """The first of some terms, each (n,), that is not finite; those of the law stand before those of the limits."""
-    for name, values in terms.items():
-        bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size:
-            return WildTerm(name, int(bad[0]), float(values[bad[0]]))
-    return None
-
-
 def _payload_of(parameters: Mapping[str, Any]) -> PayloadValues:
     """What the tool carries, by the controller's model."""
     return PayloadValues.of(subtree(parameters, "model.payload"))
-
-
-def checked_payload_entry(path: str, value: ArrayLike) -> Float64Array:
-    """A new mass, com or inertia of a payload, by the last name in its path."""
-    name = path.rpartition(".")[2]
-    if name == "mass":
-        mass = np.asarray(finite_scalar(path, value, unit="kg"))
-        require_at_least(path, mass, 0.0, unit="kg")
-        return mass
-    if name == "com":
-        return vector(path, value, 3, unit="m")
-    return Payload(inertia=vector(path, value, 6, unit="kg m^2")).inertia
-
-
-def in_compiled_shape(path: str, value: Float64Array, shape: tuple[int, ...]) -> Float64Array:
-    """A parameter in the shape it was compiled with: a scalar k serves as k I, one per joint as a diagonal.
-
-    Raises:
-        ShapeError: It has more entries than the compiled shape has room for.
-    """
-    if value.shape == shape:
-        return value
-    if value.ndim < len(shape) == 2 and value.shape in ((), shape[:1]):
-        return np.eye(shape[0]) * value
-    if value.ndim == 0:
-        return np.full(shape, float(value))
-    raise ShapeError(
-        f"{path} was compiled with shape {shape}; got shape {value.shape}; compile the law with a value of the "
-        "new shape",
-        name=path,
-    )
 
 
 def _initial(law: Law | Task, x: Snapshot, ref: Sample) -> dict[str, Any]:

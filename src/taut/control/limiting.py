@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
+from taut.base.errors import MatchError, UsageError
 from taut.base.types import Array, Float64Array, Vector
+from taut.control.command import Command, Torque, Velocity
+from taut.control.limits import Limits
 from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
 
-__all__ = ["LIMIT_TERMS", "Limited", "anew", "fresh_blend", "limited", "room", "take_up", "term_names"]
+__all__ = ["LIMIT_TERMS", "Limited", "anew", "fresh_blend", "limited", "room", "take_up", "terms_of"]
 
 LIMIT_TERMS: Final = ("rate_limit", "speed_limit", "torque_limit")
 """Terms that limits add to a command, in the order in which they act."""
@@ -82,9 +85,39 @@ def _stages(
         yield "torque_limit", out
 
 
-def term_names(limits: Container[str]) -> tuple[str, ...]:
-    """The terms that limits of these names add to a command."""
-    return tuple(term for name, term in TERM_OF.items() if name in limits)
+def terms_of(limits: Limits, command: Command, who: str) -> tuple[str, ...]:
+    """The terms that limits add to a command of this kind.
+
+    Args:
+        limits: The limits.
+        command: A command of the law.
+        who: The law, for messages.
+
+    Raises:
+        MatchError: Limits that have no meaning for it.
+        UsageError: The law has a term of that name.
+    """
+    given = limits.given()
+    if not isinstance(command, (Torque, Velocity)):
+        raise MatchError(
+            f"limits cut torques and velocities, and {who} gives a {command.kind}; leave limits=None",
+            name="limits",
+        )
+    wrong = sorted(given & {"tau", "tau_dot", "v_gain"})
+    if wrong and not isinstance(command, Torque):
+        raise MatchError(
+            f"limits.{wrong[0]} is for torques, and {who} gives a {command.kind}; leave it out, or "
+            "give taut.Limits(v=...)",
+            name="limits",
+        )
+    added = tuple(term for name, term in TERM_OF.items() if name in given)
+    taken = [name for name in added if name in command.terms.parts]
+    if taken:
+        raise UsageError(
+            f"{who} names a term '{taken[0]}', which is what the controller's limits add; give it another name",
+            name=taken[0],
+        )
+    return added
 
 
 def _slowed(tau: Vector, x: Snapshot, parameters: Mapping[str, Array], dt: Any) -> Vector:

@@ -16,7 +16,8 @@ from taut.codegen.engine import Engine, Flat
 from taut.codegen.kernel import Blocks, Call, Kernel
 from taut.codegen.layout import Block
 from taut.codegen.program import Values, failure
-from taut.control.lawside import HELD, TOLD, LawSide, Probe, WildTerm, wild_term
+from taut.control.command import WildTerm, wild_term
+from taut.control.lawside import HELD, TOLD, LawSide, Probe
 from taut.control.trajectories.reference import Sample
 from taut.maths.snapshot import measurement_shapes
 

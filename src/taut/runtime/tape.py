@@ -14,8 +14,9 @@ from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
 from taut.codegen.program import failure
+from taut.control.command import wild_term
 from taut.control.laws.targets import far_away, may_bound
-from taut.control.lawside import LawSide, wild_term
+from taut.control.lawside import LawSide
 from taut.control.tasks.task import NO_CONTACT
 from taut.loop import AnyPlant
 from taut.maths.snapshot import Snapshot
