@@ -258,8 +258,8 @@ def test_gains_that_swing_up_on_a_rigid_contact_are_refused_there_and_told_elsew
         run(high, taut.pressing(STAY, 5.0), contact=BOARD)
     filtered = taut.compile(law(kfp=1.5), ARM, sensing=taut.Sensing(F_ext=taut.sensors.LowPass(cutoff=50.0)))
     assert run(filtered, taut.pressing(STAY, 5.0), contact=BOARD, duration=0.05).outcome.ok
-    assert law(kfp=[1.0]).swing(1e-3) == pytest.approx(1.005)
-    assert HybridMotionForce(constraint=BOARD, motion=motion()).swing(1e-3) == 0.0
+    assert law(kfp=[1.0]).force_loop_gain(1e-3, None) == pytest.approx(1.005)
+    assert HybridMotionForce(constraint=BOARD, motion=motion()).force_loop_gain(1e-3, None) == 0.0
 
 
 def test_a_force_that_turns_round_each_tick_is_told(faded: taut.Controller) -> None:

@@ -50,6 +50,7 @@ class Sensing:
         UsageError: Something else.
 
     Example:
+        >>> from taut.sensors import Difference, Notch
         >>> sensing = Sensing(velocity=Difference(cutoff=30.0), notch=Notch(frequency=18.0, width=4.0))
         >>> list(sensing.parameters())
         ['velocity.cutoff', 'notch.frequency', 'notch.width', 'notch.depth']
