@@ -156,7 +156,7 @@ def test_the_core_declares_what_it_imports() -> None:
 
 
 LIMITS = {  # the house as it is; a change that needs more says why in the commit that raises a number
-    "lines": (78_500, house.lines),
+    "lines": (78_200, house.lines),
     "lines of code": (53_500, house.code_lines),
     "modules": (453, lambda: len(house.modules())),
     "modules in one folder": (27, house.largest_folder),
