@@ -15,7 +15,7 @@ import numpy as np
 os.environ["TAUT_CACHE_DIR"] = tempfile.mkdtemp()  # so that compiling is measured
 
 import taut
-from taut.codegen.loop import NativeLoop
+from taut.codegen.loop import StepLoop
 from taut.linear.linearise import rest_of
 from taut.linear.loop_map import LoopMap, loop_map
 from taut.linear.period import Point
@@ -96,9 +96,8 @@ def main() -> None:
 
 def _ratio(made: LoopMap, point: Point) -> float:
     """Time of an exact direction over that of a central difference: two ticks of the kernel that runs use."""
-    blocks = (made.inputs, made.parameters, made.memory)
     example = (point.inputs, point.parameters, point.memory)
-    kernel = NativeLoop(made.step, made.substep, made.plant.substeps - 1, *blocks, example)
+    kernel = StepLoop(made.period, example, engine="native")
     rows = np.tile(point.inputs, (TICKS, 1))
     record, memory = np.zeros((TICKS, kernel.outputs.size)), point.memory.copy()
     begin = user()

@@ -14,6 +14,7 @@ import pytest
 import taut
 from taut import Gain, Memory, TautError, Torque
 from taut.arm.parts import Body, Frame, Joint
+from taut.controller.parameters import State
 from taut.errors import MatchError, RangeError, ShapeError, UnknownNameError, UsageError
 
 ARM = taut.load_arm("planar2")
@@ -239,6 +240,43 @@ def test_a_held_torque_is_kept_until_a_first_tick_succeeds(engine: Engine) -> No
     with pytest.raises(RangeError):
         bound.tick()
     np.testing.assert_allclose(ctrl.step(Q, V, REF), [6.0, 6.0], rtol=ROUNDING)
+
+
+@engines
+def test_a_tick_that_fails_leaves_state_and_memory_as_they_were(engine: Engine) -> None:
+    """Fresh, running, changed by a parameter that a blend takes up: each state with its own first tick."""
+    ctrl, wrong = (
+        taut.compile(L.PID(kp=10.0, ki=1.0), ARM, limits=taut.Limits(blend=0.1), engine=engine),
+        Q * math.nan,
+    )
+    machine, states = ctrl._machine, []
+
+    def tick(q: Any) -> None:
+        states.append(machine.state)
+        ctrl.step(q, V, REF)
+
+    def fail() -> None:
+        before = {} if machine.state is State.FRESH else {path: value.copy() for path, value in ctrl.memory.items()}
+        with pytest.raises(RangeError):
+            tick(wrong)
+        assert machine.state is states[-1]
+        assert all(np.array_equal(ctrl.memory[path], value) for path, value in before.items())
+
+    fail()
+    tick(Q)
+    fail()
+    tick(Q)
+    ctrl.parameters["limits.blend"] = 0.2  # limits act at once: there is nothing to take up
+    tick(Q)
+    ctrl.parameters["law.kp"] = 50.0
+    ctrl.parameters["law.ki"] = 2.0
+    fail()
+    tick(Q)
+    tick(Q)
+    ctrl.reset()
+    tick(Q)
+    fresh, running, changed = State.FRESH, State.RUNNING, State.CHANGED
+    assert states == [fresh, fresh, running, running, running, changed, changed, running, fresh]
 
 
 @engines

@@ -56,17 +56,17 @@ if TYPE_CHECKING:
     from taut.control.limits import Limits as Limits
     from taut.control.sensing.sensing import Sensing as Sensing
     from taut.control.side_by_side import SideBySide as SideBySide
-    from taut.control.side_by_side import together as together
     from taut.control.tasks.phase import Phase as Phase
+    from taut.control.trajectories.chunk import chunk as chunk
+    from taut.control.trajectories.compound import together as together
     from taut.control.trajectories.force_reference import TaskForce as TaskForce
     from taut.control.trajectories.force_reference import pressing as pressing
     from taut.control.trajectories.reference import JointMotion as JointMotion
-    from taut.control.trajectories.reference import chunk as chunk
     from taut.control.trajectories.reference import hold as hold
     from taut.control.trajectories.reference import stream as stream
     from taut.control.trajectories.task_reference import TaskMotion as TaskMotion
-    from taut.controller import Controller as Controller
-    from taut.controller import compile as compile
+    from taut.controller.compile import compile as compile
+    from taut.controller.controller import Controller as Controller
     from taut.linear.joint_loop import error_dynamics as error_dynamics
     from taut.linear.linear_system import LinearSystem as LinearSystem
     from taut.linear.linearise import linearise as linearise

@@ -6,6 +6,7 @@ from taut.base.front_door import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from taut.control.tasks.guards import GuardView as GuardView
     from taut.control.tasks.guards import Lasting as Lasting
     from taut.control.tasks.guards import contact as contact
     from taut.control.tasks.guards import lasting as lasting

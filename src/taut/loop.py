@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping, MutableMapping
-from typing import Any, Final, Protocol, runtime_checkable
+from typing import Any, Final, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -17,17 +17,15 @@ from taut.base.checks import finite_array, positive_scalar, read_only
 from taut.base.errors import MatchError, RangeError, ShapeError, UsageError, count_of, unknown_name
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
-from taut.control.describe import title
 from taut.control.lawside import LawSide
-from taut.control.tasks.phases import Phases
 from taut.control.trajectories.reference import Hold, Reference, as_reference
 from taut.maths.adds import Adds
 from taut.maths.dynamics import pose
 from taut.maths.model import model_of
 from taut.maths.snapshot import MEASUREMENTS
 from taut.plant.disturbance import COMMAND, of_plant
+from taut.plant.force_feedback import check_force_feedback
 from taut.plant.sensors.sensors import Sensors
-from taut.plant.swing import check_swing
 
 __all__ = [
     "AnyPlant",
@@ -118,9 +116,9 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
     Raises:
         MatchError: Another kind of command; a quantity that is not measured, or compensated twice or not at all.
         ShapeError: Another number of joints.
-        RangeError: A force that swings up on a rigid contact.
+        RangeError: Force feedback that is unstable on a rigid contact.
     """
-    law, probe = title(side.law), side.probe
+    law, probe = side.title, side.probe
     if side.arm.n != plant.arm.n:
         raise ShapeError(
             f"plant '{plant.name}' has {count_of(plant.arm.n, 'joint')} and the controller's arm "
@@ -153,7 +151,7 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
                 name=name,
             )
     _check_tool(side, plant)
-    check_swing(side, plant)
+    check_force_feedback(side, plant)
     _check_weight(side, plant)
     _check_adds(law, side.adds, probe.used, plant)
     _check_start(side, plant)
@@ -168,11 +166,10 @@ def _provided_by(name: str, plant: AnyPlant) -> str:
 
 def _asking(side: LawSide, name: str) -> str:
     """What asks for a measurement: of a task, the phase."""
-    if isinstance(side.law, Phases):
-        for phase in side.law.phases:
-            if name in dataclasses.replace(side, law=side.law.alone(phase)).probe.used:
-                return f"phase '{phase}'"
-    return title(side.law)
+    if side.task is not None:
+        alone = {phase: dataclasses.replace(side, law=side.task.alone(phase)) for phase in side.task.phases}
+        return next((f"phase '{phase}'" for phase, one in alone.items() if name in one.probe.used), side.title)
+    return side.title
 
 
 def require_no_reference(side: LawSide, ref: object) -> None:
@@ -181,7 +178,7 @@ def require_no_reference(side: LawSide, ref: object) -> None:
     Raises:
         UsageError: There is another one beside them.
     """
-    if isinstance(side.law, Phases) and ref is not None:
+    if side.task is not None and ref is not None:
         raise UsageError(
             "each phase of a task has its own reference, as in taut.Phase(law, reference); leave ref out", name="ref"
         )
@@ -317,7 +314,7 @@ class Loop:
                 name="plant",
             )
         self.side = ctrl.side
-        self.engine = ctrl.engine
+        self.engine: Literal["native", "float"] = "native" if ctrl.engine == "native" else "float"
         self.plant = plant
         check_fit(self.side, plant)
         require_no_reference(self.side, ref)

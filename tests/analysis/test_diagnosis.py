@@ -21,7 +21,6 @@ from taut.analysis import CHECKS, Check, ExaminedRun, Finding, Threshold
 from taut.analysis.diagnosis.checks import SHARED
 from taut.analysis.diagnosis.spectrum import fit_sinusoid
 from taut.cli.main import main
-from taut.control.tasks.phases import Phases
 from taut.record.outcome import Outcome
 from taut.scenarios.scenario import built_in_scenarios, load_scenario
 
@@ -134,7 +133,7 @@ def of_scenario(scenario: str) -> dict[tuple[str, str, str], tuple[str, str] | N
             limits=one.limits,
             adds=one.plant.adds,
         )
-        reference = None if isinstance(ctrl.law, Phases) else one.reference
+        reference = None if ctrl.side.task is not None else one.reference
         more = {"q0": one.q0, "v0": one.v0, "seed": one.seed, "events": one.events, "progress": False}
         diagnosis = taut.doctor(taut.run(ctrl, one.plant, reference, duration=one.duration, **more))
         assert not diagnosis.problems, trial

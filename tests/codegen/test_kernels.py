@@ -13,9 +13,10 @@ import pytest
 import taut
 from taut import math as tm
 from taut.base.types import Float64Array
+from taut.codegen.engine import Steps
 from taut.codegen.layout import Block
 from taut.codegen.llvm import _Body, declarations, kernel, number
-from taut.codegen.loop import FloatLoop, NativeLoop
+from taut.codegen.loop import StepLoop
 from taut.codegen.native import compiled
 from taut.codegen.program import Program, trace
 
@@ -185,7 +186,7 @@ def test_code_gives_the_same_numbers_to_the_last_bit_at_each_level(
     example = np.full(3, 0.5), np.ones(1), np.full(2, 0.25)
     rows, runs = np.random.default_rng(0).standard_normal((500, 3)), []
     for ticks in (1, None):
-        loop = NativeLoop(everything, everything, 0, *blocks, example=example, ticks=ticks)
+        loop = StepLoop(Steps(everything, *blocks), example, engine="native", ticks=ticks)
         memory, outputs = np.array([0.3, -0.2]), np.zeros((500, loop.outputs.size))
         assert loop.run(rows, np.array([0.01]), memory, outputs) == 500
         runs.append((loop.module.code_bytes, memory, outputs))
@@ -196,7 +197,7 @@ def test_code_gives_the_same_numbers_to_the_last_bit_at_each_level(
 
 def test_a_loop_is_compiled_well_once_it_has_run_for_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TAUT_CACHE_DIR", str(tmp_path))
-    loop = NativeLoop(swap, double, 0, *BLOCKS, example=(np.ones(2), np.ones(1), np.ones(4)), ticks=10)
+    loop = StepLoop(Steps(swap, *BLOCKS), (np.ones(2), np.ones(1), np.ones(4)), engine="native", ticks=10)
     first = loop.module
     loop.expect(10_000)
     assert loop.module is first
@@ -228,13 +229,10 @@ def test_new_memory_may_stand_where_the_old_one_stood() -> None:
     assert memory.tolist() == [3.0, 4.0, 11.0, 22.0]
 
 
-def both_loops(
-    step: Any, substep: Any, repeats: int, *blocks: Block
-) -> tuple[NativeLoop | FloatLoop, NativeLoop | FloatLoop]:
+def both_loops(step: Any, substep: Any, repeats: int, *blocks: Block) -> tuple[StepLoop, StepLoop]:
     inputs, parameters, memory = (block.zeros() for block in blocks)
-    example = inputs, parameters, memory
-    native = NativeLoop(step, substep, repeats, *blocks, example=example)
-    return native, FloatLoop(step, substep, repeats, *blocks, example=example)
+    steps, example = Steps(step, *blocks, substep, repeats), (inputs, parameters, memory)
+    return StepLoop(steps, example, engine="native"), StepLoop(steps, example, engine="float")
 
 
 def double(inputs: Any, parameters: Any, memory: Any) -> Any:

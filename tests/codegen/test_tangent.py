@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from taut.codegen.engine import Steps
 from taut.codegen.layout import Block
 from taut.codegen.native import available
 from taut.codegen.tangent import TANGENT, StepTangent
@@ -30,7 +31,7 @@ def substep(inputs: Values, parameters: Values, memory: Values) -> tuple[dict[st
 
 def tangent(engine: str) -> StepTangent:
     blocks = (Block.of({"u": ()}), Block.of({"k": (), "unused": ()}), Block.of({"x": (2,), "n": ()}))
-    return StepTangent(step, substep, REPEATS, *blocks, directed=("k",), outputs=("y",), engine=engine)
+    return StepTangent(Steps(step, *blocks, substep, REPEATS), directed=("k",), outputs=("y",), engine=engine)
 
 
 def by_hand(u: float, k: float, x: np.ndarray, du: float, dk: float, dx: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -76,7 +77,7 @@ def test_the_length_of_a_vector_that_is_zero_has_the_mean_of_its_slopes(engine: 
         return {"y": tm.norm(x)}, {"x": (1.0 + tm.norm(x)) * x}
 
     blocks = (Block.of({}), Block.of({}), Block.of({"x": (2,)}))
-    made = StepTangent(lengths, lengths, 0, *blocks, directed=(), outputs=("y",), engine=engine)
+    made = StepTangent(Steps(lengths, *blocks), directed=(), outputs=("y",), engine=engine)
     none = np.zeros((2, 0))
     out, new = made.rows(none, none, np.array([[0.0, 0.0, 3.0, 4.0], [3.0, 4.0, 1.0, 0.0]]))
     assert made.outputs.views(out)[f"{TANGENT}y"] == pytest.approx([0.0, 0.6])

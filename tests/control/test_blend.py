@@ -170,7 +170,7 @@ class TestATick:
             raise AssertionError("it traces or compiles")
 
         monkeypatch.setattr("taut.codegen.kernel.compiled", refused)
-        monkeypatch.setattr("taut.controller.trace", refused)
+        monkeypatch.setattr("taut.codegen.kernel.trace", refused)
         ctrl.parameters["law.kp"] = 500.0
         ctrl.step(Q, V, REF)
         ctrl.parameters["limits.blend"] = 0.01

@@ -252,13 +252,14 @@ def test_a_streamed_force_that_the_constraint_does_not_bear_is_told_and_left_out
 def test_gains_that_swing_up_on_a_rigid_contact_are_refused_there_and_told_elsewhere() -> None:
     high = taut.compile(law(kfp=1.5), ARM)
     with pytest.raises(
-        taut.errors.RangeError, match=r"under 1 on a rigid contact, .* or it swings up; law has 1\.505; lower"
+        taut.errors.RangeError,
+        match=r"under 1 on a rigid contact, .* or the force loop is unstable; law has 1\.505; lower",
     ):
         run(high, taut.pressing(STAY, 5.0), contact=BOARD)
     filtered = taut.compile(law(kfp=1.5), ARM, sensing=taut.Sensing(F_ext=taut.sensors.LowPass(cutoff=50.0)))
     assert run(filtered, taut.pressing(STAY, 5.0), contact=BOARD, duration=0.05).outcome.ok
-    assert law(kfp=[1.0]).swing(1e-3) == pytest.approx(1.005)
-    assert HybridMotionForce(constraint=BOARD, motion=motion()).swing(1e-3) == 0.0
+    assert law(kfp=[1.0]).force_loop_gain(1e-3, None) == pytest.approx(1.005)
+    assert HybridMotionForce(constraint=BOARD, motion=motion()).force_loop_gain(1e-3, None) == 0.0
 
 
 def test_a_force_that_turns_round_each_tick_is_told(faded: taut.Controller) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.control.tasks.phases import Phases
+from taut.control.tasks.task import Task
 
 PLANAR = taut.load_arm("planar3")
 REST = np.array([0.5, 0.8, 0.6])
@@ -140,6 +140,32 @@ def test_guards_tell_where_the_arm_is() -> None:
     way = float(np.linalg.norm(taut.snapshot(PLANAR, far).T().p - tool.p))
     assert holds(lambda x: taut.guards.moved(x, way * 0.999), far)
     assert not holds(lambda x: taut.guards.moved(x, way * 1.001), far)
+
+
+def test_a_guard_sees_the_snapshot_and_the_phase_and_a_law_the_snapshot_alone() -> None:
+    seen: list[Any] = []
+
+    def look(x: taut.guards.GuardView) -> Any:
+        seen.append((type(x), x.elapsed, x.ref, x.begin.q, x.tool, x.T("tool").p, x.n))
+        return x.q[0] > 10.0
+
+    class Looks(taut.Law):
+        """Law: tau = t."""
+
+        def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+            assert isinstance(x, taut.Snapshot)
+            assert not any(hasattr(x, word) for word in ("elapsed", "ref", "begin"))
+            return taut.Torque(P=0.0 * x.q)
+
+    ctrl = taut.compile([taut.Phase(Looks(), Q, until=look)], PLANAR, engine="float")
+    for k in range(3):
+        ctrl.step(REST + 0.1 * k, np.zeros(3))
+    kind, elapsed, ref, begin, tool, p, n = seen[-1]
+    assert (kind, tool, n) == (taut.guards.GuardView, None, 3)
+    assert float(elapsed) == pytest.approx(0.002)
+    np.testing.assert_array_equal(ref.q, REST)
+    np.testing.assert_array_equal(begin, REST)
+    np.testing.assert_array_equal(p, taut.snapshot(PLANAR, REST + 0.2).T("tool").p)
 
 
 def test_the_direction_of_a_contact_may_be_one_of_the_tool() -> None:
@@ -582,7 +608,7 @@ def test_what_is_no_task_is_refused_in_a_sentence() -> None:
         (lambda: [Move(PD, until=lambda x: taut.guards.reached(x, 1.0, q=1.0))], taut.errors.UsageError, "a guard can tell whether a taut.Pose, TaskMotion or JointMotion is reached; got float"),  # type: ignore[arg-type]
         (lambda: [Move(PD, until=lambda x: taut.guards.contact(x, 1.0, direction=[0, 0, 0]))], taut.errors.RangeError, "direction must have a length; got zeros"),
         (lambda: [Move(PD, until=lambda x: taut.guards.contact(x, -1.0))], taut.errors.RangeError, "force must be >= 0 [N]; got -1.0"),
-        (lambda: [a, Move(taut.laws.PID(kp=np.ones(2)), name="b")], taut.errors.ShapeError, "phase 'b': kp must be a scalar, (3,) or (3, 3) for 3 joints; got shape (2,)"),
+        (lambda: [a, Move(taut.laws.PID(kp=np.ones(2)), name="b")], taut.errors.ShapeError, "phase 'b': kp must be a number, (3,) or (3, 3) [N m/rad | N/m] for 3 joints; got shape (2,)"),
         (lambda: [a, Move(Drive(), name="b")], taut.errors.MatchError, "the phases of a task give commands of one kind; these give 'a' a torque, 'b' a velocity"),
         (lambda: taut.guards.lasting(7, ticks=1), taut.errors.UsageError, "lasting takes a guard, such as lambda x: taut.guards.contact(x, 2.0); got 7"),  # type: ignore[arg-type]
         (lambda: taut.guards.lasting(lambda x: x.t > 1, ticks=0), taut.errors.RangeError, "ticks must be a whole number >= 1; got 0"),
@@ -601,7 +627,7 @@ def test_what_is_no_task_is_refused_in_a_sentence() -> None:
         (lambda: taut.compile([a], PLANAR).step(REST[:2], np.zeros(3)), taut.errors.ShapeError, "q must have shape (3,); got shape (2,)"),
         (lambda: taut.compile([a], PLANAR).step(), taut.errors.UsageError, "step needs q; got none"),
         (lambda: taut.compile([wrist], PLANAR).step(REST, np.zeros(3)), taut.errors.UsageError, "step needs F_ext, which the law asks for: pass F_ext= or F_app=; got none"),
-        (lambda: taut.snapshot(PLANAR, REST).elapsed, taut.errors.UsageError, "x.elapsed is for the guards of a taut.Phase; a law has no phase"),
+        (lambda: taut.snapshot(PLANAR, REST).elapsed, AttributeError, "the snapshot x has no quantity 'elapsed'; did you mean 'measured'?"),
         (lambda: taut.trajectories.Steady(T0=taut.Pose([0, 0, 0])), taut.errors.RangeError, "velocity or angular must be above zero, or nothing moves; got zeros"),
     ]  # fmt: skip
     for make, kind, text in cases:
@@ -646,7 +672,8 @@ def test_a_steady_motion_has_the_rates_of_its_pose() -> None:
 
 
 def test_the_gains_of_a_task_have_the_names_of_its_phases() -> None:
-    law = Phases.of([taut.Phase(PD, name="a"), taut.Phase(PID)])
+    law = Task.of([taut.Phase(PD, name="a"), taut.Phase(PID)])
+    assert not isinstance(law, taut.Law)
     assert list(law.parameters()) == [
         "a.kp",
         "a.kd",

@@ -196,7 +196,7 @@ def test_its_numbers_are_parameters_that_act_without_a_compile(
     law = ShowQ() if sensing.notch is not None and sensing.needs_velocity else ShowV()
     ctrls = [taut.compile(law, ARM, sensing=sensing, engine=engine) for _ in range(2)]
     monkeypatch.setattr("taut.codegen.kernel.compiled", lambda *_: pytest.fail("compiled again"))
-    monkeypatch.setattr("taut.controller.trace", lambda *_: pytest.fail("traced again"))
+    monkeypatch.setattr("taut.codegen.kernel.trace", lambda *_: pytest.fail("traced again"))
     paths = [path for path in ctrls[0].parameters if path.startswith("sensing.")]
     assert paths == [f"sensing.{path}" for path in sensing.parameters()]
     for path in paths:

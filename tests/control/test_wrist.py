@@ -80,7 +80,7 @@ def step(ctrl: taut.Controller, q: Array, F: Array) -> Array:
 def test_every_number_of_it_changes_without_a_compile(engine: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     wrist = taut.sensors.Wrist(bias=(0.0, 0.0), mass=0.0, range=(50.0, 5.0))
     ctrl = taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=wrist), engine=engine)
-    monkeypatch.setattr("taut.controller.trace", lambda *_: pytest.fail("traced again"))
+    monkeypatch.setattr("taut.codegen.kernel.trace", lambda *_: pytest.fail("traced again"))
     paths = [path for path in ctrl.parameters if path.startswith("sensing.")]
     assert paths == [f"sensing.wrist.{name}" for name in ("bias", "mass", "com", "range")]
     q, F = (rows[1] for rows in states())

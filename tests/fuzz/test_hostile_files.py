@@ -21,9 +21,9 @@ from fuzz_logs import chunk, record, with_chunks, write_log
 import taut
 from taut.arm.catalogue import CATALOGUE, is_installed
 from taut.arm.report import check_model
-from taut.base.words import printable
+from taut.base.errors import printable
 from taut.cli.main import main
-from taut.control.tasks.phase_sample import PhaseSample
+from taut.control.trajectories.compound import PhaseSample
 from taut.record.log.mcap_writer import MAGIC
 from taut.scenarios.scenario import load_scenario
 

@@ -10,8 +10,9 @@ from scipy.optimize import fsolve
 
 import taut
 from taut.base.types import Float64Array
+from taut.codegen.engine import Steps
 from taut.codegen.layout import Block
-from taut.codegen.loop import NativeLoop
+from taut.codegen.loop import StepLoop
 from taut.linear.linearise import rest_of
 from taut.linear.loop_map import loop_map
 from taut.linear.margins import scaled_norm
@@ -144,7 +145,8 @@ def test_the_derivative_is_that_of_the_native_kernel(
     inputs, parameters = Block.of(rich.input_shapes()), Block.of(rich.parameter_shapes())
     row, values = rest.point.inputs[: inputs.size].copy(), parameters.pack({**rich.parameters, DT: rich.dt})
     blocks, example = (inputs, parameters, made.memory), (row, values, rest.point.memory)
-    kernel = NativeLoop(rich.step, rich.substep, rich.plant.substeps - 1, *blocks, example)
+    steps = Steps(rich.step, *blocks, rich.substep, rich.plant.substeps - 1)
+    kernel = StepLoop(steps, example, engine="native")
 
     def after(memory: Float64Array, given: Float64Array) -> Float64Array:
         new = memory.copy()

@@ -11,8 +11,9 @@ import pytest
 from runtime_laws import TINY, Array, AtOnly, HandPlant, Seen, Spring, TorqueOf, seen
 
 import taut
+from taut.control.trajectories.feed import ReferenceFeed
 from taut.control.trajectories.reference import Sample, Stream
-from taut.runtime import fused, hosted
+from taut.runtime import hosted
 
 ARM = taut.load_arm("planar2")
 WAVE = taut.trajectories.Sine(center=[0.1, 0.2], amplitude=0.3, frequency=2.0)
@@ -59,8 +60,7 @@ class TestTrajectories:
         self, plant: Callable[[], Any], monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """A reference that knows the past only must not be asked for the end at the start."""
-        for module in (fused, hosted):
-            monkeypatch.setattr(module, "BLOCK", 8)
+        monkeypatch.setattr(ReferenceFeed, "block", 8)
         wave = AtOnly(WAVE)
         run(plant(), wave)
         assert sorted(set(wave.asked)) == pytest.approx([k * 1e-3 for k in range(21)])
@@ -69,9 +69,8 @@ class TestTrajectories:
     def test_that_break_off_leave_a_log_of_what_came_before(
         self, plant: Callable[[], Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     ) -> None:
-        for name, size in (("BLOCK", 8), ("LOG_EVERY", 4)):
-            for module in (fused, hosted):
-                monkeypatch.setattr(module, name, size, raising=False)
+        monkeypatch.setattr(ReferenceFeed, "block", 8)
+        monkeypatch.setattr(hosted, "LOG_EVERY", 4)
 
         class Breaks:
             def at(self, t: float) -> taut.JointMotion:

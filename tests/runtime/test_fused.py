@@ -12,7 +12,7 @@ from runtime_laws import Array, Pushed, Seen, Spring, TorqueOf, seen
 import taut
 from taut.codegen import loop as codegen_loop
 from taut.codegen import native
-from taut.runtime import fused
+from taut.control.trajectories.feed import ReferenceFeed
 
 # The same formulas in the same order but for the compiler's: relative to the largest number of the column.
 SAME = 1e-12
@@ -225,9 +225,9 @@ class TestLongRuns:
         ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0, ki=5.0), PLANAR)
         plant, ref = taut.RigidPlant(PLANAR, substeps=2), wave(PLANAR)
         whole = taut.run(ctrl, plant, ref, duration=9.0)
-        assert len(whole) > 2 * fused.BLOCK
+        assert len(whole) > 2 * ReferenceFeed.block
         for block in (1 << 20, 999):
-            monkeypatch.setattr(fused, "BLOCK", block)
+            monkeypatch.setattr(ReferenceFeed, "block", block)
             np.testing.assert_array_equal(taut.run(ctrl, plant, ref, duration=9.0).q, whole.q)
 
     def test_keep_one_number_per_tick_and_column(self) -> None:
@@ -248,7 +248,7 @@ class TestALoop:
         loop = taut.Loop(taut.compile(taut.laws.PID(kp=50.0), PLANAR), taut.RigidPlant(PLANAR), duration=0.05)
         first = taut.run(loop)
         loop.parameters["law.kp"] = 80.0
-        monkeypatch.setattr("taut.codegen.period.trace", None)  # nothing may be traced any more
+        monkeypatch.setattr("taut.codegen.loop.trace", None)  # nothing may be traced any more
         second = taut.run(loop, v0=[0.1, 0.2])
         other = taut.compile(taut.laws.PID(kp=80.0), PLANAR)
         monkeypatch.undo()
@@ -284,11 +284,12 @@ def test_code_made_anew_for_longer_runs_is_compared_where_the_first_began(monkey
     """And not where it ended: at numbers like 1e19 rounding alone tells engines apart."""
     compared: list[Array] = []
 
-    def samples(example: tuple[Array, Array, Array]) -> list[tuple[Array, Array, Array]]:
-        compared.append(example[2].copy())
-        return [example]
+    def verified(what: str, function: Any, program: Any, samples: Any, name: str = "kernel") -> Any:
+        compared.append(samples()[0][2].copy())
+        return real(what, function, program, samples, name)
 
-    monkeypatch.setattr(codegen_loop, "_samples", samples)
+    real = codegen_loop.verified
+    monkeypatch.setattr(codegen_loop, "verified", verified)
     monkeypatch.setattr(native, "LEVEL", 2)
     ctrl = taut.compile(taut.laws.PID(kp=317.0, kd=20.0), PLANAR)
     loop = taut.Loop(ctrl, taut.RigidPlant(PLANAR, substeps=7), wave(PLANAR), duration=0.3)  # made by no other test

@@ -252,7 +252,7 @@ def test_no_parameter_of_any_stage_needs_a_compile_and_each_has_an_effect(monkey
     def never(*_: Any, **__: Any) -> None:
         raise AssertionError("it traces or compiles")
 
-    for place in ("taut.codegen.native.compiled", "taut.codegen.loop.compiled", "taut.codegen.period.trace"):
+    for place in ("taut.codegen.native.compiled", "taut.codegen.loop.compiled", "taut.codegen.loop.trace"):
         monkeypatch.setattr(place, never)
     idle = set()
     for path, value in list(loop.parameters.items()):

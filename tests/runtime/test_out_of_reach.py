@@ -11,7 +11,7 @@ import pytest
 import taut
 from taut.base.types import Float64Array
 from taut.control.laws.task_space import far_away
-from taut.control.side_by_side import together
+from taut.control.trajectories.compound import together
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.chain import Chain
 from taut.maths.model import model_of

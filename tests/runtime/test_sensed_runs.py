@@ -205,7 +205,7 @@ def test_its_numbers_change_in_a_run_without_a_compile(
     loop = taut.Loop(ctrl, taut.RigidPlant(ARM, sensors=POOR), SWAY, duration=0.02)
     plain = taut.run(loop)
     monkeypatch.setattr("taut.codegen.loop.compiled", lambda *_: pytest.fail("compiled again"))
-    monkeypatch.setattr("taut.codegen.period.trace", lambda *_: pytest.fail("traced again"))
+    monkeypatch.setattr("taut.codegen.loop.trace", lambda *_: pytest.fail("traced again"))
     paths = [path for path in loop.parameters if path.startswith(("sensing.", "sensors."))]
     assert len(paths) == 5 + len(sensing.parameters())
     for path in paths:

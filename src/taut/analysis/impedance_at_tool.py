@@ -15,7 +15,7 @@ from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.paths import subtree
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
-from taut.codegen.loop import FloatLoop, NativeLoop
+from taut.codegen.loop import StepLoop
 from taut.control.combine import Sum, bare
 from taut.control.describe import title
 from taut.control.gains import GainValue
@@ -306,7 +306,7 @@ def tool_impedance(
             "another direction or pose",
             name="direction",
         )
-    law = loop.side.law.bound(subtree(loop.parameters, "law"))
+    law = loop.side.single_law.bound(subtree(loop.parameters, "law"))
     return ToolImpedance(loop=loop, lin=lin, direction=d, specified=_specified_admittance(law, x, reach))
 
 
@@ -463,11 +463,7 @@ def _sine_sweep(
     # The reference is held at the start of the model's own search, not where a law with a steady-state error rests.
     within = WITHIN + float(np.abs(lin.moved).max())
     point = rest_of(loop, map_, lin.q - lin.moved, within).point
-    blocks = (map_.inputs, map_.parameters, map_.memory)
-    kind = NativeLoop if loop.engine == "native" else FloatLoop
-    period = kind(
-        map_.step, map_.substep, map_.plant.substeps - 1, *blocks, (point.inputs, point.parameters, point.memory)
-    )
+    period = StepLoop(map_.period, (point.inputs, point.parameters, point.memory), engine=loop.engine)
     decaying = np.abs(lin.poles)[np.abs(lin.poles) < NO_DECAY]
     settling = math.ceil(math.log(TRANSIENT) / math.log(decaying.max(initial=0.5)))
     rest = map_.recorded(map_.derivative(point))

@@ -14,9 +14,9 @@ from taut.base.errors import UsageError
 from taut.base.paths import subtree
 from taut.base.result import Content, Result, Table
 from taut.base.types import Float64Array, Vector
+from taut.codegen.engine import Steps, best_engine
 from taut.codegen.layout import Block
-from taut.codegen.loop import FloatLoop, NativeLoop
-from taut.codegen.native import available
+from taut.codegen.loop import StepLoop
 from taut.maths import dynamics as dyn
 from taut.maths.model import PayloadValues, model_of
 from taut.record.run import Run
@@ -163,8 +163,8 @@ class _Energies:
         self._numbers = Block.of({"viscous": (n,), "mass": (), "com": (3,), "inertia": (6,)})
         self._model = model_of(arm)
         example = np.cos(np.arange(self._inputs.size)), np.ones(self._numbers.size), np.zeros(0)
-        kind = NativeLoop if available() else FloatLoop
-        self._loop = kind(self._step, self._step, 0, self._inputs, self._numbers, Block(), example)
+        steps = Steps(self._step, self._inputs, self._numbers, Block())
+        self._loop = StepLoop(steps, example, engine=best_engine())
 
     def _step(
         self, inputs: Mapping[str, Any], numbers: Mapping[str, Any], memory: Mapping[str, Any]

@@ -6,19 +6,18 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from taut.arm.builtin import BUILT_IN, COMMANDS
-from taut.arm.catalogue import CATALOGUE, PATTERN, described, entry_tree
 from taut.arm.description import Arm, CommandKind
-from taut.arm.loaders.pinocchio import PinocchioModel, pinocchio_tree
 from taut.arm.loaders.tree import Tree, assemble, rest_position
-from taut.arm.loaders.urdf import urdf_tree
-from taut.arm.loaders.xml import read_xml
 from taut.base.checks import readable_file
 from taut.base.errors import FileError, ModelError, Problem, UsageError, unknown_name
 from taut.base.types import ArrayLike
 from taut.trace.pose import Pose
+
+if TYPE_CHECKING:
+    from taut.arm.loaders.pinocchio import PinocchioModel
 
 __all__ = ["OpenedModel", "arm_of", "load_arm", "open_model"]
 
@@ -165,12 +164,17 @@ def open_model(model: str | os.PathLike[str] | PinocchioModel) -> OpenedModel:
         raise UsageError("model is an Arm already; its methods (with_tool, mounted, subset, ...) give changed copies")
     if not isinstance(model, (str, os.PathLike)):
         if hasattr(model, "jointPlacements"):
+            from taut.arm.loaders.pinocchio import pinocchio_tree
+
             return OpenedModel(tree=pinocchio_tree(model))
         raise UsageError(f"model must be a name or a path; got {type(model).__name__}", name="model")
     if not str(model) or "\0" in str(model):
         raise UsageError(f"model must be a name or a path; got {model!r}", name="model")
     if isinstance(model, str) and model in BUILT_IN:
         return OpenedModel(tree=BUILT_IN[model](), commands=COMMANDS)
+
+    from taut.arm.catalogue import CATALOGUE, PATTERN, described, entry_tree  # with the readers of files
+
     if isinstance(model, str) and model in CATALOGUE:
         entry = CATALOGUE[model]
         return OpenedModel(
@@ -206,8 +210,12 @@ def _read(path: Path, packages: Mapping[str, Path]) -> Tree:
             f"model '{file}' is no .urdf and no MJCF .xml file, and taut reads arms from no others{way_out}",
             name=str(file),
         )
+    from taut.arm.loaders.xml import read_xml
+
     root = read_xml(file)
     if root.tag == "robot":
+        from taut.arm.loaders.urdf import urdf_tree
+
         return urdf_tree(root, file, packages)
     if root.tag == "mujoco":
         from taut.arm.loaders.mjcf import mjcf_tree  # with what it needs, for those who have such a file

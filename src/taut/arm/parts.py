@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
 from taut.base.checks import finite_array, finite_scalar, read_only, require_at_least, symmetric_psd, vector
 from taut.base.errors import RangeError
-from taut.base.types import Float64Array
-from taut.trace.inertia import inertia_entries, inertia_matrix
+from taut.base.types import Array, ArrayLike, Float64Array, Matrix
+from taut.trace import math as tm
 from taut.trace.pose import Pose
 
 __all__ = [
@@ -25,6 +25,9 @@ __all__ = [
     "Payload",
     "Shape",
     "Visual",
+    "checked_payload_entry",
+    "inertia_entries",
+    "inertia_matrix",
 ]
 
 JointKind = Literal["revolute", "continuous", "prismatic"]
@@ -171,3 +174,39 @@ def _check_moments(six: Float64Array) -> None:
             name="payload.inertia",
             rule="triangle inequality",
         )
+
+
+def checked_payload_entry(path: str, value: ArrayLike) -> Float64Array:
+    """A new mass, com or inertia of a payload, by the last name in its path."""
+    name = path.rpartition(".")[2]
+    if name == "mass":
+        mass = np.asarray(finite_scalar(path, value, unit="kg"))
+        require_at_least(path, mass, 0.0, unit="kg")
+        return mass
+    if name == "com":
+        return vector(path, value, 3, unit="m")
+    return Payload(inertia=vector(path, value, 6, unit="kg m^2")).inertia
+
+
+# -------------------------------------------------------------------- an inertia as six numbers
+
+
+def inertia_matrix(six: Any) -> Matrix:
+    """(3, 3) from the six numbers xx, yy, zz, xy, xz, yz, floats or symbols.
+
+    Example:
+        >>> inertia_matrix([1.0, 2.0, 3.0, 0.1, 0.2, 0.3]).tolist()
+        [[1.0, 0.1, 0.2], [0.1, 2.0, 0.3], [0.2, 0.3, 3.0]]
+    """
+    xx, yy, zz, xy, xz, yz = six
+    return tm.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def inertia_entries(I: Matrix) -> Array:
+    """(6,) from a symmetric (3, 3).
+
+    Example:
+        >>> inertia_entries(inertia_matrix([1.0, 2.0, 3.0, 0.1, 0.2, 0.3])).tolist()
+        [1.0, 2.0, 3.0, 0.1, 0.2, 0.3]
+    """
+    return tm.array([I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]])

@@ -8,10 +8,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
+import numpy as np
+
 from taut.arm.builtin import BUILT_IN, COMMANDS
 from taut.arm.catalogue import CATALOGUE, is_installed
 from taut.arm.description import BASE, Arm, CommandKind, Joint
-from taut.arm.doubts import model_doubts
 from taut.arm.friction import FRICTION_FIELDS
 from taut.arm.load import OpenedModel, arm_of, open_model
 from taut.arm.loaders.tree import TreeJoint
@@ -22,6 +23,9 @@ from taut.base.types import Float64Array
 __all__ = ["ArmRow", "CheckReport", "arm_rows", "check_model", "joint_table"]
 
 MORE_OF_JOINTS: Final = (*FRICTION_FIELDS[2:], "gear")  # shown in the table where a joint has it
+DEGREES: Final = (13.0, 1000.0)  # [rad] limits in degrees are in here; no joint turns about twice and stops
+HEAVIEST: Final = 25_000.0  # [kg/m^3] osmium has 22,600
+HEAVIEST_ARM: Final = 1000.0  # [kg/m^3] of all that moves, in a cube as wide as the arm is long; 140 are known
 WORDS: Final = {"stribeck_shape": "shape"}
 
 Json: TypeAlias = "str | float | bool | list[Json] | dict[str, Json] | None"
@@ -305,3 +309,45 @@ def arm_rows() -> list[ArmRow]:
         )
         for entry in CATALOGUE.values()
     ]
+
+
+# -------------------------------------------------------------------- numbers to doubt
+
+
+def model_doubts(arm: Arm) -> Iterator[str]:
+    """What is hard to believe of limits and masses, in sentences: mostly a wrong unit. Nothing of it is refused."""
+    turned = [
+        joint.name
+        for joint in arm.joints
+        if joint.kind == "revolute" and any(DEGREES[0] < abs(x) < DEGREES[1] for x in (joint.lower, joint.upper))
+    ]
+    if turned:
+        yield f"position limits of {quoted_list(turned)} are more than two turns; were they given in degrees?"
+    length = _length(arm)
+    if not math.isfinite(length):
+        return
+    if arm.total_mass > HEAVIEST_ARM * length**3:
+        yield f"{arm.total_mass:.4g} kg are hard to believe of an arm of {length:.3g} m; were masses given in g?"
+    radii = np.array([math.sqrt(float(np.linalg.eigvalsh(body.inertia)[-1]) / body.mass) for body in arm.bodies])
+    balls = 4.0 / 3.0 * math.pi * (math.sqrt(2.5) * radii) ** 3  # [m^3] with the same radius of gyration
+    masses = np.array([body.mass for body in arm.bodies])
+    for wrong, why in (
+        (radii > length, f"its radius of gyration is up to {radii.max():.3g} m, and the arm has {length:.3g} m"),
+        (masses > HEAVIEST * balls, "no matter is so dense that it could be so small for its mass"),
+    ):
+        if wrong.any():
+            links = quoted_list([body.links[0] for body, one in zip(arm.bodies, wrong, strict=True) if one], 3)
+            yield f"the inertia of {links} is hard to believe: {why}; give it in kg m^2, about the centre of mass"
+
+
+def _length(arm: Arm) -> float:
+    """[m] from the first joint to the farthest centre of mass or the tool, were all of it stretched."""
+    joints: list[float] = []
+    for joint in arm.joints:
+        before = 0.0 if joint.parent == BASE else joints[joint.parent] + float(np.linalg.norm(joint.placement.p))
+        slide = max(abs(joint.lower), abs(joint.upper)) if joint.kind == "prismatic" else 0.0
+        joints.append(before + slide)
+    ends = [*zip(range(arm.n), (body.com for body in arm.bodies), strict=True)]
+    tool = arm.frame(None)
+    ends += [(tool.body, tool.placement.p)] if tool.body != BASE else []
+    return max(joints[i] + float(np.linalg.norm(p)) for i, p in ends)

@@ -12,14 +12,23 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from taut.arm.parts import BASE
 from taut.base.errors import Problem, quoted_list, unknown_name
 from taut.base.types import Float64Array
 
 if TYPE_CHECKING:
-    from taut.arm.description import Joint
+    from taut.arm.description import Arm, Joint
     from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink
 
-__all__ = ["check_inertia", "joint_problems", "mass_problems", "structure_problems", "value_problems", "wrong_mass"]
+__all__ = [
+    "check_inertia",
+    "indefinite",
+    "joint_problems",
+    "mass_problems",
+    "structure_problems",
+    "value_problems",
+    "wrong_mass",
+]
 
 AXIS_TOLERANCE: Final = 1e-3  # an axis shorter than this has no direction; any other length is normalised
 INERTIA_TOLERANCE: Final = 1e-6  # relative slack of the triangle inequality, for rounded files
@@ -29,6 +38,9 @@ OTHER_KINDS: Final = {
     "planar": "a planar joint is not one of an arm; write it as two prismatic joints and a revolute one",
     "ball": "a ball joint is not one of an arm; write it as three hinges",
 }
+MIN_EIGENVALUE: Final = 1e-12  # of M scaled to a unit diagonal; rounding is 1e-16 of its entries
+POSES: Final = 10  # random ones, at which M is looked at
+MAX_ENTRIES: Final = 20_000  # of all matrices M: fewer poses of an arm of many joints
 MAX_LENGTH: Final = 1e4  # [m] between two joints, or of a slide; what is farther is a slip, and its square is lost
 MAX_LINKS: Final = 1000  # a humanoid with hands has 100; what is far beyond is no arm
 
@@ -248,3 +260,57 @@ def _triangle(inertia: Float64Array) -> str:
     a, b = (i for i in range(3) if i != k)
     name = [f"I{axis}{axis}" for axis in "xyz"]
     return f"{name[k]} {diagonal[k]:.4g} > {name[a]} + {name[b]} {diagonal[a] + diagonal[b]:.4g}"
+
+
+# -------------------------------------------------------------------- the mass matrix
+
+
+def indefinite(arm: Arm) -> float | None:
+    """The least eigenvalue of M, scaled to a unit diagonal, where it is too small at a random pose; None if never.
+
+    It is what rounding has to stay below, for M to be positive definite in floats too.
+    """
+    poses = max(1, min(POSES, MAX_ENTRIES // arm.n**2))
+    rng = np.random.default_rng(0)
+    low, high = np.maximum(arm.lower, -math.pi), np.minimum(arm.upper, math.pi)
+    q = np.where(low < high, rng.uniform(np.minimum(low, high), np.maximum(low, high), (poses, arm.n)), arm.home)
+    M = _mass_matrices(arm, q)
+    size = np.sqrt(np.einsum("kii->ki", M))
+    if not (np.isfinite(M).all() and (size > 0.0).all()):
+        return 0.0
+    least = float(np.linalg.eigvalsh(M / (size[:, :, np.newaxis] * size[:, np.newaxis, :])).min())
+    return None if least > MIN_EIGENVALUE else least
+
+
+def _mass_matrices(arm: Arm, q: Float64Array) -> Float64Array:
+    """(k, n, n) sum of m J_v^T J_v + J_w^T I J_w over the bodies, and the rotors."""
+    k, n = q.shape
+    R, p = np.zeros((n, k, 3, 3)), np.zeros((n, k, 3))
+    axes = np.zeros((n, k, 3))
+    M = np.zeros((k, n, n)) + np.diag(arm.rotor_inertia)
+    for i, (joint, body) in enumerate(zip(arm.joints, arm.bodies, strict=True)):
+        start = (np.eye(3), np.zeros(3)) if joint.parent == BASE else (R[joint.parent], p[joint.parent])
+        R[i], p[i] = start[0] @ joint.placement.R, start[1] + start[0] @ joint.placement.p
+        axes[i] = R[i] @ joint.axis
+        if joint.kind == "prismatic":
+            p[i] += axes[i] * q[:, i : i + 1]
+        else:
+            R[i] = R[i] @ _about(joint.axis, q[:, i])
+        c = p[i] + R[i] @ body.com
+        moving = list(arm.ancestors(i))
+        slides = np.array([arm.joints[j].kind == "prismatic" for j in moving])[:, np.newaxis, np.newaxis]
+        z = axes[moving]
+        J_v = np.where(slides, z, np.cross(z, c - p[moving]))
+        J_w = np.where(slides, 0.0, z)
+        I = R[i] @ body.inertia @ np.swapaxes(R[i], 1, 2)
+        part = body.mass * np.einsum("ikx,jkx->kij", J_v, J_v) + np.einsum("ikx,kxy,jky->kij", J_w, I, J_w)
+        M[np.ix_(range(k), moving, moving)] += part
+    return M
+
+
+def _about(axis: Float64Array, angle: Float64Array) -> Float64Array:
+    """(k, 3, 3) rotations about a unit axis."""
+    x, y, z = axis
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    s, c = np.sin(angle)[:, np.newaxis, np.newaxis], np.cos(angle)[:, np.newaxis, np.newaxis]
+    return np.asarray(np.eye(3) + s * K + (1.0 - c) * (K @ K))

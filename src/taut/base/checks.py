@@ -18,6 +18,7 @@ __all__ = [
     "finite_array",
     "finite_scalar",
     "float_array",
+    "in_compiled_shape",
     "one_of",
     "positive_scalar",
     "rate_in_hertz",
@@ -313,3 +314,22 @@ def _beside(file: Path) -> str:
         return ""
     near = sorted(other.name for other in file.parent.iterdir() if other.suffix == file.suffix)[:5]
     return f"; '{file.parent}' has {', '.join(repr(name) for name in near)}" if near else ""
+
+
+def in_compiled_shape(path: str, value: Float64Array, shape: tuple[int, ...]) -> Float64Array:
+    """A parameter in the shape it was compiled with: a scalar k serves as k I, one per joint as a diagonal.
+
+    Raises:
+        ShapeError: It has more entries than the compiled shape has room for.
+    """
+    if value.shape == shape:
+        return value
+    if value.ndim < len(shape) == 2 and value.shape in ((), shape[:1]):
+        return np.eye(shape[0]) * value
+    if value.ndim == 0:
+        return np.full(shape, float(value))
+    raise ShapeError(
+        f"{path} was compiled with shape {shape}; got shape {value.shape}; compile the law with a value of the "
+        "new shape",
+        name=path,
+    )

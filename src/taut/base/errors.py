@@ -18,8 +18,6 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, ClassVar, Final
 
-from taut.base.words import printable
-
 __all__ = [
     "FileError",
     "MatchError",
@@ -38,6 +36,7 @@ __all__ = [
     "count_of",
     "missing_extra",
     "one_thread_at_a_time",
+    "printable",
     "quoted_list",
     "raised_location",
     "unknown_name",
@@ -305,3 +304,21 @@ def _is_ours_or_generated(file: Path, code: str) -> bool:
 def _installed() -> tuple[Path, ...]:
     """Where Python keeps its own modules and installed packages."""
     return tuple({Path(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
+
+
+def printable(text: str, *, lines: bool = False) -> str:
+    r"""A text in which control, bidirectional and other invisible characters are written out as escapes.
+
+    A terminal obeys the first and shows what the second hide in another order; a lone surrogate cannot be written.
+
+    Args:
+        text: The text.
+        lines: Keep line breaks and tabs.
+
+    Example:
+        >>> print(printable("a\x1b]0;b\u202e"))
+        a\x1b]0;b\u202e
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or (lines and c in "\n\t") else repr(c)[1:-1] for c in text)

@@ -17,8 +17,9 @@ import numpy as np
 from taut.arm.description import Arm
 from taut.base.errors import count_of
 from taut.base.types import Float64Array
+from taut.codegen.engine import Steps
 from taut.codegen.layout import Block
-from taut.codegen.loop import NativeLoop
+from taut.codegen.loop import StepLoop
 from taut.control.laws.joint import ComputedTorque
 from taut.control.trajectories.joint import Sine
 from taut.control.trajectories.reference import JointMotion
@@ -126,7 +127,8 @@ class BareLoop:
             return {}, after
 
         example = at, self._values, self._start
-        self.native = NativeLoop(step, loop.substep, plant.substeps - 1, inputs, parameters, self.memory, example)
+        steps = Steps(step, inputs, parameters, self.memory, loop.substep, plant.substeps - 1)
+        self.native = StepLoop(steps, example, engine="native")
         self._outputs = np.zeros((ticks, 0))
         self.ticks = ticks
 

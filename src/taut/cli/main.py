@@ -23,8 +23,7 @@ from typing import Any, Final, NoReturn, TextIO, cast
 from rich.console import Console
 from rich.table import Table
 
-from taut.base.errors import FileError, ModelError, TautError, UsageError
-from taut.base.words import printable
+from taut.base.errors import FileError, ModelError, TautError, UsageError, printable
 from taut.cli.compare import COMPARE, add_compare, compare_from
 from taut.scenarios.name_value import with_negative_values
 

@@ -12,7 +12,7 @@ from taut.base.checks import float_array
 from taut.base.errors import UsageError
 from taut.base.types import Array, Float64Array
 from taut.codegen.call import Argument
-from taut.codegen.kernel import Blocks, NativeKernel, verified
+from taut.codegen.kernel import Blocks, Call, Kernel
 from taut.codegen.layout import Block
 from taut.codegen.native import available, warn_of_plain_python
 from taut.codegen.program import Values, trace
@@ -52,7 +52,7 @@ class NativeFunction:
         self._shapes = {name: _shape(name, shape) for name, shape in shapes.items()}
         self._function = function
         self._lock = threading.Lock()  # where calls go through the blocks, in Python
-        self._kernel: NativeKernel | None = None
+        self._kernel: Kernel | None = None
         self.operations = 0
         self.call: Callable[..., Any] = self._slow
         """The bare builtin: the fastest way to call it."""
@@ -63,8 +63,8 @@ class NativeFunction:
         else:
             warn_of_plain_python()
 
-    def _compiled(self) -> NativeKernel:
-        inputs = Block.of(self._shapes)
+    def _compiled(self) -> Kernel:
+        inputs, empty, none = Block.of(self._shapes), Block(), np.zeros(0)
 
         def of_blocks(values: Values, parameters: Values, memory: Values) -> tuple[Values, Values]:  # noqa: ARG001
             return {"result": self._function(*(values[name] for name in self._shapes))}, {}
@@ -72,24 +72,19 @@ class NativeFunction:
         def nothing(values: Values, parameters: Values, memory: Values) -> tuple[Values, Values]:  # noqa: ARG001
             return {}, {}
 
-        program = trace(of_blocks, inputs, Block(), Block())
         rng = np.random.default_rng(0)
-        empty = np.zeros(0)
-        samples = [(rng.standard_normal(inputs.size), empty, empty) for _ in range(3)]
-        name = getattr(self._function, "__name__", "function")
-        return NativeKernel(
-            program,
-            trace(nothing, inputs, Block(), Block()),
-            Blocks(inputs, Block(), Block(), program.outputs),
-            arguments=[Argument((name,)) for name in self._shapes],
-            reference=None,
-            time=None,
-            dt=0.0,
-            guarded=False,
-            slow=self._slow,
+        samples = [(rng.standard_normal(inputs.size), none, none) for _ in range(3)]
+        return Kernel(
+            "native",
+            of_blocks,
+            nothing,
+            Blocks(inputs, empty, empty, trace(of_blocks, inputs, empty, empty).outputs),
             first=_never,
             failed=_never,
-            verify=verified(name, of_blocks, program, lambda: samples),
+            call=Call(arguments=[Argument((name,)) for name in self._shapes], slow=self._slow),
+            what=getattr(self._function, "__name__", "function"),
+            samples=lambda: samples,
+            guarded=False,
         )
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -1,174 +1,172 @@
-"""The native loop: a kernel called many times without coming back to Python."""
+"""StepLoop: a control period, repeated without coming back to Python between its ticks, by either engine."""
 
 from __future__ import annotations
 
 import copy
 import ctypes
 import functools
-from typing import Final
+from collections.abc import Callable
+from typing import Final, TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from taut.base.types import Float64Array
-from taut.codegen.kernel import verified
+from taut.codegen.engine import Engine, Flat, Steps, verified
 from taut.codegen.layout import Block, Field
+from taut.codegen.llvm import declarations, kernel
 from taut.codegen.native import NativeModule, compiled, level_for
-from taut.codegen.period import PeriodCode, write_period
-from taut.codegen.program import Function
+from taut.codegen.program import Program, trace
 from taut.codegen.text import Writer
 from taut.loop import Loop
 
-__all__ = ["FloatLoop", "NativeLoop", "compiled_loop"]
+__all__ = ["StepLoop", "TracedSteps", "compiled_loop", "write_period"]
 
 COMMAND = "command"  # the output that must be finite as memory must be
+Run: TypeAlias = Callable[[Float64Array, Float64Array, Float64Array, Float64Array], int]
 
 
-class FloatLoop:
-    """A step function and its substeps, run as plain Python: for debugging, and where llvmlite is missing.
+class TracedSteps:
+    """A step and its substeps, traced: what the native code of a control period is written from.
 
-    `example` has inputs, parameters and memory, flat, at which the step can be taken, to see what it records: zeros
-    may be values that a law cannot work with.
+    Raises:
+        TraceError: A function that cannot be traced.
     """
 
-    operations = 0
+    def __init__(self, steps: Steps) -> None:
+        blocks = steps.inputs, steps.parameters, steps.memory
+        self.step: Program = trace(steps.step, *blocks)
+        self.inner: Program | None = None
+        if steps.repeats and steps.substep is not None:
+            self.inner = trace(steps.substep, *blocks)
+        self.repeats = steps.repeats
+        inner = 0 if self.inner is None else self.inner.operations
+        self.operations = self.step.operations + inner * self.repeats  # of a period
+        self.length = self.step.operations + inner  # in the code, which may run more than once
 
-    def __init__(
-        self,
-        step: Function,
-        substep: Function,
-        repeats: int,
-        inputs: Block,
-        parameters: Block,
-        memory: Block,
-        example: tuple[Float64Array, Float64Array, Float64Array],
-    ) -> None:
-        self._step, self._substep, self._repeats = step, substep, repeats
-        self._inputs, self._parameters, self._memory = inputs, parameters, memory
-        self.raised: Exception | None = None  # in the last run
-        values = (block.views(flat) for block, flat in zip((inputs, parameters, memory), example, strict=True))
-        with np.errstate(all="ignore"):
-            record, _ = step(*(_copied(value) for value in values))
-        self.outputs = Block.of({path: np.shape(value) for path, value in record.items()})
+    @property
+    def content(self) -> bytes:
+        """A digest of its code."""
+        inner = b"" if self.inner is None else self.inner.content + self.repeats.to_bytes(8, "little")
+        return self.step.content + inner
+
+    def text(self) -> str:
+        """LLVM text of `kernel`, and of `substep` where there are some."""
+        parts = [declarations(), kernel(self.step, "kernel")]
+        if self.inner is not None:
+            parts.append(kernel(self.inner, "substep"))
+        return "\n".join(parts)
+
+
+class StepLoop:
+    """A step and its substeps as a loop over many ticks.
+
+    Machine code is compared with plain Python, when it is compiled, at the example and near it. Where ticks are few
+    it is compiled quickly; `expect` more of them and it is compiled again, to run fast.
+
+    Args:
+        steps: The functions and their blocks.
+        example: Inputs, parameters and memory, flat, at which the step can be taken: zeros may be values that a law
+            cannot work with.
+        engine: What runs it.
+        ticks: How many are expected; any number if left out.
+
+    Raises:
+        TraceError: A function that cannot be traced, or that the two engines evaluate differently.
+    """
+
+    def __init__(self, steps: Steps, example: Flat, *, engine: Engine, ticks: int | None = None) -> None:
+        self.engine = engine
+        self.raised: Exception | None = None  # by plain Python in the last run; compiled code raises nothing
+        self.operations = 0  # of a period, where it is traced
+        self._steps = steps
+        self._run: Run = self._plain_run
+        self._level, self._ticks = -1, 0  # at which it is compiled, and for how many ticks
+        if engine == "native":
+            self._compile(TracedSteps(steps), tuple(part.copy() for part in example), ticks)
+        else:
+            blocks = zip((steps.inputs, steps.parameters, steps.memory), example, strict=True)
+            with np.errstate(all="ignore"):
+                record, _ = steps.step(*(_copied(block.views(flat)) for block, flat in blocks))
+            self.outputs = Block.of({path: np.shape(value) for path, value in record.items()})
 
     def run(self, inputs: Float64Array, parameters: Float64Array, memory: Float64Array, outputs: Float64Array) -> int:
-        """Steps with one row of inputs and of outputs each; the number of them that ended in finite memory.
+        """Ticks with one row of inputs and of outputs each; the number of them that ended in finite memory.
 
-        What the code of a step raises ends them too, and is kept in `raised`.
+        What the Python code of a step raises ends them too, and is kept in `raised`. Machine code runs with the
+        interpreter's lock released.
         """
-        values = self._parameters.views(parameters)
+        for array in (inputs, parameters, memory, outputs):
+            assert array.dtype == np.float64
+            assert array.flags.c_contiguous
+        assert inputs.ndim == outputs.ndim == 2
+        return self._run(inputs, parameters, memory, outputs)
+
+    def expect(self, ticks: int | None) -> None:
+        """Get ready for so many ticks more, or for any number."""
+        if self.engine == "float":
+            return
+        if ticks is not None:
+            self._ticks += ticks
+        level = level_for(None if ticks is None else self._ticks * self.operations / max(self._length, 1))
+        if level > self._level:
+            self._level = level
+            self.module: NativeModule = self._at(level=level)
+            self._run = _native_run(self.module["loop"])
+
+    def _compile(self, traced: TracedSteps, example: tuple[Float64Array, ...], ticks: int | None) -> None:
+        steps, self.outputs = self._steps, traced.step.outputs
+        self.operations, self._length = traced.operations, traced.length
+        rng = np.random.default_rng(0)
+        inputs, parameters, memory = example  # copies, for a run goes on in the arrays that it began with
+        near = [memory, *(memory + 0.01 * rng.standard_normal(memory.shape) for _ in range(2))]
+        samples = [(inputs, parameters, one) for one in near]
+        checks = [verified("the loop", steps.step, traced.step, lambda: samples)]
+        if traced.inner is not None and steps.substep is not None:
+            checks.append(verified("the plant", steps.substep, traced.inner, lambda: samples, "substep"))
+
+        def verify(module: NativeModule) -> None:
+            for check in checks:
+                check(module)
+
+        names = ("loop", "kernel", *(("substep",) if traced.inner is not None else ()))
+        command = next((field for field in self.outputs.fields if field.path == COMMAND), None)
+
+        def text() -> str:
+            return "\n".join([traced.text(), _loop_text(memory.size, traced.repeats, command)])
+
+        self._at = functools.partial(compiled, repr(command).encode() + traced.content, text, names, verify)
+        self.expect(ticks)
+
+    def _plain_run(
+        self, inputs: Float64Array, parameters: Float64Array, memory: Float64Array, outputs: Float64Array
+    ) -> int:
+        steps, values = self._steps, self._steps.parameters.views(parameters)
         self.raised = None
         for k in range(len(inputs)):
-            row = self._inputs.views(inputs[k])
+            row = steps.inputs.views(inputs[k])
             try:
                 with np.errstate(all="ignore"):
-                    record, after = self._step(row, values, _copied(self._memory.views(memory)))
-                    for _ in range(self._repeats):
-                        _, after = self._substep(row, values, after)
+                    record, after = steps.step(row, values, _copied(steps.memory.views(memory)))
+                    for _ in range(steps.repeats if steps.substep is not None else 0):
+                        _, after = steps.substep(row, values, after)  # type: ignore[misc]  # there is one
             except Exception as error:
                 self.raised = error
                 return k
             self.outputs.pack(record, outputs[k])
-            new = self._memory.pack(after)
+            new = steps.memory.pack(after)
             if not (np.isfinite(new).all() and np.isfinite(record.get(COMMAND, 0.0)).all()):
                 return k
             memory[:] = new
         return len(inputs)
 
 
-def _copied(values: dict[str, Float64Array]) -> dict[str, Float64Array]:
-    return {path: value.copy() if value.ndim else value[()] for path, value in values.items()}
-
-
-class NativeLoop:
-    """A step function and its substeps as one native loop.
-
-    When it is compiled it is compared with the plain run at `example` (inputs, parameters, memory, flat) and near it.
-    Where `ticks` are few it is compiled quickly; `expect` more of them and it is compiled again, to run fast.
-    """
-
-    raised: Exception | None = None  # compiled code raises nothing
-
-    def __init__(
-        self,
-        step: Function,
-        substep: Function,
-        repeats: int,
-        inputs: Block,
-        parameters: Block,
-        memory: Block,
-        example: tuple[Float64Array, Float64Array, Float64Array],
-        ticks: int | None = None,
-    ) -> None:
-        period = PeriodCode(step, substep, repeats, inputs, parameters, memory)
-        self.outputs = period.step.outputs
-        row, values, state = (part.copy() for part in example)  # a run goes on in the arrays that it began with
-        example = row, values, state
-        self.operations, self._length = period.operations, period.length
-        checks = [verified("the loop", step, period.step, lambda: _samples(example))]
-        if period.inner is not None:
-            checks.append(verified("the plant", substep, period.inner, lambda: _samples(example), "substep"))
-
-        def verify(module: NativeModule) -> None:
-            for check in checks:
-                check(module)
-
-        names = ("loop", "kernel", *(("substep",) if repeats else ()))
-        command = next((field for field in self.outputs.fields if field.path == COMMAND), None)
-
-        def text() -> str:
-            return "\n".join([period.text(), loop_text(memory.size, repeats, command)])
-
-        self._at = functools.partial(compiled, repr(command).encode() + period.content, text, names, verify)
-        self._level, self._ticks = -1, 0
-        self.expect(ticks)
-
-    def expect(self, ticks: int | None) -> None:
-        """Get ready for so many ticks more, or for any number."""
-        if ticks is not None:
-            self._ticks += ticks
-        level = level_for(None if ticks is None else self._ticks * self.operations / max(self._length, 1))
-        if level <= self._level:
-            return
-        self._level = level
-        self.module: NativeModule = self._at(level=level)
-        kinds = [ctypes.c_int64, ctypes.c_void_p, ctypes.c_int64, *[ctypes.c_void_p] * 3, ctypes.c_int64]
-        self._loop = ctypes.CFUNCTYPE(ctypes.c_int64, *kinds)(self.module["loop"])
-
-    def run(self, inputs: Float64Array, parameters: Float64Array, memory: Float64Array, outputs: Float64Array) -> int:
-        """Steps with one row of inputs and of outputs each; the number of them that ended in finite memory.
-
-        The interpreter's lock is released meanwhile.
-        """
-        for array in (inputs, parameters, memory, outputs):
-            assert array.dtype == np.float64
-            assert array.flags.c_contiguous
-        assert inputs.shape[1:] == () or inputs.ndim == 2
-        return int(
-            self._loop(
-                len(inputs),
-                inputs.ctypes.data,
-                inputs.shape[1],
-                parameters.ctypes.data,
-                memory.ctypes.data,
-                outputs.ctypes.data,
-                outputs.shape[1],
-            )
-        )
-
-
 # A loop keeps its code, so that it is traced once however often it runs. The code is that of a twin of the loop: code
 # that held the loop itself would never be released.
-_COMPILED: Final[WeakKeyDictionary[Loop, NativeLoop | FloatLoop]] = WeakKeyDictionary()
+_COMPILED: Final[WeakKeyDictionary[Loop, StepLoop]] = WeakKeyDictionary()
 
 
-def compiled_loop(
-    loop: Loop,
-    blocks: tuple[Block, Block, Block],
-    example: tuple[Float64Array, Float64Array, Float64Array],
-    *,
-    sound: bool = True,
-) -> NativeLoop | FloatLoop:
+def compiled_loop(loop: Loop, blocks: tuple[Block, Block, Block], example: Flat, *, sound: bool = True) -> StepLoop:
     """The code of a loop for its engine, made once.
 
     Args:
@@ -179,31 +177,56 @@ def compiled_loop(
     """
     made = _COMPILED.get(loop)
     if made is not None:
-        if isinstance(made, NativeLoop):
-            made.expect(loop.ticks)
+        made.expect(loop.ticks)
         return made
     twin = copy.copy(loop)
-    functions = twin.step, twin.substep, loop.plant.substeps - 1
-    if loop.engine == "native" and sound:
-        made = NativeLoop(*functions, *blocks, example, loop.ticks)
-    else:
-        made = FloatLoop(*functions, *blocks, example)
+    steps = Steps(twin.step, *blocks, twin.substep, loop.plant.substeps - 1)
+    made = StepLoop(steps, example, engine=loop.engine if sound else "float", ticks=loop.ticks)
     if sound:
         _COMPILED[loop] = made
     return made
 
 
-def _samples(
-    example: tuple[Float64Array, Float64Array, Float64Array],
-) -> list[tuple[Float64Array, Float64Array, Float64Array]]:
-    """The example, and two states near it."""
-    rng = np.random.default_rng(0)
-    inputs, parameters, memory = example
-    near = [memory + 0.01 * rng.standard_normal(memory.shape) for _ in range(2)]
-    return [(inputs, parameters, m) for m in (memory, *near)]
+def _copied(values: dict[str, Float64Array]) -> dict[str, Float64Array]:
+    return {path: value.copy() if value.ndim else value[()] for path, value in values.items()}
 
 
-def loop_text(memory_size: int, repeats: int, command: Field | None = None) -> str:
+def _native_run(address: int) -> Run:
+    kinds = [ctypes.c_int64, ctypes.c_void_p, ctypes.c_int64, *[ctypes.c_void_p] * 3, ctypes.c_int64]
+    loop = ctypes.CFUNCTYPE(ctypes.c_int64, *kinds)(address)
+
+    def run(inputs: Float64Array, parameters: Float64Array, memory: Float64Array, outputs: Float64Array) -> int:
+        numbers = parameters.ctypes.data, memory.ctypes.data, outputs.ctypes.data
+        return int(loop(len(inputs), inputs.ctypes.data, inputs.shape[1], *numbers, outputs.shape[1]))
+
+    return run
+
+
+# -------------------------------------------------------------------- LLVM text
+
+
+def write_period(w: Writer, parameters: str, memory: str, repeats: int, after: str) -> None:
+    """LLVM text, in a block called head, of `kernel` from `memory` to %new, and `repeats` times `substep` in %new.
+
+    Inputs are at %in and outputs at %out; a block called `after` begins where it ends.
+    """
+    w.line(f" call void @kernel(ptr %in, ptr {parameters}, ptr {memory}, ptr %new, ptr %out)")
+    if repeats:
+        w.line(
+            " br label %inner",
+            "inner:",
+            " %i = phi i64 [0, %head], [%i1, %inner]",
+            f" call void @substep(ptr %in, ptr {parameters}, ptr %new, ptr %new, ptr %out)",
+            " %i1 = add i64 %i, 1",
+            f" %again = icmp slt i64 %i1, {repeats}",
+            f" br i1 %again, label %inner, label %{after}",
+        )
+    else:
+        w.line(f" br label %{after}")
+    w.line(f"{after}:")
+
+
+def _loop_text(memory_size: int, repeats: int, command: Field | None = None) -> str:
     """LLVM text of `loop`: `kernel`, then `substep` `repeats` times, for each row of inputs and outputs.
 
     It returns the number of steps done: fewer than asked where the new memory, or the command among the outputs, was

@@ -13,9 +13,10 @@ from typing import Any, Final
 import numpy as np
 
 from taut.base.types import Float64Array
+from taut.codegen.engine import Engine, Steps
 from taut.codegen.layout import Block
+from taut.codegen.loop import TracedSteps, write_period
 from taut.codegen.native import QUICK, available, compiled
-from taut.codegen.period import PeriodCode, write_period
 from taut.codegen.program import Function, Program, Values
 from taut.codegen.text import Writer
 from taut.trace.array import traced_array
@@ -80,15 +81,10 @@ class StepTangent:
     Where llvmlite is missing, or with engine="float", the program is read node by node, for all directions at once.
 
     Args:
-        step: (inputs, parameters, memory) -> (outputs, new memory).
-        substep: The same for each further part of a period; its outputs do not count.
-        repeats: How many of them.
-        inputs: Block of the step.
-        parameters: Likewise.
-        memory: Likewise.
+        steps: The functions and their blocks.
         directed: Paths of the parameters that a direction may have; inputs and memory always may.
         outputs: Outputs whose derivative is wanted.
-        engine: "native" or "float".
+        engine: What runs it.
 
     Raises:
         TraceError: A function that cannot be traced.
@@ -96,20 +92,18 @@ class StepTangent:
 
     def __init__(
         self,
-        step: Function,
-        substep: Function,
-        repeats: int,
-        inputs: Block,
-        parameters: Block,
-        memory: Block,
+        steps: Steps,
         *,
         directed: Collection[str],
         outputs: Collection[str],
-        engine: str,
+        engine: Engine,
     ) -> None:
-        blocks = (tangent_block(inputs), tangent_block(parameters, directed), tangent_block(memory))
-        self.inputs, self.parameters, self.memory = blocks
-        self._period = PeriodCode(with_tangent(step, outputs), with_tangent(substep, ()), repeats, *blocks)
+        self.inputs, self.memory = tangent_block(steps.inputs), tangent_block(steps.memory)
+        self.parameters = tangent_block(steps.parameters, directed)
+        both = with_tangent(steps.step, outputs)
+        inner = None if steps.substep is None else with_tangent(steps.substep, ())
+        period = Steps(both, self.inputs, self.parameters, self.memory, inner, steps.repeats)
+        self._period = TracedSteps(period)
         self.outputs, self.operations = self._period.step.outputs, self._period.operations
         self._native: Callable[..., None] | None = None
         if engine == "native" and available():
@@ -137,9 +131,9 @@ class StepTangent:
         self, inputs: Float64Array, parameters: Float64Array, memory: Float64Array
     ) -> tuple[Float64Array, Float64Array]:
         out, new = _evaluated(self._period.step, inputs, parameters, memory)
-        for _ in range(self._period.repeats):
-            assert self._period.inner is not None
-            _, new = _evaluated(self._period.inner, inputs, parameters, new)
+        if self._period.inner is not None:
+            for _ in range(self._period.repeats):
+                _, new = _evaluated(self._period.inner, inputs, parameters, new)
         return out, new
 
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from taut.base.errors import UsageError, user_location
-from taut.base.types import Array
+from taut.base.types import Array, Float64Array
 from taut.trace.array import has_symbols
 
-__all__ = ["Command", "Position", "Terms", "Torque", "Velocity"]
+__all__ = ["Command", "Position", "Terms", "Torque", "Velocity", "WildTerm", "wild_term"]
 
 
 class Terms:
@@ -213,3 +213,20 @@ class Position(Command):
 
     kind = "position"
     unit = "rad | m"
+
+
+class WildTerm(NamedTuple):
+    """A term of a command that is not finite."""
+
+    name: str
+    joint: int
+    value: float
+
+
+def wild_term(terms: Mapping[str, Float64Array]) -> WildTerm | None:
+    """The first of some terms, each (n,), that is not finite; those of the law stand before those of the limits."""
+    for name, values in terms.items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            return WildTerm(name, int(bad[0]), float(values[bad[0]]))
+    return None

@@ -6,7 +6,7 @@ import inspect
 import re
 from collections.abc import Iterator
 from types import ModuleType
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from taut.base.types import Array
 from taut.control.combine import Sum, Wrapper
 from taut.control.law import Law
 from taut.control.limits import UNITS
+
+if TYPE_CHECKING:
+    from taut.control.tasks.task import Task
 
 __all__ = [
     "PARAMETER_UNITS",
@@ -59,9 +62,10 @@ def law_classes(door: ModuleType) -> dict[str, type[Law]]:
     }
 
 
-def all_laws(law: Law, name: str = "") -> Iterator[tuple[str, Law]]:
-    """A law and the laws that it holds, each with its path."""
-    yield name, law
+def all_laws(law: Law | Task, name: str = "") -> Iterator[tuple[str, Law]]:
+    """A law and the laws that it holds, each with its path; of a task, those of its phases."""
+    if isinstance(law, Law):
+        yield name, law
     if isinstance(law, Wrapper):
         yield from all_laws(law.law, name)
         return
@@ -84,12 +88,10 @@ def _fields_of_laws(law: type[Law]) -> dict[str, Part[Any]]:
     return {name: field for name, field in parts.items() if any(issubclass(kind, Law) for kind in field.of)}
 
 
-def title(law: Law) -> str:
+def title(law: Law | Task) -> str:
     """A law's name; of a sum, the names of its parts, and of a task those of its phases."""
-    from taut.control.tasks.phases import Phases
-
-    if isinstance(law, Phases):
-        return f"the task of {', '.join(law.phases)}"
+    if not isinstance(law, Law):
+        return law.title
     return " + ".join(law.children()) if isinstance(law, Sum) else type(law).__name__
 
 

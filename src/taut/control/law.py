@@ -23,6 +23,7 @@ from taut.trace.array import has_symbols, traced_array
 
 if TYPE_CHECKING:
     from taut.control.closed_loop import ClosedLoop
+    from taut.control.tasks.task import Task
 
 __all__ = ["Law", "LawMemory", "Remembers", "call", "initial_memory"]
 
@@ -326,14 +327,14 @@ def _declared_memory(part: Remembers) -> dict[str, Any]:
     return out
 
 
-def call(law: Law, x: Snapshot, ref: Sample, memory: LawMemory, dt: Any) -> tuple[Command, dict[str, Any]]:
+def call(law: Law | Task, x: Snapshot, ref: Sample, memory: LawMemory, dt: Any) -> tuple[Command, dict[str, Any]]:
     """One evaluation of a law.
 
     Raises:
         UsageError: What it returns is no command, or its memory does not fit.
     """
     who = type(law).__name__
-    run: Callable[..., Any] = law.command  # type: ignore[attr-defined]  # each subclass declares its own
+    run: Callable[..., Any] = law.command  # type: ignore[union-attr]  # each subclass declares its own
     result = run(x, ref, MemoryView(memory, who), dt) if law.uses_memory else run(x, ref)
     after: Mapping[str, Any] = {}
     if isinstance(result, tuple) and len(result) == 2:

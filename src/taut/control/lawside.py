@@ -8,21 +8,20 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from taut.arm.description import Arm, Payload
-from taut.base.checks import finite_array, finite_scalar, require_at_least, vector
+from taut.arm.description import Arm
+from taut.arm.parts import checked_payload_entry
+from taut.base.checks import finite_array, in_compiled_shape
 from taut.base.errors import MatchError, NumericalError, RangeError, ShapeError, UsageError, unknown_name
 from taut.base.paths import flatten, subtree, unflatten
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
-from taut.control.command import Command, Terms, Torque, Velocity
-from taut.control.describe import all_laws
+from taut.control.command import Command, Terms, Torque
 from taut.control.law import Law, as_array, call, initial_memory
-from taut.control.limits import Limits, anew, fresh_blend, limited, term_names
+from taut.control.limits import Limits
 from taut.control.sensing.sensing import Sensing
-from taut.control.tasks.phases import Phases
 from taut.control.trajectories.reference import Reference, Sample
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
@@ -31,7 +30,10 @@ from taut.maths.snapshot import AT_TOOL, MEASUREMENTS, Snapshot, measurement_sha
 from taut.trace import math as tm
 from taut.trace.graph import LARGEST
 
-__all__ = ["HELD", "TOLD", "LawSide", "Probe", "Tick", "WildTerm", "wild_term"]
+if TYPE_CHECKING:
+    from taut.control.tasks.task import Task
+
+__all__ = ["HELD", "TOLD", "LawSide", "Probe", "Tick"]
 
 TOLD: Final = "held.told"  # inputs of the first tick: whether the torque that the plant holds was told, and it
 HELD: Final = "held.tau_applied"
@@ -68,9 +70,18 @@ class Probe:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LawSide:
-    """A law with what surrounds it on the controller's side, for one arm and one rate."""
+    """A law, or a task that selects among laws, with what surrounds it on the controller's side.
 
-    law: Law
+    Args:
+        law: The law, or the task.
+        arm: The controller's model of the arm.
+        rate: [Hz].
+        sensing: What the law sees of what is measured.
+        limits: What its command is cut to; None for no limit.
+        adds: What the plant adds itself.
+    """
+
+    law: Law | Task
     arm: Arm
     rate: float  # [Hz]
     sensing: Sensing
@@ -81,6 +92,36 @@ class LawSide:
     def dt(self) -> float:
         """Nominal period [s]."""
         return 1.0 / self.rate
+
+    @property
+    def task(self) -> Task | None:
+        """The task, if it is one."""
+        return None if isinstance(self.law, Law) else self.law
+
+    @property
+    def single_law(self) -> Law:
+        """The law, where one acts all the time.
+
+        Raises:
+            UsageError: It is a task.
+        """
+        if not isinstance(self.law, Law):
+            raise UsageError(f"{self.title} has several laws; take a controller of one of them", name="law")
+        return self.law
+
+    @property
+    def title(self) -> str:
+        """What the law is called in messages."""
+        from taut.control.describe import title
+
+        return title(self.law)
+
+    @property
+    def laws(self) -> list[tuple[str, Law]]:
+        """All laws by path: the law, or those of the phases, and the laws that they hold."""
+        from taut.control.describe import all_laws
+
+        return list(all_laws(self.law, "law"))
 
     @cached_property
     def model(self) -> Model:
@@ -162,10 +203,15 @@ class LawSide:
         total = as_array(command.total, f"the command of {type(self.law).__name__}")
         if isinstance(command, Torque) and "gravity" in x.used:
             self._check_gravity_once(np.asarray(total), np.asarray(x.g))
-        added = self._limit_terms(command)
+        added: tuple[str, ...] = ()
+        if self.limits is not None:
+            from taut.control.limits import terms_of
+
+            added = terms_of(self.limits, command, self.title)
         shapes = {f"law.{path}": np.shape(as_array(v, path)) for path, v in flatten(after).items()}
         n = (self.arm.n,)
-        self.sensing.check_used(x.used, type(self.law).__name__)
+        if self.sensing.needs:
+            self.sensing.check_used(x.used, self.title)
         at_rest = self.sensing_at_start(self.measurements_at_rest(self.arm.home), self._own_parameters)
         shapes |= {f"sensing.{path}": np.shape(value) for path, value in at_rest.items()}
         if (isinstance(command, Torque) and "tau_applied" in x.used) or {"rate_limit", "blend"} & set(added):
@@ -173,6 +219,8 @@ class LawSide:
         if self.limits is not None and "tau_cut" in x.used:
             shapes["limits.tau_cut"] = n
         if "blend" in added:
+            from taut.control.limits import fresh_blend
+
             shapes |= {f"limits.{name}": np.shape(value) for name, value in fresh_blend(self.arm.n).items()}
         used = x.used | ({"v"} if "speed_limit" in added and isinstance(command, Torque) else set())
         return Probe(kind=command.kind, used=frozenset(used), shapes=shapes, terms=(*command.terms.parts, *added))
@@ -184,7 +232,7 @@ class LawSide:
             MatchError: It does.
         """
         if np.abs(g).max() > ROUNDING and np.abs(tau - 2.0 * g).max() <= ROUNDING * np.abs(g).max():
-            who = type(self.law).__name__
+            who = self.title
             raise MatchError(
                 f"{who} adds gravity twice: at rest it gives 2 g, {np.round(tau, 4).tolist()}; x.h is "
                 "C v + g, so add x.h or x.g, not both",
@@ -192,43 +240,12 @@ class LawSide:
                 rule="added once",
             )
 
-    def _limit_terms(self, command: Command) -> tuple[str, ...]:
-        """The terms that limits add to a command of this kind.
-
-        Raises:
-            MatchError: Limits that have no meaning for it.
-            UsageError: The law has a term of that name.
-        """
-        if self.limits is None:
-            return ()
-        who, given = type(self.law).__name__, self.limits.given()
-        if not isinstance(command, (Torque, Velocity)):
-            raise MatchError(
-                f"limits cut torques and velocities, and {who} gives a {command.kind}; leave limits=None",
-                name="limits",
-            )
-        wrong = sorted(given & {"tau", "tau_dot", "v_gain"})
-        if wrong and not isinstance(command, Torque):
-            raise MatchError(
-                f"limits.{wrong[0]} is for torques, and {who} gives a {command.kind}; leave it out, or "
-                "give taut.Limits(v=...)",
-                name="limits",
-            )
-        added = term_names(given)
-        taken = [name for name in added if name in command.terms.parts]
-        if taken:
-            raise UsageError(
-                f"{who} names a term '{taken[0]}', which is what the controller's limits add; give it another name",
-                name=taken[0],
-            )
-        return added
-
     def _first_run(self, q: Float64Array) -> tuple[Snapshot, Command, dict[str, Any]]:
         """Two ticks at rest at q: what was asked for, the command, the memory."""
         measured, ref = self.measurements_at_rest(q), self.at_rest(q)
         x = self._snapshot(measured, np.zeros(self.arm.n), self._own_parameters, {})
         law = self.law.bound(subtree(self._own_parameters, "law"))
-        _, after = call(law, x, ref, initial_memory(law, x, ref), self.dt)
+        _, after = call(law, x, ref, _initial(law, x, ref), self.dt)
         command, after = call(law, x, ref, after, self.dt)
         return x, command, after
 
@@ -275,14 +292,14 @@ class LawSide:
     @cached_property
     def recorded(self) -> dict[str, str]:
         """Paths of the memory that a run keeps, as it is after each tick, by its column: law.ik_error."""
-        of_task = {"phase": "law.phase", "phase_ended": "law.ended"} if isinstance(self.law, Phases) else {}
-        kept = (f"{path}.{name}" for path, law in all_laws(self.law, "law") for name in law.recorded)
+        of_task = {} if self.task is None else {"phase": "law.phase", "phase_ended": "law.ended"}
+        kept = (f"{path}.{name}" for path, law in self.laws for name in law.recorded)
         return of_task | {path: path for path in kept if path in self.probe.shapes}
 
     @cached_property
     def notices(self) -> dict[str, str]:
         """What a run's outcome says where a recorded entry of the memory is not zero, by path."""
-        return {f"{path}.{name}": text for path, law in all_laws(self.law, "law") for name, text in law.notices}
+        return {f"{path}.{name}": text for path, law in self.laws for name, text in law.notices}
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -340,6 +357,27 @@ class LawSide:
                     f"{error} in tick {tick}", name=name, joint=error.joint, value=error.value, rule=error.rule
                 ) from None
 
+    def seen(
+        self,
+        measured: Mapping[str, Any],
+        sensing: Mapping[str, Any] | None,
+        parameters: Mapping[str, Any],
+        t: float,
+    ) -> Snapshot:
+        """What the law sees at one instant, as plain numbers: what the source of a stream is given.
+
+        Args:
+            measured: What the sensors give; copied.
+            sensing: Memory of sensing, by path below "sensing"; None before the first tick.
+            parameters: All parameters of the law side, by path.
+            t: [s].
+        """
+        copies = {name: np.array(value, dtype=np.float64) for name, value in measured.items()}
+        numbers = {path: np.array(value) for path, value in parameters.items()}
+        before = self.sensing_at_start(copies, numbers) if sensing is None else sensing
+        seen, _ = self.sense(copies, before, numbers, self.dt)
+        return self._snapshot({**seen, "t": t}, seen["v"], numbers, {})
+
     def check_reading(self, measured: Mapping[str, Any], memory: Memory, tick: int) -> None:
         """Whether a tick that was not finite, with finite inputs, had a sensor's fault.
 
@@ -374,10 +412,12 @@ class LawSide:
             held = {"tau_applied": tau}
             x = self._snapshot(seen, seen["v"], parameters, held)
         law = self.law.bound(subtree(parameters, "law"))
-        memory = flatten({"law": initial_memory(law, x, ref), "sensing": sensing, "limits": held})
+        memory = flatten({"law": _initial(law, x, ref), "sensing": sensing, "limits": held})
         if "limits.tau_cut" in shapes:
             memory["limits.tau_cut"] = tm.zeros(self.arm.n)
         if "limits.bump" in shapes:
+            from taut.control.limits import fresh_blend
+
             memory |= {f"limits.{name}": value for name, value in fresh_blend(self.arm.n).items()}
         filled = {path: _filled(as_array(memory[path], path), shape) for path, shape in shapes.items()}
         if "limits.bump" in shapes:
@@ -395,7 +435,7 @@ class LawSide:
     ) -> Tick:
         """One tick: sense, evaluate the law, limit."""
         nested = unflatten(memory)
-        begins = Phases.begins(nested["law"]) if isinstance(self.law, Phases) else None
+        begins = None if self.task is None else self.task.begins(nested["law"])
         before = nested.get("limits", {})
         if begins is not None and "tau_cut" in before:  # what another law was cut is nothing for this one's integral
             before = {**before, "tau_cut": tm.where(begins, tm.zeros(self.arm.n), before["tau_cut"])}
@@ -406,6 +446,8 @@ class LawSide:
         total = as_array(command.total, "command")
         applied, terms, held = total, {}, {}
         if self.limits is not None:
+            from taut.control.limits import anew, limited
+
             given, moving = subtree(parameters, "limits"), x if command.kind == Torque.kind else None
             kept = before if begins is None or "blend" not in given else anew(before, total, begins)
             made = limited(total, kept, given, dt, moving)
@@ -446,60 +488,17 @@ class LawSide:
         )
 
 
-class WildTerm(NamedTuple):
-    """A term of a command that is not finite."""
-
-    name: str
-    joint: int
-    value: float
-
-
-def wild_term(terms: Mapping[str, Float64Array]) -> WildTerm | None:
-    """The first of some terms, each (n,), that is not finite; those of the law stand before those of the limits."""
-    for name, values in terms.items():
-        bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size:
-            return WildTerm(name, int(bad[0]), float(values[bad[0]]))
-    return None
-
-
 def _payload_of(parameters: Mapping[str, Any]) -> PayloadValues:
     """What the tool carries, by the controller's model."""
     return PayloadValues.of(subtree(parameters, "model.payload"))
 
 
-def checked_payload_entry(path: str, value: ArrayLike) -> Float64Array:
-    """A new mass, com or inertia of a payload, by the last name in its path."""
-    name = path.rpartition(".")[2]
-    if name == "mass":
-        mass = np.asarray(finite_scalar(path, value, unit="kg"))
-        require_at_least(path, mass, 0.0, unit="kg")
-        return mass
-    if name == "com":
-        return vector(path, value, 3, unit="m")
-    return Payload(inertia=vector(path, value, 6, unit="kg m^2")).inertia
+def _initial(law: Law | Task, x: Snapshot, ref: Sample) -> dict[str, Any]:
+    """Memory at the first tick."""
+    return initial_memory(law, x, ref) if isinstance(law, Law) else law.initial_memory(x, ref)
 
 
-def in_compiled_shape(path: str, value: Float64Array, shape: tuple[int, ...]) -> Float64Array:
-    """A parameter in the shape it was compiled with: a scalar k serves as k I, one per joint as a diagonal.
-
-    Raises:
-        ShapeError: It has more entries than the compiled shape has room for.
-    """
-    if value.shape == shape:
-        return value
-    if value.ndim < len(shape) == 2 and value.shape in ((), shape[:1]):
-        return np.eye(shape[0]) * value
-    if value.ndim == 0:
-        return np.full(shape, float(value))
-    raise ShapeError(
-        f"{path} was compiled with shape {shape}; got shape {value.shape}; compile the law with a value of the "
-        "new shape",
-        name=path,
-    )
-
-
-def _nested_memory(law: Law, memory: Mapping[str, Any]) -> dict[str, Any]:
+def _nested_memory(law: Law | Task, memory: Mapping[str, Any]) -> dict[str, Any]:
     """Memory with a place for every law that is held, also for those that remember nothing."""
     children = {name: _nested_memory(child, memory.get(name, {})) for name, child in law.children().items()}
     return {**memory, **children}

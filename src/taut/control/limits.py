@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Final
 
@@ -11,8 +11,9 @@ import numpy as np
 
 from taut.arm.description import Arm
 from taut.base.checks import finite_array, require_positive
-from taut.base.errors import ModelError, Problem, RangeError, ShapeError, UsageError, unknown_name
+from taut.base.errors import MatchError, ModelError, Problem, RangeError, ShapeError, UsageError, unknown_name
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
+from taut.control.command import Command, Torque, Velocity
 from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
 
@@ -27,7 +28,7 @@ __all__ = [
     "limited",
     "room",
     "take_up",
-    "term_names",
+    "terms_of",
 ]
 
 RATE_PER_EFFORT: Final = 10.0  # default torque rate: ten times the effort limit per second
@@ -252,9 +253,39 @@ def _stages(
         yield "torque_limit", out
 
 
-def term_names(limits: Container[str]) -> tuple[str, ...]:
-    """The terms that limits of these names add to a command."""
-    return tuple(term for name, term in TERM_OF.items() if name in limits)
+def terms_of(limits: Limits, command: Command, who: str) -> tuple[str, ...]:
+    """The terms that limits add to a command of this kind.
+
+    Args:
+        limits: The limits.
+        command: A command of the law.
+        who: The law, for messages.
+
+    Raises:
+        MatchError: Limits that have no meaning for it.
+        UsageError: The law has a term of that name.
+    """
+    given = limits.given()
+    if not isinstance(command, (Torque, Velocity)):
+        raise MatchError(
+            f"limits cut torques and velocities, and {who} gives a {command.kind}; leave limits=None",
+            name="limits",
+        )
+    wrong = sorted(given & {"tau", "tau_dot", "v_gain"})
+    if wrong and not isinstance(command, Torque):
+        raise MatchError(
+            f"limits.{wrong[0]} is for torques, and {who} gives a {command.kind}; leave it out, or "
+            "give taut.Limits(v=...)",
+            name="limits",
+        )
+    added = tuple(term for name, term in TERM_OF.items() if name in given)
+    taken = [name for name in added if name in command.terms.parts]
+    if taken:
+        raise UsageError(
+            f"{who} names a term '{taken[0]}', which is what the controller's limits add; give it another name",
+            name=taken[0],
+        )
+    return added
 
 
 def _slowed(tau: Vector, x: Snapshot, parameters: Mapping[str, Array], dt: Any) -> Vector:

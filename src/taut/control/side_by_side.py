@@ -1,26 +1,23 @@
-"""SideBySide: laws that act on disjoint joints, such as those of two arms on a torso, and what they follow."""
+"""SideBySide: laws that act on disjoint joints, such as those of two arms on a torso."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import Any, ClassVar, Final, Self
+from typing import Any, Self
 
 from taut.arm.description import Arm
 from taut.base.errors import MatchError, UsageError, unknown_name
-from taut.base.types import Array, Float64Array
+from taut.base.types import Array
 from taut.control.command import Command, Terms
 from taut.control.law import Law, MemoryView, call
-from taut.control.trajectories.reference import Hold, JointMotion, Sample, Trajectory
-from taut.maths.model import model_of
-from taut.maths.snapshot import Snapshot
+from taut.control.trajectories.compound import joined, require_part_name, together_kind
+from taut.control.trajectories.reference import Sample
+from taut.maths.model import Model, model_of
+from taut.maths.snapshot import AT_TOOL, Snapshot
 from taut.trace import math as tm
 
-__all__ = ["SideBySide", "together"]
-
-TOGETHER: Final = "Together["  # the names of such kinds of samples begin with it
-Parts = tuple[tuple[str, type[Sample], int], ...]
-"""Name of each part, the kind of its sample, and its number of joints; 0 where the sample does not depend on it."""
+__all__ = ["SideBySide"]
 
 
 class SideBySide(Law):
@@ -87,13 +84,13 @@ class SideBySide(Law):
         """What each part sees: its own joints, as an arm of their own."""
         names = x.arm.joint_names
         return {
-            part: x.of_joints(model_of(_subset(x.arm, tuple(names[i] for i in places))), places)
+            part: _of_joints(x, model_of(_subset(x.arm, tuple(names[i] for i in places))), places)
             for part, places in self._places(x.arm).items()
         }
 
     def at_rest(self, x: Snapshot) -> Sample:
         seen = self.seen(x)
-        return _joined({name: law.at_rest(seen[name]) for name, law in self.parts.items()})
+        return joined({name: law.at_rest(seen[name]) for name, law in self.parts.items()})
 
     def check_states(self, x: Snapshot, rate: float, *, changed: bool = False) -> None:
         seen = self.seen(x)
@@ -125,7 +122,7 @@ def _made(self: SideBySide, /, **laws: Law | tuple[Law, Sequence[str]]) -> None:
     parts: dict[str, Law] = {}
     joints: dict[str, tuple[str, ...] | None] = {}
     for name, given in laws.items():
-        _require_name("SideBySide", name)
+        require_part_name("SideBySide", name)
         law, own = given if isinstance(given, tuple) else (given, None)
         if not isinstance(law, Law):
             raise UsageError(
@@ -141,13 +138,7 @@ def _made(self: SideBySide, /, **laws: Law | tuple[Law, Sequence[str]]) -> None:
         parts[name], joints[name] = law, None if own is None else tuple(own)
     self.__dict__.update(parts=parts, joints=joints)
     kinds = tuple((name, law.reference, len(joints[name] or ())) for name, law in parts.items())
-    object.__setattr__(self, "reference", _kind(_sized(kinds)))
-
-
-def _require_name(who: str, name: str) -> None:
-    """A name that a sample can have as an attribute, beside those that every sample has."""
-    if not name.isidentifier() or hasattr(_AnyTogether, name):
-        raise UsageError(f"{who}: a law is named by a word such as left, and not by one that samples have: {name!r}")
+    object.__setattr__(self, "reference", together_kind(kinds))
 
 
 def _by_name(given: Mapping[str, Any]) -> dict[str, Any]:
@@ -172,6 +163,21 @@ def _places_of(law: Law, joints: tuple[str, ...] | None, arm: Arm) -> list[int]:
     return [i for i, joint in enumerate(arm.joint_names) if joint in joints]
 
 
+def _of_joints(x: Snapshot, model: Model, places: Sequence[int]) -> Snapshot:
+    """What an arm of some of the joints sees: its own rows of what is measured joint by joint.
+
+    Args:
+        x: What the whole arm sees.
+        model: That of the arm in which only these joints move.
+        places: Their places in the whole arm.
+    """
+    rows = {
+        name: values if name in AT_TOOL else tm.array([values[i] for i in places])
+        for name, values in x.measured.items()
+    }
+    return x.of_model(model, rows, elsewhere=x.elsewhere)
+
+
 @cache
 def _subset(arm: Arm, joints: tuple[str, ...]) -> Arm:
     return arm.subset(joints)
@@ -189,125 +195,3 @@ def _spread(commands: Mapping[str, Command], places: Mapping[str, list[int]], n:
             for k, i in enumerate(own):
                 row[i] = values[k]
     return Terms.known(total, named)
-
-
-# -------------------------------------------------------------------- what they follow
-
-
-class _AnyTogether(Sample):
-    """Samples of several laws at once; subclasses are made by what they hold."""
-
-    __slots__ = ()
-    parts: ClassVar[Parts] = ()
-
-    def __init__(self, samples: Mapping[str, Sample]) -> None:
-        for name, kind, n in self.parts:
-            setattr(self, name, samples[name])
-            for field in kind.fields(n):
-                setattr(self, f"{name}_{field}", getattr(samples[name], field))
-
-    @classmethod
-    def described(cls) -> str:
-        return f"Together({', '.join(f'{name}={kind.described()}' for name, kind, _ in cls.parts)})"
-
-    @classmethod
-    def fields(cls, n: int) -> dict[str, tuple[int, ...]]:  # noqa: ARG003
-        return {
-            f"{name}_{field}": shape for name, kind, size in cls.parts for field, shape in kind.fields(size).items()
-        }
-
-    @classmethod
-    def of(cls, values: Mapping[str, Any]) -> Self:
-        return cls(
-            {
-                name: kind.of({field: values[f"{name}_{field}"] for field in kind.fields(size)})
-                for name, kind, size in cls.parts
-            }
-        )
-
-    @classmethod
-    def between(
-        cls, times: Float64Array, knots: Float64Array, rows: Mapping[str, Float64Array]
-    ) -> dict[str, Float64Array]:
-        out: dict[str, Float64Array] = {}
-        for name, kind, size in cls.parts:
-            own = kind.between(times, knots, {field: rows[f"{name}_{field}"] for field in kind.fields(size)})
-            out |= {f"{name}_{field}": values for field, values in own.items()}
-        return out
-
-    @classmethod
-    def at_rest(cls, x: Snapshot, tool: str | None) -> Self:  # noqa: ARG003
-        raise UsageError("the sample at rest of laws side by side is theirs: law.at_rest(x)")
-
-    def __repr__(self) -> str:
-        return f"together({', '.join(f'{name}={getattr(self, name)!r}' for name, _, _ in self.parts)})"
-
-
-def _sized(parts: Parts) -> Parts:
-    """Parts whose size matters to nobody have none, so that equal ones are one kind."""
-    return tuple((name, kind, n if kind is JointMotion else 0) for name, kind, n in parts)
-
-
-@cache
-def _kind(parts: Parts) -> type[_AnyTogether]:
-    slots = [f"{name}_{field}" for name, kind, n in parts for field in kind.fields(n)]
-    words = ",".join(f"{name}:{kind.__name__}:{n}" for name, kind, n in parts)
-    body = {"parts": parts, "__slots__": (*(name for name, _, _ in parts), *slots)}
-    return type(f"{TOGETHER}{words}]", (_AnyTogether,), body)
-
-
-def together_kind(parts: Parts) -> type[Sample]:
-    """The kind of sample that laws side by side follow: for each its name, kind and number of joints."""
-    for name, _, _ in parts:
-        _require_name("together", name)
-    return _kind(parts)
-
-
-def _joined(samples: Mapping[str, Sample]) -> _AnyTogether:
-    return _kind(
-        tuple((name, type(s), len(s.q) if isinstance(s, JointMotion) else 0) for name, s in samples.items())
-    )(samples)
-
-
-class Together:
-    """Trajectories and samples side by side, as one trajectory."""
-
-    def __init__(self, references: Mapping[str, Sample | Trajectory]) -> None:
-        self._references = dict(references)
-
-    def at(self, t: float) -> Sample:
-        """The sample at time t [s]."""
-        return _joined(
-            {name: ref if isinstance(ref, Sample) else ref.at(t) for name, ref in self._references.items()}
-        )
-
-
-def together(**references: Sample | Hold | Trajectory) -> Sample | Together:
-    """What laws side by side follow: a sample or a trajectory for each, by the name of the law.
-
-    Returns:
-        A sample, where all of them are samples; else a trajectory.
-
-    Raises:
-        UsageError: A reference that is neither.
-
-    Example:
-        >>> both = together(left=JointMotion(q=[0.5]), right=JointMotion(q=[0.1, 0.2]))
-        >>> both.right.q.tolist()
-        [0.1, 0.2]
-    """
-    taken: dict[str, Sample | Trajectory] = {}
-    for name, ref in references.items():
-        _require_name("together", name)
-        given = ref.sample if isinstance(ref, Hold) else ref
-        if not isinstance(given, (Sample, Trajectory)):
-            raise UsageError(
-                f"together: {name} must be a sample or a trajectory; got {type(ref).__name__}"
-                + ("; a hold needs its sample here" if isinstance(ref, Hold) else ""),
-                name=name,
-            )
-        taken[name] = given
-    if not taken:
-        raise UsageError("together needs references by the names of laws: together(left=..., right=...)")
-    samples = {name: ref for name, ref in taken.items() if isinstance(ref, Sample)}
-    return _joined(samples) if len(samples) == len(taken) else Together(taken)

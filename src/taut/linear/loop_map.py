@@ -11,9 +11,9 @@ import numpy as np
 
 from taut.base.errors import RangeError, UsageError, unknown_name
 from taut.base.types import Float64Array, Vector
+from taut.codegen.engine import Steps
 from taut.codegen.layout import Block
 from taut.codegen.tangent import TANGENT, StepTangent, tangent_block
-from taut.control.tasks.phases import Phases
 from taut.linear.period import (
     RESOLUTION,
     BlockCoordinates,
@@ -54,7 +54,7 @@ class LoopMap(PeriodMap):
 
     def __init__(self, loop: Loop, with_respect_to: tuple[str, ...] = ()) -> None:
         side, plant = loop.side, loop.plant
-        if isinstance(side.law, Phases):
+        if side.task is not None:
             raise UsageError(
                 "a task of phases has no one linear model: which law acts, and with what reference, changes with its "
                 "guards; make a taut.Loop with the law and the reference of the phase that is wanted",
@@ -104,16 +104,9 @@ class LoopMap(PeriodMap):
     def _compile(self, memory: Block) -> None:
         self.memory = memory
         self.state_coordinates = BlockCoordinates(memory)
+        self.period = Steps(self.step, self.inputs, self.parameters, memory, self.substep, self.plant.substeps - 1)
         self.tangent = self._tangent = StepTangent(
-            self.step,
-            self.substep,
-            self.plant.substeps - 1,
-            self.inputs,
-            self.parameters,
-            memory,
-            directed=self._wrt,
-            outputs=OUTPUTS,
-            engine=self.engine,
+            self.period, directed=self._wrt, outputs=OUTPUTS, engine=self.engine
         )
         self.outputs = Block.of({path: self.tangent.outputs.shapes[path] for path in OUTPUTS})
         self.output_coordinates = BlockCoordinates(self.outputs)

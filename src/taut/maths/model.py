@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from taut.arm.description import BASE, Arm
+from taut.arm.parts import inertia_matrix
 from taut.base.types import Array, Float64Array, Matrix, Vector3
 from taut.trace import math as tm
-from taut.trace.inertia import inertia_matrix
 from taut.trace.pose import snapped
 
 __all__ = ["Model", "PayloadValues", "RigidBody", "model_of"]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from typing import Any, Final, TypeVar
 
 import numpy as np
@@ -19,7 +18,7 @@ from taut.trace import math as tm
 from taut.trace.linalg import LTDL
 from taut.trace.pose import Pose
 
-__all__ = ["MEASUREMENTS", "PhaseView", "Snapshot", "measurement_shapes", "snapshot"]
+__all__ = ["MEASUREMENTS", "Snapshot", "measurement_shapes", "snapshot"]
 
 T = TypeVar("T")
 
@@ -41,16 +40,6 @@ def measurement_shapes(n: int) -> dict[str, tuple[int, ...]]:
     return {"q": (n,), "v": (n,)} | {name: others.get(name, (n,)) for name in MEASUREMENTS}
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PhaseView:
-    """What the guards of a phase see beside the arm."""
-
-    elapsed: Any  # [s] since the phase began
-    ref: Any  # the sample that its law follows
-    begin: Snapshot  # where it began
-    tool: str | None  # the frame that its law controls
-
-
 class Snapshot:
     """The arm at one instant, as law code sees it: x.q, x.v, x.M, x.h, x.J("tool"), ...
 
@@ -67,7 +56,6 @@ class Snapshot:
         "_cache",
         "_measured",
         "_payload",
-        "_phase",
         "_q",
         "_t",
         "_v",
@@ -99,7 +87,6 @@ class Snapshot:
         self._adds = adds or Adds()
         self._measured = dict(measured or {})
         self._cache: dict[Any, Any] = {}
-        self._phase: PhaseView | None = None
         self.used = set() if used is None else used
         """Names of the measurements and compensations that were asked for."""
         self.elsewhere = elsewhere  # at a state that is not the measured one
@@ -313,87 +300,36 @@ class Snapshot:
         """(n,) q_des - q the short way round; continuous joints wrap."""
         return self.arm.difference(q_des, self.q)
 
-    # ---------------------------------------------------------------- what guards of phases see
-
-    @property
-    def in_phase(self) -> bool:
-        """Whether this is what a guard of a phase sees, so that it has `elapsed`, `ref`, `begin` and `tool`."""
-        return self._phase is not None
-
-    def _of_phase(self, name: str) -> Any:
-        if self._phase is None:
-            raise UsageError(f"x.{name} is for the guards of a taut.Phase; a law has no phase", name=name)
-        return getattr(self._phase, name)
-
-    @property
-    def elapsed(self) -> Any:
-        """Time since the phase began [s]; for guards."""
-        return self._of_phase("elapsed")
-
-    @property
-    def ref(self) -> Any:
-        """The sample that the law of the phase follows; for guards."""
-        return self._of_phase("ref")
-
-    @property
-    def begin(self) -> Snapshot:
-        """The arm where it was when the phase began, at rest; for guards."""
-        begin: Snapshot = self._of_phase("begin")
-        return begin
-
-    @property
-    def tool(self) -> str | None:
-        """The frame that the law of the phase controls, None for the arm's tool; for guards."""
-        tool: str | None = self._of_phase("tool")
-        return tool
-
     # ---------------------------------------------------------------- other snapshots
+
+    @property
+    def measured(self) -> Mapping[str, Array]:
+        """All that is measured by name, q and v among it, without a record that it was asked for."""
+        return {**self._measured, "q": self._q, "v": self._v}
 
     def at(self, q: Vector, v: Vector) -> Snapshot:
         """The same arm, payload and time at another state."""
-        return Snapshot(
-            self.model,
-            q=q,
-            v=v,
-            t=self.t,
-            payload=self._payload,
-            adds=self._adds,
-            measured=self._measured,
-            used=self.used,
-            elsewhere=True,
-        )
+        return self.of_model(self.model, {**self.measured, "q": q, "v": v}, elsewhere=True)
 
-    def of_joints(self, model: Model, places: Sequence[int]) -> Snapshot:
-        """What an arm of some of the joints sees of this one: its own rows of what is measured joint by joint.
+    def of_model(self, model: Model, measured: Mapping[str, Array], *, elsewhere: bool) -> Snapshot:
+        """Another model at this instant, with the payload and the record of this snapshot.
 
         Args:
-            model: That of the arm in which only these joints move.
-            places: Their places in this arm.
+            model: The model.
+            measured: Its q and v, and its other measurements by name.
+            elsewhere: Whether q and v are another state than the measured one.
         """
-        rows = list(places)
-        measured = {
-            name: values if name in AT_TOOL else tm.array([values[i] for i in rows])
-            for name, values in self._measured.items()
-        }
         return Snapshot(
             model,
-            q=tm.array([self._q[i] for i in rows]),
-            v=tm.array([self._v[i] for i in rows]),
+            q=measured["q"],
+            v=measured["v"],
             t=self._t,
             payload=self._payload,
             adds=self._adds,
-            measured=measured,
+            measured={name: values for name, values in measured.items() if name not in ("q", "v")},
             used=self.used,
-            elsewhere=self.elsewhere,
+            elsewhere=elsewhere,
         )
-
-    def of_phase(self, phase: PhaseView) -> Snapshot:
-        """The same snapshot, shared, as the guards of a phase see it."""
-        twin = Snapshot.__new__(Snapshot)
-        for name in Snapshot.__slots__:
-            setattr(twin, name, getattr(self, name))
-        twin._phase = phase
-        return twin
 
     def turned(self, R: Rotation, frame: str | None = None) -> Snapshot:
         """The same state, with the motion of a frame told in axes that are turned by R about its origin.

@@ -10,11 +10,11 @@ import numpy as np
 
 from taut.arm.description import Arm
 from taut.arm.friction import AT_REST, check_at_rest
+from taut.arm.parts import checked_payload_entry
 from taut.base.checks import finite_array, require_at_least, require_positive
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.paths import flatten
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.lawside import checked_payload_entry
 from taut.plant.contact import Contacts
 from taut.plant.drives.actuation import Actuation
 from taut.plant.drives.drivetrain import Drivetrain

@@ -10,8 +10,7 @@ from typing import Any, Final, get_args
 
 import numpy as np
 
-from taut.base.errors import UsageError
-from taut.base.words import printable
+from taut.base.errors import UsageError, printable
 from taut.record.log.topics import PLACE, Description
 from taut.record.outcome import Kind, Outcome
 from taut.record.run import Run

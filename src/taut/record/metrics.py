@@ -14,7 +14,7 @@ import numpy as np
 
 from taut.arm.angles import short_way
 from taut.base.checks import read_only
-from taut.base.named import Named
+from taut.base.paths import Named
 from taut.base.types import Float64Array
 from taut.control.limits import LIMIT_TERMS
 from taut.control.trajectories.task_reference import TaskMotion

@@ -12,8 +12,8 @@ import numpy as np
 from taut.base.errors import RangeError, UsageError, unknown_name
 from taut.base.types import Float64Array
 from taut.control.tasks.phase import STOP
-from taut.control.tasks.phase_sample import PhaseSample
-from taut.control.tasks.phases import ENDED, NO_CONTACT
+from taut.control.tasks.task import ENDED, NO_CONTACT
+from taut.control.trajectories.compound import PhaseSample
 from taut.record.felt import FELT
 from taut.record.outcome import Outcome
 

@@ -16,7 +16,7 @@ from taut.arm.angles import short_way
 from taut.arm.description import Arm
 from taut.base.checks import finite_scalar
 from taut.base.errors import RangeError, UsageError, count_of
-from taut.base.named import Named
+from taut.base.paths import Named
 from taut.base.types import Float64Array
 from taut.control.trajectories.reference import Sample
 from taut.record.outcome import Outcome

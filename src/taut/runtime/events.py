@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from taut.base.checks import finite_scalar
 from taut.base.errors import RangeError, UsageError
-from taut.base.types import ArrayLike
+from taut.base.types import ArrayLike, Float64Array
+from taut.control.lawside import LawSide
+from taut.loop import AnyPlant, LoopParameters
 from taut.plant.environments.push import wrench_at_peak
 
-__all__ = ["Event", "sorted_events"]
+__all__ = ["Event", "Schedule", "sorted_events"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,3 +104,58 @@ def sorted_events(events: Iterable[Event] | None, rate: float, ticks: int) -> li
             )
         out.append((tick, event))
     return sorted(out, key=lambda pair: pair[0])
+
+
+class Schedule:
+    """The parameters that change in a run, checked, by the tick in which they do.
+
+    Args:
+        side: The control side.
+        plant: The plant.
+        values: All parameters at the start, by path.
+        due: Events with the tick at which they act, in order.
+
+    Raises:
+        UnknownNameError, ShapeError, RangeError: An event that cannot be.
+    """
+
+    def __init__(
+        self, side: LawSide, plant: AnyPlant, values: Mapping[str, Float64Array], due: Iterable[tuple[int, Event]]
+    ) -> None:
+        self._side = side
+        self._values: dict[int, dict[str, Float64Array]] = {}
+        parameters, all_values = LoopParameters(side, plant, values), dict(values)
+        for tick, event in due:
+            new = {path: parameters.checked(path, value) for path, value in event.set.items()}
+            all_values |= new
+            plant.check_together(all_values)
+            self._values.setdefault(tick, {}).update(new)
+        self._ticks = sorted(self._values)
+
+    @property
+    def paths(self) -> set[str]:
+        """The parameters that change."""
+        return {path for values in self._values.values() for path in values}
+
+    def at(self, tick: int) -> dict[str, Float64Array]:
+        """The new values in a tick, by path."""
+        return self._values.get(tick, {})
+
+    def next(self, tick: int) -> int | None:
+        """The first tick after `tick` in which a parameter changes."""
+        later = bisect_right(self._ticks, tick)
+        return self._ticks[later] if later < len(self._ticks) else None
+
+    def check(self, tick: int, q: Float64Array, parameters: Mapping[str, Float64Array]) -> None:
+        """What changes in a tick must have a meaning where the arm is; what begins with the run is checked before.
+
+        Args:
+            tick: The tick.
+            q: (n,) where the arm is.
+            parameters: Those of the control side before, by path.
+
+        Raises:
+            RangeError: It has none.
+        """
+        if tick > 0 and self.at(tick):
+            self._side.check_change(q, parameters, self.at(tick))

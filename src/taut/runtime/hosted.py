@@ -8,26 +8,23 @@ from typing import Any
 
 import numpy as np
 
-from taut.base.errors import NumericalError, RangeError, unknown_name
+from taut.base.errors import NumericalError, RangeError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.layout import Block
-from taut.control.tasks.phase_feed import PhaseFeed
-from taut.control.tasks.phases import Phases
-from taut.control.trajectories.feed import ReferenceFeed, plain_snapshot
+from taut.control.tasks.feed import feed_of
 from taut.control.trajectories.reference import Reference
 from taut.controller import Controller, take_up_change
-from taut.loop import sensed_of, without_environment
+from taut.loop import sensed_of
 from taut.maths.snapshot import Snapshot
 from taut.record.outcome import Outcome
-from taut.runtime.events import Event
+from taut.runtime.events import Event, Schedule
 from taut.runtime.host import HostPlant
 from taut.runtime.tape import LOG_PERIOD, RowLog, Tape
 
 __all__ = ["HostedRun"]
 
 LOG_EVERY = 512  # ticks between two writes of a log, at most
-BLOCK = 4096  # ticks whose reference is asked for at once
 
 
 class HostedRun:
@@ -57,22 +54,7 @@ class HostedRun:
     ) -> None:
         side = ctrl.side
         self._plant, self._ticks, self._side = plant, ticks, side
-        self._events: dict[int, dict[str, ArrayLike]] = {}
-        values = dict(plant.parameters)
-        for tick, event in events:
-            self._events.setdefault(tick, {}).update(event.set)
-            for path, value in event.set.items():
-                if path in side.parameters:
-                    side.checked_parameter(path, value)
-                elif path in plant.parameters:
-                    values[path] = plant.checked_parameter(path, value)
-                elif path.partition(".")[0] == "environment" and not any(
-                    name.startswith("environment.") for name in plant.parameters
-                ):
-                    raise without_environment(path)
-                else:
-                    raise unknown_name("the run", "parameter", path, [*side.parameters, *plant.parameters])
-            plant.check_together(values)
+        self._events = Schedule(side, plant, {**ctrl.parameters, **plant.parameters}, events)
         self._before = dict(plant.parameters)  # events last as long as the run
         self._kernel = ctrl.recording_kernel(sensed_of(side, plant), ticks)
         plant.reset(q, v, side.dt, info["seed"])
@@ -83,15 +65,9 @@ class HostedRun:
         wanted = self._kernel.blocks.layout["inputs"].shapes
         kept = {path: shape for path, shape in wanted.items() if path.startswith("ref.")}
         self.tape = Tape(side, plant, ticks, Block.of({"t": (), **kept}), Block.of(shapes), info)
-        at_once = {path: value for path, value in self._events.get(0, {}).items() if path in side.parameters}
-        first = {**ctrl.parameters, **{p: side.checked_parameter(p, v) for p, v in at_once.items()}}
-        side.check_start(q, first, ref)
+        side.check_start(q, {**ctrl.parameters, **self._events.at(0)}, ref)
         blocks = self._kernel.blocks  # the feed holds these, and not the run, which holds the feed
-        self._feed: ReferenceFeed | PhaseFeed = (
-            PhaseFeed(side.law, side, lambda: blocks.views("parameters"))
-            if isinstance(side.law, Phases)
-            else ReferenceFeed(ref, side.law.reference, side.arm, side.dt, side.at_rest(q))
-        )
+        self._feed = feed_of(side, ref, q, lambda: blocks.views("parameters"))
         self._memory = self._kernel.blocks.views("memory")
         self._filled = 0
         # Where each number goes from and to in every tick, found once.
@@ -107,8 +83,7 @@ class HostedRun:
         try:
             return self._go(advance, log)
         finally:
-            changed = {path for values in self._events.values() for path in values if path in self._before}
-            self._plant.set_parameters({path: self._before[path] for path in changed})
+            self._plant.set_parameters({p: self._before[p] for p in self._events.paths if p in self._before})
 
     def _go(self, advance: Callable[[int], None], log: RowLog | None) -> tuple[int, Outcome]:
         running = Outcome(kind="stopped", message="the run is still going on", tick=0)
@@ -117,8 +92,6 @@ class HostedRun:
             try:
                 outcome = self._tick(k)
             except Exception as error:
-                if k == 0:
-                    raise
                 outcome = self.tape.failed(k, error)
             kept = k + 1 if outcome is None else outcome.tick + 1
             if log is not None and (
@@ -137,10 +110,11 @@ class HostedRun:
 
     def _tick(self, k: int) -> Outcome | None:
         tape, plant, kernel = self.tape, self._plant, self._kernel
-        refused = self._refused(k)
-        if refused is not None:
-            return refused
-        before = self._apply(self._events.get(k, {}))
+        try:
+            self._events.check(k, plant.state()[0], kernel.blocks.views("parameters"))
+        except RangeError as error:
+            return tape.refused(k, self._events.at(k), error)
+        before = self._apply(self._events.at(k))
         out = tape.outputs
         out["q"][k], out["v"][k] = plant.state()
         measured = plant.measure()
@@ -157,9 +131,7 @@ class HostedRun:
             kernel.tick()
         except (NumericalError, RangeError) as error:  # a tick without a command: it is not recorded
             if tape.is_sane(k):
-                tick = "" if isinstance(error, RangeError) else f", tick {k}"  # which the other names itself
-                message = f"{error} (t = {tape.inputs['t'][k]:.6g} s{tick})"
-                return Outcome(kind="diverged", message=message, tick=k - 1, joint=error.joint)
+                return tape.without_numbers(k, error)
             _, outcome = tape.diverged(k)
             return Outcome(kind="diverged", message=f"{outcome.message}; {error}", tick=k - 1, joint=outcome.joint)
         for view, rows in self._given:
@@ -176,41 +148,24 @@ class HostedRun:
         message = f"the simulation diverged{where}: {words}{self.tape.out_of_reach(k + 1)}"
         return Outcome(kind="diverged", message=message, tick=k, joint=who)
 
-    def _refused(self, k: int) -> Outcome | None:
-        """How the run ends where an event asks for what has no meaning where the arm is."""
-        new = self._events.get(k)
-        if not new or k == 0:  # what begins with the run is refused before
-            return None
-        try:
-            self._side.check_change(self._plant.state()[0], self._kernel.blocks.views("parameters"), new)
-        except RangeError as error:
-            return self.tape.refused(k, new, error)
-        return None
-
     def _apply(self, values: Mapping[str, ArrayLike]) -> Float64Array | None:
         """New values of parameters; those of the controller before, where a blend takes up the change."""
         before = self._kernel.blocks.parameters.copy() if self._side.blends(values) else None
         for path, value in values.items():
             if path in self._side.parameters:
-                self._kernel.blocks.views("parameters")[path][...] = self._side.checked_parameter(path, value)
+                self._kernel.blocks.views("parameters")[path][...] = value
         self._plant.set_parameters({path: value for path, value in values.items() if path in self._before})
         return before
 
     def _reference(self, k: int, measured: dict[str, Float64Array]) -> None:
         """Fill the reference of the next ticks, at most up to where a stream is asked again."""
-        if isinstance(self._feed, PhaseFeed) and k > 0 and self._memory["law.ticks"] < 0.5:
-            self._feed.begin(int(self._memory["law.next"]), k)
-        elif k < self._filled:
-            return
 
         def state() -> Snapshot:
             parameters = self._kernel.blocks.views("parameters")
-            sensing = subtree(self._kernel.blocks.views("memory"), "sensing") if self._kernel.ready else None
-            return plain_snapshot(self._side, measured, sensing, parameters, k * self._side.dt)
+            sensing = subtree(self._memory, "sensing") if self._kernel.ready else None
+            return self._side.seen(measured, sensing, parameters, k * self._side.dt)
 
-        if isinstance(self._feed, PhaseFeed):
-            self._feed.prepare(state)
-        question = self._feed.next_question(k)
-        stops = [k + BLOCK, self._ticks]
-        end = min(stops if question is None else [*stops, question])
-        self._filled = k + self._feed.fill(self.tape.reference(k, end), k, state)
+        if self._feed.follow(self._memory, k, state) or k >= self._filled:
+            stops = (self._ticks, self._feed.next_question(k))
+            end = min(k + self._feed.block, *(stop for stop in stops if stop is not None))
+            self._filled = k + self._feed.fill(self.tape.reference(k, end), k, state)

@@ -9,14 +9,15 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from taut.base.errors import RangeError, TautError
+from taut.base.errors import NumericalError, RangeError, TautError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.layout import Block
 from taut.codegen.program import failure
+from taut.control.command import wild_term
 from taut.control.laws.task_space import far_away, may_bound
-from taut.control.lawside import LawSide, wild_term
-from taut.control.tasks.phases import NO_CONTACT, Phases
+from taut.control.lawside import LawSide
+from taut.control.tasks.task import NO_CONTACT
 from taut.loop import AnyPlant
 from taut.maths.snapshot import Snapshot
 from taut.record.outcome import Outcome
@@ -76,7 +77,7 @@ class Tape:
         self.outputs = outputs.views(self.output_rows)
         self.inputs["t"][...] = np.arange(ticks) * side.dt
         self.info = info
-        self._phases = side.law.names if isinstance(side.law, Phases) else ()
+        self._phases = () if side.task is None else side.task.names
         self.unstable = ""  # why the loop is, where the run starts
 
     def reference(self, first: int, end: int) -> dict[str, Float64Array]:
@@ -151,8 +152,8 @@ class Tape:
         if "F_ext" in self._side.needs and "F_ext" not in seen:  # a plant of the user's that does not record it
             return ""
         x = Snapshot(self._side.model, q=seen["q"], v=seen["v"], t=window.start, measured=seen)
-        assert isinstance(self._side.law, Phases)
-        return self._side.law.phases[window.name].contact_state(x)
+        assert self._side.task is not None
+        return self._side.task.phases[window.name].contact_state(x)
 
     def _remarks(self, ticks: int) -> str:
         """Which sensors were at their range in the first ticks of the run, and what the law has to say of them."""
@@ -195,8 +196,20 @@ class Tape:
         message = f"stopped at t = {t:.6g} s, before the event that sets {', '.join(new)}: {error}"
         return Outcome(kind="stopped", message=message, tick=tick - 1)
 
+    def without_numbers(self, tick: int, error: NumericalError | RangeError) -> Outcome:
+        """The outcome of a run that ends before a tick in which a law or a sensor gave no finite numbers."""
+        where = "" if isinstance(error, RangeError) else f", tick {tick}"  # which the other names itself
+        message = f"{error} (t = {self.inputs['t'][tick]:.6g} s{where})"
+        return Outcome(kind="diverged", message=message, tick=tick - 1, joint=error.joint)
+
     def failed(self, tick: int, error: Exception) -> Outcome:
-        """The outcome of a run that ends before a tick in which a function of the caller's, or the plant, failed."""
+        """The outcome of a run that ends before a tick in which a function of the caller's, or the plant, failed.
+
+        Raises:
+            Exception: The error, in the first tick: there is nothing yet to keep.
+        """
+        if tick == 0:
+            raise error
         how = str(error) if isinstance(error, TautError) else failure(error)
         message = f"stopped at t = {self.inputs['t'][tick]:.6g} s (tick {tick}): {how}"
         return Outcome(kind="stopped", message=message, tick=tick - 1)

@@ -14,7 +14,7 @@ from taut.control.law import Law
 from taut.control.laws.apparent import felt_impedance
 from taut.control.lawside import LawSide
 from taut.control.side_by_side import SideBySide
-from taut.control.tasks.phases import Phases
+from taut.control.tasks.task import Task
 from taut.maths.chain import Chain
 from taut.maths.model import Model, PayloadValues
 from taut.maths.snapshot import Snapshot
@@ -27,7 +27,7 @@ from taut.record.task import TOOL
 __all__ = ["tool_info"]
 
 
-def tool_info(law: Law, side: LawSide, q: Float64Array, parameters: Mapping[str, Any]) -> dict[str, Any]:
+def tool_info(law: Law | Task, side: LawSide, q: Float64Array, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """The entries of run.info about tool and limits.
 
     Args:
@@ -45,7 +45,7 @@ def tool_info(law: Law, side: LawSide, q: Float64Array, parameters: Mapping[str,
             name: {"joints": list(seen[name].arm.joint_names), **_of_law(part, seen[name].model, seen[name])}
             for name, part in law.parts.items()
         }
-    if isinstance(law, Phases):
+    if isinstance(law, Task):
         out[PHASES] = {
             name: {"follows": law.follows(name), **_of_law(law.laws[name], side.model, x)} for name in law.phases
         }
@@ -60,8 +60,10 @@ def _limits(arm: Arm) -> dict[str, dict[str, float]]:
     }
 
 
-def _of_law(law: Law, model: Model, x: Snapshot) -> dict[str, Any]:
+def _of_law(law: Law | Task, model: Model, x: Snapshot) -> dict[str, Any]:
     frame = law.controlled_frame
     out: dict[str, Any] = {TOOL: Chain.of(model, frame).json()}
-    felt = felt_impedance(law, x) if frame in (None, model.arm.tool) else None  # F_ext is taken at the arm's tool
+    felt = None
+    if isinstance(law, Law) and frame in (None, model.arm.tool):  # F_ext is taken at the arm's tool
+        felt = felt_impedance(law, x)
     return out if felt is None else out | {FELT: felt.json()}

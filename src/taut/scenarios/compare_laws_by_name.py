@@ -16,7 +16,7 @@ from taut.base.errors import UsageError, quoted_list, unknown_name
 from taut.base.types import ArrayLike
 from taut.control.describe import title
 from taut.control.law import Law
-from taut.control.tasks.phases import Phases
+from taut.control.tasks.task import Task
 from taut.control.trajectories.reference import as_reference
 from taut.loop import Loop
 from taut.record.report.run_report import law_in_python
@@ -295,10 +295,12 @@ def _where(on: Where | None, case: str | None) -> tuple[Setting | None, Mapping[
         on = load_scenario(on)
     if isinstance(on, Scenario):
         chosen = _case_of(on, case)
-        for law in chosen.laws.values():
-            if isinstance(law, Phases):
+        laws: dict[str, Law] = {}
+        for label, law in chosen.laws.items():
+            if isinstance(law, Task):
                 raise UsageError(task_refused(chosen.source, law.names), name="on")
-        return _setting(chosen, case), chosen.laws
+            laws[label] = law
+        return _setting(chosen, case), laws
     if case is not None:
         raise UsageError("case is for a scenario that has cases; leave it out", name="case")
     if isinstance(on, Loop):

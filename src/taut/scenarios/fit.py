@@ -16,7 +16,7 @@ from taut.base.types import Float64Array
 from taut.control.law import Law
 from taut.control.lawside import LawSide
 from taut.control.side_by_side import SideBySide
-from taut.control.tasks.phases import Phases
+from taut.control.tasks.task import Task
 from taut.control.trajectories.force_reference import HybridMotion, Pressing, TaskForce, hybrid_kind
 from taut.control.trajectories.reference import (
     Chunk,
@@ -133,7 +133,7 @@ def _look_at_reference(scenario: Scenario) -> None:
             require_radians("q", rows["q"], arm)
 
 
-def _check_kind(reference: Reference, label: str, law: Law, section: Section) -> None:
+def _check_kind(reference: Reference, label: str, law: Law | Task, section: Section) -> None:
     """A reference is of the kind of sample that each law follows; a hold is of any kind."""
     given, wanted = _kind_of(reference), law.reference
     if isinstance(reference, Hold) or given is wanted:
@@ -208,11 +208,11 @@ def _check_window(window: tuple[float, float] | None, section: Section, scenario
         raise section.error(f"window must end with the run, at {scenario.duration:g} [s]; got {list(window)}")
 
 
-def _part(part: str, label: str, law: Law | None, section: Section) -> Law | None:
+def _part(part: str, label: str, law: Law | Task | None, section: Section) -> Law | None:
     """One of laws side by side."""
     if law is None:
         return None
-    if isinstance(law, Phases):
+    if isinstance(law, Task):
         if part not in law.phases:
             with section.blamed("part"):
                 raise unknown_name("the task", "phase", part, law.phases)
@@ -225,7 +225,7 @@ def _part(part: str, label: str, law: Law | None, section: Section) -> Law | Non
     return law.parts[part]
 
 
-def _check_kind_of_figure(figure: PassFigure, law: Law, section: Section) -> None:
+def _check_kind_of_figure(figure: PassFigure, law: Law | Task, section: Section) -> None:
     """Errors of joints are for laws that follow joints, of the task for those of the tool, of forces for theirs."""
     fitting = ERRORS_OF.get(law.reference)
     whose = next((kind for kind, names in ERRORS_OF.items() if figure.metric in names), None)
@@ -242,7 +242,7 @@ def _check_joint(joint: str, section: Section, arm: Arm) -> None:
             raise unknown_name(f"arm '{arm.name}'", "joint", joint, arm.joint_names)
 
 
-def _law_side(scenario: Scenario, law: Law, place: Section, control: Section) -> LawSide:
+def _law_side(scenario: Scenario, law: Law | Task, place: Section, control: Section) -> LawSide:
     """The law with what surrounds it, tried once on plain numbers."""
     try:
         return compile(
@@ -286,7 +286,7 @@ def _check_event(scenario: Scenario, event: Event, side: LawSide, section: Secti
                 raise section.error(f"set: {told}")
 
 
-def _parts(law: Law | None) -> int:
+def _parts(law: Law | Task | None) -> int:
     """How many lines a law makes in a figure."""
     return len(law.parts) if isinstance(law, SideBySide) else 1
 

@@ -7,8 +7,9 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
+from taut.control.trajectories.chunk import chunk
 from taut.control.trajectories.force_reference import FRAMES, TaskForce
-from taut.control.trajectories.reference import Chunk, chunk
+from taut.control.trajectories.reference import Chunk
 from taut.scenarios.toml import Section
 
 __all__ = ["FORCE_KINDS", "ForceReference", "read_force_reference"]

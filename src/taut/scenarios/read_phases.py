@@ -12,9 +12,9 @@ from taut.arm.description import Arm
 from taut.base.errors import TautError, quoted_list
 from taut.base.types import Float64Array
 from taut.control.law import Law
-from taut.control.tasks.guards import Guard, contact, lasting, moved, no_contact, settled
+from taut.control.tasks.guards import Guard, GuardView, contact, lasting, moved, no_contact, settled
 from taut.control.tasks.phase import Phase, PhaseReference
-from taut.control.tasks.phases import Phases
+from taut.control.tasks.task import Task
 from taut.control.trajectories.force_reference import hybrid_kind, pressing
 from taut.control.trajectories.reference import Reference
 from taut.control.trajectories.task import Line, Steady
@@ -33,11 +33,11 @@ OF_CONTACT: Final = ("direction", "frame")
 OF_HYBRID: Final = hybrid_kind(TaskMotion)
 OF_SETTLED: Final = ("q", "position", "rotation", "v")
 
-Condition = Callable[[Snapshot], Any]
+Condition = Callable[[GuardView], Any]
 
 
-def read_phases(root: Section, sections: list[Section], arm: Arm, home: Float64Array, folder: Path) -> Phases:
-    """The law of a task.
+def read_phases(root: Section, sections: list[Section], arm: Arm, home: Float64Array, folder: Path) -> Task:
+    """The task of a scenario.
 
     Args:
         root: The scenario, which an error of the phases together is about.
@@ -48,7 +48,7 @@ def read_phases(root: Section, sections: list[Section], arm: Arm, home: Float64A
     """
     phases = [_phase(section, arm, home, folder) for section in sections]
     try:
-        return Phases.of(phases)
+        return Task.of(phases)
     except TautError as cause:
         raise root.error(f"[[phases]]: {cause}") from cause
 
@@ -139,7 +139,7 @@ def _guard(section: Section) -> Guard:
     if set(OF_CONTACT) & set(section.left):
         raise section.error("direction and frame are for contact and no_contact; leave them out")
 
-    def guard(x: Snapshot) -> Any:
+    def guard(x: GuardView) -> Any:
         holds: Any = np.bool_(True)
         for condition in conditions:
             holds = condition(x) & holds

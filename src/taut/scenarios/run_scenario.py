@@ -21,7 +21,6 @@ from taut.analysis.constraints.natural_constraints import natural_constraints
 from taut.base.errors import FileError, ScenarioError, TautError, UsageError
 from taut.control.combine import bare
 from taut.control.laws.hybrid import HybridMotionForce
-from taut.control.tasks.phases import Phases
 from taut.controller import Controller, compile
 from taut.maths.snapshot import Snapshot, snapshot
 from taut.record.compare import compare
@@ -261,7 +260,7 @@ def _one_run(scenario: Scenario, ctrl: Controller, trial: Trial, say: Callable[[
         done = run(
             ctrl,
             scenario.plant,
-            None if isinstance(ctrl.law, Phases) else scenario.reference,
+            None if ctrl.side.task is not None else scenario.reference,
             duration=scenario.duration,
             q0=scenario.q0,
             v0=scenario.v0,
@@ -288,14 +287,13 @@ def _blamed(scenario: Scenario, trial: Trial) -> Iterator[None]:
 def _remark(ctrl: Controller, scenario: Scenario) -> str:
     """The natural constraints of hybrid laws, before a run."""
     q = scenario.arm.home if scenario.q0 is None else scenario.q0
-    law = bare(ctrl.law)
-    if isinstance(law, HybridMotionForce):
-        return _natural_constraints_of(law, snapshot(scenario.arm, q))
-    if isinstance(ctrl.law, Phases):
-        x, laws = snapshot(scenario.arm, q), {name: bare(law) for name, law in ctrl.law.laws.items()}
-        hybrid = {name: law for name, law in laws.items() if isinstance(law, HybridMotionForce)}
-        return "\n".join(f"phase '{name}': {_natural_constraints_of(law, x)}" for name, law in hybrid.items())
-    return ""
+    x = snapshot(scenario.arm, q)
+    if ctrl.side.task is None:
+        law = bare(ctrl.side.single_law)
+        return _natural_constraints_of(law, x) if isinstance(law, HybridMotionForce) else ""
+    laws = {name: bare(law) for name, law in ctrl.side.task.laws.items()}
+    hybrid = {name: law for name, law in laws.items() if isinstance(law, HybridMotionForce)}
+    return "\n".join(f"phase '{name}': {_natural_constraints_of(law, x)}" for name, law in hybrid.items())
 
 
 def _natural_constraints_of(law: HybridMotionForce, x: Snapshot) -> str:

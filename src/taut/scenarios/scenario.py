@@ -19,6 +19,7 @@ from taut.base.types import ArrayLike
 from taut.control.law import Law
 from taut.control.limits import Limits
 from taut.control.sensing.sensing import Sensing
+from taut.control.tasks.task import Task
 from taut.control.trajectories.reference import Reference
 from taut.record.metrics import MEASURES
 from taut.runtime.events import Event
@@ -82,7 +83,7 @@ class Scenario:
     source: str  # what messages call it
     title: str
     arm: Arm
-    laws: Mapping[str, Law]
+    laws: Mapping[str, Law | Task]
     rate: float  # [Hz]
     sensing: Sensing
     limits: Limits | None
@@ -167,6 +168,8 @@ def _experiment(root: Section, folder: Path, own_laws: Mapping[str, Law] | None)
     _refuse_beside_task(root, task, own_laws)
     laws_section = root.section("laws", required=own_laws is None and not task)
     labels = [TASK] if task else laws_section.left
+    laws: dict[str, Law] = {}
+    task_law: dict[str, Law | Task] = {}
     if task:
         law_places = {TASK: task[0]}
     elif own_laws is None:
@@ -182,11 +185,11 @@ def _experiment(root: Section, folder: Path, own_laws: Mapping[str, Law] | None)
     plants = _plants(plant_section, arm, rate, folder)
     plant: Plant = plants["plant"]
     if task:
-        laws = {TASK: read_phases(root, task, arm, plant.arm.home, folder)}
+        task_law = {TASK: read_phases(root, task, arm, plant.arm.home, folder)}
     fields = {
         "source": root.where,
         "arm": arm,
-        "laws": laws,
+        "laws": task_law or laws,
         "rate": rate,
         "sensing": sensing,
         "limits": limits,

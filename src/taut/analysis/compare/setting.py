@@ -18,7 +18,7 @@ from taut.control.describe import title
 from taut.control.law import Law
 from taut.control.limits import Limits
 from taut.control.sensing.sensing import Sensing
-from taut.control.tasks.phases import Phases
+from taut.control.tasks.task import Task
 from taut.control.trajectories.reference import Chunk, Hold, JointMotion, Reference, Sample, Stream, Trajectory
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.controller import Controller, compile
@@ -86,14 +86,14 @@ class Setting:
         found = getattr(self.plant, "sensors", None)
         return found if isinstance(found, Sensors) else Sensors()
 
-    def controller(self, name: str, law: Law) -> Controller:
+    def controller(self, name: str, law: Law | Task) -> Controller:
         """The law compiled for this experiment, checked against its reference and plant.
 
         Raises:
             MatchError: The law follows another kind of reference, or does not fit the plant.
             TautError: It cannot be compiled.
         """
-        if isinstance(law, Phases):
+        if isinstance(law, Task):
             raise UsageError(task_refused(f"law '{name}'", law.names), name=name)
         self.check_kind(name, law)
         with blamed(name):

@@ -265,7 +265,7 @@ def plant_for(ctrl: Controller, specification: Specification, friction: Literal[
     environment: Push | Spring | None = None
     stiffness = np.zeros((6, 6))
     if specification.contact is not None:
-        stiffness = square("contact", specification.contact, closed_loop_of(ctrl.side.law, x))
+        stiffness = square("contact", specification.contact, closed_loop_of(ctrl.side.single_law, x))
         environment = Spring(stiffness=stiffness)
     elif "F_ext" in ctrl.needs:
         environment = Push(peak=np.zeros(6), duration=1.0)
@@ -298,7 +298,7 @@ def achieved(
     x, drives = snapshot(loop.side.arm, system.q), loop.side.probe.kind != "torque"
     carries = Adds.of(plant.adds).gravity
     return Achieved(
-        law=loop.side.law,
+        law=loop.side.single_law,
         stated=closed_loop_of(law, x),
         system=system,
         specification=specification,

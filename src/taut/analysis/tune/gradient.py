@@ -10,6 +10,7 @@ import numpy as np
 
 from taut.base.errors import RangeError, UsageError
 from taut.base.types import Float64Array
+from taut.codegen.engine import Steps
 from taut.codegen.layout import Block
 from taut.codegen.tangent import TANGENT, StepTangent, tangent_block
 from taut.loop import DT, Loop
@@ -97,7 +98,7 @@ class TangentLoop:
         if self._tangent is None:
             block = Block.of({path: np.shape(value) for path, value in start.items()})
             self._tangent = StepTangent(
-                self._step, loop.substep, loop.plant.substeps - 1, self.inputs, self.parameters, block,
+                Steps(self._step, self.inputs, self.parameters, block, loop.substep, loop.plant.substeps - 1),
                 directed=self.paths, outputs=(STAGE, "tau"), engine=loop.engine,
             )  # fmt: skip
             self.memory = block

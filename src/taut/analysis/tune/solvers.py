@@ -130,7 +130,7 @@ def _result(problem: Problem, method: str, ended: str, held_out: dict[str, Loop]
             tables.append(tuple(rows))
         first = next(iter(problem.loops.values()))
         side = first.side
-        law = side.law.bound({path: np.array(x) for path, x in subtree(dict(first.parameters), "law").items()})
+        law = side.single_law.bound({path: np.array(x) for path, x in subtree(dict(first.parameters), "law").items()})
     finally:
         for name, loop in loops.items():
             for path, value in firsts[name].items():

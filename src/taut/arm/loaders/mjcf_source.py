@@ -25,9 +25,9 @@ from taut.arm.loaders.xml import (
     numbers,
     read_xml,
 )
+from taut.arm.parts import inertia_matrix
 from taut.arm.rules import MAX_LINKS, check_inertia
 from taut.base.errors import FileError, ModelError, Problem
-from taut.trace.inertia import inertia_matrix
 
 __all__ = ["MjcfSource", "prepare"]
 

@@ -15,13 +15,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from taut.arm.angles import TURN
-from taut.arm.doubts import indefinite
-from taut.arm.gears import rotor_doubts
 from taut.arm.loaders.lump import Lumps
 from taut.arm.parts import STANDARD_GRAVITY, CommandKind, Frame, Joint, Shape
 from taut.arm.rules import (
     AXIS_TOLERANCE,
     OTHER_KINDS,
+    indefinite,
     joint_problems,
     mass_problems,
     structure_problems,
@@ -210,6 +209,10 @@ def assemble(
             "lengths, masses or inertias differ by too much: were all of them given in m, kg and kg m^2?"
         )
         raise ModelError(tree.source, [Problem(object=tree.name, attribute="inertial", message=text, line=tree.line)])
+    if not arm.rotor_inertia.any():
+        return arm
+    from taut.arm.gears import rotor_doubts
+
     return dataclasses.replace(arm, notes=(*arm.notes, *rotor_doubts(arm)))
 
 

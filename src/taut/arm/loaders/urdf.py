@@ -15,9 +15,9 @@ from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLi
 from taut.arm.loaders.urdf_transmissions import read_transmissions
 from taut.arm.loaders.visuals import MeshPaths, colours_of, urdf_visuals
 from taut.arm.loaders.xml import BadNumberError, Element, numbers, read_xml
+from taut.arm.parts import inertia_matrix
 from taut.arm.rules import MAX_LINKS
 from taut.base.errors import ModelError, Problem, quoted_list, unknown_name
-from taut.trace.inertia import inertia_matrix
 from taut.trace.pose import Pose
 
 __all__ = ["read_urdf", "urdf_tree"]

@@ -15,8 +15,7 @@ from xml.parsers import expat
 from xml.parsers.expat import errors
 
 from taut.base.checks import readable_file
-from taut.base.errors import ModelError, Problem
-from taut.base.words import printable
+from taut.base.errors import ModelError, Problem, printable
 
 __all__ = ["BadNumberError", "Element", "is_not_finite", "numbers", "parse_xml", "read_xml"]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, ClassVar, Final, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 
 import numpy as np
 
@@ -26,6 +26,9 @@ from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotated, rotated_matrix
 from taut.maths.task_inertia import TaskInertia
 from taut.trace import math as tm
+
+if TYPE_CHECKING:
+    from taut.plant.force_feedback import RigidTouch
 
 __all__ = [
     "CONTACT",
@@ -166,16 +169,16 @@ class ForceControl(Law):
         if self.measures:
             check_force_pole(self.kfp.matrix(6), self.kfi.matrix(6), rate)
 
-    def swing(self, dt: float, x: Snapshot, pressing: Float64Array) -> float:
-        """The largest eigenvalue of (kfp + kfi dt / 2) P: from 1 on, a force a tick old swings up on a rigid contact.
+    def force_loop_gain(self, dt: float, touch: RigidTouch | None) -> float:
+        """The largest eigenvalue of (kfp + kfi dt / 2) P: from 1 on, a force a tick old is unstable on it.
 
         Args:
             dt: Control period [s].
-            x: The arm where it presses.
-            pressing: (6, 6) P, what of a wrench at the tool presses against the contact, world axes.
+            touch: The rigid contact, with P, the part of a wrench at the tool that presses on it, world axes.
         """
-        if not self.measures:
+        if touch is None or not self.measures:
             return 0.0
+        x, pressing = touch.x, touch.pressing(self.tool)
         gain = _numbers(self.kfp) + 0.5 * dt * _numbers(self.kfi)
         if self.frame == "tool":
             gain = np.asarray(rotated_matrix(x.T(self.tool).R, gain), dtype=np.float64)

@@ -214,8 +214,8 @@ class HybridMotionForce(Law):
                 self.kfp.matrix(k) if self.kfp is not None else np.zeros((k, k)), self.kfi.matrix(k), rate
             )
 
-    def swing(self, dt: float) -> float:
-        """The largest eigenvalue of kfp + kfi dt / 2: from 1 on, a force a tick old swings up on rigid contacts.
+    def force_loop_gain(self, dt: float, touch: object) -> float:  # noqa: ARG002
+        """The largest eigenvalue of kfp + kfi dt / 2: from 1 on, a force a tick old is unstable on rigid contacts.
 
         0 where no force is fed back.
         """

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Final, Literal, Self
+from typing import TYPE_CHECKING, Any, Final, Literal, Self
 
 import numpy as np
 
@@ -28,6 +28,9 @@ from taut.maths.spatial import curve, pose_log_rate, rotated, rotated_matrix, tu
 from taut.maths.task_inertia import TaskInertia
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL, times_square_root
+
+if TYPE_CHECKING:
+    from taut.control.tasks.task import Task
 
 __all__ = [
     "FRAMES",
@@ -341,7 +344,7 @@ def within_speed(x: Snapshot, inertia: TaskInertia, F: Wrench) -> Wrench:
     return out
 
 
-def far_away(law: Law, x: Snapshot, rows: dict[str, Float64Array]) -> Float64Array | None:
+def far_away(law: Law | Task, x: Snapshot, rows: dict[str, Float64Array]) -> Float64Array | None:
     """(k,) how far at least the targets of a run are out of reach [m]; None where the law follows no pose.
 
     Args:
@@ -361,17 +364,16 @@ def far_away(law: Law, x: Snapshot, rows: dict[str, Float64Array]) -> Float64Arr
         ]
         known = [part for part in parts if part is not None]
         return np.max(known, axis=0) if known else None
-    asked = _asked(law) if law.reference is TaskMotion else None
+    asked = _asked(law) if law.reference is TaskMotion and isinstance(law, Law) else None
     if asked is None:
         return None
     return distance_beyond(spheres(x.model, law.controlled_frame, asked), rows["p"], rows["R"])
 
 
-def may_bound(law: Law) -> bool:
+def may_bound(law: Law | Task) -> bool:
     """Whether a law, or one that it holds, has a spring that could be bounded and is not."""
-    return ("error_max" in law.declared and vars(law)["error_max"] is None) or any(
-        map(may_bound, law.children().values())
-    )
+    own = isinstance(law, Law) and "error_max" in law.declared and vars(law)["error_max"] is None
+    return own or any(map(may_bound, law.children().values()))
 
 
 def _asked(law: Law) -> Asked | None:

@@ -9,7 +9,7 @@ from typing import Any, Final, Literal, TypeAlias
 import numpy as np
 
 from taut.base.checks import finite_scalar, one_of, require_at_least, vector
-from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.errors import RangeError, ShapeError, UsageError, unknown_name
 from taut.base.types import ArrayLike
 from taut.control.trajectories.reference import JointMotion
 from taut.control.trajectories.task_reference import TaskMotion
@@ -20,13 +20,57 @@ from taut.trace.array import has_symbols
 from taut.trace.pose import Pose
 from taut.trace.scalar import Condition
 
-__all__ = ["Guard", "Lasting", "condition", "contact", "lasting", "moved", "no_contact", "reached", "settled"]
+__all__ = [
+    "Guard",
+    "GuardView",
+    "Lasting",
+    "condition",
+    "contact",
+    "lasting",
+    "moved",
+    "no_contact",
+    "reached",
+    "settled",
+]
 
 Axes: TypeAlias = Literal["world", "tool"]
 FRAMES: Final = ("world", "tool")
 
 
-def contact(x: Snapshot, force: float, direction: ArrayLike | None = None, frame: Axes = "world") -> Any:
+class GuardView:
+    """The arm and the phase at one instant, for a guard: all quantities of the snapshot, and four of the phase.
+
+    Args:
+        x: The snapshot.
+        elapsed: Time since the phase began [s].
+        ref: The sample that the law of the phase follows.
+        begin: The arm where it was when the phase began, at rest.
+        tool: The frame that the law of the phase controls; None for the arm's tool.
+    """
+
+    __slots__ = ("_x", "begin", "elapsed", "ref", "tool")
+
+    def __init__(self, x: Snapshot, *, elapsed: Any, ref: Any, begin: Snapshot, tool: str | None) -> None:
+        self._x = x
+        self.elapsed = elapsed
+        self.ref = ref
+        self.begin = begin
+        self.tool = tool
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        if not hasattr(Snapshot, name):
+            known = [word for word in (*dir(Snapshot), *self.__slots__) if not word.startswith("_")]
+            raise AttributeError(str(unknown_name("the snapshot x", "quantity", name, known)), name=name, obj=None)
+        return getattr(self._x, name)
+
+
+Seen: TypeAlias = Snapshot | GuardView
+"""What the functions below take: where contact is needed a phase has not begun yet, and there is a snapshot alone."""
+
+
+def contact(x: Seen, force: float, direction: ArrayLike | None = None, frame: Axes = "world") -> Any:
     """Guard: whether something touches the tool with more than a force.
 
     Args:
@@ -58,7 +102,7 @@ def contact(x: Snapshot, force: float, direction: ArrayLike | None = None, frame
     return axes @ F > force
 
 
-def no_contact(x: Snapshot, force: float, direction: ArrayLike | None = None, frame: Axes = "world") -> Any:
+def no_contact(x: Seen, force: float, direction: ArrayLike | None = None, frame: Axes = "world") -> Any:
     """Guard: whether nothing touches the tool with more than a force; the opposite of `contact`.
 
     Args:
@@ -71,7 +115,7 @@ def no_contact(x: Snapshot, force: float, direction: ArrayLike | None = None, fr
 
 
 def reached(
-    x: Snapshot,
+    x: Seen,
     target: Pose | TaskMotion | JointMotion,
     *,
     q: float | None = None,
@@ -106,7 +150,7 @@ def reached(
     if isinstance(wanted, JointMotion):
         off = tm.abs(x.difference(wanted.q))
         return _largest(off) <= given["q"]
-    T = x.T(x.tool if tool is None and x.in_phase else tool)
+    T = x.T(x.tool if tool is None and isinstance(x, GuardView) else tool)
     near: Any = np.bool_(True)
     if "position" in given:
         near = (tm.norm(wanted.p - T.p) <= given["position"]) & near
@@ -116,7 +160,7 @@ def reached(
 
 
 def settled(
-    x: Snapshot,
+    x: GuardView,
     *,
     q: float | None = None,
     position: float | None = None,
@@ -141,7 +185,7 @@ def settled(
     return (_largest(tm.abs(x.v)) <= finite_scalar("v", v, unit="rad/s | m/s")) & near
 
 
-def moved(x: Snapshot, distance: float, tool: str | None = None) -> Any:
+def moved(x: GuardView, distance: float, tool: str | None = None) -> Any:
     """Guard: whether the tool's origin is at least a distance away from where it was when the phase began.
 
     Args:
@@ -182,18 +226,18 @@ def _largest(values: Any) -> Any:
 class Lasting:
     """A guard that has to hold for some ticks on end. Made by `taut.guards.lasting`."""
 
-    guard: Callable[[Snapshot], Any]
+    guard: Callable[[Any], Any]
     ticks: int
 
-    def __call__(self, x: Snapshot) -> Any:
+    def __call__(self, x: Seen) -> Any:
         """The condition in one tick alone."""
         return self.guard(x)
 
 
-Guard: TypeAlias = Callable[[Snapshot], Any] | Lasting
+Guard: TypeAlias = Callable[[Any], Any] | Lasting
 
 
-def lasting(guard: Callable[[Snapshot], Any], *, ticks: int) -> Lasting:
+def lasting(guard: Callable[[Any], Any], *, ticks: int) -> Lasting:
     """A guard that has to hold in some ticks on end, so that a spike of a sensor does not end a phase.
 
     Args:

@@ -4,24 +4,46 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Final, Protocol
 
 import numpy as np
 
 from taut.arm.angles import require_radians
 from taut.arm.description import Arm
 from taut.base.errors import TautError, UsageError
-from taut.base.paths import subtree
 from taut.base.types import Float64Array
-from taut.control.lawside import LawSide
 from taut.control.trajectories.fade import Fade, can_fade
 from taut.control.trajectories.reference import Chunk, Hold, Reference, Sample, Stream, sample_rows
-from taut.maths.model import PayloadValues
-from taut.maths.snapshot import MEASUREMENTS, Snapshot
 
-__all__ = ["ReferenceFeed", "plain_snapshot"]
+__all__ = ["Feed", "ReferenceFeed"]
 
 NEAR = 1e-9  # of a tick: what a period that is meant to be whole may miss one by
+BLOCK: Final = 4096  # ticks that a run fills and takes at once
+
+
+class Feed(Protocol):
+    """What fills the reference of a run, block by block."""
+
+    @property
+    def block(self) -> int:
+        """Ticks that a run takes at once, at most."""
+        ...
+
+    def follow(self, memory: Mapping[str, Any], tick: int, state: Callable[[], Any]) -> bool:
+        """Whether another reference begins with a tick, so that what was filled beyond it is void."""
+        ...
+
+    def ends(self, outputs: Mapping[str, Float64Array], first: int, end: int) -> int | None:
+        """The tick with which another reference begins after the ticks from first to end, by their outputs."""
+        ...
+
+    def next_question(self, tick: int) -> int | None:
+        """The first tick after `tick` at which the source of a stream is asked; None if never."""
+        ...
+
+    def fill(self, views: Mapping[str, Float64Array], first: int, state: Callable[[], Any]) -> int:
+        """Write the reference of the ticks from `first` on; the number of ticks that were filled."""
+        ...
 
 
 class ReferenceFeed:
@@ -59,6 +81,16 @@ class ReferenceFeed:
             raise UsageError(
                 f"blend is for a stream of motions, and the law follows {kind.__name__}; leave it out", name="blend"
             )
+
+    block = BLOCK
+
+    def follow(self, memory: Mapping[str, Any], tick: int, state: Callable[[], Any]) -> bool:  # noqa: ARG002
+        """Whether another reference begins with a tick: a run of one law has one."""
+        return False
+
+    def ends(self, outputs: Mapping[str, Float64Array], first: int, end: int) -> int | None:  # noqa: ARG002
+        """The tick with which another reference begins: none."""
+        return None
 
     def next_question(self, tick: int) -> int | None:
         """The first tick after `tick` at which the source of a stream is asked; None if never.
@@ -148,37 +180,6 @@ class ReferenceFeed:
                 name="source",
             )
         return answer
-
-
-def plain_snapshot(
-    side: LawSide,
-    measured: Mapping[str, Any],
-    sensing: Mapping[str, Any] | None,
-    parameters: Mapping[str, Any],
-    t: float,
-) -> Snapshot:
-    """What a controller sees at one instant, as plain numbers: what the source of a stream is given.
-
-    Args:
-        side: The law side of the loop.
-        measured: What the sensors give; copied.
-        sensing: Memory of the controller's sensing; None before the first tick.
-        parameters: Parameters of the law side by path.
-        t: [s].
-    """
-    kept = {name: np.array(value, dtype=np.float64) for name, value in measured.items()}
-    before = side.sensing_at_start(kept, parameters) if sensing is None else sensing
-    seen, _ = side.sense(kept, before, parameters, side.dt)
-    payload = subtree(parameters, "model.payload")
-    return Snapshot(
-        side.model,
-        q=seen["q"],
-        v=seen["v"],
-        t=t,
-        payload=PayloadValues.of({name: np.array(value) for name, value in payload.items()}),
-        adds=side.adds,
-        measured={name: seen[name] for name in MEASUREMENTS if name in seen},
-    )
 
 
 class _Constant:

@@ -10,13 +10,13 @@ from typing import Any, Final
 import numpy as np
 
 from taut.arm.description import Arm
+from taut.arm.parts import checked_payload_entry
 from taut.base.checks import finite_array
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.front_door import public_name
 from taut.base.paths import subtree
 from taut.base.quantity import six_of
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.lawside import checked_payload_entry
 from taut.maths.model import Model
 from taut.maths.wrist import sensor_place
 from taut.plant.sensors.joint_sensors import Encoder, Tachometer, TorqueSensor

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.arm.doubts import indefinite
+from taut.arm.rules import indefinite
 from taut.base.types import Float64Array
-from taut.control.tasks.phase_sample import PhaseSample
-from taut.control.tasks.phases import ENDED
+from taut.control.tasks.task import ENDED
+from taut.control.trajectories.compound import PhaseSample
 from taut.record.felt import FELT
 from taut.record.film.surroundings import AROUND, Around
 from taut.record.metrics import LIMITS
@@ -150,7 +150,9 @@ def _stability(value: Mapping[str, Any]) -> bool:
 
 
 def _phases(value: Mapping[str, Any], run: Run) -> bool:
-    followed = {None, *run.reference.kinds} if isinstance(run.reference, PhaseSample) else None
+    followed: set[str | None] | None = None
+    if isinstance(run.reference, PhaseSample):
+        followed = {None, *(part.name for part in run.reference.parts)}
     phases = all(
         _of_law(phase, run.n) and (followed is None or phase["follows"] in followed) for phase in value.values()
     )

@@ -12,12 +12,10 @@ from typing import IO, Any, Final
 import numpy as np
 
 from taut.base.checks import readable_file
-from taut.base.errors import FileError, UsageError
+from taut.base.errors import FileError, UsageError, printable
 from taut.base.paths import subtree
 from taut.base.types import Array, Float64Array
-from taut.base.words import printable
-from taut.control.side_by_side import TOGETHER, together_kind
-from taut.control.tasks.phase_sample import PhaseSample, phase_sample
+from taut.control.trajectories.compound import TOGETHER, PhaseSample, phase_sample, together_kind
 from taut.control.trajectories.reference import Sample
 from taut.record.description import description_from, outcome_from, unsealed
 from taut.record.log.info import wrong_entry

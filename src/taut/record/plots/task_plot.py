@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from taut.base.types import Float64Array
-from taut.control.tasks.phase_sample import PhaseSample
+from taut.control.trajectories.compound import PhaseSample
 from taut.control.trajectories.force_reference import HybridMotion
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.record.force import wanted_wrench

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from taut.arm.description import BASE, Arm
+from taut.arm.parts import inertia_entries
 from taut.base.errors import MatchError, quoted_list
 from taut.base.types import Float64Array
 from taut.maths import dynamics as dyn
 from taut.maths.model import PayloadValues, RigidBody, model_of
 from taut.runtime.robots.mujoco.drives import Actuator
 from taut.runtime.robots.mujoco.rig import Rig
-from taut.trace.inertia import inertia_entries
 from taut.trace.pose import Pose
 
 if TYPE_CHECKING:

@@ -10,9 +10,9 @@ import numpy as np
 
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
-from taut.codegen import native as native_code
+from taut.codegen.engine import Steps, best_engine
 from taut.codegen.layout import Block
-from taut.codegen.loop import FloatLoop, NativeLoop
+from taut.codegen.loop import StepLoop
 from taut.maths import dynamics as dyn
 from taut.maths.model import model_of
 from taut.plant.drives.drivetrain import Drivetrain
@@ -37,7 +37,7 @@ class EnvironmentStage:
     def __init__(self, rig: Rig, environment: Environment, train: Drivetrain) -> None:
         self._rig, self._environment, self._train = rig, environment, train
         self._model = model_of(rig.arm)
-        self._loop: NativeLoop | FloatLoop | None = None
+        self._loop: StepLoop | None = None
 
     def _step(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:
         """The wrench at a state, as a force on the joints, and memory after a step."""
@@ -68,10 +68,10 @@ class EnvironmentStage:
             self._inputs = Block.of({"q": (n,), "v": (n,), "t": ()})
             self._parameters = Block.of({path: np.shape(value) for path, value in values.items()})
             self._memory = Block.of({path: np.shape(value) for path, value in memory.items()})
-            kind = NativeLoop if native_code.available() else FloatLoop
             example = self._inputs.zeros(), self._parameters.pack(values), self._memory.pack(memory)
             example[0][:n] = q
-            self._loop = kind(self._step, self._step, 0, self._inputs, self._parameters, self._memory, example)
+            functions = Steps(self._step, self._inputs, self._parameters, self._memory)
+            self._loop = StepLoop(functions, example, engine=best_engine())
             self._row, self._out = np.zeros((1, self._inputs.size)), np.zeros((1, self._loop.outputs.size))
             self._seen = self._inputs.views(self._row)
             self._given = {path: view[0] for path, view in self._loop.outputs.views(self._out).items()}

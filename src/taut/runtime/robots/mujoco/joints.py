@@ -11,9 +11,9 @@ import numpy as np
 from taut.arm.description import CommandKind
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
-from taut.codegen import native as native_code
+from taut.codegen.engine import Steps, best_engine
 from taut.codegen.layout import Block
-from taut.codegen.loop import FloatLoop, NativeLoop
+from taut.codegen.loop import StepLoop
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
 from taut.maths.compensation import compensation
@@ -87,7 +87,7 @@ class JointStage:
         self._rigid = np.array(train.rigid, dtype=np.intp)
         self._dofs = np.array(rig.dofs, dtype=np.intp)
         self._arrived = LinkTorque(rig)
-        self._loop: NativeLoop | FloatLoop | None = None
+        self._loop: StepLoop | None = None
 
     # ---------------------------------------------------------------- the pure function
 
@@ -153,11 +153,10 @@ class JointStage:
             self._inputs = Block.of({"q": (n,), "v": (n,), "F_ext": (6,)})
             self._parameters = Block.of({path: np.shape(value) for path, value in values.items()})
             self._memory = Block.of({path: np.shape(value) for path, value in memory.items()})
-            kind = NativeLoop if native_code.available() else FloatLoop
             example = self._inputs.zeros(), self._parameters.pack(values), self._memory.pack(memory)
             example[0][:n] = q
             blocks = self._inputs, self._parameters, self._memory
-            self._loop = kind(self._step, self._step, 0, *blocks, example)
+            self._loop = StepLoop(Steps(self._step, *blocks), example, engine=best_engine())
             self._row, self._out = np.zeros((1, self._inputs.size)), np.zeros((1, self._loop.outputs.size))
         self._flat = self._memory.pack(memory)
         self._seen = {path: view[0] for path, view in self._inputs.views(self._row).items()}

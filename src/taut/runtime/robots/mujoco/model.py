@@ -10,6 +10,7 @@ import numpy as np
 
 from taut.arm.description import BASE, Arm, Payload
 from taut.arm.loaders.mjspec import add_links
+from taut.arm.parts import inertia_matrix
 from taut.base.types import Float64Array
 from taut.maths.adds import Adds
 from taut.plant.drives.drivetrain import Drivetrain
@@ -18,7 +19,6 @@ from taut.runtime.robots.mujoco.rig import Rig, index
 from taut.runtime.robots.mujoco.scene import Scene, attach_scene, refused
 from taut.runtime.robots.mujoco.shapes import TOUCHING, Looks, Shapes, Touch
 from taut.runtime.robots.mujoco.tool import SpringTip, add_tip
-from taut.trace.inertia import inertia_matrix
 from taut.trace.pose import Pose
 
 if TYPE_CHECKING:

@@ -10,9 +10,9 @@ import numpy as np
 from taut.arm.description import Arm
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
-from taut.codegen import native as native_code
+from taut.codegen.engine import Steps, best_engine
 from taut.codegen.layout import Block
-from taut.codegen.loop import FloatLoop, NativeLoop
+from taut.codegen.loop import StepLoop
 from taut.maths.model import model_of
 from taut.plant.sensors.sensors import Sensors
 
@@ -32,7 +32,7 @@ class SensorStage:
     def __init__(self, arm: Arm, sensors: Sensors) -> None:
         self._arm, self._sensors, self._model = arm, sensors, model_of(arm)
         self._shapes = sensors.noise(arm, touched=True)
-        self._loop: NativeLoop | FloatLoop | None = None
+        self._loop: StepLoop | None = None
 
     def _read(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:  # noqa: ARG002
         true = {path: value for path, value in inputs.items() if not path.startswith("noise.")}
@@ -52,10 +52,10 @@ class SensorStage:
             self._inputs = Block.of(shapes | {f"noise.{name}": shape for name, shape in self._shapes.items()})
             own = subtree(parameters, "sensors")
             self._parameters = Block.of({path: np.shape(value) for path, value in own.items()})
-            kind = NativeLoop if native_code.available() else FloatLoop
             example = self._inputs.zeros(), self._parameters.pack(own), np.zeros(0)
             self._inputs.views(example[0])["q"][...] = true["q"]
-            self._loop = kind(self._read, self._read, 0, self._inputs, self._parameters, Block(), example)
+            steps = Steps(self._read, self._inputs, self._parameters, Block())
+            self._loop = StepLoop(steps, example, engine=best_engine())
             self._row, self._out = np.zeros((1, self._inputs.size)), np.zeros((1, self._loop.outputs.size))
             self._seen = {path: view[0, ...] for path, view in self._inputs.views(self._row).items()}
             self._given = {path: view[0, ...] for path, view in self._loop.outputs.views(self._out).items()}

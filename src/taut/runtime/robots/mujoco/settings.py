@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taut.arm.description import Payload
-from taut.base.checks import read_only
+from taut.base.checks import in_compiled_shape, read_only
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.lawside import in_compiled_shape
 from taut.plant.numbers import PlantNumbers
 from taut.runtime.robots.mujoco.model import put_payload
 from taut.runtime.robots.mujoco.rig import Rig

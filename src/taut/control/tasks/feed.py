@@ -1,0 +1,335 @@
+"""The references of a task: each phase has its own, whose time counts from its begin."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from taut.base.checks import float_array
+from taut.base.errors import UsageError, one_thread_at_a_time
+from taut.base.paths import subtree
+from taut.base.types import Float64Array
+from taut.control.law import Law
+from taut.control.lawside import LawSide
+from taut.control.tasks.phase import STOP
+from taut.control.tasks.task import Task, blamed
+from taut.control.trajectories.compound import PhaseSample
+from taut.control.trajectories.feed import Feed, ReferenceFeed
+from taut.control.trajectories.reference import Hold, Reference, Sample, Stream, Trajectory, as_reference
+from taut.maths.snapshot import Snapshot, measurement_shapes
+
+__all__ = ["TaskFeed", "TaskSteps", "feed_of"]
+
+NEXT: Final = "law.next"
+TICKS: Final = "law.ticks"
+TASK_BLOCK: Final = 256  # ticks that a run takes at once: more would be taken back where a phase begins among them
+AHEAD: Final = 512  # ticks whose samples are made at once where ticks are taken one by one
+ONE_BY_ONE: Final = 16  # the same of a trajectory that gives one at a time, so that no tick waits long for them
+
+
+def feed_of(side: LawSide, ref: Reference, q: Float64Array, parameters: Callable[[], Mapping[str, Any]]) -> Feed:
+    """What fills the reference of a run.
+
+    Args:
+        side: The law side.
+        ref: The reference of its law; of no meaning for a task, whose phases have their own.
+        q: (n,) where the run starts.
+        parameters: Gives the parameters of the law side by path.
+
+    Raises:
+        UsageError: The reference gives another kind of sample, or a stream has no source.
+    """
+    if side.task is not None:
+        return TaskFeed(side, side.task, parameters)
+    return ReferenceFeed(ref, side.law.reference, side.arm, side.dt, side.at_rest(q))
+
+
+class TaskFeed:
+    """Fills the reference of a block of ticks in which one phase acts.
+
+    A phase without a reference holds where it began. So does what no phase follows at the moment, and what stands
+    in the record once the task has stopped.
+
+    Args:
+        side: The law side.
+        task: Its task.
+        parameters: Gives those of the law side by path, in a run: phases are checked there where they begin. Without,
+            ticks are taken one by one, and samples of a stream without a source come from the caller.
+
+    Raises:
+        UsageError: A stream without a source, in a run.
+    """
+
+    block = TASK_BLOCK
+
+    def __init__(self, side: LawSide, task: Task, parameters: Callable[[], Mapping[str, Any]] | None = None) -> None:
+        self._side, self._task, self._parameters = side, task, parameters
+        self._name, self._since = task.names[0], 0  # the phase that acts, and the tick with which it began
+        self._inner: ReferenceFeed | None = None  # made when the phase is first filled
+        self._others: dict[str, Float64Array] = {}  # fields that the phase does not follow
+        for name, phase in task.phases.items():
+            self._check_first_sample(name, phase.reference)
+            if parameters is not None and isinstance(phase.reference, Stream) and phase.reference.source is None:
+                raise UsageError(
+                    f"phase '{name}': a stream in a simulation needs source=, a function that gives the next sample",
+                    name="reference",
+                )
+
+    def _check_first_sample(self, name: str, given: Any) -> None:
+        """The first sample of a reference that is known must fit the arm."""
+        given = given.sample if isinstance(given, Hold) else given
+        if given is None or isinstance(given, Stream) or (callable(given) and not isinstance(given, Trajectory)):
+            return
+        law, arm = self._task.laws[name], self._side.arm
+        views = {field: np.zeros((1, *shape)) for field, shape in law.reference.fields(arm.n).items()}
+        home = law.at_rest(Snapshot(self._side.model, q=arm.home, v=np.zeros(arm.n)))
+        with blamed(name):
+            feed = ReferenceFeed(as_reference(given), law.reference, arm, self._side.dt, home)
+            feed.fill(views, 0, lambda: home)
+
+    @property
+    def waits(self) -> bool:
+        """Whether the phase that acts follows samples that the caller gives."""
+        reference = None if self._name == STOP else self._task.phases[self._name].reference
+        return isinstance(reference, Stream) and reference.source is None
+
+    def begin(self, name: str, tick: int) -> None:
+        """A phase begins with a tick: its reference is made when it is first asked for."""
+        self._name, self._since, self._inner = name, tick, None
+
+    def follow(self, memory: Mapping[str, Any], tick: int, state: Callable[[], Any]) -> bool:
+        """Whether a phase begins with a tick, by the memory before it; then its reference is made."""
+        if tick == 0 or not memory[TICKS] < 0.5:
+            return False
+        self.begin(self._task.names[int(memory[NEXT])], tick)
+        self.prepare(state)
+        return True
+
+    def ends(self, outputs: Mapping[str, Float64Array], first: int, end: int) -> int | None:
+        """The tick after the first one from first to end that ends a phase."""
+        ended = np.flatnonzero(outputs["phase_ended"][first:end])
+        return first + int(ended[0]) + 1 if len(ended) else None
+
+    def prepare(self, state: Callable[[], Any]) -> None:
+        """Make the reference of the phase from what is seen in its first tick, if that was not done yet."""
+        if self._inner is not None:
+            return
+        x, law, name = state(), self._law, self._name
+        given = None if name == STOP else self._task.phases[name].reference
+        with blamed(name):
+            if callable(given) and not isinstance(given, Trajectory):
+                given = given(x)
+            reference = Hold() if given is None or self.waits else as_reference(given)
+            self._inner = ReferenceFeed(reference, law.reference, self._side.arm, self._side.dt, law.at_rest(x))
+        if name != STOP and self._parameters is not None:
+            self._task.bound(subtree(self._parameters(), "law")).check_begin(name, x, reference, self._side.rate)
+        start = self._start
+        if start:
+            rest, fields = self._task.at_rest(x), self._task.reference.fields(self._side.arm.n)
+            others = [field for field in fields if not field.startswith(start)]
+            self._others = {field: np.asarray(getattr(rest, field), dtype=np.float64) for field in others}
+
+    @property
+    def _law(self) -> Law:
+        """The law that is followed; where nothing is, the first one that follows something."""
+        law = self._task.laws[self._name]
+        return law if not law.ignores_reference or not self._task.followers else self._task.followers[0]
+
+    @property
+    def _start(self) -> str:
+        """What the fields of the sample begin with that the phase follows."""
+        kind = self._task.reference
+        return f"{kind.name_of(self._law.reference)}_" if issubclass(kind, PhaseSample) else ""
+
+    @property
+    def kind(self) -> type[Sample]:
+        """The kind of sample that the phase follows."""
+        return self._law.reference
+
+    def own(self, views: Mapping[str, Float64Array]) -> dict[str, Float64Array]:
+        """Those of the fields of a sample of the task that the phase follows, by their own names."""
+        start = self._start
+        return {field[len(start) :]: view for field, view in views.items() if field.startswith(start)}
+
+    def next_question(self, tick: int) -> int | None:
+        """The first tick after `tick` at which the source of a stream is asked; None if never."""
+        question = None if self._inner is None else self._inner.next_question(tick - self._since)
+        return None if question is None else question + self._since
+
+    @property
+    def in_rows(self) -> bool:
+        """Whether the samples of many ticks cost little more than that of one, once the reference is made."""
+        return self._inner is None or self._inner.in_rows
+
+    def fill(
+        self, views: Mapping[str, Float64Array], first: int, state: Callable[[], Any], given: Sample | None = None
+    ) -> int:
+        """Write the reference of the ticks from `first` on into views (k, ...) by field.
+
+        Args:
+            views: Where to write: one array per field of the sample.
+            first: Number of the first tick.
+            state: Gives the snapshot at the first tick: what a function of it, a hold and a source are given.
+            given: The sample of a caller, where the phase `waits` for one.
+
+        Returns:
+            Number of ticks that were filled: if that is less than k, the reference fails in a later tick.
+
+        Raises:
+            TautError: There is nothing that can be followed in the first of the ticks.
+        """
+        self.prepare(state)
+        assert self._inner is not None
+        start = self._start
+        for field, values in self._others.items() if start else ():
+            views[field][...] = values
+        own = self.own(views)
+        if given is None:
+            with blamed(self._name):
+                return self._inner.fill(own, first - self._since, state, ahead=False)
+        joints = self._side.arm.joint_names
+        for field, view in own.items():
+            shape = view.shape[1:]
+            of_joints = joints if shape == (len(joints),) else None
+            view[...] = float_array(f"ref.{field}", getattr(given, field), shape=shape, joints=of_joints)
+        return len(next(iter(views.values())))
+
+
+class TaskSteps:
+    """The references of a task whose ticks are taken one by one, by `ctrl.step`.
+
+    Samples are made ahead for a block of ticks, as a run does. A tick whose sample is there costs one row to copy. In
+    the others, such as the first one of a phase, or one whose sample the caller gives, it is made in that tick.
+
+    Args:
+        side: The law side.
+        task: Its task.
+        memory: Memory of the law side by path, as compiled code changes it.
+        sample: Where compiled code reads the sample, flat: the fields of the task's kind, one behind the other.
+    """
+
+    def __init__(self, side: LawSide, task: Task, memory: Mapping[str, Float64Array], sample: Float64Array) -> None:
+        self._side, self._task, self._memory, self._sample = side, task, memory, sample
+        self._feed = TaskFeed(side, task)
+        self._table = np.zeros((AHEAD, sample.size))
+        self._fields: dict[str, Float64Array] = {}  # of all rows of the table
+        first = 0
+        views: dict[str, Float64Array] = {}
+        for name, shape in task.reference.fields(side.arm.n).items():
+            size = int(np.prod(shape, dtype=np.int64))
+            views[name] = sample[first : first + size].reshape(shape)
+            self._fields[name] = self._table[:, first : first + size].reshape(AHEAD, *shape)
+            first += size
+        self._views = views
+        self._ahead: dict[int, Float64Array] = {}  # the sample, flat, by the number of a tick in its phase
+        self._places: dict[
+            str, Float64Array
+        ] = {}  # where the fields of a sample go that the caller gives, if one does
+        self._given: Any = None  # that sample, during a call
+
+    def name(self, going: bool) -> str:
+        """The phase that the coming tick belongs to, of a task that is going on or begins with it."""
+        return self._task.names[int(self._memory[NEXT]) if going else 0]
+
+    def around(self, step: Callable[..., Any], slow: Callable[..., Any]) -> Callable[..., Any]:
+        """`step` where the sample of the tick is made already, and else `slow`, which makes it."""
+        ticks, sample = self._memory[TICKS].item, self._sample
+        alone = [None]  # what the thread takes that is in a tick: half of the time of a lock
+        begin, end = alone.pop, alone.append
+
+        def with_sample(*args: Any, **kwargs: Any) -> Any:
+            try:
+                begin()
+            except IndexError:
+                raise one_thread_at_a_time() from None
+            try:
+                row = self._ahead.get(int(ticks()))
+                if row is None:
+                    return self._with_given(step, args, kwargs) if self._take(args) else slow(*args, **kwargs)
+                sample[:] = row
+                return step(*args, **kwargs)
+            finally:
+                end(None)
+
+        return with_sample
+
+    def _take(self, args: tuple[Any, ...]) -> bool:
+        """Write the last of some arguments where compiled code reads it, if it is a sample that fits its phase."""
+        if not self._places or not self._memory[TICKS] or not args or type(args[-1]) is not self._feed.kind:
+            return False
+        values = [getattr(args[-1], field) for field in self._places]
+        if any(np.shape(value) != view.shape for value, view in zip(values, self._places.values(), strict=True)):
+            return False
+        for value, view in zip(values, self._places.values(), strict=True):
+            view[...] = value
+        return True
+
+    def _with_given(self, step: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+        self._given = args[-1]  # for `place`, where this is no plain call
+        try:
+            return step(*args[:-1], **kwargs)
+        finally:
+            self._given = None
+
+    def place(
+        self, tick: int, going: bool, given: Mapping[str, Any], ref: Any, parameters: Mapping[str, Any]
+    ) -> None:
+        """Write what is followed in a tick where compiled code reads it.
+
+        Where the reference of the phase fails, the task stops: the tick after the one that raises holds the arm.
+
+        Args:
+            tick: Its number.
+            going: Whether the task is going on; else it begins with this tick.
+            given: What is measured, as the caller gave it.
+            ref: The sample that the caller gave; None for none.
+            parameters: Parameters of the law side by path.
+
+        Raises:
+            UsageError: A sample where the phase has a reference of its own, or none where it waits for one.
+            ShapeError: A sample of another size.
+        """
+        since, name = int(self._memory[TICKS]) if going else 0, self.name(going)
+        ref = self._given if ref is None else ref
+        if since == 0:
+            self._ahead = {}
+            self._feed.begin(name, tick)
+            self._places = self._feed.own(self._views) if self._feed.waits else {}
+        waits = self._feed.waits
+        if waits and not isinstance(ref, self._task.laws[name].reference):
+            kind, got = self._task.laws[name].reference.described(), "none" if ref is None else type(ref).__name__
+            raise UsageError(f"phase '{name}' follows a stream: step needs ref, a {kind}; got {got}", name="ref")
+        if ref is not None and not waits:
+            raise UsageError(f"phase '{name}' has its own reference; leave ref out of step", name="ref")
+        row = self._ahead.get(since)
+        if row is None:
+            x = None if waits and since > 0 else self._seen(tick, going, given, parameters)
+            try:
+                self._feed.prepare(lambda: x)
+                fields = {field: rows[: self._count(tick)] for field, rows in self._fields.items()}
+                count = self._feed.fill(fields, tick, lambda: x, ref)
+            except Exception:
+                if going and not waits:
+                    self._memory[NEXT][...], self._memory[TICKS][...] = len(self._task.phases), 0.0
+                raise
+            # A first tick is never there beforehand, for what it follows depends on where its phase begins.
+            row, self._ahead = self._table[0], {since + i: self._table[i] for i in range(1, count)}
+        self._sample[:] = row
+
+    def _seen(self, tick: int, going: bool, given: Mapping[str, Any], parameters: Mapping[str, Any]) -> Snapshot:
+        """What the controller sees in a tick."""
+        sizes = measurement_shapes(self._side.arm.n)
+        measured = {path: float_array(path, value, shape=sizes[path]) for path, value in given.items()}
+        self._side.check_finite(measured, tick)
+        sensing = subtree(self._memory, "sensing") if going else None
+        return self._side.seen(measured, sensing, parameters, tick * self._side.dt)
+
+    def _count(self, tick: int) -> int:
+        """Ticks whose samples can be made in this one."""
+        if self._feed.waits:
+            return 1
+        question = self._feed.next_question(tick)
+        count = AHEAD if self._feed.in_rows else ONE_BY_ONE
+        return count if question is None else min(count, question - tick)

@@ -1,0 +1,457 @@
+"""Task: the stage of a control side that selects among the laws of phases. All laws are in one program."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any, ClassVar, Final, TypeVar
+
+import numpy as np
+
+from taut.base.declarations import Declaration
+from taut.base.errors import (
+    MatchError,
+    NumericalError,
+    RangeError,
+    ShapeError,
+    TautError,
+    UsageError,
+    raised_location,
+)
+from taut.base.fields import Declared
+from taut.base.types import Float64Array
+from taut.control.command import Command, Position, Terms, Torque, Velocity
+from taut.control.gains import Gain
+from taut.control.law import Law, LawMemory, MemoryView, call, initial_memory
+from taut.control.tasks.guards import Guard, GuardView, Lasting, condition
+from taut.control.tasks.phase import STOP, Phase, named_phases
+from taut.control.trajectories.compound import PhaseSample, phase_sample
+from taut.control.trajectories.reference import Hold, JointMotion, Reference, Sample, Stream, Trajectory, as_reference
+from taut.maths.snapshot import Snapshot
+from taut.trace import math as tm
+
+__all__ = ["ENDED", "NO_CONTACT", "Halt", "Task"]
+
+T = TypeVar("T")
+RUNNING, UNTIL, UNLESS, TIMEOUT, NO_CONTACT = range(5)
+ENDED: Final = {UNTIL: "until", UNLESS: "unless", TIMEOUT: "timeout", NO_CONTACT: "no contact"}
+"""What ended a phase, by the code that is recorded in the last tick of it."""
+BESIDE: Final = 0.1  # [rad | m] to a state beside a singular one
+TICK_ROUNDING: Final = 1e-6  # [ticks] by which a timeout that is meant to be a whole number of ticks may miss one
+MADE_BY: Final = {kind.kind: kind for kind in (Torque, Velocity, Position)}
+
+
+class Halt(Law):
+    """Holds the arm where it was when this law began: what acts where a task has stopped.
+
+    Law:          tau = M (kp (q_0 - q) - kd v) + h, with q_0 where it began; as a velocity 0, as a position q_0
+    Closed loop:  e_ddot + kd e_dot + kp e = 0, e = q_0 - q
+                  moving when it began, the arm comes to rest and goes back; nothing of an earlier push is kept up
+    """
+
+    ignores_reference: ClassVar[bool] = True
+
+    kp: Gain = Gain(100.0)  # [1/s^2]
+    kd: Gain = Gain(20.0)  # [1/s]
+    kind: str = "torque"
+
+    def start(self, x: Snapshot, ref: Any) -> dict[str, Any]:  # noqa: ARG002
+        return {"q": tm.array(x.q)}
+
+    def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: Any) -> tuple[Command, dict[str, Any]]:  # noqa: ARG002
+        made, after = MADE_BY[self.kind], {"q": memory.q}
+        if made is Torque:
+            a = Terms(P=self.kp @ x.difference(memory.q), D=-(self.kd @ x.v))
+            return Torque(x.M @ a + Terms(nonlinear=x.h)), after
+        return made(Terms(hold=tm.zeros(x.n) if made is Velocity else memory.q)), after
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Task:
+    """Phases, each with a law of its own, of which one acts in each tick: what a control side evaluates.
+
+    All laws are evaluated in every tick and one is selected: a number of a law that does not act, finite or not,
+    reaches neither the command nor a memory. The guards of the phase that acts decide, from what is measured in a
+    tick, which phase acts from the next one on. A law starts in the first tick of its phase. A change of phases
+    comes in by `Limits(blend=)`, from the command of the tick before, and within `Limits(tau_dot=)`. Where the task
+    has stopped, `Halt` holds the arm.
+
+    The path of a gain is law.approach.kp, by the name of the phase; law.stop.kp and law.stop.kd are those of `Halt`.
+
+    Args:
+        phases: By name, in their order.
+        laws: By the name of the phase, and last the law that acts where the task has stopped.
+    """
+
+    phases: Mapping[str, Phase]
+    laws: Mapping[str, Law]
+
+    uses_memory: ClassVar[bool] = True
+    ignores_reference: ClassVar[bool] = False
+
+    @classmethod
+    def of(cls, phases: Sequence[Phase]) -> Task:
+        """The task of a list of phases.
+
+        Raises:
+            UsageError, UnknownNameError: A list that is no task.
+        """
+        named = named_phases(phases)
+        return cls(phases=named, laws={**{name: phase.law for name, phase in named.items()}, STOP: Halt()})
+
+    # ---------------------------------------------------------------- its parts
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The phases in their order, and what follows where the task has stopped."""
+        return (*self.phases, STOP)
+
+    @property
+    def title(self) -> str:
+        """What it is called in messages."""
+        return f"the task of {', '.join(self.phases)}"
+
+    @cached_property
+    def followers(self) -> tuple[Law, ...]:
+        """The laws that follow a reference."""
+        return tuple(law for law in self.laws.values() if not law.ignores_reference)
+
+    @cached_property
+    def reference(self) -> type[Sample]:
+        """The kind of sample that its laws follow; one with a sample of each kind where there are several."""
+        kinds = list(dict.fromkeys(law.reference for law in self.followers)) or [JointMotion]
+        return kinds[0] if len(kinds) == 1 else phase_sample(tuple(kinds))
+
+    @property
+    def controlled_frame(self) -> str | None:
+        """The frame that the first law of the tool controls."""
+        return next((frame for law in self.laws.values() if (frame := law.controlled_frame)), None)
+
+    def children(self) -> dict[str, Law]:
+        """The laws by name."""
+        return dict(self.laws)
+
+    def follows(self, name: str) -> str | None:
+        """Which part of a sample of the task the law of a phase follows; None where the sample is of one kind."""
+        kind, law = self.reference, self.laws[name]
+        return kind.name_of(law.reference) if issubclass(kind, PhaseSample) and not law.ignores_reference else None
+
+    def sample_of(self, name: str, ref: Sample) -> Sample:
+        """What the law of a phase follows, of a sample of the task."""
+        part = self.follows(name)
+        own: Sample = ref if part is None else getattr(ref, part)
+        return own
+
+    def alone(self, name: str) -> Task:
+        """The task of one of the phases."""
+        return Task.of([dataclasses.replace(self.phases[name], name=name, otherwise=STOP, then=None)])
+
+    def at_rest(self, x: Snapshot) -> Sample:
+        """The sample that asks its laws to stay as in the snapshot."""
+        kind, own = self.reference, {law.reference: law.at_rest(x) for law in reversed(self.followers)}
+        if not issubclass(kind, PhaseSample):
+            return own[kind] if own else JointMotion.at_rest(x, None)
+        return kind({part.name: own[part.kind] for part in kind.parts})
+
+    # ---------------------------------------------------------------- its gains
+
+    def parameters(self) -> dict[str, Float64Array]:
+        """Every gain of the laws, by path."""
+        return {f"{name}.{path}": v for name, law in self.laws.items() for path, v in law.parameters().items()}
+
+    def units(self) -> dict[str, str]:
+        """Unit of each gain by path."""
+        return {f"{name}.{path}": unit for name, law in self.laws.items() for path, unit in law.units().items()}
+
+    def find(self, path: str) -> tuple[Declared, Declaration[Any]]:
+        """The object that has the parameter at a path, and its declaration."""
+        name, _, rest = path.partition(".")
+        return self.laws[name].find(rest)
+
+    def changed(self, path: str, value: Any, *, name: str = "") -> Task:
+        """A copy with another value of the gain at a path, checked as when it was made."""
+        phase, _, rest = path.partition(".")
+        law = self.laws[phase].changed(rest, value, name=name or path)
+        return dataclasses.replace(self, laws={**self.laws, phase: law})
+
+    def bound(self, values: Mapping[str, Any]) -> Task:
+        """A copy whose gains are `values` by path."""
+        own = {
+            name: law.bound({p[len(name) + 1 :]: v for p, v in values.items() if p.startswith(f"{name}.")})
+            for name, law in self.laws.items()
+        }
+        return dataclasses.replace(self, laws=own)
+
+    # ---------------------------------------------------------------- checks
+
+    def check_size(self, joints: Sequence[str] | int, prefix: str = "") -> None:
+        """Every gain must have as many entries as its law acts on."""
+        for name, law in self.laws.items():
+            try:
+                law.check_size(joints, prefix)
+            except ShapeError as cause:
+                raise ShapeError(f"phase '{name}': {cause}", name=name) from cause
+
+    def check_rates(self, rate: float) -> None:
+        """Every law must fit the rate [Hz]."""
+        for law in self.laws.values():
+            law.check_rates(rate)
+
+    def check_states(self, x: Snapshot, rate: float, *, changed: bool = False) -> None:
+        """Only the first phase starts where the run does; gains that change may be of any."""
+        for name in self.laws if changed else [next(iter(self.phases))]:
+            self.laws[name].check_states(x, rate, changed=changed)
+
+    def check_references(self, x: Snapshot, ref: Reference, rate: float, *, later: bool = False) -> None:  # noqa: ARG002
+        """What the phases are to follow, as far as it is known before: not what depends on where a phase begins."""
+        for i, (name, phase) in enumerate(self.phases.items()):
+            given = phase.reference
+            if isinstance(given, Trajectory) or not (callable(given) or isinstance(given, Stream)):
+                reference = as_reference(Hold() if given is None else given)
+                with blamed(name):
+                    self.laws[name].check_references(x, reference, rate, later=i > 0)
+
+    def check_begin(self, name: str, x: Snapshot, ref: Reference, rate: float) -> None:
+        """A phase that begins must have a meaning there, with its gains and what it is to follow.
+
+        Not one that is refused, since there is no contact.
+
+        Raises:
+            RangeError, UsageError: It has none; the message names the phase.
+        """
+        phase = self.phases[name]
+        if phase.needs_contact and not condition(phase.in_contact(x), f"contact of phase '{name}'"):
+            return
+        with blamed(name):
+            self.laws[name].check_states(x, rate)
+            self.laws[name].check_references(x, ref, rate)
+
+    # ---------------------------------------------------------------- a tick
+
+    def initial_memory(self, x: Snapshot, ref: Sample) -> dict[str, Any]:
+        """Memory at the first tick.
+
+        That of the laws is zeros: each law starts when its phase begins, and what it would start with now may not be
+        finite.
+        """
+        counters = sum(isinstance(guard, Lasting) for p in self.phases.values() for guard in (p.unless, p.until))
+        out: dict[str, Any] = {"phase": 0.0, "next": 0.0, "ticks": 0.0, "ended": 0.0, "begin": tm.array(x.q)}
+        out |= {"lasted": np.zeros(counters)} if counters else {}
+        for name, law in self.laws.items():
+            own = self.sample_of(name, ref)
+            out[name] = _zeros(_beside_singular(partial(initial_memory, law, ref=own), x, idle=True))
+        return out
+
+    @staticmethod
+    def begins(memory: Mapping[str, Any]) -> Any:
+        """Whether the coming tick is the first one of its phase."""
+        return memory["ticks"] < 0.5
+
+    def command(self, x: Snapshot, ref: Sample, memory: MemoryView, dt: Any) -> tuple[Command, dict[str, Any]]:
+        """The command of the law that acts, and the memory of all."""
+        fresh, count = memory.ticks < 0.5, len(self.phases)
+        here = [_is(memory.next, i, count) for i in range(count + 1)]
+        refused = self._refused(x, here, fresh)
+        acting = {name: here[i] & ~refused for i, name in enumerate(self.phases)}
+        acting[STOP] = here[count] | refused
+        commands: dict[str, Command] = {}
+        after: dict[str, Any] = {}
+        for name, law in self.laws.items():
+            own = self.sample_of(name, ref)
+            if name == STOP:
+                law = law._replaced({"kind": _kind(commands)})
+            old = memory[name]
+
+            def called(x: Snapshot, law: Law = law, own: Sample = own, old: LawMemory = old) -> tuple[Command, Any]:
+                return call(law, x, own, _chosen(fresh, initial_memory(law, x, own), old), dt)
+
+            commands[name], new = _beside_singular(called, x, idle=_known_false(acting[name]))
+            after[name] = _chosen(acting[name], new, old)
+        return _selected(commands, acting, x.n), {**after, **self._moved_on(x, ref, memory, here, refused, dt)}
+
+    def _refused(self, x: Snapshot, here: list[Any], fresh: Any) -> Any:
+        """Whether a phase begins that needs contact, and has none."""
+        refused: Any = np.bool_(False)
+        for i, (name, phase) in enumerate(self.phases.items()):
+            if phase.needs_contact:
+                touches = _holding(phase.in_contact, x, f"contact of phase '{name}'", idle=_known_false(here[i]))
+                refused = refused | (here[i] & fresh & ~touches)
+        return refused
+
+    def _moved_on(
+        self, x: Snapshot, ref: Sample, memory: MemoryView, here: list[Any], refused: Any, dt: Any
+    ) -> dict[str, Any]:
+        """The memory of which phase acts, after this tick."""
+        fresh = memory.ticks < 0.5
+        begin = tm.where(fresh, tm.array(x.q), memory.begin)
+        where_begun = x.at(begin, np.zeros(x.n))
+        following, ended = memory.next, 0.0 * memory.ticks
+        counts: list[Any] = []
+
+        def holds(guard: Guard | None, seen: GuardView, who: str, acts: Any) -> Any:
+            """Whether a guard holds; one that has to last counts the ticks."""
+            if guard is None:
+                return np.bool_(False)
+            now = _holding(guard, seen, who, idle=_known_false(acts))
+            if not isinstance(guard, Lasting):
+                return now
+            before = tm.where(fresh, 0.0, memory["lasted"][len(counts)])
+            counts.append(tm.where(acts & now, before + 1.0, 0.0))
+            return counts[-1] > guard.ticks - 0.5
+
+        for i, (name, phase) in enumerate(self.phases.items()):
+            seen = GuardView(
+                x,
+                elapsed=memory.ticks * dt,
+                ref=self.sample_of(name, ref),
+                begin=where_begun,
+                tool=self.laws[name].controlled_frame,
+            )
+            late = np.bool_(False)
+            if phase.timeout is not None:
+                late = memory.ticks + 1.0 > phase.timeout / dt - TICK_ROUNDING
+            wrong = holds(phase.unless, seen, f"unless of phase '{name}'", here[i])
+            done = holds(phase.until, seen, f"until of phase '{name}'", here[i])
+            without = refused if phase.needs_contact else np.bool_(False)
+            # Where several hold, the later one here decides.
+            for code, holding in ((TIMEOUT, late), (UNTIL, done), (UNLESS, wrong), (NO_CONTACT, without)):
+                goes = here[i] & holding
+                target = self._target(i, phase.then if code == UNTIL else phase.otherwise)
+                following = tm.where(goes, float(target), following)
+                ended = tm.where(goes, float(code), ended)
+        ticks = tm.where(ended > 0.5, 0.0, memory.ticks + 1.0)
+        counted = {"lasted": tm.array(counts)} if counts else {}
+        return {"phase": memory.next, "next": following, "ticks": ticks, "ended": ended, "begin": begin, **counted}
+
+    def _target(self, i: int, target: str | int | None) -> int:
+        """The number of the phase that follows."""
+        if target is None:
+            return i + 1
+        return target if isinstance(target, int) else self.names.index(target)
+
+    # ---------------------------------------------------------------- in words
+
+    def plan(self) -> list[str]:
+        """What ends each phase, and what follows then, a line each."""
+        lines = []
+        for i, (name, phase) in enumerate(self.phases.items()):
+            onward, back = (self.names[self._target(i, to)] for to in (phase.then, phase.otherwise))
+            parts = [f"until {_called(phase.until)} -> {onward}"] if phase.until is not None else []
+            parts += [f"unless {_called(phase.unless)} -> {back}"] if phase.unless is not None else []
+            parts += [f"after {phase.timeout:g} s -> {back}"] if phase.timeout is not None else []
+            parts += [f"without contact -> {back}"] if phase.needs_contact else []
+            lines.append(f"{name}: {'; '.join(parts) or 'to the end'}")
+        return lines
+
+    def __repr__(self) -> str:
+        return f"[{', '.join(f'{name}: {self.laws[name]!r}' for name in self.phases)}]"
+
+
+@contextmanager
+def blamed(name: str) -> Iterator[None]:
+    """An error is said to be of a phase; one that is no sentence of ours, that its reference failed, and where."""
+    try:
+        yield
+    except (ShapeError, RangeError) as cause:
+        raise type(cause)(
+            f"phase '{name}': {cause}", name=cause.name, joint=cause.joint, value=cause.value, rule=cause.rule
+        ) from cause
+    except TautError as cause:
+        raise UsageError(f"phase '{name}': {cause}", name="reference") from cause
+    except Exception as cause:
+        how = f"{type(cause).__name__}: {cause} at {raised_location(cause)}"
+        raise UsageError(f"phase '{name}': its reference fails: {how}", name="reference") from cause
+
+
+def _is(number: Any, i: int, last: int) -> Any:
+    """Whether a phase has this number; numbers outside belong to the first and the last one."""
+    holds: Any = np.bool_(True)
+    if i > 0:
+        holds = (number > i - 0.5) & holds
+    if i < last:
+        holds = (number < i + 0.5) & holds
+    return holds
+
+
+def _known_false(which: Any) -> bool:
+    """Whether a condition is known not to hold: as plain Python runs it, a law that does not act is idle."""
+    return isinstance(which, (bool, np.bool_)) and not which
+
+
+def _beside_singular(evaluated: Callable[[Snapshot], T], x: Snapshot, *, idle: bool) -> T:
+    """What a law gives in a tick, or what a function makes of it.
+
+    Compiled code gives numbers that are not finite where a law is singular. Plain Python refuses to, and an idle law
+    is asked beside that state: of what it gives only names and shapes are used.
+    """
+    try:
+        return evaluated(x)
+    except NumericalError:
+        if not idle:
+            raise
+        return evaluated(x.at(x.q + BESIDE * np.cos(np.arange(x.n)), x.v))
+
+
+def _zeros(memory: Any) -> Any:
+    """Memory of the same shapes."""
+    if isinstance(memory, Mapping):
+        return {name: _zeros(value) for name, value in memory.items()}
+    return tm.zeros(np.shape(memory))
+
+
+def _holding(guard: Callable[[Any], Any], x: Snapshot | GuardView, who: str, *, idle: bool) -> Any:
+    """Whether a guard holds; that of an idle phase does not where it is singular."""
+    try:
+        return condition(guard(x), who)
+    except NumericalError:
+        if not idle:
+            raise
+        return np.bool_(False)
+    except TautError:
+        raise
+    except Exception as cause:
+        how = f"{type(cause).__name__}: {cause} at {raised_location(cause)}"
+        raise UsageError(f"{who} fails: {how}", name="guard") from cause
+
+
+def _chosen(which: Any, a: Any, b: Any) -> Any:
+    """`a` where the condition holds, else `b`: memory, with that of laws that are held."""
+    if isinstance(a, Mapping):
+        return {name: _chosen(which, value, b[name]) for name, value in a.items()}
+    return tm.where(which, a, b)
+
+
+def _kind(commands: Mapping[str, Command]) -> str:
+    """The kind of command that all phases give.
+
+    Raises:
+        MatchError: They give several.
+    """
+    kinds = {command.kind for command in commands.values()}
+    if len(kinds) > 1:
+        words = ", ".join(f"'{name}' a {command.kind}" for name, command in commands.items())
+        raise MatchError(f"the phases of a task give commands of one kind; these give {words}", name="task")
+    return kinds.pop()
+
+
+def _selected(commands: Mapping[str, Command], acting: Mapping[str, Any], n: int) -> Command:
+    """The command of the law that acts, and its terms, zero where it has none of that name."""
+    total = commands[STOP].total
+    terms: dict[str, Any] = {}
+    for name, command in commands.items():
+        if name != STOP:
+            total = tm.where(acting[name], command.total, total)
+        for term, values in command.terms.parts.items():
+            terms[term] = tm.where(acting[name], values, terms.get(term, tm.zeros(n)))
+    return type(commands[STOP])(Terms.known(total, terms))
+
+
+def _called(guard: Any) -> str:
+    """What a guard is called."""
+    inner = guard.guard if isinstance(guard, Lasting) else guard
+    word = getattr(inner, "__name__", type(inner).__name__)
+    word = "its guard" if word == "<lambda>" else word
+    return f"{word} for {guard.ticks} ticks" if isinstance(guard, Lasting) else word
