@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import taut
-from taut.record.description import described, sealed
+from taut.record.log.description import described, sealed
 from taut.record.log.mcap_writer import MAGIC, McapWriter
 from taut.record.log.topics import Description, TickLayout, columns_of
 

@@ -17,7 +17,8 @@ from scipy.integrate import solve_ivp
 import taut
 from taut.record.film import scene, video
 from taut.record.film.skeleton import Skeleton, upright
-from taut.record.film.surroundings import AROUND, POSES, Around, Mesh, Shape, Thing, around_of, poses_of
+from taut.record.film.surroundings import POSES, Around, Mesh, Shape, Thing, around_of, poses_of
+from taut.record.info import AROUND
 
 SIZE = (96, 72)
 PLACES = 1e-9  # [m]

@@ -419,7 +419,7 @@ def test_info_that_is_no_plain_value_is_refused_and_leaves_no_file(make_run: Any
 
 
 def test_a_hostile_description_is_refused(noisy_run: taut.Run, tmp_path: Path) -> None:
-    from taut.record.description import described, sealed, unsealed
+    from taut.record.log.description import described, sealed, unsealed
 
     good = described(noisy_run, Description.of(noisy_run))
     bad: list[dict[str, Any]] = [

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import taut
-from taut.record.film.surroundings import AROUND, POSES, Around, Thing
+from taut.record.film.surroundings import POSES, Around, Thing
+from taut.record.info import AROUND
 from taut.runtime.around_info import around_info
 
 C = taut.Constraint

@@ -47,6 +47,9 @@ if TYPE_CHECKING:
     from taut.analysis.wrist_calibration import WristCalibration as WristCalibration
     from taut.analysis.wrist_calibration import calibrate_wrist as calibrate_wrist
     from taut.analysis.wrist_poses import calibration_poses as calibration_poses
+    from taut.base.result import Content as Content
+    from taut.base.result import Result as Result
+    from taut.base.result import Table as Table
     from taut.linear.error_dynamics import ErrorDynamics as ErrorDynamics
     from taut.linear.linear_loop import LinearLoop as LinearLoop
     from taut.linear.routh_table import RouthTable as RouthTable

@@ -11,13 +11,13 @@ import numpy as np
 from taut.base.types import Float64Array
 from taut.control.laws.apparent import FeltImpedance
 from taut.control.trajectories.task_reference import TaskMotion
+from taut.record.info import IMPEDANCE
 
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = ["FELT", "deviation_promised", "felt_measures"]
+__all__ = ["deviation_promised", "felt_measures"]
 
-FELT: Final = "felt"  # in run.info: the impedance that the law promises at the tool where F_ext is measured
 LEAST: Final = 1e-6  # [m] RMS below which nothing was felt
 ALIKE: Final = 1e-6  # relative: masses that are one
 CHANGES: Final = ("law.", "model.")  # parameters whose change makes another promise
@@ -59,7 +59,7 @@ class _Motion:
 
     @classmethod
     def of(cls, run: Run) -> _Motion | None:
-        values: Mapping[str, Any] | None = run.info.get(FELT)
+        values: Mapping[str, Any] | None = run.info.get(IMPEDANCE)
         if (
             values is None
             or "F_ext" not in run.extra

@@ -20,10 +20,10 @@ from taut.control.limiting import LIMIT_TERMS
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.record.felt import felt_measures
 from taut.record.force import force_error
+from taut.record.info import LIMITS, TOOL
 from taut.record.pressed import pressed_measures
 from taut.record.step import step_response
 from taut.record.sticking import reversal_error, stuck
-from taut.record.task import TOOL
 
 if TYPE_CHECKING:
     from taut.record.run import Run
@@ -441,7 +441,6 @@ def _final(x: Float64Array) -> Float64Array:
     return final
 
 
-LIMITS: Final = "limits"  # in run.info: effort and velocity limits of the controller's arm, by joint
 TIMES: Final = {
     "saturation_time": "",
     **{f"{term}_time": term for term in (*LIMIT_TERMS, "blend")},

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from taut.base.errors import UsageError, unknown_name
-from taut.record.felt import FELT
+from taut.record.info import IMPEDANCE, PARTS
 
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = ["PARTS", "part_of"]
-
-PARTS: Final = "parts"  # in run.info: joints, tool and impedance of each law side by side
+__all__ = ["part_of"]
 
 
 def part_of(run: Run, name: str) -> Run:
@@ -30,12 +28,12 @@ def part_of(run: Run, name: str) -> Run:
     if name not in parts:
         raise unknown_name("the run", "part", name, parts)
     own = [run.joint_names.index(joint) for joint in parts[name]["joints"]]
-    info = {key: value for key, value in run.info.items() if key not in (PARTS, FELT)} | dict(parts[name])
+    info = {key: value for key, value in run.info.items() if key not in (PARTS, IMPEDANCE)} | dict(parts[name])
     return dataclasses.replace(
         run,
         **{key: getattr(run, key)[:, own] for key in ("q", "v", "tau", "command")},
         terms={key: values[:, own] for key, values in run.terms.items()},
-        extra={key: values for key, values in run.extra.items() if key == "F_ext" and FELT in parts[name]},
+        extra={key: values for key, values in run.extra.items() if key == "F_ext" and IMPEDANCE in parts[name]},
         reference=getattr(run.reference, name),
         joint_names=tuple(run.joint_names[i] for i in own),
         units=tuple(run.units[i] for i in own),

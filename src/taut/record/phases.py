@@ -14,15 +14,14 @@ from taut.base.types import Float64Array
 from taut.control.tasks.phase import STOP
 from taut.control.tasks.phase_sample import PhaseSample
 from taut.control.tasks.phases import ENDED, NO_CONTACT
-from taut.record.felt import FELT
+from taut.record.info import IMPEDANCE, PHASES
 from taut.record.outcome import Outcome
 
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = ["PHASES", "PhaseWindow", "phase_of", "phases_of", "told", "windows"]
+__all__ = ["PhaseWindow", "phase_of", "phases_of", "told", "windows"]
 
-PHASES: Final = "phases"  # in run.info: by name, what each phase follows, and its tool
 WELL: Final = "until"
 NONE: Final = ENDED[NO_CONTACT]
 
@@ -144,7 +143,7 @@ def phase_of(run: Run, name: str, visit: int) -> Run:
     outcome = Outcome(kind="completed", message=str(window), tick=len(run.t[rows]) - 1)
     if not run.outcome.ok and window.name != STOP and window.ended is None:  # the run ended in it
         outcome = dataclasses.replace(run.outcome, tick=outcome.tick)
-    keys = {key: value for key, value in run.info.items() if key not in (PHASES, FELT)}
+    keys = {key: value for key, value in run.info.items() if key not in (PHASES, IMPEDANCE)}
     return dataclasses.replace(
         run,
         **{key: getattr(run, key)[rows] for key in ("t", "q", "v", "tau", "command")},

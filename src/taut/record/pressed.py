@@ -9,7 +9,7 @@ import numpy as np
 
 from taut.base.types import Float64Array
 from taut.control.trajectories.hybrid_motion import HybridMotion
-from taut.record.task import TOOL
+from taut.record.info import TOOL
 
 if TYPE_CHECKING:
     from taut.record.run import Run

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
+    from taut.base.result import Content
     from taut.record.metrics import Metrics
     from taut.record.phases import PhaseWindow
     from taut.record.task import TaskSide
@@ -134,13 +135,26 @@ class Run:
         Raises:
             UsageError: The run was not made by `taut.run`, or its log holds none.
         """
-        from taut.record.report.arm_numbers import DYNAMICS, arm_from_json
+        from taut.record.info import DYNAMICS, arm_from_json
 
         known = self.info.get(DYNAMICS, {})
         both = [arm_from_json(known[name]) for name in ("controller", "plant") if name in known]
         if len(both) != 2 or both[0] is None or both[1] is None:
             raise UsageError("the run does not hold the arms that it was made with; it is no run of taut.run")
         return both[0], both[1]
+
+    def content(self, *, log: str = "run.mcap") -> Content:
+        """The description of the run that `taut.report` writes.
+
+        Args:
+            log: What its log is called, for the lines that repeat the run.
+
+        Raises:
+            UsageError: It has no two ticks.
+        """
+        from taut.record.report.run_report import content_of_run
+
+        return content_of_run(self, log=log)
 
     def part(self, name: str) -> Run:
         """The run of one of the laws side by side: its joints, its terms, what it followed, its metrics.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,13 +13,12 @@ from taut.base.types import Float64Array
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.chain import Chain
 from taut.maths.rotation_rows import log_rows
+from taut.record.info import TOOL
 
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = ["TOOL", "TaskSide", "task_of"]
-
-TOOL: Final = "tool"  # in run.info: the chain of the controlled frame
+__all__ = ["TaskSide", "task_of"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

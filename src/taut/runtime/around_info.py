@@ -13,7 +13,8 @@ from taut.maths.constraints.constraint import Constraint
 from taut.maths.snapshot import Snapshot
 from taut.plant.contact import each_contact
 from taut.plant.rigid import RigidPlant
-from taut.record.film.surroundings import AROUND, Around, Mesh, Shape, Thing
+from taut.record.film.surroundings import Around, Mesh, Shape, Thing
+from taut.record.info import AROUND
 from taut.trace.pose import Pose
 
 __all__ = ["around_info"]

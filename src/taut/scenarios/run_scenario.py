@@ -26,12 +26,10 @@ from taut.control.tasks.phases import Phases
 from taut.controller import Controller, compile
 from taut.maths.snapshot import Snapshot, snapshot
 from taut.record.compare import compare
+from taut.record.info import PARTS, PHASES, SCENARIO
 from taut.record.log.files import cannot_write, checked_target, written_aside
 from taut.record.metrics import MEASURES, Metrics
-from taut.record.part import PARTS
-from taut.record.phases import PHASES
 from taut.record.plots.spread_plot import spread_figure
-from taut.record.report.run_report import SCENARIO
 from taut.record.run import Run
 from taut.record.table import number_text
 from taut.runtime.simulate import run

@@ -9,8 +9,8 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
+from taut.record.info import PARTS
 from taut.record.metrics import MEASURES, Measure
-from taut.record.part import PARTS
 from taut.record.run import Run
 
 __all__ = ["ERRORS", "FIGURES", "Numbers", "main_error", "of_model", "of_noise", "of_run"]

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 from taut.analysis.compare.numbers import FIGURES
 from taut.analysis.compare.words import comparison_rows
+from taut.record.info import VERSIONS
 from taut.record.metrics import MEASURES
-from taut.record.report.page import VERSIONS, Page, Picture, Table
+from taut.record.report.page import Page, Picture, Table
 from taut.record.report.run_report import meaning
 from taut.record.table import number_text
 

@@ -11,7 +11,7 @@ from taut.analysis.design.words import gains_of
 from taut.arm.description import Arm
 from taut.arm.load import load_arm
 from taut.base.errors import TautError
-from taut.record.report.arm_numbers import arm_json, differences
+from taut.record.info import arm_json, differences
 from taut.record.report.page import Page, Picture, Table
 from taut.record.report.run_report import law_in_python
 from taut.record.table import number_text

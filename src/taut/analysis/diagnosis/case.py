@@ -20,9 +20,8 @@ from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.chain import Chain
 from taut.record.felt import deviation_promised
 from taut.record.force import force_error
-from taut.record.part import PARTS
+from taut.record.info import PARTS, TOOL
 from taut.record.run import Run
-from taut.record.task import TOOL
 
 __all__ = ["MODEL_TERMS", "Case", "tail"]
 

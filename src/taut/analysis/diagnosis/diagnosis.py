@@ -24,7 +24,7 @@ from taut.arm.description import Arm
 from taut.base.errors import UsageError
 from taut.base.types import Array, Float64Array
 from taut.control.limiting import LIMIT_TERMS
-from taut.record.phases import PHASES
+from taut.record.info import PHASES
 from taut.record.run import Run
 
 if TYPE_CHECKING:

@@ -17,10 +17,9 @@ from taut.codegen.function import native
 from taut.maths import dynamics as dyn
 from taut.maths.chain import Chain
 from taut.maths.model import PayloadValues, model_of
-from taut.record.report.arm_numbers import DYNAMICS, arm_from_json, arm_json, differences
+from taut.record.info import DYNAMICS, TOOL, arm_from_json, arm_json, differences
 from taut.record.run import Run
 from taut.record.sticking import MOVING
-from taut.record.task import TOOL
 
 __all__ = ["ENOUGH", "ArmModel", "model_of_run"]
 

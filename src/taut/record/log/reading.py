@@ -19,8 +19,7 @@ from taut.base.words import printable
 from taut.control.side_by_side import TOGETHER, together_kind
 from taut.control.tasks.phase_sample import PhaseSample, phase_sample
 from taut.control.trajectories.reference import Sample
-from taut.record.description import description_from, outcome_from, unsealed
-from taut.record.log.info import wrong_entry
+from taut.record.log.description import description_from, outcome_from, unsealed, wrong_entry
 from taut.record.log.mcap_reader import Contents, contents_of, messages, read_chunk
 from taut.record.log.mcap_writer import MAGIC
 from taut.record.log.topics import Description, TickLayout

@@ -18,9 +18,8 @@ import numpy as np
 
 from taut.base.errors import FileError, UsageError, count_of
 from taut.base.types import Float64Array
-from taut.record.description import described, sealed
+from taut.record.log.description import described, sealed, wrong_entry
 from taut.record.log.files import cannot_write, checked_target, written_aside
-from taut.record.log.info import wrong_entry
 from taut.record.log.topics import Description, TickLayout, columns_of
 from taut.record.outcome import Outcome
 from taut.record.progress import Progress

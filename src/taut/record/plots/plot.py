@@ -15,7 +15,7 @@ import numpy as np
 from taut.base.errors import RangeError, UsageError, unknown_name
 from taut.base.types import Float64Array
 from taut.record.compare import compare
-from taut.record.phases import PHASES
+from taut.record.info import PHASES
 from taut.record.plots.phase_marks import mark_phases
 from taut.record.plots.style import (
     DASHED,

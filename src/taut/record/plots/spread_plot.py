@@ -9,9 +9,9 @@ import numpy as np
 
 from taut.base.errors import UsageError
 from taut.base.types import Float64Array
+from taut.record.info import TOOL
 from taut.record.plots.style import INK, SMALL, WIDTH, colour, line, prepared
 from taut.record.run import Run
-from taut.record.task import TOOL
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
