@@ -57,6 +57,9 @@ if TYPE_CHECKING:
     from taut.linear.sampled import SampledLoop as SampledLoop
     from taut.linear.sampled_errors import SampledErrorDynamics as SampledErrorDynamics
     from taut.linear.second_order import second_order as second_order
+    from taut.record.metrics import METRICS as METRICS
+    from taut.record.metrics import Metric as Metric
+    from taut.record.metrics import metric as metric
     from taut.record.plots.friction_curves import plot_friction as plot_friction
     from taut.scenarios.compare_laws_by_name import grade as grade
 

@@ -10,9 +10,7 @@ import numpy as np
 
 from taut.base.errors import UsageError
 from taut.base.types import Float64Array
-from taut.record.felt import deviation_promised
-from taut.record.force import force_error
-from taut.record.metrics import MEASURES
+from taut.record.metrics import METRICS
 from taut.record.plots.style import (
     DASHED,
     INK,
@@ -27,6 +25,7 @@ from taut.record.plots.style import (
 )
 from taut.record.plots.task_plot import is_task_run
 from taut.record.run import Run
+from taut.record.tool import expected_deviation, force_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -110,7 +109,7 @@ def compare(
         for i, ax in enumerate(column):
             ax.set_visible(i < len(values))
         for ax, (unit, numbers) in zip(column, values.items(), strict=False):
-            draw_bars(prepared(ax, f"{MEASURES[measure].title} [{unit}]"), numbers)
+            draw_bars(prepared(ax, f"{METRICS[measure].title} [{unit}]"), numbers)
     for row in grid:
         first = next(ax for ax in row if ax.get_visible())
         first.set_yticks(first.get_yticks(), labels)
@@ -126,8 +125,8 @@ def _check(runs: Mapping[str, Run], measures: Sequence[str] | None, joint: str |
     if not 0 < len(runs) <= MOST:
         raise UsageError(f"compare draws 1 to {MOST} runs in one figure; got {len(runs)}", name="runs")
     for measure in measures or ():
-        if measure not in MEASURES:
-            raise unknown_name("a run", "metric", measure, MEASURES)
+        if measure not in METRICS:
+            raise unknown_name("a run", "metric", measure, METRICS)
     if measures is not None and not measures:
         raise UsageError("compare needs one metric at least; got measures=()", name="measures")
     of_task = [name for name, run in runs.items() if is_task_run(run)]
@@ -230,7 +229,7 @@ def draw_norms(runs: Mapping[str, Run], norms: Sequence[Float64Array | None], ax
 
 def _promised(runs: Mapping[str, Run], ax: Axes) -> bool:
     """Where laws of impedance promise that their tools go under the recorded wrench, where they do."""
-    found = [(run.t, deviation_promised(run)) for run in runs.values() if is_task_run(run)]
+    found = [(run.t, expected_deviation(run)) for run in runs.values() if is_task_run(run)]
     for t, x in found:
         if x is not None:
             line(ax, t, np.linalg.norm(x[:, :3], axis=1), INK, reference=True)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from taut.base.result import Content
     from taut.record.metrics import Metrics
     from taut.record.phases import PhaseWindow
-    from taut.record.task import TaskSide
+    from taut.record.tool import TaskSide
 
 __all__ = ["Run"]
 
@@ -110,6 +110,12 @@ class Run:
         wanted = getattr(self.reference, "q", None)
         return None if wanted is None else short_way(np.asarray(wanted) - self.q, self.continuous)
 
+    @property
+    def is_setpoint(self) -> bool:
+        """Whether the reference asks for one position of the joints throughout."""
+        q, v = getattr(self.reference, "q", None), getattr(self.reference, "v", None)
+        return q is not None and bool(len(self)) and not np.any(q != q[0]) and not np.any(v)
+
     @cached_property
     def task(self) -> TaskSide:
         """What the frame that the law controls did: pose, twist, Jacobian, and errors of position and rotation.
@@ -117,16 +123,16 @@ class Run:
         Raises:
             UsageError: A run that was not made by `taut.run` does not say which frame that is.
         """
-        from taut.record.task import task_of
+        from taut.record.tool import task_of
 
         return task_of(self)
 
     @cached_property
     def metrics(self) -> Metrics:
         """How well it went, in numbers: overshoot, settling time, errors, effort, ..."""
-        from taut.record.metrics import metrics_of
+        from taut.record.metrics import Metrics
 
-        return metrics_of(self)
+        return Metrics(self)
 
     @property
     def arms(self) -> tuple[Arm, Arm]:

@@ -11,10 +11,10 @@ from taut.analysis.design.words import gains_of
 from taut.arm.description import Arm
 from taut.arm.load import load_arm
 from taut.base.errors import TautError
+from taut.base.result import cell_text
 from taut.record.info import arm_json, differences
 from taut.record.report.page import Page, Picture, Table
 from taut.record.report.run_report import law_in_python
-from taut.record.table import number_text
 
 if TYPE_CHECKING:
     from taut.analysis.design.design import Design
@@ -141,7 +141,7 @@ def _poses(d: Design) -> Table:
 
 
 def _number(value: float) -> str:
-    return "none" if math.isinf(value) else number_text(value)
+    return "none" if math.isinf(value) else cell_text(value)
 
 
 def _python(value: object) -> str:
@@ -186,8 +186,8 @@ def page_of_linear_loop(lin: LinearLoop) -> Page:
         (
             f"{mode.s.real:.6g}" + (f" +- {mode.s.imag:.6g} j" if mode.s.imag else ""),
             ", ".join(f"{name} {100.0 * x:.0f} %" for name, x in mode.participation.items() if x > TELLS),
-            number_text(mode.omega_n),
-            number_text(mode.zeta),
+            cell_text(mode.omega_n),
+            cell_text(mode.zeta),
         )
         for mode in lin.modes
     ]
@@ -197,7 +197,7 @@ def page_of_linear_loop(lin: LinearLoop) -> Page:
             f"{each.gain[0]:.4g} to {each.gain[1]:.4g}",
             _number(each.phase),
             _number(1e3 * each.delay),
-            number_text(each.crossover),
+            cell_text(each.crossover),
         )
         for each in lin.margins.joints
     ]

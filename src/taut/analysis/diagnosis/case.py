@@ -18,10 +18,9 @@ from taut.control.trajectories.hybrid_motion import HybridMotion
 from taut.control.trajectories.task_force import TaskForce
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.chain import Chain
-from taut.record.felt import deviation_promised
-from taut.record.force import force_error
 from taut.record.info import PARTS, TOOL
 from taut.record.run import Run
+from taut.record.tool import expected_deviation, force_error
 
 __all__ = ["MODEL_TERMS", "Case", "tail"]
 
@@ -101,7 +100,7 @@ class Case:
         assert task.position_error is not None
         assert task.rotation_error is not None
         X = np.concatenate([task.position_error, task.rotation_error], axis=1)
-        promised = deviation_promised(self.run)
+        promised = expected_deviation(self.run)
         if promised is not None:
             X = X + promised
         inverse = np.linalg.pinv(task.J, rcond=1e-2)

@@ -390,7 +390,7 @@ def _looked_at(case: Case) -> dict[str, Number]:
     out["cut"] = Number(100.0 * float((case.cut != 0.0).any(axis=1).mean()), "% of the ticks")
     out["longest period"] = Number(float(np.diff(run.t).max() * run.rate), "times the nominal")
     if case.of_task:
-        out["least singular value"] = Number(float(run.task.least_singular_value.min()))
+        out["least singular value"] = Number(float(run.task.min_singular_value.min()))
     if case.model is not None and case.of_torque and not case.in_contact:
         out["torque beyond the model"] = Number(100.0 * _largest(case.model.residual / case.size), of)
     return out

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares, lsq_linear
 
 from taut.analysis.diagnosis.model import ENOUGH, ArmModel
 from taut.base.types import Array, Float64Array
-from taut.record.sticking import MOVING
+from taut.record.metrics import MOVING
 
 __all__ = ["KNOWN", "Fit", "fit_of"]
 

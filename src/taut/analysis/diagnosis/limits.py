@@ -283,7 +283,7 @@ def _loses_rank(case: Case) -> Finding | None:
     run = case.run
     if not case.of_task:
         return None
-    least = run.task.least_singular_value
+    least = run.task.min_singular_value
     border = BORDER * min(1.0, case.length / 0.9) if case.model is None else sizes_of(case.model.arm).border
     near = least < border
     if not near.any():

@@ -13,7 +13,7 @@ from taut.analysis.diagnosis.finding import Finding, Number, Picture, in_parts
 from taut.analysis.diagnosis.fit import KNOWN, Fit
 from taut.analysis.diagnosis.phases import SHORT
 from taut.base.types import Array, Float64Array
-from taut.record.sticking import RESTING, stuck
+from taut.record.metrics import RESTING, stuck
 
 __all__ = ["load_findings"]
 

@@ -18,8 +18,8 @@ from taut.maths import dynamics as dyn
 from taut.maths.chain import Chain
 from taut.maths.model import PayloadValues, model_of
 from taut.record.info import DYNAMICS, TOOL, arm_from_json, arm_json, differences
+from taut.record.metrics import MOVING
 from taut.record.run import Run
-from taut.record.sticking import MOVING
 
 __all__ = ["ENOUGH", "ArmModel", "model_of_run"]
 

@@ -22,7 +22,7 @@ from taut.analysis.diagnosis.lines import (
 from taut.analysis.diagnosis.remedy import less_delay, less_integral, lower_gain, more_damping
 from taut.base.types import Float64Array
 from taut.control.limiting import LIMIT_TERMS
-from taut.record.sticking import RESTING
+from taut.record.metrics import RESTING
 
 __all__ = ["runaway_findings", "swing_findings"]
 

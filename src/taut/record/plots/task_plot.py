@@ -10,10 +10,9 @@ from taut.base.types import Float64Array
 from taut.control.tasks.phase_sample import PhaseSample
 from taut.control.trajectories.hybrid_motion import HybridMotion
 from taut.control.trajectories.task_reference import TaskMotion
-from taut.record.force import wanted_wrench
 from taut.record.info import TOOL
 from taut.record.plots.style import DASHED, INK, colour, legend_above, line, prepared, short_name
-from taut.record.pressed import true_normal
+from taut.record.tool import true_normal, wanted_wrench
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

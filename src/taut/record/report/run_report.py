@@ -7,7 +7,6 @@ import json
 import math
 import re
 from collections.abc import Iterator, Mapping
-from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -18,11 +17,10 @@ from taut.base.result import Content, Table
 from taut.control.law import Law
 from taut.control.sensing.sensing import Sensing
 from taut.record.info import LIMITS, OPTIONS, PHASES, SCENARIO, VERSIONS, stated
-from taut.record.metrics import MEASURES, Metrics
 from taut.record.plots.style import short
 from taut.record.run import Run
 
-__all__ = ["faults_of", "law_in_python", "law_of_text", "meaning", "content_of_run"]
+__all__ = ["faults_of", "law_in_python", "law_of_text", "content_of_run"]
 
 FEWEST_TICKS: Final = 2
 PLANTS: Final = ("RigidPlant", "MujocoPlant")
@@ -84,39 +82,10 @@ def _faults(run: Run) -> Iterator[str]:
 
 
 def _tables(run: Run) -> Iterator[Table]:
-    metrics = run.metrics
-    rows = []
-    for name, measure in MEASURES.items():
-        for unit, value in metrics.by_unit(name).items():
-            if not math.isnan(value):
-                rows.append((measure.title, meaning(name, joints=run.n), value, unit))
-    yield Table(title="Figures of the whole arm", columns=("figure", "what it is", "value", "unit"), rows=rows)
-    names = [name for name, measure in MEASURES.items() if measure.per_joint]
-    names = [name for name in names if not np.isnan(getattr(metrics, name)).all()]
-    if run.n > 1:
-        by_joint = [(MEASURES[name].title, metrics.unit(name), *getattr(metrics, name).tolist()) for name in names]
-        yield Table(title="Figures joint by joint", columns=("figure", "unit", *run.joint_names), rows=by_joint)
+    yield from run.metrics.content().tables
     if PHASES in run.info:
         windows = [(w.name, w.start, w.end, w.ended) for w in run.phases]
         yield Table(title="Phases", columns=("phase", "start [s]", "end [s]", "what ended it"), rows=windows)
-
-
-def meaning(figure: str, joints: int = 1) -> str:
-    """What a metric is, as `taut.Metrics` says it, and how it is put together for all joints."""
-    measure = MEASURES[figure]
-    told = _told().get(figure)
-    if told is None or not measure.per_joint or measure.overall.startswith("time in"):
-        return measure.overall
-    start = {"of": "share ", "after": "time "}.get(told.partition(" ")[0], "")
-    return f"{start}{told}" + (f"; for all joints {measure.overall}" if joints > 1 else "")
-
-
-@cache
-def _told() -> Mapping[str, str]:
-    """The first sentence about each metric, from the docstring that documents them; nothing where there is none."""
-    lines = re.split(r"\n\s+(?=\w+: )", (Metrics.__doc__ or "").partition("Attributes:")[2])
-    found = (re.match(r"\s*(\w+): (?:\(n,\) )?(?:\[[^\]]*\] )?(.*)", line, re.DOTALL) for line in lines)
-    return {pair[1]: " ".join(pair[2].split()).partition(". ")[0].rstrip(".") for pair in found if pair}
 
 
 def _settings(run: Run) -> dict[str, str]:
