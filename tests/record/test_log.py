@@ -21,9 +21,9 @@ from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
 
 import taut
+from taut.record.log import writing as log_module
 from taut.record.log.topics import Description, TickLayout, columns_of
 from taut.record.log.writing import open_log
-from taut.record.log.writing import writing as log_module
 
 
 def assert_same(a: taut.Run, b: taut.Run) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -308,17 +307,16 @@ def test_metrics_as_json_name_units_and_joints(make_run: Any) -> None:
     assert out["saturation_time"]["joints"] == {"joint1": None}
 
 
-def test_every_metric_has_a_unit_and_a_meaning() -> None:
+def test_every_metric_has_a_unit_a_meaning_and_a_row_in_its_page() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text(encoding="utf-8")
     for name, one in METRICS.items():
         assert one.unit
+        assert f"| `{name}` |" in page
         assert len(one.doc.split()) > 2, name
     assert METRICS["chatter"].meaning(joints=2) == "Total variation of tau per second; for all joints the sum"
 
 
-@pytest.fixture
-def own() -> Iterator[None]:
-    """Metrics as a user's file declares them."""
-
+def test_a_metric_of_a_user_is_one_function(panda_run: taut.Run, make_run: Any, tmp_path: Path) -> None:
     @taut.analysis.metric(unit="{tau}", per_joint=True, together="sum")
     def mean_torque(run: taut.Run) -> Any:
         """Mean magnitude of tau."""
@@ -331,13 +329,6 @@ def own() -> Iterator[None]:
             return None
         return float(np.linalg.norm(np.diff(run.task.p, axis=0), axis=1).sum())
 
-    yield
-    for name in ("mean_torque", "tool_travel"):
-        del METRICS[name]
-
-
-@pytest.mark.usefixtures("own")
-def test_a_metric_of_a_user_is_one_function(panda_run: taut.Run, make_run: Any, tmp_path: Path) -> None:
     run = taut.load_run(panda_run.save(tmp_path / "run.mcap"))
     m = run.metrics
     np.testing.assert_array_equal(m.mean_torque, np.abs(run.tau).mean(axis=0))

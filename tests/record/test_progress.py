@@ -12,8 +12,8 @@ import pytest
 import taut
 from taut.record import progress
 from taut.record.film import video
-from taut.record.log.writing import export
-from taut.record.log.writing import writing as log
+from taut.record.log import export
+from taut.record.log import writing as log
 
 
 class Terminal(io.StringIO):

@@ -145,7 +145,6 @@ def metric(
         >>> run = taut.run(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=[0.3, 0.8]), duration=0.1)
         >>> run.metrics.tool_travel > 0.0
         True
-        >>> del METRICS["tool_travel"]
     """
 
     def declare(function: F) -> F:
