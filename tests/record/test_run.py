@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.record.log.topics import columns_of
+from taut.record.log.messages import columns_of
 
 
 def test_a_run_says_what_it_is(noisy_run: taut.Run) -> None:

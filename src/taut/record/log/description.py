@@ -32,7 +32,7 @@ from taut.record.info import (
     VERSIONS,
     arm_from_json,
 )
-from taut.record.log.topics import PLACE, Description
+from taut.record.log.messages import PLACE, Description
 from taut.record.outcome import Kind, Outcome
 from taut.record.run import Run
 
