@@ -182,8 +182,8 @@ def test_a_log_that_unpacks_to_more_than_a_log_does_is_refused(name: str, tmp_pa
         taut.load_run(log)
 
 
-def test_a_chunk_that_is_too_large_is_damage(tmp_path: Path) -> None:
-    log = with_chunks(write_log(plain(), tmp_path / "run.mcap"), chunk(bytes(100 << 20)))
+def test_a_chunk_that_unpacks_to_more_than_it_says_is_damage(tmp_path: Path) -> None:
+    log = with_chunks(write_log(plain(), tmp_path / "run.mcap"), chunk(bytes(100 << 20), size=1000))
     with memory_below(50):
         again = taut.load_run(log)
     assert (len(again), again.outcome.kind) == (0, "stopped")

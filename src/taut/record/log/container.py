@@ -12,14 +12,12 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
 from typing import IO, Final
 
 import numpy as np
 from mcap.data_stream import ReadDataStream, RecordBuilder
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
@@ -29,14 +27,12 @@ from mcap.records import (
     Footer,
     Header,
     McapRecord,
-    Message,
     Metadata,
     MetadataIndex,
     Schema,
     Statistics,
     SummaryOffset,
 )
-from mcap.stream_reader import StreamReader
 
 from taut import __version__
 from taut.base.types import Array
@@ -217,6 +213,7 @@ class Contents:
     channels: dict[int, str] = field(default_factory=dict)  # topic by number
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)  # by name; of several the first
     chunks: list[tuple[int, int]] = field(default_factory=list)  # where the record's content starts, and its length
+    unpacked: int = 0  # bytes that the chunks say they have
     complete: bool = False  # whether the end is there
     damage: int | None = None  # byte at which something is no record
 
@@ -242,6 +239,7 @@ def contents_of(file: IO[bytes], size: int) -> Contents:
             break  # cut off
         if opcode == Opcode.CHUNK:
             found.chunks.append((at + HEAD.size, length))
+            found.unpacked += int.from_bytes(file.read(min(length, 24))[16:], "little")  # behind two times
         elif opcode in READ and not (length <= MAX_RECORD and _take(opcode, file.read(length), found)):
             found.damage = at
             break
@@ -292,9 +290,13 @@ def _unpacked(chunk: Chunk) -> bytes:
     raise ValueError(f"unknown compression {chunk.compression!r}")
 
 
-def records_in(data: bytes) -> Iterator[Channel | Message]:
-    """The channels and messages of a chunk's records; it ends where they do not agree."""
-    with suppress(McapError, struct.error, ValueError):
-        for record in StreamReader(BytesIO(data), skip_magic=True).records:
-            if isinstance(record, (Channel, Message)):
-                yield record
+def records_in(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Opcode and content of each record of a chunk; it ends where the records do not agree."""
+    at = 0
+    while at + HEAD.size <= len(data):
+        opcode, length = HEAD.unpack_from(data, at)
+        body = data[at + HEAD.size : at + HEAD.size + length]
+        if len(body) < length:
+            return
+        yield opcode, body
+        at += HEAD.size + length

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 import numpy as np
-from mcap.records import Channel
+from mcap.opcode import Opcode
 
 from taut.base.checks import readable_file
 from taut.base.errors import FileError, UsageError
@@ -33,7 +33,7 @@ MAX_KINDS: Final = 64  # of a reference of several
 MAX_NUMBERS: Final = 1_000_000  # in a tick
 MAX_UNPACKED: Final = 128  # bytes that a byte of the file may unpack to; our own logs have 6
 PACKED_MESSAGE: Final = 4  # bytes of the file that a message takes at least
-FEW_MESSAGES: Final = 100_000  # that any file may have
+FEW_MESSAGES: Final = 1_000_000  # that any file may have
 FEW_BYTES: Final = 64 * 1024 * 1024  # that any file may unpack to
 LONGEST: Final = 300  # letters of what a message quotes
 
@@ -90,9 +90,14 @@ def _read(file: IO[bytes], path: Path) -> Run:
     if first != MAGIC:
         raise FileError(f"log '{path}' is no MCAP file: it starts with {first!r}", name=str(path))
     found = contents_of(file, size)
+    if found.unpacked > FEW_BYTES + MAX_UNPACKED * size:
+        raise FileError(
+            f"log '{path}' has {size} bytes and would unpack to {found.unpacked}, more than a log does",
+            name=str(path),
+        )
     description, info = _description(found, size, path)
     kind = _sample_class(description, path)
-    columns = _columns(file, found, TickLayout(description), FEW_BYTES + MAX_UNPACKED * size)
+    columns = _columns(file, found, TickLayout(description))
     outcome = _outcome(found, columns["t"])
     run = Run(
         t=columns["t"],
@@ -229,10 +234,10 @@ def _outcome(found: Contents, t: Float64Array) -> Outcome:
 # -------------------------------------------------------------------- the ticks
 
 
-def _columns(file: IO[bytes], found: Contents, layout: TickLayout, room: int) -> dict[str, Float64Array]:
+def _columns(file: IO[bytes], found: Contents, layout: TickLayout) -> dict[str, Float64Array]:
     """All columns, of the ticks that are whole and follow each other from the first on."""
     shapes = layout.description.shapes()
-    blocks = list(_blocks(file, found, layout, room))
+    blocks = list(_blocks(file, found, layout))
     number = np.concatenate([np.zeros(0, dtype=np.uint32), *(ticks for ticks, _ in blocks)])
     wrong = np.flatnonzero(number != np.arange(len(number)))
     if wrong.size and found.damage is None:
@@ -245,11 +250,11 @@ def _columns(file: IO[bytes], found: Contents, layout: TickLayout, room: int) ->
     return columns
 
 
-def _blocks(file: IO[bytes], found: Contents, layout: TickLayout, room: int) -> Iterator[Block]:
+def _blocks(file: IO[bytes], found: Contents, layout: TickLayout) -> Iterator[Block]:
     """The ticks of all whole chunks, some megabytes at a time."""
     as_written = all(found.channels.get(i) == topic.name for i, topic in enumerate(layout.topics, start=1))
     loose = _Loose(layout, found.channels, sum(length for _, length in found.chunks))
-    for chunks in _gathered(file, found, room):
+    for chunks in _gathered(file, found):
         rows = _rows(chunks, layout) if as_written else None
         if rows is not None:
             yield rows["1.sequence"].copy(), _parts(rows, layout.description.shapes())
@@ -259,12 +264,8 @@ def _blocks(file: IO[bytes], found: Contents, layout: TickLayout, room: int) -> 
     yield from loose.blocks()
 
 
-def _gathered(file: IO[bytes], found: Contents, room: int) -> Iterator[list[bytes]]:
-    """The data of the chunks up to the first that is damaged, some megabytes at a time.
-
-    Raises:
-        ValueError: They unpack to more than there is room for.
-    """
+def _gathered(file: IO[bytes], found: Contents) -> Iterator[list[bytes]]:
+    """The data of the chunks up to the first that is damaged, some megabytes at a time."""
     waiting: list[bytes] = []
     size = 0
     for at, length in found.chunks:
@@ -273,9 +274,6 @@ def _gathered(file: IO[bytes], found: Contents, room: int) -> Iterator[list[byte
         if data is None:
             found.damage = at
             break
-        room -= len(data)
-        if room < 0:
-            raise ValueError("it would unpack to more than a log does")
         waiting.append(data)
         size += len(data)
         if size > BLOCK_BYTES:
@@ -314,16 +312,18 @@ class _Loose:
 
     def take(self, data: bytes) -> None:
         """The messages of a chunk, by topic and number."""
-        for record in records_in(data):
+        for opcode, body in records_in(data):
             self._most -= 1
             if self._most < 0:
                 raise ValueError("it has more messages than its size explains")
-            if isinstance(record, Channel):  # declared inside the chunk
-                self._channels[record.id] = record.topic
+            if opcode == Opcode.CHANNEL and len(body) >= 8:  # declared inside the chunk
+                length = int.from_bytes(body[4:8], "little")
+                self._channels[int.from_bytes(body[:2], "little")] = body[8 : 8 + length].decode(errors="replace")
+            if opcode != Opcode.MESSAGE or len(body) < 22:
                 continue
-            name = self._channels.get(record.channel_id, "")
-            if name in self._topics and len(record.data) == len(self._topics[name].message.data):
-                self._found[name][record.sequence] = record.data
+            name = self._channels.get(int.from_bytes(body[:2], "little"), "")
+            if name in self._topics and len(body) == 22 + len(self._topics[name].message.data):
+                self._found[name][int.from_bytes(body[2:6], "little")] = body[22:]
 
     def blocks(self) -> Iterator[Block]:
         """The ticks of which every message is there."""
