@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
@@ -249,19 +249,24 @@ class Run:
         fps: int = 30,
         size: tuple[int, int] = (640, 480),
         speed: float = 1.0,
+        camera: tuple[float, float] | None = None,
+        focus: Literal["arm", "tool"] = "arm",
         arm: Arm | None = None,
         progress: bool | None = None,
     ) -> Path:
-        """A film: rendered by MuJoCo where OpenGL works, else a schematic drawing of the arm, with a warning.
+        """A film, rendered by MuJoCo, which needs OpenGL: EGL, OSMesa or a screen.
 
         It shows the arm, the scene of a MujocoPlant with what moves in it, and the surfaces that a RigidPlant's
-        contacts and walls have near the tool; a warning says what of them has no shape to show. A log keeps them.
+        contacts and walls declare; a warning says what declares none. A log keeps them.
 
         Args:
             path: Where to: .gif, or .mp4 where ffmpeg is installed.
             fps: Frames per second of the film.
             size: Width and height in pixels.
             speed: How fast the film plays; 2.0 is twice as fast as it was.
+            camera: Azimuth and elevation [deg] of the direction of view, from the x axis towards y, and upwards; by
+                default one from which what stands around does not hide the tool.
+            focus: What the picture holds: all that the "arm" does, or where its "tool" goes.
             arm: The arm to draw; the plant's by default. A run from a file needs it.
             progress: Show progress; by default on a terminal when it takes a while.
 
@@ -270,11 +275,23 @@ class Run:
 
         Raises:
             FileError: Another suffix, no such folder, no ffmpeg.
+            MissingExtraError: No OpenGL works here.
             UsageError: The run does not know its arm.
+            UnknownNameError: Another focus.
         """
         from taut.record.film.video import film
 
-        return film(self, path, fps=fps, size=size, speed=speed, arm=arm, progress=progress)
+        return film(
+            self,
+            path,
+            fps=fps,
+            size=size,
+            speed=speed,
+            camera=camera,
+            focus=focus,
+            arm=arm,
+            progress=progress,
+        )
 
     # ---------------------------------------------------------------- to keep
 

@@ -19,7 +19,7 @@ from rich.table import Table
 
 from taut.analysis.constraints.task_freedoms import freedoms
 from taut.analysis.tool.impedance import check_impedance, impedance_of
-from taut.base.errors import FileError, ScenarioError, TautError, UsageError
+from taut.base.errors import FileError, MissingExtraError, ScenarioError, TautError, UsageError, warn
 from taut.base.result import cell_text
 from taut.control.laws.hybrid import HybridMotionForce
 from taut.control.laws.impedance import Impedance
@@ -424,7 +424,10 @@ def _plot_label(trial: Trial, laws: Sequence[str]) -> str:
 def _film(shown: Run, path: Path) -> None:
     if not len(shown):
         raise UsageError("there is nothing to film: the law did not get through its first tick", name="video")
-    shown.video(path)
+    try:
+        shown.video(path)
+    except MissingExtraError as missing:  # the run is done, and its other files are made
+        warn(str(missing))
 
 
 def _save_metrics(runs: Mapping[Trial, Run], path: Path) -> None:
