@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from taut.arm.builtin import BUILT_IN, COMMANDS, one_joint_tree
-from taut.arm.catalogue import CATALOGUE
+from taut.arm.catalogue import CATALOGUE, PATTERN
 from taut.arm.change import joints_replaced
 from taut.arm.description import Arm
-from taut.arm.descriptions import PATTERN
 from taut.arm.friction import Friction
 from taut.arm.load import OpenedModel, arm_of, load_arm, open_model
 from taut.base.errors import TautError, UsageError
