@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.record.compare import compare
+from taut.record.plots.comparison import compare
 from taut.record.tool import force_error, wanted_wrench
 
 L = taut.laws

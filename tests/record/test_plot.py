@@ -16,7 +16,7 @@ from matplotlib.text import Text
 
 import taut
 from taut.analysis.compare.plot import plot_runs
-from taut.record.plots.plot import compare
+from taut.record.plots.comparison import compare
 from taut.record.plots.style import thinned
 
 

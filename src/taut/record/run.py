@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from taut.base.result import Content
     from taut.record.metrics import Metrics
-    from taut.record.phases import PhaseWindow
+    from taut.record.parts import PhaseWindow
     from taut.record.tool import TaskSide
 
 __all__ = ["Run"]
@@ -171,7 +171,7 @@ class Run:
             UsageError: The law was not `taut.SideBySide`.
             UnknownNameError: It has no such part.
         """
-        from taut.record.part import part_of
+        from taut.record.parts import part_of
 
         return part_of(self, name)
 
@@ -182,7 +182,7 @@ class Run:
         Raises:
             UsageError: The run is not one of a task.
         """
-        from taut.record.phases import phases_of
+        from taut.record.parts import phases_of
 
         return phases_of(self)
 
@@ -198,7 +198,7 @@ class Run:
             UnknownNameError: It has no phase of that name.
             RangeError: The phase did not act that often.
         """
-        from taut.record.phases import phase_of
+        from taut.record.parts import phase_of
 
         return phase_of(self, name, visit)
 
@@ -238,7 +238,7 @@ class Run:
         Raises:
             UnknownNameError: The run has no such joint.
         """
-        from taut.record.plots.plot import plot
+        from taut.record.plots.run_plot import plot
 
         return plot(self, joints=joints)
 

@@ -26,11 +26,10 @@ from taut.control.laws.impedance import Impedance
 from taut.control.tasks.phases import Phases
 from taut.controller import Controller, compile
 from taut.maths.snapshot import Snapshot, snapshot
-from taut.record.compare import compare
 from taut.record.info import PARTS, PHASES, SCENARIO
 from taut.record.log.files import cannot_write, checked_target, written_aside
 from taut.record.metrics import METRICS, Metrics
-from taut.record.plots.spread_plot import spread_figure
+from taut.record.plots.comparison import compare, spread_figure
 from taut.record.run import Run
 from taut.runtime.simulate import run
 from taut.scenarios.cases import Trial

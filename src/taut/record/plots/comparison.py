@@ -1,4 +1,4 @@
-"""One figure for several runs: how the error goes, and what it costs."""
+"""One figure for several runs: how the error goes, and what it costs; and of runs that differ by chance."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import numpy as np
 
 from taut.base.errors import UsageError
 from taut.base.types import Float64Array
+from taut.record.info import TOOL
 from taut.record.metrics import METRICS
+from taut.record.plots.run_plot import is_task_run
 from taut.record.plots.style import (
     DASHED,
     INK,
@@ -23,7 +25,6 @@ from taut.record.plots.style import (
     short_name,
     wrapped,
 )
-from taut.record.plots.task_plot import is_task_run
 from taut.record.run import Run
 from taut.record.tool import expected_deviation, force_error
 
@@ -31,12 +32,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["compare", "draw_bars", "draw_norms", "error_norms"]
+__all__ = ["compare", "draw_bars", "draw_norms", "error_norms", "spread_figure"]
 
 BARS: Final = ("rms_error", "peak_error", "effort", "chatter")
 TASK_BARS: Final = ("task_rms", "task_rms_rotation", "effort", "chatter")
 FORCE_BARS: Final = ("force_error_rms", "moment_error_rms", "effort", "chatter")
-MOST: Final = 8  # runs in one figure
+MAX_RUNS: Final = 8  # runs in one figure
 NAME: Final = 18  # letters of a run's name beside its bars, on each of two lines
 ROUNDING: Final = 1e-12  # below which an error is none
 FAR_APART: Final = 30.0  # ratio of errors above which their axis is logarithmic
@@ -122,8 +123,8 @@ def _check(runs: Mapping[str, Run], measures: Sequence[str] | None, joint: str |
 
     if not isinstance(runs, Mapping) or not all(isinstance(run, Run) for run in runs.values()):
         raise UsageError("compare takes runs by name: compare({'PID': run1, 'computed torque': run2})", name="runs")
-    if not 0 < len(runs) <= MOST:
-        raise UsageError(f"compare draws 1 to {MOST} runs in one figure; got {len(runs)}", name="runs")
+    if not 0 < len(runs) <= MAX_RUNS:
+        raise UsageError(f"compare draws 1 to {MAX_RUNS} runs in one figure; got {len(runs)}", name="runs")
     for measure in measures or ():
         if measure not in METRICS:
             raise unknown_name("a run", "metric", measure, METRICS)
@@ -261,3 +262,58 @@ def _number(value: float) -> str:
     if value and not 1e-4 <= abs(value) < 1e6:
         return f"{value:.2e}"
     return np.format_float_positional(float(f"{value:.3g}"), trim="-")
+
+
+# -------------------------------------------------------------------- runs that differ by chance
+
+SPREAD_HEIGHT: Final = 4.6  # [in]
+WINDOW: Final = 0.02  # [s]
+
+
+def spread_figure(runs: Mapping[str, Run]) -> Figure:
+    """The tool's path from above, its height and the environment's force over time, one line for each run.
+
+    Raises:
+        UsageError: A run that does not say where its tool is.
+    """
+    from matplotlib.figure import Figure
+
+    for name, run in runs.items():
+        if TOOL not in run.info:
+            raise UsageError(f"run '{name}' does not say where its tool is", name="runs")
+    figure = Figure(figsize=(WIDTH, SPREAD_HEIGHT), dpi=150, layout="constrained")
+    grid = figure.add_gridspec(2, 2, width_ratios=[1.0, 1.35])
+    above, height, force = (figure.add_subplot(place) for place in (grid[:, 0], grid[0, 1], grid[1, 1]))
+    prepared(above, f"the tool from above, {len(runs)} runs", "y [m]")
+    prepared(height, "the tool's height", "z [m]")
+    prepared(force, "force: mean of 20 ms, and each run's peak", "|F| [N]")
+    for i, run in enumerate(runs.values()):
+        p = run.task.p
+        line(above, p[:, 0], p[:, 1], colour(i))
+        above.plot(p[-1:, 0], p[-1:, 1], "o", color=colour(i), markersize=3.0)
+        line(height, run.t, p[:, 2], colour(i))
+        if "F_ext" in run.extra:
+            size = np.linalg.norm(run.extra["F_ext"][:, :3], axis=1)
+            peak = int(size.argmax())
+            line(force, run.t, _moving_mean(run.t, size), colour(i))
+            force.plot(run.t[peak], size[peak], "o", color=colour(i), markersize=3.0)
+    wanted = next(iter(runs.values())).task.wanted
+    if wanted is not None:
+        p_des = np.asarray(wanted.p)
+        line(above, p_des[:, 0], p_des[:, 1], INK, reference=True)
+        line(height, next(iter(runs.values())).t, p_des[:, 2], INK, reference=True)
+    above.set_aspect("equal", adjustable="datalim")
+    above.set_xlabel("x [m]", fontsize=SMALL, color=INK)
+    above.locator_params(nbins=4)
+    force.set_xlabel("t [s]", fontsize=SMALL, color=INK)
+    for ax in (height, force):
+        ax.margins(x=0.01)
+    return figure
+
+
+def _moving_mean(t: Float64Array, x: Float64Array) -> Float64Array:
+    """(k,) mean of the last while: contacts that slide open and close from tick to tick."""
+    ticks = min(len(t), max(1, round(WINDOW / float(t[1] - t[0])))) if len(t) > 1 else 1
+    sums = np.cumsum(np.concatenate([np.zeros(ticks), x]))
+    mean: Float64Array = (sums[ticks:] - sums[:-ticks]) / ticks
+    return mean
