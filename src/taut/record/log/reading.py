@@ -154,8 +154,11 @@ def _description(found: Contents, size: int, path: Path) -> tuple[Description, d
 
 def _sample_class(description: Description, path: Path) -> type[Sample]:
     """The class of the reference, among those that are known here; a file never makes us import anything."""
-    from taut import laws  # noqa: F401  # so that all of ours are known
+    from taut import laws, trajectories
 
+    for door in (laws, trajectories):  # so that all of ours are known
+        for name in door.__all__:
+            getattr(door, name)
     kind = _fitting(description.reference, description.fields, len(description.joint_names))
     if kind is not None:
         return kind

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
@@ -11,13 +12,15 @@ from taut.base.types import Float64Array
 from taut.control.trajectories.hybrid_motion import HybridMotion
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.record.info import TOOL
-from taut.record.metrics.declaration import metric
+from taut.record.metrics.declaration import Needs, metric
 from taut.record.tool import Deviation, estimated_normal, force_error, true_normal, wanted_press
 
 if TYPE_CHECKING:
     from taut.record.run import Run
 
 __all__: list[str] = []
+
+Series: TypeAlias = "Callable[[Run], Float64Array | None]"
 
 MIN_DEVIATION: Final = 1e-6  # [m] RMS below which nothing moved the tool
 
@@ -28,6 +31,24 @@ def _rms(x: Float64Array) -> float:
 
 def _peak(x: Float64Array) -> float:
     return float(np.max(np.abs(x)))
+
+
+def _declare(
+    name: str, title: str, unit: str, doc: str, series: Series, number: Callable[[Float64Array], float], needs: Needs
+) -> None:
+    """A metric that is one number of a series over the run, which is None where it has no meaning."""
+
+    def compute(run: Run) -> float | None:
+        values = series(run)
+        return None if values is None else number(values)
+
+    metric(name=name, title=title, unit=unit, doc=doc, needs=needs)(compute)
+
+
+def _declare_error(name: str, title: str, unit: str, what: str, series: Series, needs: Needs) -> None:
+    """RMS and peak of an error."""
+    _declare(f"{name}_rms", f"{title} RMS", unit, f"RMS of {what}", series, _rms, needs)
+    _declare(f"{name}_peak", f"{title} peak", unit, f"Peak of {what}", series, _peak, needs)
 
 
 # -------------------------------------------------------------------- motion
@@ -65,34 +86,23 @@ def _is_of_task(run: Run) -> bool:
     return TOOL in run.info and isinstance(run.reference.motion, TaskMotion)
 
 
-@metric(title="task RMS", unit="m", needs="task motion")
-def task_rms(run: Run) -> float | None:
-    """RMS of the norm of the tool's position error."""
-    return None if (size := _position_errors(run)) is None else _rms(size)
+def _last(x: Float64Array) -> float:
+    return float(x[-1])
 
 
-@metric(title="task peak", unit="m", needs="task motion")
-def task_peak(run: Run) -> float | None:
-    """Peak of the norm of the tool's position error."""
-    return None if (size := _position_errors(run)) is None else _peak(size)
-
-
-@metric(title="task final", unit="m", needs="task motion")
-def task_final(run: Run) -> float | None:
-    """Norm of the tool's position error in the last tick."""
-    return None if (size := _position_errors(run)) is None else float(size[-1])
-
-
-@metric(title="rotation RMS", unit="rad", needs="task motion")
-def task_rms_rotation(run: Run) -> float | None:
-    """RMS of the angle of the tool's rotation error, log(R_des R^T)."""
-    return None if (size := _rotation_errors(run)) is None else _rms(size)
-
-
-@metric(title="rotation peak", unit="rad", needs="task motion")
-def task_peak_rotation(run: Run) -> float | None:
-    """Peak of the angle of the tool's rotation error."""
-    return None if (size := _rotation_errors(run)) is None else _peak(size)
+_declare_error("task", "task", "m", "the norm of the tool's position error", _position_errors, "task motion")
+_declare(
+    "task_final",
+    "task final",
+    "m",
+    "Norm of the tool's position error in the last tick",
+    _position_errors,
+    _last,
+    "task motion",
+)
+_ANGLE: Final = "the angle of the tool's rotation error, log(R_des R^T)"
+_declare("task_rms_rotation", "rotation RMS", "rad", f"RMS of {_ANGLE}", _rotation_errors, _rms, "task motion")
+_declare("task_peak_rotation", "rotation peak", "rad", f"Peak of {_ANGLE}", _rotation_errors, _peak, "task motion")
 
 
 @metric(title="smallest singular value", unit="1", needs="task motion")
@@ -117,58 +127,24 @@ def _external(run: Run, part: slice) -> Float64Array | None:
     return _sizes(run.extra["F_ext"], part) if "F_ext" in run.extra else None
 
 
-@metric(title="least force", unit="N")
-def min_force(run: Run) -> float | None:
-    """Smallest norm of the environment's force on the arm."""
-    return None if (size := _external(run, _FORCE)) is None else float(size.min())
+def _error(run: Run, part: slice) -> Float64Array | None:
+    """Wanted less applied, both of the arm on the environment at the tool."""
+    return _sizes(force_error(run), part)
 
 
-@metric(title="force RMS", unit="N")
-def force_rms(run: Run) -> float | None:
-    """RMS of the norm of the environment's force."""
-    return None if (size := _external(run, _FORCE)) is None else _rms(size)
+def _least(x: Float64Array) -> float:
+    return float(x.min())
 
 
-@metric(title="peak force", unit="N")
-def peak_force(run: Run) -> float | None:
-    """Peak of the norm of the environment's force."""
-    return None if (size := _external(run, _FORCE)) is None else _peak(size)
-
-
-@metric(title="peak moment", unit="N m")
-def peak_moment(run: Run) -> float | None:
-    """Peak of the norm of the environment's moment at the tool."""
-    return None if (size := _external(run, _MOMENT)) is None else _peak(size)
-
-
-@metric(title="moment RMS", unit="N m")
-def moment_rms(run: Run) -> float | None:
-    """RMS of the norm of the environment's moment at the tool."""
-    return None if (size := _external(run, _MOMENT)) is None else _rms(size)
-
-
-@metric(title="force error RMS", unit="N", needs="force")
-def force_error_rms(run: Run) -> float | None:
-    """RMS of the norm of the force's error: wanted less applied, both of the arm on the environment."""
-    return None if (size := _sizes(force_error(run), _FORCE)) is None else _rms(size)
-
-
-@metric(title="force error peak", unit="N", needs="force")
-def force_error_peak(run: Run) -> float | None:
-    """Peak of the norm of the force's error."""
-    return None if (size := _sizes(force_error(run), _FORCE)) is None else _peak(size)
-
-
-@metric(title="moment error RMS", unit="N m", needs="force")
-def moment_error_rms(run: Run) -> float | None:
-    """RMS of the norm of the error of the moment at the tool's origin."""
-    return None if (size := _sizes(force_error(run), _MOMENT)) is None else _rms(size)
-
-
-@metric(title="moment error peak", unit="N m", needs="force")
-def moment_error_peak(run: Run) -> float | None:
-    """Peak of the norm of the moment's error."""
-    return None if (size := _sizes(force_error(run), _MOMENT)) is None else _peak(size)
+_force, _moment = partial(_external, part=_FORCE), partial(_external, part=_MOMENT)
+_declare("min_force", "least force", "N", "Smallest norm of the environment's force on the arm", _force, _least, "")
+_declare("force_rms", "force RMS", "N", "RMS of the norm of the environment's force", _force, _rms, "")
+_declare("peak_force", "peak force", "N", "Peak of the norm of the environment's force", _force, _peak, "")
+_declare("peak_moment", "peak moment", "N m", "Peak of the norm of the environment's moment", _moment, _peak, "")
+_declare("moment_rms", "moment RMS", "N m", "RMS of the norm of the environment's moment", _moment, _rms, "")
+_what = "the norm of the error of the {} at the tool, wanted less applied by the arm"
+_declare_error("force_error", "force error", "N", _what.format("force"), partial(_error, part=_FORCE), "force")
+_declare_error("moment_error", "moment error", "N m", _what.format("moment"), partial(_error, part=_MOMENT), "force")
 
 
 @metric(title="contact lost", unit="s")
@@ -193,16 +169,8 @@ def _normal_force_error(run: Run) -> Float64Array | None:
     return None if wanted is None else wanted - contact[0]
 
 
-@metric(title="normal force error RMS", unit="N", needs="press")
-def normal_force_error_rms(run: Run) -> float | None:
-    """RMS of the error of the force along the true normals of the contacts."""
-    return None if (error := _normal_force_error(run)) is None else _rms(error)
-
-
-@metric(title="normal force error peak", unit="N", needs="press")
-def normal_force_error_peak(run: Run) -> float | None:
-    """Peak of the error of the force along the true normals."""
-    return None if (error := _normal_force_error(run)) is None else _peak(error)
+_along = "the error of the force along the true normals, which a MujocoPlant with a scene gives"
+_declare_error("normal_force_error", "normal force error", "N", _along, _normal_force_error, "press")
 
 
 @metric(title="peak normal force", unit="N")
@@ -224,16 +192,8 @@ def _path_errors(run: Run) -> Float64Array | None:
     return np.asarray(np.linalg.norm(across[touching], axis=1))
 
 
-@metric(title="path error RMS", unit="m", needs="press")
-def path_error_rms(run: Run) -> float | None:
-    """RMS of the tool's position error along the true surface, in contact."""
-    return None if (size := _path_errors(run)) is None else _rms(size)
-
-
-@metric(title="path error peak", unit="m", needs="press")
-def path_error_peak(run: Run) -> float | None:
-    """Peak of the tool's position error along the true surface, in contact."""
-    return None if (size := _path_errors(run)) is None else _peak(size)
+_across = "the tool's position error along the true surface, in contact"
+_declare_error("path_error", "path error", "m", _across, _path_errors, "press")
 
 
 @metric(title="normal error", unit="deg", needs="press")
