@@ -290,7 +290,7 @@ def _write_mp4(path: Path, images: Iterator[Any], fps: int, size: tuple[int, int
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors)
         assert process.stdin is not None
         try:
-            with suppress(BrokenPipeError):  # ffmpeg has given up; what it says is told below
+            with suppress(BrokenPipeError):  # ffmpeg has given up; its own words follow below
                 for image in images:
                     process.stdin.write(image.tobytes())
         finally:

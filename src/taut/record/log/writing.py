@@ -58,7 +58,7 @@ class Log:
 
         Args:
             rows: The piece.
-            advance: Is told how many ticks more are written, block by block.
+            advance: Called with how many more ticks are written, block by block.
 
         Raises:
             FileError: The system refuses a write, or the log is closed.

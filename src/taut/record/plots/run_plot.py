@@ -325,8 +325,8 @@ def plot_wrench(run: Run, figure: SubFigure) -> None:
 
     Where the contacts of a scene tell their normals, the force along them stands beside, with the one asked for.
     """
-    told = true_normal(run)
-    pressed = told is not None and bool(np.any(told[0]))
+    contact = true_normal(run)
+    pressed = contact is not None and bool(np.any(contact[0]))
     axes = figure.subplots(1, 3 if pressed else 2, sharex=True)
     asked = False
     for ax, first, what in zip(axes, (0, 3), ("force [N]", "moment [N m]"), strict=False):
@@ -339,7 +339,7 @@ def plot_wrench(run: Run, figure: SubFigure) -> None:
             for i in range(3) if wanted is not None else ():
                 asked = True
                 line(ax, piece.t, -np.asarray(wanted)[:, first + i], INK, reference=True)
-    pressing = pressed and told is not None and _press(run, told[0], axes[2])
+    pressing = pressed and contact is not None and _press(run, contact[0], axes[2])
     keys = [*_axis_keys("F_ext at the tool, world axes:")]
     if asked or pressing:
         keys.append(_dashed("wanted, -F_app" if asked and not pressing else "wanted"))
