@@ -1,4 +1,4 @@
-"""`taut doctor RUN`: a log is read, judged, and told; a picture of each finding where a folder is named."""
+"""`taut doctor RUN`: the diagnosis of a log, and a picture of each finding where a folder is named."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["Report", "examine"]
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """What the doctor says of a log, and the pictures that were drawn."""
+    """The diagnosis of a log, and the pictures that were drawn."""
 
     log: Path
     diagnosis: Diagnosis
@@ -30,7 +30,13 @@ class Report:
 
     def json(self) -> dict[str, Any]:
         """As plain values."""
-        return {"run": str(self.log), **self.diagnosis.json(), "pictures": [str(path) for path in self.pictures]}
+        pictures = [str(path) for path in self.pictures]
+        return {
+            "run": str(self.log),
+            "healthy": self.diagnosis.healthy,
+            **self.diagnosis.json(),
+            "pictures": pictures,
+        }
 
     def text(self) -> str:
         """In lines for people."""
@@ -38,11 +44,11 @@ class Report:
 
 
 def examine(log: Path, arm: str | None, folder: Path | None) -> Report:
-    """Judge a log.
+    """Diagnose a log.
 
     Args:
         log: A .mcap file that `run.save` wrote.
-        arm: Name or file of the arm that the controller was compiled for; what the log says if left out.
+        arm: Name or file of the arm that the controller was compiled for; that of the log if left out.
         folder: Where to draw each finding; nowhere if left out.
 
     Raises:

@@ -249,7 +249,7 @@ def _parser() -> argparse.ArgumentParser:
     add("laws", _laws, "List the laws with their equations and what they need measured.")
     check = add("check", _check, "Read a robot model and say what is in it and everything that is wrong with it.")
     check.add_argument("model", metavar="MODEL", help="a name, a .urdf or an MJCF .xml file")
-    patient = add("doctor", _doctor, "Say why a recorded run sags, oscillates, sticks, saturates, ...")
+    patient = add("doctor", _doctor, "Find what went wrong in a recorded run: oscillation, stiction, saturation, ...")
     patient.epilog = DOCTOR
     patient.add_argument("run", type=Path, metavar="RUN", help="a log (.mcap) of a run")
     patient.add_argument("--arm", metavar="MODEL", help="the arm that the controller was compiled for")
