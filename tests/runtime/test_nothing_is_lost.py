@@ -17,7 +17,7 @@ import pytest
 from runtime_laws import HandPlant
 
 import taut
-from taut.record.log.writing import writing as log_module
+from taut.record.log import writing as log_module
 from taut.runtime import fused, hosted
 
 ARM = taut.load_arm("planar2")

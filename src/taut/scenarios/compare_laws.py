@@ -6,8 +6,8 @@ import ast
 from typing import Any, Final
 
 from taut.base.errors import UsageError
+from taut.base.plot_style import short
 from taut.control.law import Law
-from taut.record.plots.style import short
 from taut.scenarios.read_laws import read_law
 from taut.scenarios.toml import Section
 

@@ -33,7 +33,7 @@ from taut.control.trajectories.task_reference import TaskMotion, TaskSamples
 from taut.controller import compile
 from taut.loop import check_fit, duration_of_ticks, state_at_start
 from taut.plant.rigid import RigidPlant
-from taut.record.metrics import MEASURES, OF_FORCE, OF_JOINT_MOTION, OF_PRESSING, OF_STEPS, OF_TASK_MOTION
+from taut.record.metrics import METRICS, names_that_need
 from taut.runtime.events import Event, sorted_events
 from taut.scenarios.read_force_reference import FORCE_KINDS
 from taut.scenarios.read_reference import JOINT_KINDS
@@ -50,10 +50,10 @@ MOST_TICKS: Final = 10_000_000  # of a run, which keeps every one: gigabytes
 MOST_RUNS: Final = 8  # in one figure
 GLANCES: Final = 200  # at a trajectory
 ERRORS_OF: Final[Mapping[type[Sample], tuple[str, ...]]] = {
-    JointMotion: OF_JOINT_MOTION,
-    TaskMotion: OF_TASK_MOTION,
-    TaskForce: OF_FORCE,
-    hybrid_kind(TaskMotion): (*OF_TASK_MOTION, *OF_PRESSING, *OF_FORCE),
+    JointMotion: names_that_need("set-point", "joint motion"),
+    TaskMotion: names_that_need("task motion"),
+    TaskForce: names_that_need("force"),
+    hybrid_kind(TaskMotion): names_that_need("task motion", "press", "force"),
 }
 WHOSE: Final[Mapping[type[Sample], str]] = {
     JointMotion: "joints",
@@ -186,20 +186,20 @@ def _check_figure(figure: PassFigure, section: Section, scenario: Scenario) -> N
     names, units = arm.joint_names, arm.units
     if figure.joint is not None:
         _check_joint(figure.joint, section, arm)
-        if not MEASURES[figure.metric].per_joint:
+        if not METRICS[figure.metric].per_joint:
             raise section.error(f"metric '{figure.metric}' is of the tool; leave joint out")
     if law is not None:
         _check_kind_of_figure(figure, law, section)
-    if figure.joint is None and MEASURES[figure.metric].per_unit and len(set(units)) > 1:
+    if figure.joint is None and METRICS[figure.metric].per_unit and len(set(units)) > 1:
         raise section.error(
             f"metric '{figure.metric}' has no one number for joints in rad and joints in m together; add joint, one "
             f"of {quoted_list(names, most=len(names))}"
         )
     _check_window(figure.window, section, scenario)
-    if figure.metric in OF_STEPS and _moves(scenario):
+    if METRICS[figure.metric].needs == "set-point" and _moves(scenario):
         raise section.error(
             f"metric '{figure.metric}' is for a set-point, and the [reference] moves; take one of "
-            f"{quoted_list([name for name in MEASURES if name not in OF_STEPS])}"
+            f"{quoted_list([name for name, one in METRICS.items() if one.needs != 'set-point'])}"
         )
 
 

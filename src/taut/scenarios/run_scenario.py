@@ -18,21 +18,18 @@ from rich.markup import escape
 from rich.table import Table
 
 from taut.analysis.constraints.natural_constraints import natural_constraints
-from taut.base.errors import FileError, ScenarioError, TautError, UsageError
+from taut.base.errors import FileError, MissingExtraError, ScenarioError, TautError, UsageError, warn
+from taut.base.result import cell_text
 from taut.control.combine import bare
 from taut.control.laws.hybrid import HybridMotionForce
 from taut.control.tasks.phases import Phases
 from taut.controller import Controller, compile
 from taut.maths.snapshot import Snapshot, snapshot
-from taut.record.compare import compare
+from taut.record.info import PARTS, PHASES, SCENARIO
 from taut.record.log.files import cannot_write, checked_target, written_aside
-from taut.record.metrics import MEASURES, Metrics
-from taut.record.part import PARTS
-from taut.record.phases import PHASES
-from taut.record.plots.spread_plot import spread_figure
-from taut.record.report.run_report import SCENARIO
+from taut.record.metrics import METRICS, Metrics
+from taut.record.plots.comparison import compare, spread_figure
 from taut.record.run import Run
-from taut.record.table import number_text
 from taut.runtime.simulate import run
 from taut.scenarios.cases import Trial
 from taut.scenarios.scenario import SUFFIXES, PassFigure, Scenario
@@ -110,7 +107,7 @@ class ScenarioResult:
         for i, unit in sorted(heads, key=lambda head: head[0]):
             numbers = [row[i].get(unit, math.nan) for row in rows_of]
             if not all(math.isnan(number) for number in numbers):
-                cells.append([f"{MEASURES[names[i]].title}\n[{unit}]", *map(number_text, numbers)])
+                cells.append([f"{METRICS[names[i]].title}\n[{unit}]", *map(cell_text, numbers)])
         cells.append(["outcome", *(one.outcome.kind for one in runs.values())])
         upright = list(zip(*cells, strict=True))
         lying = [[text.replace("\n", " ") for text in column] for column in cells]
@@ -136,7 +133,7 @@ class ScenarioResult:
                 for unit in dict.fromkeys(unit for numbers in found.values() for unit in numbers):
                     row = _spread_row({case: numbers.get(unit, math.nan) for case, numbers in found.items()})
                     if row is not None:
-                        table.add_row(*map(escape, (law, f"{MEASURES[name].title} [{unit}]", *row)))
+                        table.add_row(*map(escape, (law, f"{METRICS[name].title} [{unit}]", *row)))
             ended = sum(one.outcome.ok for one in runs.values())
             table.add_row(escape(law), "completed", f"{ended} of {len(runs)}")
         return table
@@ -160,7 +157,7 @@ def _spread_row(values: Mapping[str, float]) -> list[str] | None:
     known = {case: value for case, value in values.items() if not math.isnan(value)}
     if not known:
         return None
-    least, median, largest = (number_text(f(known.values())) for f in (min, statistics.median, max))
+    least, median, largest = (cell_text(f(known.values())) for f in (min, statistics.median, max))
     return [str(len(known)), least, median, largest, max(known, key=lambda case: known[case])]
 
 
@@ -414,7 +411,10 @@ def _plot_label(trial: Trial, laws: Sequence[str]) -> str:
 def _film(shown: Run, path: Path) -> None:
     if not len(shown):
         raise UsageError("there is nothing to film: the law did not get through its first tick", name="video")
-    shown.video(path)
+    try:
+        shown.video(path)
+    except MissingExtraError as missing:  # the run is done, and its other files are made
+        warn(str(missing))
 
 
 def _save_metrics(runs: Mapping[Trial, Run], path: Path) -> None:

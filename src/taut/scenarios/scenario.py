@@ -20,7 +20,7 @@ from taut.control.law import Law
 from taut.control.limits import Limits
 from taut.control.sensing.sensing import Sensing
 from taut.control.trajectories.reference import Reference
-from taut.record.metrics import MEASURES
+from taut.record.metrics import METRICS
 from taut.runtime.events import Event
 from taut.scenarios.cases import OF_A_CASE, Trial, cases_of
 from taut.scenarios.fit import Places, refuse_misfits, refuse_unfit_results
@@ -359,8 +359,8 @@ def _outputs(section: Section, laws: list[str], labels: list[str], cases: list[s
     columns = section.texts("columns", None, example='["rms_error", "stuck_time"]')
     with section.blamed("columns"):
         for name in columns or ():
-            if name not in MEASURES:
-                raise unknown_name("a run", "metric", name, MEASURES)
+            if name not in METRICS:
+                raise unknown_name("a run", "metric", name, METRICS)
     if columns is not None and not 0 < len(columns) == len(set(columns)):
         raise section.error(f"columns must name one metric at least, each once; got {columns}")
     files = {}
@@ -402,8 +402,8 @@ def _figure(section: Section, labels: list[str], cases: list[str]) -> PassFigure
     if label not in labels:
         raise section.error(f"law must be one of {quoted_list(labels)}; got {label!r}")
     with section.blamed("metric"):
-        if metric not in MEASURES:
-            raise unknown_name("a run", "metric", metric, MEASURES)
+        if metric not in METRICS:
+            raise unknown_name("a run", "metric", metric, METRICS)
     if np.isinf(least) and np.isinf(most):
         raise section.error("needs min, max or both")
     if least > most:

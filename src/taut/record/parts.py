@@ -1,4 +1,4 @@
-"""The phases of a run of a task: when each acted, and what ended it."""
+"""Runs of a part: the phases of a task, and the laws side by side."""
 
 from __future__ import annotations
 
@@ -14,15 +14,14 @@ from taut.base.types import Float64Array
 from taut.control.tasks.phase import STOP
 from taut.control.tasks.phase_sample import PhaseSample
 from taut.control.tasks.phases import ENDED, NO_CONTACT
-from taut.record.felt import FELT
+from taut.record.info import IMPEDANCE, PARTS, PHASES
 from taut.record.outcome import Outcome
 
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = ["PHASES", "PhaseWindow", "phase_of", "phases_of", "told", "windows"]
+__all__ = ["PhaseWindow", "part_of", "phase_of", "phases_of", "outcome_with_phases", "windows"]
 
-PHASES: Final = "phases"  # in run.info: by name, what each phase follows, and its tool
 WELL: Final = "until"
 NONE: Final = ENDED[NO_CONTACT]
 
@@ -80,7 +79,9 @@ def windows(
     return tuple(out)
 
 
-def told(found: Sequence[PhaseWindow], outcome: Outcome, contact: Callable[[PhaseWindow], str]) -> Outcome:
+def outcome_with_phases(
+    found: Sequence[PhaseWindow], outcome: Outcome, contact: Callable[[PhaseWindow], str]
+) -> Outcome:
     """The outcome of a run with how each phase of its task ended.
 
     A task that stopped for another reason than its last `until` did not go to its end.
@@ -144,7 +145,7 @@ def phase_of(run: Run, name: str, visit: int) -> Run:
     outcome = Outcome(kind="completed", message=str(window), tick=len(run.t[rows]) - 1)
     if not run.outcome.ok and window.name != STOP and window.ended is None:  # the run ended in it
         outcome = dataclasses.replace(run.outcome, tick=outcome.tick)
-    keys = {key: value for key, value in run.info.items() if key not in (PHASES, FELT)}
+    keys = {key: value for key, value in run.info.items() if key not in (PHASES, IMPEDANCE)}
     return dataclasses.replace(
         run,
         **{key: getattr(run, key)[rows] for key in ("t", "q", "v", "tau", "command")},
@@ -153,4 +154,35 @@ def phase_of(run: Run, name: str, visit: int) -> Run:
         reference=type(reference).of(fields),
         outcome=outcome,
         info=keys | {key: value for key, value in own.items() if key != "follows"},
+    )
+
+
+# -------------------------------------------------------------------- laws side by side
+
+
+def part_of(run: Run, name: str) -> Run:
+    """The joints, terms and reference of one of the laws side by side.
+
+    Raises:
+        UsageError: The run is not one of laws side by side.
+        UnknownNameError: It has no such part.
+    """
+    parts: Mapping[str, Mapping[str, Any]] = run.info.get(PARTS, {})
+    if not parts:
+        raise UsageError("the run has no parts: its law is not taut.SideBySide", name="part")
+    if name not in parts:
+        raise unknown_name("the run", "part", name, parts)
+    own = [run.joint_names.index(joint) for joint in parts[name]["joints"]]
+    info = {key: value for key, value in run.info.items() if key not in (PARTS, IMPEDANCE)} | dict(parts[name])
+    return dataclasses.replace(
+        run,
+        **{key: getattr(run, key)[:, own] for key in ("q", "v", "tau", "command")},
+        terms={key: values[:, own] for key, values in run.terms.items()},
+        extra={key: values for key, values in run.extra.items() if key == "F_ext" and IMPEDANCE in parts[name]},
+        reference=getattr(run.reference, name),
+        joint_names=tuple(run.joint_names[i] for i in own),
+        units=tuple(run.units[i] for i in own),
+        continuous=tuple(k for k, i in enumerate(own) if i in run.continuous),
+        info=info,
+        arm=None,
     )

@@ -1,4 +1,4 @@
-"""What a tool felt like in a run, against closed forms; jumps of torque; shares of limits."""
+"""The apparent impedance of the tool in a run, against closed forms; jumps of torque; shares of limits."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 import taut
 from taut.control.laws.apparent import FeltImpedance, felt_impedance
-from taut.record.felt import deviation_promised
+from taut.record.tool import expected_deviation
 
 PANDA = taut.load_arm("panda")
 HOME = taut.snapshot(PANDA, PANDA.home)
@@ -77,16 +77,16 @@ def led() -> taut.Run:
     return taut.run(taut.compile(law, PANDA), plant, duration=2.0)
 
 
-def test_the_felt_mass_is_the_one_that_was_asked_for(led: taut.Run) -> None:
-    assert led.metrics.felt_mass == pytest.approx(8.0, rel=0.03)
+def test_the_apparent_mass_is_the_one_that_was_asked_for(led: taut.Run) -> None:
+    assert led.metrics.apparent_mass == pytest.approx(8.0, rel=0.03)
     assert led.metrics.impedance_error < 3.0
     assert led.metrics.task_final == pytest.approx(float(np.linalg.norm(led.task.position_error[-1])))
 
 
 def test_another_mass_is_told_apart(led: taut.Run) -> None:
-    wrong = FeltImpedance.of_json(led.info["felt"])
+    wrong = FeltImpedance.of_json(led.info["impedance"])
     half = dataclasses.replace(wrong, D=0.5 * wrong.D)
-    other = dataclasses.replace(led, info={**led.info, "felt": half.json()})
+    other = dataclasses.replace(led, info={**led.info, "impedance": half.json()})
     assert other.metrics.impedance_error > 10.0
 
 
@@ -95,9 +95,9 @@ def test_what_changes_in_the_run_or_is_not_pushed_has_no_meaning(led: taut.Run) 
     changed = dataclasses.replace(led, info={**led.info, "events": [event]})
     still = dataclasses.replace(led, extra={"F_ext": np.zeros_like(led.extra["F_ext"])})
     for run in (changed, still):
-        assert deviation_promised(run) is None
+        assert expected_deviation(run) is None
         assert np.isnan(run.metrics.impedance_error)
-        assert np.isnan(run.metrics.felt_mass)
+        assert np.isnan(run.metrics.apparent_mass)
 
 
 def test_a_jump_of_torque_is_told_from_a_slope(led: taut.Run) -> None:

@@ -1,4 +1,4 @@
-"""Plots of a run, like the chapter's figures: positions and errors, the torque and what it is made of.
+"""Plots of a run, like the chapter's figures: positions, errors, the torque and what it is made of, the tool.
 
 Figures are made without pyplot, so that no window, no display and no global state is involved.
 """
@@ -13,14 +13,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from taut.base.errors import RangeError, UsageError, unknown_name
-from taut.base.types import Float64Array
-from taut.record.compare import compare
-from taut.record.phases import PHASES
-from taut.record.plots.phase_marks import mark_phases
-from taut.record.plots.style import (
+from taut.base.plot_style import (
     DASHED,
     DOTTED,
     INK,
+    LETTER,
     SMALL,
     WIDTH,
     colour,
@@ -32,7 +29,12 @@ from taut.record.plots.style import (
     short,
     short_name,
 )
-from taut.record.plots.task_plot import TASK_HEIGHT, is_touched, plot_task, plot_wrench, shows_tool
+from taut.base.types import Float64Array
+from taut.control.tasks.phase_sample import PhaseSample
+from taut.control.trajectories.force_reference import HybridMotion
+from taut.control.trajectories.task_reference import TaskMotion
+from taut.record.info import PHASES, TOOL
+from taut.record.tool import true_normal, wanted_wrench
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,14 +43,14 @@ if TYPE_CHECKING:
 
     from taut.record.run import Run
 
-__all__ = ["compare", "plot"]
+__all__ = ["is_task_run", "plot"]
 
-MOST: Final = 8  # joints in one figure
+MAX_JOINTS: Final = 8  # joints in one figure
 ACROSS: Final = 4  # small pictures side by side
 NEAR: Final = 0.5  # of a limit: a joint that gets there has its limit drawn
 LEGEND_LINE: Final = 0.19  # [in]
 LETTERS: Final = 96  # in one line of the title
-MOST_LINES: Final = 4  # of how the run ended, with its way out
+MAX_LINES: Final = 4  # of how the run ended, with its way out
 TIME: Final = "t [s]"
 _NUMBER: Final = re.compile(r"\b\d+\.\d+(e[+-]?\d+)?\b")
 TERMS: Final = {
@@ -109,11 +111,11 @@ def plot(run: Run, *, joints: Iterable[str | int] | None = None) -> Figure:
 
 def _chosen(run: Run, joints: Iterable[str | int] | None) -> list[int]:
     if joints is None:
-        if run.n <= MOST:
+        if run.n <= MAX_JOINTS:
             return list(range(run.n))
         size = run.q - run.q[:1] if run.error is None else run.error
         largest = np.argsort(-np.max(np.abs(size), axis=0, initial=0.0), kind="stable")
-        return sorted(int(i) for i in largest[:MOST])
+        return sorted(int(i) for i in largest[:MAX_JOINTS])
     if isinstance(joints, str):
         joints = [joints]
     shown: list[int] = []
@@ -129,8 +131,8 @@ def _chosen(run: Run, joints: Iterable[str | int] | None) -> list[int]:
         else:
             shown.append(int(joint))
     shown = list(dict.fromkeys(shown))
-    if not 0 < len(shown) <= MOST:
-        raise UsageError(f"joints must name 1 to {MOST} joints for one figure; got {len(shown)}", name="joints")
+    if not 0 < len(shown) <= MAX_JOINTS:
+        raise UsageError(f"joints must name 1 to {MAX_JOINTS} joints for one figure; got {len(shown)}", name="joints")
     return shown
 
 
@@ -142,7 +144,7 @@ def _title(run: Run, shown: Sequence[int]) -> str:
         law = ", ".join(run.info[PHASES])
     law = short(law, LETTERS - len(place) - 4)
     which = f"{len(shown)} of {run.n} joints; " if len(shown) < run.n else ""
-    ended = textwrap.wrap(which + str(run.outcome), LETTERS, max_lines=MOST_LINES, placeholder="...")
+    ended = textwrap.wrap(which + str(run.outcome), LETTERS, max_lines=MAX_LINES, placeholder="...")
     return "\n".join([f"{law}  on  {place}", *ended])
 
 
@@ -282,3 +284,159 @@ def _term_keys(run: Run, first: int = 0) -> list[Line2D]:
     ]
     idle = [name for name in run.terms if name not in busy]
     return [*keys, Line2D([], [], linewidth=0.0, label=f"zero: {', '.join(idle)}")] if idle else keys
+
+
+# -------------------------------------------------------------------- the tool
+
+TASK_HEIGHT: Final = 2.3  # [in]
+AXES: Final = ("x", "y", "z")
+
+
+def is_task_run(run: Run) -> bool:
+    """Whether a run has errors of the task."""
+    return isinstance(run.reference.motion, TaskMotion) and TOOL in run.info
+
+
+def shows_tool(run: Run) -> bool:
+    """Whether a run has errors of the task, in one of its phases at least."""
+    return any(is_task_run(piece) for piece in _pieces(run))
+
+
+def is_touched(run: Run) -> bool:
+    """Whether something touched the tool in a run."""
+    return "F_ext" in run.extra and bool(np.any(run.extra["F_ext"] != 0.0))
+
+
+def _pieces(run: Run) -> list[Run]:
+    """A run; one of a task whose phases follow different kinds of reference, phase by phase."""
+    if not isinstance(run.reference, PhaseSample):
+        return [run]
+    visits: dict[str, int] = {}
+    out = []
+    for window in run.phases:
+        visit = visits.get(window.name, 0)
+        visits[window.name] = visit + 1
+        out.append(run.phase(window.name, visit))
+    return out
+
+
+def plot_wrench(run: Run, figure: SubFigure) -> None:
+    """Force and moment of the environment on the arm at the tool, in world axes, with what was wanted dashed.
+
+    Where the contacts of a scene tell their normals, the force along them stands beside, with the one asked for.
+    """
+    contact = true_normal(run)
+    pressed = contact is not None and bool(np.any(contact[0]))
+    axes = figure.subplots(1, 3 if pressed else 2, sharex=True)
+    asked = False
+    for ax, first, what in zip(axes, (0, 3), ("force [N]", "moment [N m]"), strict=False):
+        prepared(ax, what.partition(" [")[0] + " on the arm", what)
+        ax.axhline(0.0, color=INK, linewidth=0.6)
+        for i in range(3):
+            line(ax, run.t, run.extra["F_ext"][:, first + i], colour(i))
+        for piece in _pieces(run):
+            wanted = wanted_wrench(piece)
+            for i in range(3) if wanted is not None else ():
+                asked = True
+                line(ax, piece.t, -np.asarray(wanted)[:, first + i], INK, reference=True)
+    pressing = pressed and contact is not None and _press(run, contact[0], axes[2])
+    keys = [*_axis_keys("F_ext at the tool, world axes:")]
+    if asked or pressing:
+        keys.append(_dashed("wanted, -F_app" if asked and not pressing else "wanted"))
+    legend_above(figure, keys)
+
+
+def _press(run: Run, force: Float64Array, ax: Axes) -> bool:
+    """The force along the normals of the contacts; whether there was one that was asked for."""
+    prepared(ax, "force along the normal", "force [N]")
+    line(ax, run.t, force, colour(3))
+    asked = False
+    for piece in _pieces(run):
+        if isinstance(piece.reference, HybridMotion) and np.any(piece.reference.press):
+            asked = True
+            line(ax, piece.t, np.asarray(piece.reference.press)[:, 0], INK, reference=True)
+    return asked
+
+
+def plot_task(run: Run, figure: SubFigure) -> None:
+    """Position with the reference dashed, position error and rotation error, in world axes."""
+    ax_p, ax_e, ax_r = figure.subplots(1, 3, sharex=True)
+    prepared(ax_p, "tool and reference", "p [m]")
+    prepared(ax_e, "position error", "wanted - true [m]")
+    prepared(ax_r, "rotation error", "log(R_des R^T) [rad]")
+    for ax in (ax_e, ax_r):
+        ax.axhline(0.0, color=INK, linewidth=0.6)
+    frames: dict[str, None] = {}
+    for piece in _pieces(run):
+        if TOOL in piece.info:
+            frames[piece.task.frame] = None
+            _piece_of_task(piece, ax_p, ax_e, ax_r)
+    keys = _axis_keys(f"{short_name(', '.join(frames), 30)}, world axes:")
+    legend_above(figure, [*keys, _dashed("reference")])
+
+
+def _piece_of_task(run: Run, ax_p: Axes, ax_e: Axes, ax_r: Axes) -> None:
+    """One stretch of it; of one that follows nothing of the task the tool's position alone."""
+    task = run.task
+    for i in range(3):
+        line(ax_p, run.t, task.p[:, i], colour(i))
+    wanted, position, rotation = task.wanted, task.position_error, task.rotation_error
+    if wanted is None or position is None or rotation is None:
+        return
+    for i in range(3):
+        line(ax_p, run.t, wanted.p[:, i], INK, reference=True)
+        line(ax_e, run.t, position[:, i], colour(i))
+        line(ax_r, run.t, rotation[:, i], colour(i))
+
+
+def _axis_keys(heading: str) -> list[Line2D]:
+    from matplotlib.lines import Line2D
+
+    axes = [Line2D([], [], color=colour(i), linewidth=1.5, label=name) for i, name in enumerate(AXES)]
+    return [Line2D([], [], linewidth=0.0, label=heading), *axes]
+
+
+def _dashed(label: str) -> Line2D:
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], color=INK, linewidth=0.9, linestyle=DASHED, label=label)
+
+
+# -------------------------------------------------------------------- phases
+
+PHASE_LETTERS: Final = 10  # of a name
+PHASE_SIZE: Final = 7.5  # [pt] of the letters
+MIN_HEIGHT: Final = 1.3  # [in] that a picture has at least
+INNER: Final = 0.75  # of a picture's share of the page is between its axes
+
+
+def mark_phases(run: Run, figure: Figure) -> None:
+    """Draw where each phase of a task begins into every picture that shows the run over time."""
+    found = run.phases
+    axes = [ax for ax in figure.axes if ax.get_visible()]
+    for ax in axes:
+        for window in found[1:]:
+            ax.axvline(window.start, color=INK, linewidth=0.7, linestyle=DOTTED, zorder=0.5)
+    if not axes:
+        return
+    first = axes[0]
+    place = first.get_subplotspec()
+    across = 1 if place is None else place.get_gridspec().ncols
+    letter = 1.3 * PHASE_SIZE / (72.0 * WIDTH * INNER / across) * float(run.t[-1] - run.t[0])  # [s] that a name takes
+    named = [window for window in found if window.end - window.start >= letter]  # the others have no room for it
+    longest = max((len(short_name(window.name, PHASE_LETTERS)) for window in named), default=0)
+    room = (LETTER * PHASE_SIZE * longest + 6.0) / (72.0 * MIN_HEIGHT)  # of the height, above the curves
+    low, high = first.get_ylim()
+    first.set_ylim(low, high + room / (1.0 - room) * (high - low))
+    for window in named:
+        first.annotate(
+            short_name(window.name, PHASE_LETTERS),
+            (window.start, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(3.0, -2.0),
+            textcoords="offset points",
+            fontsize=PHASE_SIZE,
+            color=INK,
+            va="top",
+            rotation=90,
+        )

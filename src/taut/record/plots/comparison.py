@@ -1,4 +1,4 @@
-"""One figure for several runs: how the error goes, and what it costs."""
+"""One figure for several runs: how the error goes, and what it costs; and of runs that differ by chance."""
 
 from __future__ import annotations
 
@@ -9,11 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from taut.base.errors import UsageError
-from taut.base.types import Float64Array
-from taut.record.felt import deviation_promised
-from taut.record.force import force_error
-from taut.record.metrics import MEASURES
-from taut.record.plots.style import (
+from taut.base.plot_style import (
     DASHED,
     INK,
     SMALL,
@@ -25,19 +21,23 @@ from taut.record.plots.style import (
     short_name,
     wrapped,
 )
-from taut.record.plots.task_plot import is_task_run
+from taut.base.types import Float64Array
+from taut.record.info import TOOL
+from taut.record.metrics import METRICS
+from taut.record.plots.run_plot import is_task_run
 from taut.record.run import Run
+from taut.record.tool import expected_deviation, force_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["compare", "draw_bars", "draw_norms", "error_norms"]
+__all__ = ["compare", "draw_bars", "draw_norms", "error_norms", "spread_figure"]
 
 BARS: Final = ("rms_error", "peak_error", "effort", "chatter")
 TASK_BARS: Final = ("task_rms", "task_rms_rotation", "effort", "chatter")
 FORCE_BARS: Final = ("force_error_rms", "moment_error_rms", "effort", "chatter")
-MOST: Final = 8  # runs in one figure
+MAX_RUNS: Final = 8  # runs in one figure
 NAME: Final = 18  # letters of a run's name beside its bars, on each of two lines
 ROUNDING: Final = 1e-12  # below which an error is none
 FAR_APART: Final = 30.0  # ratio of errors above which their axis is logarithmic
@@ -110,7 +110,7 @@ def compare(
         for i, ax in enumerate(column):
             ax.set_visible(i < len(values))
         for ax, (unit, numbers) in zip(column, values.items(), strict=False):
-            draw_bars(prepared(ax, f"{MEASURES[measure].title} [{unit}]"), numbers)
+            draw_bars(prepared(ax, f"{METRICS[measure].title} [{unit}]"), numbers)
     for row in grid:
         first = next(ax for ax in row if ax.get_visible())
         first.set_yticks(first.get_yticks(), labels)
@@ -123,11 +123,11 @@ def _check(runs: Mapping[str, Run], measures: Sequence[str] | None, joint: str |
 
     if not isinstance(runs, Mapping) or not all(isinstance(run, Run) for run in runs.values()):
         raise UsageError("compare takes runs by name: compare({'PID': run1, 'computed torque': run2})", name="runs")
-    if not 0 < len(runs) <= MOST:
-        raise UsageError(f"compare draws 1 to {MOST} runs in one figure; got {len(runs)}", name="runs")
+    if not 0 < len(runs) <= MAX_RUNS:
+        raise UsageError(f"compare draws 1 to {MAX_RUNS} runs in one figure; got {len(runs)}", name="runs")
     for measure in measures or ():
-        if measure not in MEASURES:
-            raise unknown_name("a run", "metric", measure, MEASURES)
+        if measure not in METRICS:
+            raise unknown_name("a run", "metric", measure, METRICS)
     if measures is not None and not measures:
         raise UsageError("compare needs one metric at least; got measures=()", name="measures")
     of_task = [name for name, run in runs.items() if is_task_run(run)]
@@ -230,7 +230,7 @@ def draw_norms(runs: Mapping[str, Run], norms: Sequence[Float64Array | None], ax
 
 def _promised(runs: Mapping[str, Run], ax: Axes) -> bool:
     """Where laws of impedance promise that their tools go under the recorded wrench, where they do."""
-    found = [(run.t, deviation_promised(run)) for run in runs.values() if is_task_run(run)]
+    found = [(run.t, expected_deviation(run)) for run in runs.values() if is_task_run(run)]
     for t, x in found:
         if x is not None:
             line(ax, t, np.linalg.norm(x[:, :3], axis=1), INK, reference=True)
@@ -262,3 +262,58 @@ def _number(value: float) -> str:
     if value and not 1e-4 <= abs(value) < 1e6:
         return f"{value:.2e}"
     return np.format_float_positional(float(f"{value:.3g}"), trim="-")
+
+
+# -------------------------------------------------------------------- runs that differ by chance
+
+SPREAD_HEIGHT: Final = 4.6  # [in]
+WINDOW: Final = 0.02  # [s]
+
+
+def spread_figure(runs: Mapping[str, Run]) -> Figure:
+    """The tool's path from above, its height and the environment's force over time, one line for each run.
+
+    Raises:
+        UsageError: A run that does not say where its tool is.
+    """
+    from matplotlib.figure import Figure
+
+    for name, run in runs.items():
+        if TOOL not in run.info:
+            raise UsageError(f"run '{name}' does not say where its tool is", name="runs")
+    figure = Figure(figsize=(WIDTH, SPREAD_HEIGHT), dpi=150, layout="constrained")
+    grid = figure.add_gridspec(2, 2, width_ratios=[1.0, 1.35])
+    above, height, force = (figure.add_subplot(place) for place in (grid[:, 0], grid[0, 1], grid[1, 1]))
+    prepared(above, f"the tool from above, {len(runs)} runs", "y [m]")
+    prepared(height, "the tool's height", "z [m]")
+    prepared(force, "force: mean of 20 ms, and each run's peak", "|F| [N]")
+    for i, run in enumerate(runs.values()):
+        p = run.task.p
+        line(above, p[:, 0], p[:, 1], colour(i))
+        above.plot(p[-1:, 0], p[-1:, 1], "o", color=colour(i), markersize=3.0)
+        line(height, run.t, p[:, 2], colour(i))
+        if "F_ext" in run.extra:
+            size = np.linalg.norm(run.extra["F_ext"][:, :3], axis=1)
+            peak = int(size.argmax())
+            line(force, run.t, _moving_mean(run.t, size), colour(i))
+            force.plot(run.t[peak], size[peak], "o", color=colour(i), markersize=3.0)
+    wanted = next(iter(runs.values())).task.wanted
+    if wanted is not None:
+        p_des = np.asarray(wanted.p)
+        line(above, p_des[:, 0], p_des[:, 1], INK, reference=True)
+        line(height, next(iter(runs.values())).t, p_des[:, 2], INK, reference=True)
+    above.set_aspect("equal", adjustable="datalim")
+    above.set_xlabel("x [m]", fontsize=SMALL, color=INK)
+    above.locator_params(nbins=4)
+    force.set_xlabel("t [s]", fontsize=SMALL, color=INK)
+    for ax in (height, force):
+        ax.margins(x=0.01)
+    return figure
+
+
+def _moving_mean(t: Float64Array, x: Float64Array) -> Float64Array:
+    """(k,) mean of the last while: contacts that slide open and close from tick to tick."""
+    ticks = min(len(t), max(1, round(WINDOW / float(t[1] - t[0])))) if len(t) > 1 else 1
+    sums = np.cumsum(np.concatenate([np.zeros(ticks), x]))
+    mean: Float64Array = (sums[ticks:] - sums[:-ticks]) / ticks
+    return mean
