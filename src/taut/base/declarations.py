@@ -1,0 +1,360 @@
+"""Declarations of fields: numbers, words, parts and plain values. See `taut.base.fields`, which gives them out."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final, Generic, Literal, NoReturn, Self, TypeVar, overload
+
+import numpy as np
+
+from taut.base.checks import entry_names, float_array, symmetric_psd
+from taut.base.errors import RangeError, ShapeError, TautError, UnknownNameError, UsageError, quoted_list
+from taut.base.types import ArrayLike, Float64Array
+
+__all__ = ["REQUIRED", "Choice", "Declaration", "Field", "Part", "Parts", "Plain", "Refusal", "unknown_field"]
+
+T = TypeVar("T")
+REQUIRED: Final = object()
+Shape = str | int | tuple[int, ...]
+Joints = Sequence[str] | int | None
+ShortForm = Literal["scalar", "pair", "force", "matrix"]
+
+
+class Refusal(Exception):  # noqa: N818  (an error for the user is made of it)
+    """A value that a declared class does not take; the front end adds the subject, an argument or a key of a file.
+
+    Args:
+        kind: Class of the error.
+        field: Name of the field, with an index where one entry is wrong; "" for the object as a whole.
+        rule: The rest of the sentence.
+        value: What was given.
+        joint: The joint that it is about, where there is one.
+    """
+
+    def __init__(
+        self, kind: type[TautError], field: str, rule: str, value: object = None, joint: str | None = None
+    ) -> None:
+        super().__init__(field, rule)
+        self.kind, self.field, self.rule, self.value, self.joint = kind, field, rule, value, joint
+
+    def error(self, owner: str, prefix: str = "") -> TautError:
+        """The error for the user, with the data that it is about."""
+        subject = f"{prefix}{self.field}" if self.field else owner
+        name = subject.partition("[")[0].partition(" (")[0]
+        return self.kind(f"{subject} {self.rule}", name=name, joint=self.joint, value=self.value, rule=self.rule)
+
+
+class Declaration(Generic[T]):
+    """One declared field. Abstract: use Field, Choice, Part, Parts or Plain.
+
+    Args:
+        default: Value where none is given; without it the field must be given, or may be None if `optional`.
+        optional: Whether it may be None.
+        convert: Makes the value of something shorter, such as a Pose of a point; raises a TautError.
+        from_data: Makes the value of what a TOML file has under the key, where that is no table of fields and no
+            value that the field takes as it is: called with the data and the path of the key.
+        doc: One sentence; the entry of the docstring's Args serves where it is left out.
+    """
+
+    run_time: bool = False
+    unit: str = ""
+
+    def __init__(
+        self,
+        default: Any = REQUIRED,
+        *,
+        optional: bool = False,
+        convert: Callable[[Any], Any] | None = None,
+        from_data: Callable[[Any, str], Any] | None = None,
+        doc: str = "",
+    ) -> None:
+        self.default = None if optional and default is REQUIRED else default
+        self.optional, self.convert, self.from_data, self.doc, self.name = optional, convert, from_data, doc, ""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    if TYPE_CHECKING:  # an instance has the value under the name of its field
+
+        @overload
+        def __get__(self, obj: None, owner: type) -> Self: ...
+        @overload
+        def __get__(self, obj: object, owner: type) -> T: ...
+        def __get__(self, obj: object | None, owner: type) -> Any: ...
+        def __set__(self, obj: object, value: Any) -> None: ...
+
+    def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> Any:
+        """The value as it is stored.
+
+        Args:
+            value: What was given.
+            owner: The object whose field it is, for sizes that it knows.
+            joints: Names of the joints, or their number, where it is known.
+
+        Raises:
+            Refusal: The field does not take it.
+        """
+        raise NotImplementedError
+
+    def rule(self) -> str:
+        """The rule in words."""
+        raise NotImplementedError
+
+    def stored(self, value: Any) -> Any:
+        """A checked value, or a symbol in its place, as code reads it."""
+        return value
+
+    def taken(self, value: Any, owner: Any = None) -> Any:
+        """A given value, converted and checked, as it is stored. Raises Refusal."""
+        if value is None and self.optional:
+            return None
+        if self.convert is not None:
+            try:
+                value = self.convert(value)
+            except TautError as cause:
+                text = str(cause).removeprefix(self.name).lstrip()
+                raise Refusal(type(cause), self.name, text, value) from None
+        return self.stored(self.checked(value, owner))
+
+    def schema(self) -> dict[str, Any]:
+        """The declaration as data, like a JSON schema."""
+        default = self.default.tolist() if isinstance(self.default, np.ndarray) else self.default
+        known = {"default": default} if isinstance(default, (bool, int, float, str, list, tuple)) else {}
+        return {"description": self.doc, "unit": self.unit, "rule": self.rule(), "run_time": self.run_time, **known}
+
+
+class Field(Declaration[Any]):
+    """Numbers with a unit, a range and a shape.
+
+    Args:
+        default: Value where none is given; without it the field must be given, or may be None if `optional`.
+        unit: Shown in messages and tables.
+        shape: "scalar"; "n" for one entry per joint, of which one number alone stands for all; a length (3, 6); the
+            name of an attribute of the object with the length, such as "dimensions"; any other name for a length
+            that only the owner of the part knows; or the whole shape, (6, 6).
+        accepts: Short forms: "scalar" for all entries (of "n" always), "pair" (linear, angular) for six, "force" for
+            six with a moment of zero, "matrix" for a symmetric positive semidefinite matrix of the length.
+        minimum: Smallest allowed entry.
+        above: Every entry must be greater.
+        maximum: Largest allowed entry.
+        zero_for_none: Whether entries may be 0 for joints that have none, though every other is `above` 0; not all.
+        infinite: Whether infinity is allowed.
+        hint: How to fix a value out of range, for the message.
+        run_time: Whether it may change between ticks; then it is a parameter by its path.
+        optional: Whether it may be None.
+        convert: As in `Declaration`.
+        from_data: As in `Declaration`.
+        doc: As in `Declaration`.
+    """
+
+    def __init__(
+        self,
+        default: Any = REQUIRED,
+        *,
+        unit: str = "",
+        shape: Shape = "scalar",
+        accepts: Iterable[ShortForm] = (),
+        minimum: float = -math.inf,
+        above: float = -math.inf,
+        maximum: float = math.inf,
+        zero_for_none: bool = False,
+        infinite: bool = False,
+        hint: str = "",
+        run_time: bool = True,
+        optional: bool = False,
+        convert: Callable[[Any], Any] | None = None,
+        from_data: Callable[[Any, str], Any] | None = None,
+        doc: str = "",
+    ) -> None:
+        super().__init__(default, optional=optional, convert=convert, from_data=from_data, doc=doc)
+        if shape == "n":
+            accepts = ("scalar", *accepts)
+        self.unit, self.shape, self.accepts, self.run_time = unit, shape, frozenset(accepts), run_time
+        self.minimum, self.above, self.maximum = minimum, above, maximum
+        self.zero_for_none, self.infinite, self.hint = zero_for_none, infinite, hint
+
+    if TYPE_CHECKING:
+
+        def __set__(self, obj: object, value: ArrayLike | None) -> None: ...
+
+    @property
+    def unit_words(self) -> str:
+        """The unit in brackets, for messages."""
+        return f" [{self.unit}]" if self.unit else ""
+
+    def rule(self) -> str:
+        low = (">", self.above) if self.above >= self.minimum else (">=", self.minimum)
+        bounds = [f"{sign} {x:g}" for sign, x in (low, ("<=", self.maximum)) if math.isfinite(x)]
+        return " and ".join(bounds) or "finite"
+
+    def size(self, owner: Any, joints: Joints = None) -> int | None:
+        """Length of a vector; None while it is not known, as the number of joints before a law meets its arm."""
+        if self.shape == "n":
+            return len(joints) if isinstance(joints, Sequence) else joints
+        if isinstance(self.shape, str):
+            return getattr(owner, self.shape, None)
+        return self.shape if isinstance(self.shape, int) else None
+
+    def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> Float64Array:
+        """The value as floats, read-only, in the shape in which it is stored. Raises Refusal."""
+        array = self._shaped(self._numbers(value), self.size(owner, joints))
+        names = joints if isinstance(joints, Sequence) else None
+        self._require(np.isnan(array) if self.infinite else ~np.isfinite(array), array, "finite", names)
+        if array.ndim == 2 and "matrix" in self.accepts:
+            self._require_psd(array)
+        elif self.zero_for_none and array.ndim:
+            self._require(array < 0.0, array, ">= 0", names)
+            if not array.any():
+                self._refuse(f"must be > 0 for one entry at least{self.unit_words}; got {array.tolist()}", 0.0)
+        else:
+            self._require(array < self.minimum, array, f">= {self.minimum:g}", names)
+            self._require(array <= self.above, array, f"> {self.above:g}", names)
+        self._require(array > self.maximum, array, f"<= {self.maximum:g}", names)
+        array.flags.writeable = False
+        return array
+
+    def _numbers(self, value: Any) -> Float64Array:
+        given = value.as_array() if hasattr(value, "as_array") else value
+        try:
+            return np.array(float_array(self.name, given, unit=self.unit))
+        except ShapeError as cause:
+            raise Refusal(ShapeError, self.name, str(cause).removeprefix(f"{self.name} "), value) from None
+
+    def _shaped(self, array: Float64Array, size: int | None) -> Float64Array:
+        """The array in one of the forms that the field takes."""
+        if "pair" in self.accepts and size == 6 and array.shape == (2,):
+            return np.repeat(array, 3)
+        if "force" in self.accepts and size == 6 and array.shape == (3,):
+            return np.concatenate([array, np.zeros(3)])
+        k = size or self.shape
+        fits = array.size > 0 and array.ndim > 0 and size in (None, len(array))
+        whole = isinstance(self.shape, tuple)
+        forms = {  # in words: (taken by this field, true of the array)
+            "a number": (self.shape == "scalar" or "scalar" in self.accepts, array.ndim == 0),
+            "(linear, angular)": ("pair" in self.accepts and size in (6, None), size is None and array.shape == (2,)),
+            "a force (3,)": ("force" in self.accepts, False),
+            f"({k},)": (self.shape != "scalar" and not whole, array.ndim == 1 and fits),
+            f"({k}, {k})": ("matrix" in self.accepts, array.ndim == 2 and len(set(array.shape)) == 1 and fits),
+            f"{self.shape}": (whole, array.shape == self.shape),
+        }
+        taken = {words: true for words, (takes, true) in forms.items() if takes}
+        if not any(taken.values()):
+            *first, last = taken
+            words = f"{', '.join(first)} or {last}" if first else last
+            got = f"{float(array):g} alone" if array.ndim == 0 else f"shape {array.shape}"
+            raise Refusal(ShapeError, self.name, f"must be {words}{self.unit_words}; got {got}", array)
+        return array
+
+    def _require(self, wrong: Any, array: Float64Array, rule: str, joints: Sequence[str] | None) -> None:
+        if not np.any(wrong):
+            return
+        index = [int(i) for i in np.argwhere(np.atleast_1d(wrong))[0]] if array.ndim else []
+        number = float(array[tuple(index)])
+        own = joints if joints is not None and array.shape == (len(joints),) else None
+        joint = own[index[0]] if own is not None else None
+        self._refuse(f"must be {rule}{self.unit_words}; got {number!r}", number, index, joint)
+
+    def _refuse(self, rule: str, number: float, index: Sequence[int] = (), joint: str | None = None) -> NoReturn:
+        place = entry_names(self.name, index) + (f" (joint '{joint}')" if joint is not None else "")
+        raise Refusal(RangeError, place, f"{rule}{f'; {self.hint}' if self.hint else ''}", number, joint)
+
+    def _require_psd(self, array: Float64Array) -> None:
+        try:
+            symmetric_psd(self.name, array, unit=self.unit)
+        except RangeError as cause:
+            raise Refusal(RangeError, self.name, str(cause).removeprefix(f"{self.name} "), cause.value) from None
+
+
+class Choice(Declaration[T]):
+    """One of a few words (or whole numbers); the first one is the default.
+
+    Args:
+        options: The words.
+        optional: Whether it may be None, which is the default then.
+        doc: As in `Declaration`.
+    """
+
+    def __init__(self, *options: T, optional: bool = False, doc: str = "") -> None:
+        super().__init__(None if optional else options[0], optional=optional, doc=doc)
+        self.options = options
+
+    def rule(self) -> str:
+        return f"one of {', '.join(map(repr, self.options))}"
+
+    def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> Any:  # noqa: ARG002
+        for option in self.options:
+            if type(value) is type(option) and value == option:
+                return option
+        raise Refusal(UsageError, self.name, f"must be {self.rule()}; got {value!r}", value)
+
+
+class Part(Declaration[T]):
+    """Another object as a field: a declared class, or one of a family such as the laws.
+
+    Args:
+        of: The classes that it may have.
+        default: As in `Declaration`.
+        optional: Whether it may be None.
+        kinds: In a file: classes by name, of which the key `kind` chooses one.
+        inline: Whether the paths of its parameters and memory are those of the owner, as of a law in a wrapper.
+        convert: As in `Declaration`.
+        from_data: As in `Declaration`.
+        doc: As in `Declaration`.
+    """
+
+    def __init__(
+        self,
+        *of: type[T],
+        default: Any = REQUIRED,
+        optional: bool = False,
+        kinds: Mapping[str, type[Any]] | None = None,
+        inline: bool = False,
+        convert: Callable[[Any], Any] | None = None,
+        from_data: Callable[[Any, str], Any] | None = None,
+        doc: str = "",
+    ) -> None:
+        super().__init__(default, optional=optional, convert=convert, from_data=from_data, doc=doc)
+        self.of, self.kinds, self.inline = of, kinds, inline
+
+    def rule(self) -> str:
+        return " or ".join(kind.__name__ for kind in self.of)
+
+    def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> Any:  # noqa: ARG002
+        wrong = isinstance(value, bool) and bool not in self.of  # a flag is no whole number
+        if self.of and (wrong or not isinstance(value, self.of)):
+            words = f"{value!r}" if isinstance(value, (str, int, float)) else type(value).__name__
+            raise Refusal(UsageError, self.name, f"must be a {self.rule()}; got {words}", value)
+        return value
+
+
+class Plain(Part[T]):
+    """A value without a unit: a text, a flag, a whole number, a function; `Plain()` takes anything."""
+
+    def rule(self) -> str:
+        return super().rule() or "any"
+
+
+class Parts(Part[T]):
+    """Several objects as a field, kept as a tuple: an array of tables in a file. They have no run-time parameters."""
+
+    def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> Any:
+        many = (value,) if isinstance(value, self.of) else value
+        if not isinstance(many, (list, tuple)):
+            raise Refusal(UsageError, self.name, f"must be several of {self.rule()}; got {value!r}", value)
+        return tuple(super(Parts, self).checked(one, owner, joints) for one in many)
+
+
+def unknown_field(name: str, known: Iterable[str], kind: str = "field") -> Refusal:
+    """The refusal of a name that does not exist, with the nearest one that does."""
+    known = list(known)
+    close = difflib.get_close_matches(name, known, n=1)
+    hint = (
+        f"did you mean '{close[0]}'?"
+        if close
+        else f"it has {quoted_list(known, most=30)}"
+        if known
+        else "it has none"
+    )
+    return Refusal(UnknownNameError, "", f"has no {kind} '{name}'; {hint}", name)

@@ -1,0 +1,447 @@
+"""Declared fields of frozen, keyword-only dataclasses: unit, range, shape and documentation, stated once.
+
+    class Encoder(Declared):
+        resolution: Field = Field(unit="rad | m", above=0.0, optional=True)
+        noise: Field = Field(0.0, unit="rad | m", minimum=0.0)
+        side: Choice[Side] = Choice("link", "motor")
+
+From one declaration come validation, the error sentence, rows for `explain()`, a schema, run-time parameters by path,
+and the reader of a TOML table. Relations between fields stand in the one method `check(self)` of a class.
+A sentence begins with the name of the field and contains no Python syntax, so that it reads the same for an argument
+(`kp[2] must be >= 0 [1/s^2]; got -3.0`) and for a key of a file (`law.kp[2] must be >= 0 [1/s^2]; got -3.0`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import inspect
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple, NoReturn, Self, dataclass_transform
+
+import numpy as np
+
+from taut.base.declarations import (
+    REQUIRED,
+    Choice,
+    Declaration,
+    Field,
+    Part,
+    Parts,
+    Plain,
+    Refusal,
+    unknown_field,
+)
+from taut.base.errors import TautError, UnknownNameError, UsageError
+from taut.base.types import Float64Array
+
+__all__ = [
+    "REQUIRED",
+    "Choice",
+    "Declaration",
+    "Declared",
+    "Field",
+    "Part",
+    "Parts",
+    "Plain",
+    "Refusal",
+    "Row",
+    "read",
+]
+
+
+class Row(NamedTuple):
+    """One field in a help text, in `explain()` or in a table of the documentation."""
+
+    path: str
+    value: Any
+    unit: str
+    rule: str
+    doc: str
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True)
+class Declared:
+    """Base of every declared class: `mass: Field = Field(unit="kg", above=0.0)`. It is frozen and keyword-only.
+
+    An annotated attribute that is no declaration, `tool: str | None = None`, is a plain field that takes anything.
+    Values are converted, checked and stored in the order of the declarations; then `check(self)` sees to relations
+    between them. `dataclasses.fields` and `dataclasses.replace` work. A class variable is annotated as ClassVar.
+
+    Raises:
+        TautError: A value that its field does not take, a field that is missing or does not exist.
+
+    Example:
+        >>> class Load(Declared):
+        ...     mass: Field = Field(unit="kg", above=0.0)
+        >>> Load(mass=2.0).parameters()
+        {'mass': array(2.)}
+        >>> Load(mass=-2.0)
+        Traceback (most recent call last):
+        taut.base.errors.RangeError: mass must be > 0 [kg]; got -2.0
+    """
+
+    declared: ClassVar[Mapping[str, Declaration[Any]]] = {}
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        own = {}
+        for name, annotation in inspect.get_annotations(cls).items():
+            word = annotation if isinstance(annotation, str) else str(annotation)
+            if "ClassVar" in word:
+                continue
+            given = cls.__dict__.get(name, REQUIRED)
+            if not isinstance(given, Declaration):
+                if isinstance(given, (list, set, dict, np.ndarray)):
+                    raise UsageError(
+                        f"{cls.__name__}: the default of '{name}' is a {type(given).__name__}, which could be "
+                        "changed; write a tuple",
+                        name=name,
+                    )
+                given = cls.declaration_of(name, word, given)
+                given.__set_name__(cls, name)
+                setattr(cls, name, given)
+            own[name] = given
+        for name in set(own) & set(dir(cls.__mro__[1])) - set(cls.declared):
+            raise UsageError(
+                f"{cls.__name__}: '{name}' is a word of {cls.__mro__[1].__name__} itself; "
+                "give the field another name",
+                name=name,
+            )
+        for name, given in vars(cls).items():
+            if isinstance(given, Declaration) and name not in own:
+                kind = type(given).__name__
+                raise UsageError(
+                    f"{cls.__name__}: '{name}' needs its type; write {name}: {kind} = {kind}(...)", name=name
+                )
+        cls.declared = {**cls.declared, **own}
+        dataclasses.dataclass(kw_only=True, eq=False, repr=False, init=False)(cls)
+        cls.__signature__ = _signature(cls)  # type: ignore[attr-defined]  # what help() and editors show
+
+    @classmethod
+    def declaration_of(cls, name: str, annotation: str, default: Any) -> Declaration[Any]:  # noqa: ARG003
+        """The declaration of an annotated attribute that is none. A base may override it."""
+        return Plain(default=default, optional=default is None)
+
+    def __init__(self, *args: Any, **values: Any) -> None:
+        if args:
+            raise UsageError(
+                f"{type(self).__name__} takes its fields by name; got {len(args)} without; write "
+                f"{type(self).__name__}({', '.join(f'{name}=...' for name in self.declared)})",
+                name=type(self).__name__,
+            )
+        try:
+            self._build(values)
+        except Refusal as refusal:
+            raise refusal.error(type(self).__name__) from None
+
+    def _build(self, values: Mapping[str, Any]) -> None:
+        """Check and store all values. Raises Refusal."""
+        for name in values:
+            if name not in self.declared:
+                raise unknown_field(name, self.declared)
+        missing = [
+            f"{name} [{field.unit}]" if field.unit else name
+            for name, field in self.declared.items()
+            if field.default is REQUIRED and name not in values
+        ]
+        if missing:
+            raise Refusal(UsageError, "", f"needs {', '.join(missing)}")
+        specified = set()
+        for name, field in self.declared.items():  # in order: a size such as "rows" may depend on a field before it
+            self.__dict__[name] = values.get(name, field.default)
+            self.__dict__[name] = stored = field.taken(values.get(name, field.default), self)
+            if name in values and not _same(stored, field.default):
+                specified.add(name)
+        self.__dict__["_specified"] = frozenset(specified)
+        self.check()
+
+    @property
+    def specified(self) -> frozenset[str]:
+        """Names of the fields that were given another value than their default."""
+        names: frozenset[str] = self.__dict__["_specified"]
+        return names
+
+    def check(self) -> None:
+        """Relations between fields; a class that has some overrides it and calls `refuse`."""
+
+    def refuse(self, field: str, rule: str, kind: type[TautError] = UsageError) -> NoReturn:
+        """Refuse the value of a field: `self.refuse("zeta", "is for a law without B; leave one of them out")`.
+
+        Raises:
+            Refusal: Always; the constructor makes the error of it. Field "" is the object as a whole.
+        """
+        raise Refusal(kind, field, rule, self.__dict__.get(field))
+
+    def __setattr__(self, name: str, value: object) -> NoReturn:
+        raise dataclasses.FrozenInstanceError(
+            f"cannot assign to field '{name}' of {type(self).__name__}: it does not change; make another with "
+            "dataclasses.replace"
+        )
+
+    def __delattr__(self, name: str) -> NoReturn:
+        raise dataclasses.FrozenInstanceError(f"cannot delete field '{name}' of {type(self).__name__}")
+
+    # ---------------------------------------------------------------- run-time parameters by path
+
+    def parts(self) -> dict[str, Declared]:
+        """The declared objects that this one has, by field."""
+        return {name: value for name in self.declared if isinstance(value := self.__dict__[name], Declared)}
+
+    def parameters(self) -> dict[str, Float64Array]:
+        """Run-time parameters by path, those of parts below their names."""
+        out: dict[str, Any] = {}
+        for name, field in self.declared.items():
+            value = self.__dict__[name]
+            if field.run_time and value is not None:
+                out[name] = np.asarray(value, dtype=np.float64)
+        for name, part in self.parts().items():
+            for path, value in part.parameters().items():
+                whole = f"{self._below(name)}{path}"
+                if whole in out:
+                    raise UsageError(f"{type(self).__name__} and what is in it both have a parameter '{whole}'")
+                out[whole] = value
+        return out
+
+    def bound(self, values: Mapping[str, Any]) -> Self:
+        """A copy with other values of run-time parameters by path, as numbers or symbols. Nothing is checked."""
+        copy = object.__new__(type(self))
+        copy.__dict__.update(self.__dict__)
+        for name, field in self.declared.items():
+            if field.run_time and name in values:
+                copy.__dict__[name] = field.stored(values[name])
+        for name, part in self.parts().items():
+            below = self._below(name)
+            inner = {path.removeprefix(below): x for path, x in values.items() if path.startswith(below)}
+            copy.__dict__[name] = part.bound(inner) if inner else part
+        return copy
+
+    def find(self, path: str) -> tuple[Declared, Declaration[Any]]:
+        """The object that has the parameter at a path, and its declaration.
+
+        Raises:
+            UnknownNameError: There is none.
+        """
+        if path in self.declared and self.declared[path].run_time:
+            return self, self.declared[path]
+        for name, part in self.parts().items():
+            below = self._below(name)
+            if path.startswith(below) and path.removeprefix(below) in part.parameters():
+                return part.find(path.removeprefix(below))
+        raise unknown_field(path, self.parameters(), "parameter").error(type(self).__name__)
+
+    def changed(self, path: str, value: Any, *, name: str = "") -> Self:
+        """A copy with another value of the parameter at a path, checked as when it was made.
+
+        Args:
+            path: Of the parameter.
+            value: Its new value.
+            name: What messages call it; the path if left out.
+
+        Raises:
+            TautError: The field does not take it, or there is none.
+        """
+        head, _, rest = path.partition(".")
+        inner = head if head in self.parts() else next((p for p in self.parts() if not self._below(p)), "")
+        try:
+            if path not in self.declared and inner:
+                rest = rest if inner == head else path
+                value = self.__dict__[inner].changed(rest, value, name=name or path)
+                return self._replaced({inner: value})
+            if path not in self.declared:
+                raise unknown_field(path, self.parameters(), "parameter")
+            copy = self._replaced({path: self.declared[path].taken(value, self)})
+            copy.check()
+        except Refusal as refusal:
+            refusal.field = refusal.field.replace(path, name or path, 1) if refusal.field else ""
+            raise refusal.error(type(self).__name__) from None
+        return copy
+
+    def checked_parameter(self, path: str, value: Any, *, name: str = "") -> Float64Array:
+        """A new value of the parameter at a path, checked by its declaration alone.
+
+        Raises:
+            TautError: The field does not take it, or there is none.
+        """
+        owner, field = self.find(path)
+        try:
+            checked: Float64Array = field.checked(value, owner)
+        except Refusal as refusal:
+            refusal.field = refusal.field.replace(field.name, name or path, 1)
+            raise refusal.error(type(self).__name__) from None
+        return checked
+
+    def units(self) -> dict[str, str]:
+        """Unit of each run-time parameter by path."""
+        return {path: self.find(path)[1].unit for path in self.parameters()}
+
+    def _below(self, name: str) -> str:
+        """The beginning of the paths of a part."""
+        field = self.declared.get(name)
+        return "" if isinstance(field, Part) and field.inline else f"{name}."
+
+    def _replaced(self, values: Mapping[str, Any]) -> Self:
+        """A copy with other values of fields. Nothing is checked."""
+        copy = object.__new__(type(self))
+        copy.__dict__.update(self.__dict__)
+        copy.__dict__.update(values)
+        return copy
+
+    def check_size(self, joints: Sequence[str] | int, prefix: str = "") -> None:
+        """Every vector has as many entries as there are joints.
+
+        Args:
+            joints: Names of the joints, or their number.
+            prefix: Path of this object in messages, such as "law.".
+
+        Raises:
+            ShapeError: A vector of another size.
+        """
+        for name, field in self.declared.items():
+            value = self.__dict__[name]
+            if isinstance(field, Field) and isinstance(field.shape, str) and value is not None:
+                try:
+                    field.checked(value, self, joints)
+                except Refusal as refusal:
+                    raise refusal.error(type(self).__name__, prefix) from None
+        for name, part in self.parts().items():
+            part.check_size(joints, f"{prefix}{self._below(name)}")
+
+    # ---------------------------------------------------------------- as data
+
+    def explain(self, prefix: str = "") -> list[Row]:
+        """The rows of `explain()`: every field with its value, those of parts below their names."""
+        out, docs = [], _argument_docs(type(self))
+        for name, field in self.declared.items():
+            value = self.__dict__[name]
+            below = value.explain(f"{prefix}{self._below(name)}") if isinstance(value, Declared) else []
+            row = Row(f"{prefix}{name}", value, field.unit, field.rule(), field.doc or docs.get(name, ""))
+            out += below or [row]
+        return out
+
+    @classmethod
+    def schema(cls) -> dict[str, Any]:
+        """The class as data: for `--json`, an editor's completion, tables of the documentation."""
+        docs = _argument_docs(cls)
+        fields = {name: field.schema() for name, field in cls.declared.items()}
+        for name, row in fields.items():
+            row["description"] = row["description"] or docs.get(name, "")
+        return {
+            "title": cls.__name__,
+            "description": (cls.__doc__ or "").strip().partition("\n")[0],
+            "required": [name for name, field in cls.declared.items() if field.default is REQUIRED],
+            "properties": fields,
+        }
+
+    def __repr__(self) -> str:
+        shown = (
+            f"{name}={_shown(self.__dict__[name])}"
+            for name, field in self.declared.items()
+            if field.default is REQUIRED or not _same(self.__dict__[name], field.default)
+        )
+        return f"{type(self).__name__}({', '.join(shown)})"
+
+
+def _shown(value: Any) -> str:
+    return repr(value.tolist() if isinstance(value, np.ndarray) else value)
+
+
+def _same(stored: Any, default: Any) -> bool:
+    """Whether a stored value is the default of its field."""
+    if stored is default:
+        return True
+    if stored is None or default is None or default is REQUIRED:
+        return False
+    values = stored.as_array() if hasattr(stored, "as_array") else stored
+    if isinstance(values, np.ndarray):
+        if values.dtype == object:
+            return False
+        fitting = np.shape(default) in ((), values.shape)
+        return fitting and bool(np.all(values == np.asarray(default, dtype=np.float64)))
+    return isinstance(stored, (str, bool, int, float, tuple)) and type(stored) is type(default) and stored == default
+
+
+def _signature(cls: type[Declared]) -> inspect.Signature:
+    empty = inspect.Parameter.empty
+    return inspect.Signature(
+        [
+            inspect.Parameter(
+                name, inspect.Parameter.KEYWORD_ONLY, default=empty if field.default is REQUIRED else field.default
+            )
+            for name, field in cls.declared.items()
+        ]
+    )
+
+
+def _argument_docs(cls: type) -> dict[str, str]:
+    """The entries of Args in a docstring, by name."""
+    lines = (inspect.getdoc(cls) or "").splitlines()
+    if "Args:" not in lines:
+        return {}
+    out: dict[str, str] = {}
+    name = ""
+    for line in lines[lines.index("Args:") + 1 :]:
+        if line and not line.startswith(" "):
+            break
+        entry = re.match(r" {4}(\w+): (.*)", line)
+        if entry:
+            name, out[entry[1]] = entry[1], entry[2]
+        elif name and line.strip():
+            out[name] += f" {line.strip()}"
+    return out
+
+
+def read(kinds: type[Any] | Mapping[str, type[Any]], table: Mapping[str, Any], path: str) -> Any:
+    """The object that a TOML table describes, with the sentences of the constructor and the paths of its keys.
+
+    Args:
+        kinds: The class; or classes by name, of which the key `kind` chooses one. Below it, a part is read by the
+            `kinds` or `from_data` of its own declaration, else by one of these that fits.
+        table: Keys and values; tables below are parts.
+        path: Of the table in the file, such as "control.law".
+
+    Raises:
+        TautError: A key that does not exist or is missing, a value that its field does not take.
+    """
+    values, families = dict(table), kinds if isinstance(kinds, Mapping) else {}
+    try:
+        cls: type[Declared] = kinds if isinstance(kinds, type) else _kind(kinds, values.pop("kind", None))
+        for name, data in values.items():
+            field = cls.declared.get(name)
+            if field is not None:
+                values[name] = _read_field(field, data, f"{path}.{name}" if path else name, families)
+        made = object.__new__(cls)
+        made._build(values)
+    except Refusal as refusal:
+        raise refusal.error(path or "the file", f"{path}." if path else "") from None
+    return made
+
+
+def _kind(families: Mapping[str, type[Any]], name: Any) -> type[Any]:
+    if name is None:
+        raise Refusal(UsageError, "", f"needs kind, one of {', '.join(map(repr, families))}")
+    if name not in families:
+        close = difflib.get_close_matches(str(name), families, n=1)
+        hint = f"; did you mean '{close[0]}'?" if close else f"; one of {', '.join(map(repr, families))}"
+        raise Refusal(UnknownNameError, "kind", f"{name!r} is not known{hint}", name)
+    return families[name]
+
+
+def _read_field(field: Declaration[Any], data: Any, path: str, families: Mapping[str, type[Any]]) -> Any:
+    """The value that a file has under a path: a table of fields, or what the field takes as it is."""
+    if field.from_data is not None:
+        return field.from_data(data, path)
+    if isinstance(field, Parts) and isinstance(data, list):
+        return [_read_table(field, one, f"{path}[{i}]", families) for i, one in enumerate(data)]
+    return _read_table(field, data, path, families) if isinstance(field, Part) else data
+
+
+def _read_table(field: Part[Any], data: Any, path: str, families: Mapping[str, type[Any]]) -> Any:
+    if not isinstance(data, Mapping):
+        return data
+    if field.kinds is not None:
+        return read(field.kinds, data, path)
+    fitting = {word: kind for word, kind in families.items() if field.of and issubclass(kind, field.of)}
+    declared = [kind for kind in field.of if issubclass(kind, Declared)]
+    return read(fitting or declared[0], data, path) if fitting or declared else data
