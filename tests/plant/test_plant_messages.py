@@ -68,13 +68,13 @@ CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
     (
         lambda: taut.RigidPlant(DRY, integrator="rk4"),
         taut.errors.UsageError,
-        "rk4 needs smooth forces, and arm 'planar2' has dry friction; use semi-implicit-euler, or friction=None",
+        "rk4 needs smooth forces, and arm 'planar2' has dry friction; use semi-implicit-euler, or no friction",
     ),
     (
         lambda: taut.RigidPlant(ARM, takes="position"),
         taut.errors.UsageError,
         "a plant that takes position needs the bandwidth of its drives: "
-        "actuation=taut.drives.Actuation(bandwidth=50.0)  # rad/s",
+        "actuation.bandwidth, 50 rad/s say",
     ),
     (
         lambda: taut.RigidPlant(ARM, takes="velocity", actuation=Actuation(bandwidth=9.0), adds=("gravity",)),

@@ -10,7 +10,7 @@ import pytest
 
 import taut
 from taut.control.trajectories.reference import Chunk
-from taut.scenarios.run_scenario import run_scenario
+from taut.scenarios.run import run_scenario
 from taut.scenarios.scenario import load_scenario
 
 GOOD = """

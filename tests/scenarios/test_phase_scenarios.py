@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.scenarios.run_scenario import run_scenario
+from taut.scenarios.run import run_scenario
 from taut.scenarios.scenario import built_in_scenarios, load_scenario
 
 TASK = """

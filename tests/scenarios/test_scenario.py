@@ -13,8 +13,8 @@ from story_names import STORIES
 
 import taut
 from taut.cli.main import main
-from taut.scenarios.read_plant import read_plant
-from taut.scenarios.read_sensing import read_sensing
+from taut.scenarios.laws import read_control
+from taut.scenarios.plants import read_plant
 from taut.scenarios.scenario import built_in_scenarios, load_scenario
 from taut.scenarios.toml import read_toml
 
@@ -520,11 +520,11 @@ def test_a_wrist_sensor_that_weighs_and_what_the_controller_knows_of_it_can_be_w
     file.write_text(TEXT_OF_WRIST)
     root = read_toml(file)
     arm = taut.load_arm("planar2")
-    plant = read_plant(root.section("plant"), arm, 500.0, tmp_path)
+    plant = read_plant(root.table("plant"), arm, 500.0, tmp_path)
     assert plant.parameters["sensors.wrench.tool.mass"] == 0.7
     assert plant.parameters["sensors.wrench.tool.com"].tolist() == [0.0, 0.0, 0.05]
     assert plant.parameters["sensors.wrench.noise"].tolist() == [0.1] * 3 + [0.01] * 3
-    sensing = read_sensing(root.section("control"), arm, 500.0)
+    _, sensing, _ = read_control(root.table("control"), arm)
     wrist = sensing.wrist
     assert wrist is not None
     assert (wrist.repeats, wrist.frame) == (50, "tool")

@@ -102,7 +102,7 @@ def compare_from(arguments: argparse.Namespace, say: Callable[[str], None]) -> C
     """
     from taut.analysis.compare.grading import TOLERANCE
     from taut.record.log.files import checked_target
-    from taut.scenarios.compare_laws_by_name import compare, grade
+    from taut.scenarios.compare import compare, grade
 
     if arguments.plot is not None:
         checked_target("picture", arguments.plot, PICTURES)
@@ -197,7 +197,7 @@ def _noise(texts: Sequence[str]) -> dict[str, Any] | None:
 def _model(text: str | None) -> WrongModel | None:
     """By how much the true arm may differ."""
     from taut.analysis.compare.truth import WrongModel
-    from taut.scenarios.compare_laws_by_name import USUAL
+    from taut.scenarios.compare import USUAL
 
     if text is None:
         return USUAL

@@ -127,8 +127,8 @@ def _hybrid(constraint: str | None) -> Law:
     """
     from taut import laws
     from taut.base.errors import UsageError
-    from taut.scenarios.read_constraint import read_constraint
-    from taut.scenarios.toml import section_of
+    from taut.scenarios.laws import read_constraint
+    from taut.scenarios.toml import table_of
 
     if constraint is None:
         raise UsageError(
@@ -137,9 +137,9 @@ def _hybrid(constraint: str | None) -> Law:
             name="constraint",
         )
     # One line, so that nothing beside the table can stand in it.
-    section = section_of(f"constraint = {' '.join(constraint.split())}", "--constraint", "--constraint")
-    held = read_constraint(section)
-    section.done()
+    table = table_of(f"constraint = {' '.join(constraint.split())}", "--constraint", "--constraint")
+    table.only(("constraint",))
+    held = read_constraint(table)
     return laws.HybridMotionForce(constraint=held, motion=laws.TaskComputedTorque(kp=1.0, kd=1.0))
 
 

@@ -300,7 +300,7 @@ def _say(arguments: argparse.Namespace) -> Callable[[str], None]:
 def _run(arguments: argparse.Namespace) -> int:
     from taut.cli.user_law import load_law
     from taut.record.phases import PHASES
-    from taut.scenarios.run_scenario import run_scenario
+    from taut.scenarios.run import run_scenario
     from taut.scenarios.scenario import load_scenario
 
     if arguments.gain and arguments.law is None:

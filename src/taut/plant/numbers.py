@@ -134,6 +134,6 @@ def require_torque_sensor(actuation: Actuation, sensors: Sensors) -> None:
     got = "None" if sensors.torque is None else "one at the motor"
     raise UsageError(
         "actuation.torque_loop reads the torque sensor at the link, behind gear and friction; sensors.torque is "
-        f"{got}; give sensors=taut.sensors.Sensors(torque=taut.sensors.TorqueSensor()), or leave the loop out",
+        f"{got}; give it one, sensors.torque, or leave the loop out",
         name="torque_loop",
     )

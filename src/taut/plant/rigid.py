@@ -168,7 +168,7 @@ class RigidPlant:
             what = "gears that lose power" if not self._has("coulomb", "static") else "dry friction"
             raise UsageError(
                 f"rk4 needs smooth forces, and arm '{self.arm.name}' has {what}; use semi-implicit-euler, or "
-                "friction=None",
+                "no friction",
                 name="integrator",
             )
         if self.drivetrain.compliant:
@@ -343,7 +343,7 @@ class RigidPlant:
 
     def _more_steps(self, more: float) -> str:
         """The way out of steps that are so many times too long."""
-        return f"substeps={math.ceil(more * self.substeps * (1.0 - 1e-9))}"
+        return f"{math.ceil(more * self.substeps * (1.0 - 1e-9))} substeps"
 
     def measure(self, memory: Values, noise: Values, parameters: Values) -> dict[str, Any]:
         """What the sensors give, by measurement: q, v, tau_meas, F_ext, ..."""

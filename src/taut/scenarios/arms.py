@@ -39,7 +39,9 @@ def pose_of(table: Table, key: str) -> Pose:
 
 def below_pose(table: Table) -> Pose:
     """The pose of a table."""
-    made: Pose = read(Pose, table if "p" in table else Table(table.file, table.path, {**table.values, "p": [0.0] * 3}))
+    made: Pose = read(
+        Pose, table if "p" in table else Table(table.file, table.path, {**table.values, "p": [0.0] * 3})
+    )
     return made
 
 
@@ -137,7 +139,9 @@ def friction_word(table: Table, *words: str) -> str | None:
     if word is None or isinstance(word, dict) or (isinstance(word, str) and word in words):
         return None if isinstance(word, dict) else word
     known = ", ".join(f'"{each}"' for each in words)
-    raise table.error(f"must be {known} or a table of its numbers, [{table.below('friction')}]; got {word!r}", "friction")
+    raise table.error(
+        f"must be {known} or a table of its numbers, [{table.below('friction')}]; got {word!r}", "friction"
+    )
 
 
 def _with_friction(table: Table, arm: Arm) -> Arm:

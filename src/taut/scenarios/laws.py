@@ -1,4 +1,4 @@
-"""The controllers of a scenario: [laws.LABEL] and [control]; a law may be written as text too, "PID(kp=100, kd=20)"."""
+"""The controllers of a scenario, [laws.LABEL] and [control], and laws as text, "PID(kp=100, kd=20)"."""
 
 from __future__ import annotations
 
@@ -184,7 +184,8 @@ def law_of_text(text: str) -> tuple[str, Law]:
     name, words = (label.strip(), rest) if named else (" ".join(text.split()), text)
     if not name or not name.isprintable() or len(text) > MAX_LETTERS:
         raise UsageError(
-            f"a law is written as {EXAMPLE}, or with a name before it, stiff: {EXAMPLE}; got {short(text, MAX_SHOWN)!r}"
+            f"a law is written as {EXAMPLE}, or with a name before it, stiff: {EXAMPLE}; got "
+            f"{short(text, MAX_SHOWN)!r}"
         )
     try:
         tree = ast.parse(words.strip(), mode="eval").body

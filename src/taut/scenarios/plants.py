@@ -27,6 +27,7 @@ from taut.plant.sensors.sensors import SENSORS, Sensors
 from taut.runtime.host import HostPlant
 from taut.scenarios.arms import OF_TRUE_ARM, friction_word, pose_of, read_true_arm
 from taut.scenarios.reading import arguments, of_kind, read, reads
+from taut.scenarios.sections import Whole
 from taut.scenarios.toml import Table, file_beside
 from taut.trace.pose import Pose
 
@@ -59,8 +60,8 @@ def _environment(table: Table, key: str) -> Environment:
         return of_kind(ENVIRONMENTS, below)  # type: ignore[no-any-return]
     if not below.values or not all(isinstance(each, dict) for each in below.values.values()):
         raise below.error(
-            f"needs kind, one of {quoted_list(ENVIRONMENTS, most=len(ENVIRONMENTS))}, or a table for each of several: "
-            f"[{below.below('wall')}]"
+            f"needs kind, one of {quoted_list(ENVIRONMENTS, most=len(ENVIRONMENTS))}, or a table for each of "
+            f"several: [{below.below('wall')}]"
         )
     parts = {name: of_kind(ENVIRONMENTS, below.table(name)) for name in below.values}
     for name in parts:
@@ -93,9 +94,7 @@ def plants_of(table: Table, arm: Arm, rate: float, folder: Path) -> dict[str, An
     return {"plant": read_plant(table, arm, rate, folder), "another_plant": another}
 
 
-def read_plant(
-    table: Table, believed: Arm, rate: float, folder: Path, *, change: PlantChange | None = None
-) -> Plant:
+def read_plant(table: Table, believed: Arm, rate: float, folder: Path, *, change: PlantChange | None = None) -> Plant:
     """A rigid plant or one in MuJoCo.
 
     Args:
@@ -176,16 +175,13 @@ MAX_TILT: Final = 0.5 * np.pi  # [rad]
 class SpreadSection(Declared):
     """How far chance puts the scene away from where [plant] has it."""
 
-    runs: Field = Field("", minimum=2, maximum=1000, doc="how many")
-    seed: Field = Field("", minimum=0, default=0)
-    shift: Field = Field("m", minimum=0.0, default=0.0, doc="the largest, in any direction across z")
-    tilt: Field = Field("rad", minimum=0.0, maximum=MAX_TILT, default=0.0, doc="the largest, about any axis across z")
+    runs: Whole = Whole(minimum=2, maximum=1000, doc="how many")
+    seed: Whole = Whole(minimum=0, default=0)
+    shift: Field = Field(0.0, unit="m", minimum=0.0, doc="the largest, in any direction across z")
+    tilt: Field = Field(0.0, unit="rad", minimum=0.0, maximum=MAX_TILT, doc="the largest, about any axis across z")
 
     def check(self) -> None:
-        """Something is spread, and counts are whole."""
-        for name in ("runs", "seed"):
-            if getattr(self, name) != int(getattr(self, name)):
-                self.refuse(name, f"must be a whole number; got {getattr(self, name):g}")
+        """Something is spread."""
         if not self.shift and not self.tilt:
             self.refuse("", "needs shift [m], tilt [rad] or both above zero")
 
@@ -204,13 +200,13 @@ class Spread:
 
     def place(self, run: int) -> Pose:
         """Where the scene stands in a run."""
-        rng = np.random.default_rng([int(self.section.seed), run])
+        rng = np.random.default_rng([self.section.seed, run])
         shift, tilt = float(self.section.shift) * _on_disc(rng), float(self.section.tilt) * _on_disc(rng)
         return Pose(self.at.p + shift, R=np.asarray(rotation_exp(tilt)) @ self.at.R)
 
     def plants(self) -> Iterator[tuple[str, Table]]:
         """Each run's name, and its section [plant]."""
-        for run in range(1, int(self.section.runs) + 1):
+        for run in range(1, self.section.runs + 1):
             place, name = self.place(run), f"run {run}"
             here = {"scene_at": {"p": place.p.tolist(), "R": place.R.tolist()}}
             values = {**self.plant.values, **here}

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from typing import Any, Final, NamedTuple, Union, get_args, get_origin, get_type_hints
 
+from taut.base.errors import quoted_list
 from taut.base.fields import REQUIRED, Declared, Part, Plain
 from taut.control.gains import Memory
 from taut.scenarios.toml import EMPTY, Table
@@ -55,9 +56,9 @@ def arguments(kind: Callable[..., Any]) -> Mapping[str, Argument]:
 def _arguments(kind: Callable[..., Any]) -> Mapping[str, Argument]:
     if isinstance(kind, type) and issubclass(kind, Declared):
         return {
-            name: Argument(field.default is REQUIRED, parts, not parts, field.optional)
+            name: Argument(field.default is REQUIRED, parts, not parts or field.convert is not None, field.optional)
             for name, field in kind.declared.items()
-            for parts in [frozenset(field.of) if isinstance(field, Part) and not isinstance(field, Plain) else frozenset()]
+            for parts in [frozenset(field.of if isinstance(field, Part) and not isinstance(field, Plain) else ())]
         }
     if dataclasses.is_dataclass(kind) and kind.__dataclass_params__.init:  # type: ignore[attr-defined]
         hints = get_type_hints(kind)
@@ -121,7 +122,7 @@ def read(
             values[name] = value(known[name], table, name)
         elif known[name].required:
             table.need(name)
-    with table.blamed(blame):
+    with table.blamed(blame, made=getattr(kind, "__name__", "")):
         return kind(**values)
 
 
@@ -130,7 +131,8 @@ def value(argument: Argument, table: Table, key: str) -> Any:
     written = table.get(key)
     if written == NONE and argument.optional:
         return None
-    if not argument.parts or (argument.plain and not isinstance(written, Mapping)):
+    tables = isinstance(written, Mapping) or (isinstance(written, list) and any(isinstance(x, dict) for x in written))
+    if not argument.parts or (argument.plain and not tables):
         return written
     reader = _READERS.get(argument.parts)
     if reader is not None:
@@ -148,8 +150,8 @@ def _fitting(kinds: frozenset[type], table: Table) -> type:
     best = max(kinds, key=lambda kind: (len(by_name[kind.__name__]), kind.__name__))
     for kind in kinds:
         if by_name[kind.__name__] - by_name[best.__name__]:
-            mixed = [sorted(names) for names in by_name.values()]
-            raise table.error(f"mixes keys of several kinds, {' and '.join(map(str, sorted(mixed)))}; keep one kind")
+            several = sorted(f"{quoted_list(sorted(names))} of {name}" for name, names in by_name.items() if names)
+            raise table.error(f"has {' and '.join(several)}; keep one of them")
     return best
 
 

@@ -216,7 +216,9 @@ def _screw(task: _Task) -> Any:
 
 def _circle(task: _Task) -> Any:
     """About an axis, or through two points more."""
-    through, about = ([key for key in keys if key in task.table] for keys in (("via", "end"), ("centre", "axis", "angle")))
+    through, about = (
+        [key for key in keys if key in task.table] for keys in (("via", "end"), ("centre", "axis", "angle"))
+    )
     if through and about:
         raise task.table.error("takes via and end, or centre, axis and angle, and not some of both")
     return task.made(Circle.through if through else Circle, T0=task.pose("T0", required=False), **task.points())

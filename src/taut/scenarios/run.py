@@ -35,8 +35,8 @@ from taut.record.report.run_report import SCENARIO
 from taut.record.run import Run
 from taut.record.table import number_text
 from taut.runtime.simulate import run
-from taut.scenarios.cases import Trial
-from taut.scenarios.scenario import SUFFIXES, PassFigure, Scenario
+from taut.scenarios.scenario import PassFigure, Scenario, Trial
+from taut.scenarios.sections import FILES
 
 __all__ = ["ScenarioResult", "run_scenario"]
 
@@ -230,7 +230,7 @@ def run_scenario(
                 say(f"law '{trial.law}': {remark}")
         if scenario.spread is not None:
             made[trial.law] = ctrl
-        log = files.get("log") if trial == scenario.outputs.shown else None
+        log = files.get("log") if trial == scenario.shown else None
         runs[trial] = _one_run(one, ctrl, trial, say, log)
     outputs, skipped = _written(scenario, runs, files, say)
     missed = tuple(text for figure in scenario.figures for text in _missed(figure, runs))
@@ -328,7 +328,7 @@ def _targets(scenario: Scenario, folder: Path) -> dict[str, Path]:
     Raises:
         FileError: The folder cannot be made, or takes no files; a folder has the name of a file.
     """
-    wanted = {kind: getattr(scenario.outputs, kind) for kind in SUFFIXES}
+    wanted = {kind: getattr(scenario.outputs, kind) for kind in FILES}
     files = {kind: folder / name for kind, name in wanted.items() if name is not None}
     files["metrics"] = folder / f"{scenario.name}.json"
     try:
@@ -353,7 +353,7 @@ def _written(
     scenario: Scenario, runs: Mapping[Trial, Run], files: Mapping[str, Path], say: Callable[[str], None]
 ) -> tuple[dict[str, Path], dict[str, str]]:
     """The files that were made, and why others were not: what happened in the runs must not be lost with them."""
-    shown = runs[scenario.outputs.shown]
+    shown = runs[scenario.shown]
     writers: dict[str, Callable[[Path], object]] = {
         "plot": lambda path: _save_plot(scenario, runs, path),
         "video": lambda path: _film(shown, path),
@@ -474,7 +474,8 @@ def _shortfall(figure: PassFigure, metrics: Metrics) -> str | None:
         value = getattr(metrics, figure.metric)[metrics.joint_names.index(figure.joint)]
     if math.isnan(value):
         return f"{what} has no meaning in this run, so that no bound on it is reached"
-    if figure.least <= value <= figure.most:
+    low, high = figure.bounds
+    if low <= value <= high:
         return None
-    bound = f"<= {figure.most:g}" if not value <= figure.most else f">= {figure.least:g}"
+    bound = f"<= {high:g}" if not value <= high else f">= {low:g}"
     return f"{what} must be {bound}; got {value:.6g}"

@@ -15,7 +15,7 @@ from taut.runtime.events import Event
 from taut.scenarios.reading import read
 from taut.scenarios.toml import Table, shown
 
-__all__ = ["FILES", "Outputs", "PassFigure", "RunSection", "read_event"]
+__all__ = ["FILES", "Outputs", "PassFigure", "RunSection", "Text", "Whole", "read_event"]
 
 FILES: Final = {
     "plot": (".png", ".pdf", ".svg"),
@@ -26,17 +26,17 @@ FILES: Final = {
 MAX_NAME: Final = 200  # bytes of a file's name; systems take 255, and a file is written under a longer one first
 
 
-class Text(Declaration):
+class Text(Declaration[Any]):
     """A text; with suffixes the name of a file that ends in one of them."""
 
     def __init__(self, *suffixes: str, default: Any = REQUIRED, optional: bool = False, doc: str = "") -> None:
-        super().__init__(default=default, optional=optional, doc=doc)
+        super().__init__(default, optional=optional, doc=doc)
         self.suffixes = suffixes
 
     def rule(self) -> str:
         return f"a file name ending in {' or '.join(self.suffixes)}" if self.suffixes else "a text in quotes"
 
-    def checked(self, value: Any, owner: Any = None) -> str:  # noqa: ARG002
+    def checked(self, value: Any, owner: Any = None, joints: Any = None) -> str:  # noqa: ARG002
         if not isinstance(value, str):
             raise Refusal(UsageError, self.name, f"must be a text in quotes; got {shown(value)}", value)
         if self.suffixes:
@@ -49,23 +49,24 @@ class Text(Declaration):
         return value
 
 
-class Whole(Declaration):
+class Whole(Declaration[int]):
     """A whole number."""
 
-    def __init__(self, *, minimum: int, default: Any = REQUIRED, doc: str = "") -> None:
-        super().__init__(default=default, doc=doc)
-        self.minimum = minimum
+    def __init__(self, *, minimum: int, maximum: float = math.inf, default: Any = REQUIRED, doc: str = "") -> None:
+        super().__init__(default, doc=doc)
+        self.minimum, self.maximum = minimum, maximum
 
     def rule(self) -> str:
-        return f"a whole number >= {self.minimum}"
+        most = f" and <= {self.maximum}" if self.maximum < math.inf else ""
+        return f"a whole number >= {self.minimum}{most}"
 
-    def checked(self, value: Any, owner: Any = None) -> int:  # noqa: ARG002
-        if isinstance(value, bool) or not isinstance(value, int) or value < self.minimum:
+    def checked(self, value: Any, owner: Any = None, joints: Any = None) -> int:  # noqa: ARG002
+        if isinstance(value, bool) or not isinstance(value, int) or not self.minimum <= value <= self.maximum:
             raise Refusal(RangeError, self.name, f"must be {self.rule()}; got {shown(value)}", value)
         return value
 
 
-class Metric(Declaration):
+class Metric(Declaration[Any]):
     """The name of a metric of a run, or of several, each once."""
 
     def __init__(self, *, several: bool = False, doc: str = "") -> None:
@@ -75,20 +76,27 @@ class Metric(Declaration):
     def rule(self) -> str:
         return "names of metrics, each once" if self.several else "the name of a metric"
 
-    def checked(self, value: Any, owner: Any = None) -> Any:  # noqa: ARG002
+    def checked(self, value: Any, owner: Any = None, joints: Any = None) -> Any:  # noqa: ARG002
         names = value if self.several else [value]
-        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        if not isinstance(names, (list, tuple)) or not all(isinstance(name, str) for name in names):
             what = 'an array of texts such as ["rms_error", "stuck_time"]' if self.several else "a text in quotes"
             raise Refusal(UsageError, self.name, f"must be {what}; got {shown(value)}", value)
         if not 0 < len(names) == len(set(names)):
-            raise Refusal(UsageError, self.name, f"must name one metric at least, each once; got {names}", value)
+            raise Refusal(
+                UsageError, self.name, f"must name one metric at least, each once; got {list(names)}", value
+            )
         for name in names:
             if name not in MEASURES:
-                raise Refusal(UnknownNameError, self.name, f": {unknown_name('a run', 'metric', name, MEASURES)}", value)
+                raise Refusal(
+                    UnknownNameError,
+                    self.name,
+                    f"must name what is measured: {unknown_name('a run', 'metric', name, MEASURES)}",
+                    value,
+                )
         return tuple(names) if self.several else value
 
 
-class Window(Declaration):
+class Window(Declaration[Any]):
     """A part of a run, [start, end] in seconds."""
 
     unit = "s"
@@ -96,14 +104,14 @@ class Window(Declaration):
     def rule(self) -> str:
         return "[start, end] with 0 <= start < end [s]"
 
-    def checked(self, value: Any, owner: Any = None) -> tuple[float, float]:  # noqa: ARG002
-        numbers = isinstance(value, list) and len(value) == 2 and all(type(x) in (int, float) for x in value)
+    def checked(self, value: Any, owner: Any = None, joints: Any = None) -> tuple[float, float]:  # noqa: ARG002
+        numbers = isinstance(value, (list, tuple)) and len(value) == 2 and all(type(x) in (int, float) for x in value)
         if not numbers or not 0.0 <= value[0] < value[1] < math.inf:
             raise Refusal(ShapeError, self.name, f"must be {self.rule()}; got {shown(value)}", value)
         return float(value[0]), float(value[1])
 
 
-class Start(Declaration):
+class Start(Declaration[Any]):
     """A state at the start: a number or one per joint; for positions "home" too."""
 
     def __init__(self, unit: str, *, home: bool = False, doc: str = "") -> None:
@@ -113,7 +121,7 @@ class Start(Declaration):
     def rule(self) -> str:
         return 'numbers, one per joint, or "home"' if self.home else "a number or an array of numbers"
 
-    def checked(self, value: Any, owner: Any = None) -> Any:  # noqa: ARG002
+    def checked(self, value: Any, owner: Any = None, joints: Any = None) -> Any:  # noqa: ARG002
         if (value == "home" and self.home) or (isinstance(value, (int, float, list)) and not isinstance(value, bool)):
             return value
         raise Refusal(UsageError, self.name, f"must be {self.rule()}; got {shown(value)}", value)
@@ -122,7 +130,7 @@ class Start(Declaration):
 class RunSection(Declared):
     """[run]: how long each run takes, from where, and with which noise."""
 
-    duration: Field = Field("s", above=0.0)
+    duration: Field = Field(unit="s", above=0.0)
     seed: Whole = Whole(minimum=0, default=0, doc="of the noise")
     q0: Start = Start("rad | m", home=True, doc="positions at the start; the plant's home if left out")
     v0: Start = Start("rad/s | m/s", doc="velocities at the start")
@@ -155,16 +163,22 @@ class PassFigure(Declared):
     case: Text = Text(optional=True, doc="every case if left out")
     joint: Text = Text(optional=True, doc="all joints together if left out")
     part: Text = Text(optional=True, doc="of laws side by side the one, or of a task the phase, that it is about")
-    min: Field = Field(default=-math.inf, infinite=True)
-    max: Field = Field(default=math.inf, infinite=True)
+    min: Field = Field(optional=True)
+    max: Field = Field(optional=True)
     window: Window = Window(optional=True, doc="of the run that it is about")
 
     def check(self) -> None:
         """There is a bound, and room between both."""
-        if math.isinf(self.min) and math.isinf(self.max):
+        if self.min is None and self.max is None:
             self.refuse("", "needs min, max or both")
-        if self.min > self.max:
-            self.refuse("min", f"must be <= max, which is {float(self.max):g}; got {float(self.min):g}", RangeError)
+        low, high = self.bounds
+        if low > high:
+            self.refuse("min", f"must be <= max, which is {high:g}; got {low:g}", RangeError)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Least and largest value that passes."""
+        return -math.inf if self.min is None else float(self.min), math.inf if self.max is None else float(self.max)
 
 
 def require_one(table: Table, key: str, name: str | None, known: Iterable[str]) -> None:

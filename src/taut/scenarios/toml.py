@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import difflib
 import os
 import re
@@ -14,7 +15,7 @@ from typing import Any, Final
 from taut.base.checks import readable_file
 from taut.base.errors import FileError, ScenarioError, TautError, quoted_list
 
-__all__ = ["Table", "file_beside", "read_toml", "shown", "table_of"]
+__all__ = ["Table", "file_beside", "read_toml", "shown", "table_of", "with_values"]
 
 EMPTY: Final[Mapping[str, str]] = {}
 MAX_BYTES: Final = 500_000  # of a file
@@ -23,6 +24,14 @@ MAX_SHOWN: Final = 100  # letters of a value in a message
 TEXT_OR_COMMENT: Final = re.compile(
     r'"""(?:\\.|[^\\])*?"""|\'\'\'.*?\'\'\'|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*', re.DOTALL
 )
+PARAMETERS: Final = {
+    "sensors": "plant.sensors",
+    "actuation": "plant.actuation",
+    "environment": "plant.environment",
+    "sensing": "control",
+    "limits": "control.limits",
+}
+"""Where parameters of a loop stand in a file, by the first word of their paths."""
 DOTTED: Final = re.compile(rf"(?<![^\s.,=\[\]{{}}])(?:[^\s.,=\[\]{{}}]+[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}")
 
 
@@ -61,7 +70,8 @@ def table_of(text: str, label: str, what: str) -> Table:
     dotted = DOTTED.search(TEXT_OR_COMMENT.sub(lambda found: "" if found[0][0] == "#" else "_", text))
     if dotted is not None:  # the parser's time grows with the third power of such a key's length
         raise Table(label, "", {}).error(
-            f"has at '{dotted[0].rstrip('. ')[:MAX_SHOWN]}' more than {MAX_DEPTH} tables in each other; no key takes that"
+            f"has at '{dotted[0].rstrip('. ')[:MAX_SHOWN]}' more than {MAX_DEPTH} tables in each other; no key takes "
+            "that"
         )
     try:
         table = tomllib.loads(text)
@@ -139,22 +149,23 @@ class Table:
 
     def error(self, text: str, key: str = "") -> ScenarioError:
         """An error about this table, or about one of its keys, with which its text then begins."""
-        words = f"{key} {text}" if key else text
+        words = text if not key else f"{key}{text}" if text.startswith(":") else f"{key} {text}"
         return ScenarioError(f"{self.where} {words}", name=self.below(key) if key else self.path)
 
     @contextlib.contextmanager
-    def blamed(self, key: str = "") -> Iterator[None]:
+    def blamed(self, key: str = "", *, made: str = "") -> Iterator[None]:
         """Errors of what is made from this table name it, and the key that they are about.
 
         Args:
             key: The key to name where an error is about none that is written here.
+            made: What is made, whose name a message need not begin with.
         """
         try:
             yield
         except ScenarioError:
             raise
         except TautError as cause:
-            raise self._blame(str(cause), cause.name or "", key) from cause
+            raise self._blame(str(cause).removeprefix(f"{made} "), cause.name or "", key) from cause
         except OverflowError as cause:  # of a period, a delay, a time that no float holds
             raise self.error(f"is too large: {cause}", key or "a number") from cause
 
@@ -165,7 +176,7 @@ class Table:
         if written and words[-1] == written and name in text:
             text = text.replace(name, written, 1)
         about = written or key
-        if about and not re.search(rf"(?<!\w){re.escape(about)}(?!\w)", text):
+        if about and not re.match(rf"[\w.]*(?<!\w){re.escape(about)}(?!\w)", text):
             text = f"{about}: {text}"
         return ScenarioError(f"{self.where} {text}", name=self.below(about) if about else self.path)
 
@@ -178,7 +189,8 @@ class Table:
         if key not in self.values:
             close = difflib.get_close_matches(key, self.values, n=1)
             hint = f"; is '{close[0]}' meant for it?" if close else ""
-            raise ScenarioError(f"{self.where} needs {what or f"the key '{key}'"}{hint}", name=self.below(key))
+            wanted = what or f"the key '{key}'"
+            raise ScenarioError(f"{self.where} needs {wanted}{hint}", name=self.below(key))
 
     def only(self, known: Iterable[str], elsewhere: Mapping[str, str] = EMPTY) -> None:
         """Nothing but these keys may be there.
@@ -262,6 +274,44 @@ class Table:
             label: What messages call the file then.
         """
         return Table(label, self.path, _merged(self.values, changes))
+
+
+def with_values(root: Table, values: Mapping[str, Any]) -> Table:
+    """A file with other values of some keys, by their paths: {"run.duration": 2.0}; rows of [[event]] have numbers.
+
+    Paths of parameters are known too: "law.kp" of the only law, "sensors.position.noise", "limits.tau".
+
+    Raises:
+        ScenarioError: A path below something that is no table.
+    """
+    laws = root.get("laws")
+    table = copy.deepcopy(root.values)
+    for path, value in values.items():
+        words = path.split(".")
+        if words[0] == "law" and isinstance(laws, dict) and laws:
+            if len(laws) != 1:
+                rest, first = ".".join(words[1:]), next(iter(laws))
+                raise root.error(f"has the laws {quoted_list(laws)}; write laws.{first}.{rest} for '{path}'")
+            words[:1] = ["laws", next(iter(laws))]
+        words[:1] = PARAMETERS.get(words[0], words[0]).split(".")
+        at: Any = table
+        for i, word in enumerate(words[:-1]):
+            inside = at.setdefault(word, {}) if isinstance(at, dict) else _row(at, word)
+            if not isinstance(inside, (dict, list)):
+                above = ".".join(words[: i + 1])
+                raise ScenarioError(f"{root.where} has no table '{above}' for '{path}'", name=path)
+            at = inside
+        if not isinstance(at, dict):
+            raise ScenarioError(
+                f"{root.where} has rows at '{'.'.join(words[:-1])}', not keys, for '{path}'", name=path
+            )
+        at[words[-1]] = value
+    return Table(root.file, root.path, table)
+
+
+def _row(rows: list[Any], word: str) -> Any:
+    """A row of an array of tables by its number, from 1 on."""
+    return rows[int(word) - 1] if word.isdigit() and 1 <= int(word) <= len(rows) else None
 
 
 def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:

@@ -86,7 +86,7 @@ class Wrist:
 
     def __post_init__(self) -> None:
         if self.mass is None and self.com is not None:
-            raise UsageError("wrist.com is that of the tool, whose mass is missing; give mass= too", name="com")
+            raise UsageError("wrist.com is that of the tool, whose mass is missing; give mass too", name="com")
         if self.mass is not None and self.com is None:
             object.__setattr__(self, "com", np.zeros(3))
         for name in self.quantities:

@@ -49,9 +49,9 @@ class Motor:
 
     def __post_init__(self) -> None:
         if (self.stall is None) != (self.no_load is None):
-            raise UsageError("a motor's curve needs both stall= [N m] and no_load= [rad/s], or neither", name="stall")
+            raise UsageError("a motor's curve needs both stall [N m] and no_load [rad/s], or neither", name="stall")
         if self.peak is None and self.stall is None:
-            raise UsageError("Motor needs peak=, or stall= and no_load=, or all three; without limits leave it out")
+            raise UsageError("Motor needs peak, or stall and no_load, or all three; without limits leave it out")
         keep_quantities(self)
 
     def braking(self, gear: Float64Array, p: Values) -> Float64Array:
@@ -175,5 +175,5 @@ class TorqueLoop:
         keep_quantities(self)
         if not np.any(self.kp) and not np.any(self.ki):
             raise UsageError(
-                "TorqueLoop needs kp= or ki= above zero; without a loop leave it out", name="torque_loop"
+                "TorqueLoop needs kp or ki above zero; without a loop leave it out", name="torque_loop"
             )

@@ -34,7 +34,7 @@ def require_drives(takes: CommandKind, actuation: Actuation, adds: Adds) -> None
     if actuation.bandwidth is None:
         raise UsageError(
             f"a plant that takes {takes} needs the bandwidth of its drives: "
-            "actuation=taut.drives.Actuation(bandwidth=50.0)  # rad/s",
+            "actuation.bandwidth, 50 rad/s say",
             name="actuation",
         )
     only = actuation.for_torque_only

@@ -78,8 +78,8 @@ class Transmission:
             rigid = np.inf if self.stiffness is None else kept["stiffness"]
             if np.any((kept[name] > 0.0) & np.isinf(rigid)):
                 raise UsageError(
-                    f"{where}.{name} needs a stiffness, that of the teeth or of the elastic part: "
-                    "taut.drives.Transmission(stiffness=1e4, ...)  # N m/rad",
+                    f"{where}.{name} needs a stiffness, that of the teeth or of the elastic part: 1e4 "
+                    "N m/rad, say",
                     name=name,
                 )
         for name, values in kept.items():
@@ -155,6 +155,6 @@ def require_rotors(arm: Arm, joints: tuple[int, ...], rotor_inertia: Float64Arra
         if rotor[i] <= 0.0:
             raise UsageError(
                 f"joint '{arm.joint_names[i]}' has an elastic transmission or backlash, so its motor moves by itself "
-                "and needs a rotor: arm.with_gears(ratio=, motor_inertia=), or with_joints(rotor_inertia=)",
+                "and needs a rotor: give the arm gears or rotor_inertia",
                 name="stiffness",
             )

@@ -138,7 +138,7 @@ class JointStage:
         weight = full - compensation(self._model, self._adds, q, np.zeros(arm.n), payload)
 
         def enough(more: float) -> str:
-            return f"timestep={dt / math.ceil(more * steps * (1.0 - 1e-9)):.9g}"
+            return f"a timestep of {dt / math.ceil(more * steps * (1.0 - 1e-9)):.9g}"
 
         memory = {"held": weight, "tau_link": full}
         if self._follower is None:

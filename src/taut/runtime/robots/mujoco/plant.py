@@ -197,7 +197,7 @@ class MujocoPlant:
             what_sticks = "dry friction" if left is not None and left.dry else "gears that lose power"
             raise UsageError(
                 f"rk4 needs smooth forces, and arm '{arm.name}' has {what_sticks}; use integrator='discrete', or "
-                "friction=None",
+                "no friction",
                 name="integrator",
             )
         if integrator == "rk4" and train.compliant:
