@@ -33,7 +33,7 @@ GAINS = {  # by what their row is called
 }
 START = taut.snapshot(ARM, ARM.home).T()
 GOAL = taut.Pose.of(rotation_exp(ANGLE * AXIS) @ START.R, START.p + SHIFT)
-RPY = taut.laws.Coordinates.position_and_rpy()
+RPY = taut.Coordinates.position_and_rpy()
 KINDS = {
     "decoupled": {},
     "body": {"error": "body"},

@@ -24,7 +24,7 @@ def laws() -> dict[str, taut.Law]:
     """The two options, and the second one without what it does at singularities."""
     task = taut.laws.TaskComputedTorque
     return {
-        "via_joint_space(ComputedTorque)": taut.laws.via_joint_space(taut.laws.ComputedTorque(kp=KP, kd=KD)),
+        "via_joint_space(ComputedTorque)": taut.via_joint_space(taut.laws.ComputedTorque(kp=KP, kd=KD)),
         "TaskComputedTorque": task(kp=KP, kd=KD),
         'TaskComputedTorque(singularity="plain")': task(kp=KP, kd=KD, singularity="plain"),
     }

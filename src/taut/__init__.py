@@ -51,6 +51,8 @@ if TYPE_CHECKING:
     from taut.control.gains import Gain as Gain
     from taut.control.gains import Memory as Memory
     from taut.control.law import Law as Law
+    from taut.control.laws.task_error import Coordinates as Coordinates
+    from taut.control.laws.via_joint_space import via_joint_space as via_joint_space
     from taut.control.limits import Limits as Limits
     from taut.control.sensing.sensing import Sensing as Sensing
     from taut.control.side_by_side import SideBySide as SideBySide

@@ -28,9 +28,7 @@ if TYPE_CHECKING:
     from taut.control.laws.task import TaskComputedTorque as TaskComputedTorque
     from taut.control.laws.task_drive import TaskPosition as TaskPosition
     from taut.control.laws.task_drive import TaskVelocity as TaskVelocity
-    from taut.control.laws.task_error import Coordinates as Coordinates
     from taut.control.laws.via_joint_space import ViaJointSpace as ViaJointSpace
-    from taut.control.laws.via_joint_space import via_joint_space as via_joint_space
     from taut.control.laws.virtual_objects import VirtualBall as VirtualBall
     from taut.control.laws.virtual_objects import VirtualGroove as VirtualGroove
     from taut.control.laws.virtual_objects import VirtualWall as VirtualWall

@@ -338,7 +338,7 @@ CRITICAL: dict[str, tuple[Callable[[], Any], dict[str, Any]]] = {
     "TaskPosition": (lambda: laws.TaskPosition, {"bandwidth": 10.0}),
     "TaskComputedTorque": (lambda: laws.TaskComputedTorque, {"zeta": 1.0, "omega_n": 10.0}),
     "ViaJointSpace": (
-        lambda: taut.laws.via_joint_space(laws.ComputedTorque(kp=1.0, kd=1.0)),
+        lambda: taut.via_joint_space(laws.ComputedTorque(kp=1.0, kd=1.0)),
         {"zeta": 1.0, "omega_n": 10.0},
     ),
     "Impedance": (lambda: laws.Impedance, {"zeta": 1.0, "omega_n": 10.0}),

@@ -355,7 +355,7 @@ def test_via_joint_space_is_the_law_that_it_holds_about_where_its_reference_rest
     """What it takes the length of is zero there, and has no derivative: an error that is solved, to the last bit."""
     arm = taut.load_arm("planar3")
     inner = laws.ComputedTorque(kp=100.0, kd=20.0)
-    held, alone = (taut.linearise(loop_of(law, arm)) for law in (taut.laws.via_joint_space(inner), inner))
+    held, alone = (taut.linearise(loop_of(law, arm)) for law in (taut.via_joint_space(inner), inner))
     for name in ("disturbance.torque", "disturbance.wrench"):
         mine, own = (lin.frequency_response(30.0, input=name, output="q")[0] for lin in (held, alone))
         assert mine == pytest.approx(own, rel=1e-9, abs=1e-15)
@@ -367,7 +367,7 @@ def test_via_joint_space_is_the_law_that_it_holds_about_where_its_reference_rest
 def test_a_law_that_paces_what_jumps_is_told() -> None:
     """At 4 kHz and from rest it goes by no more than dt^2 / rise of full speed in a tick: less than one looks for."""
     arm = taut.load_arm("planar2")
-    law = taut.laws.via_joint_space(laws.ComputedTorque(kp=100.0, kd=20.0))
+    law = taut.via_joint_space(laws.ComputedTorque(kp=100.0, kd=20.0))
     lin = taut.linearise(loop_of(law, arm, rate=4000.0), at=[0.3, 0.9])
     assert lin.sides == (
         "the loop has a kink near here, 1e-06 of law.q_des[0] away or less, as where a law paces what jumps; the model "

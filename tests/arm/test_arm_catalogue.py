@@ -12,6 +12,7 @@ import pinocchio as pin
 import pytest
 from arm_oracles import pinocchio_of
 
+import taut
 from taut.arm.catalogue import CATALOGUE, Entry, entry_tree
 from taut.arm.description import BASE
 from taut.arm.gears import rotor_doubts
@@ -227,4 +228,4 @@ def test_a_missing_package_is_named_with_the_command_that_installs_it(
 
 def test_an_entry_without_its_locks_is_refused_for_the_coupled_finger() -> None:
     with pytest.raises(ValueError, match="it mimics 'panda_finger_joint1'"):
-        assemble(entry_tree(CATALOGUE["panda"]), tool="panda_hand_tcp")
+        assemble(taut.Arm, entry_tree(CATALOGUE["panda"]), tool="panda_hand_tcp")

@@ -13,6 +13,7 @@ from arm_urdf_text import as_urdf
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import taut
 from taut.arm.description import BASE, Arm, Friction, Payload
 from taut.arm.load import load_arm
 from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeLink, assemble
@@ -73,7 +74,7 @@ def same_motion(arm: Arm, q: np.ndarray, other: Arm, q_other: np.ndarray) -> Non
 
 @pytest.mark.parametrize("n", [1, 2, 7, 30])
 def test_chains_of_any_length_are_assembled_in_order(n: int) -> None:
-    arm = assemble(chain(n))
+    arm = assemble(taut.Arm, chain(n))
     assert arm.joint_names == tuple(f"j{i}" for i in range(n))
     assert [joint.parent for joint in arm.joints] == list(range(-1, n - 1))
     assert arm.tool == f"l{n}"
@@ -87,11 +88,11 @@ def test_a_joint_turned_around_is_the_same_arm_with_the_other_sign() -> None:
         joint.axis = -np.asarray(joint.axis)
         joint.lower, joint.upper = -joint.upper, -joint.lower
     q = np.array([0.3, -0.4, 0.2, 0.1])
-    same_motion(assemble(tree), q, assemble(turned), -q)
+    same_motion(assemble(taut.Arm, tree), q, assemble(taut.Arm, turned), -q)
 
 
 def test_two_arms_on_a_torso_are_two_whole_chains() -> None:
-    arm = assemble(torso(), tool="left_lower")
+    arm = assemble(taut.Arm, torso(), tool="left_lower")
     assert arm.joint_names == (
         "trunk_joint",
         "left_upper_joint",
@@ -102,22 +103,22 @@ def test_two_arms_on_a_torso_are_two_whole_chains() -> None:
     assert [joint.parent for joint in arm.joints] == [BASE, 0, 1, 0, 3]
     assert arm.ancestors(4) == (0, 3, 4)
     with pytest.raises(UsageError, match=r"2 leaves \('right_lower', 'left_lower'\)"):
-        assemble(torso())
+        assemble(taut.Arm, torso())
 
 
 def test_gravity_and_mounting_are_the_callers() -> None:
-    arm = assemble(chain(3), gravity=(9.81, 0, 0), T_WB=Pose(rpy=(math.pi, 0, 0)))
+    arm = assemble(taut.Arm, chain(3), gravity=(9.81, 0, 0), T_WB=Pose(rpy=(math.pi, 0, 0)))
     np.testing.assert_array_equal(arm.gravity, (9.81, 0, 0))
     np.testing.assert_allclose(arm.T_WB.R, np.diag([1.0, -1.0, -1.0]), atol=1e-15)
 
 
 def test_locking_joints_while_loading_or_afterwards_is_the_same_arm() -> None:
     tree = torso()
-    whole = assemble(tree, tool="left_lower")
+    whole = assemble(taut.Arm, tree, tool="left_lower")
     q = np.array([0.3, -0.5, 0.7, 0.2, -0.1])
     keep = ["trunk_joint", "left_lower_joint"]
     locked = {name: q[i] for i, name in enumerate(whole.joint_names) if name not in keep}
-    early, late = assemble(tree, tool="left_lower", locked=locked), whole.subset(keep, q)
+    early, late = assemble(taut.Arm, tree, tool="left_lower", locked=locked), whole.subset(keep, q)
     assert early.joint_names == late.joint_names == ("trunk_joint", "left_lower_joint")
     assert late.frame_names == whole.frame_names
     for a, b in zip(early.bodies, late.bodies, strict=True):
@@ -210,7 +211,7 @@ def test_the_spread_of_a_perturbed_mass_is_the_one_that_was_asked_for() -> None:
 def test_a_flat_body_that_a_file_rounded_stays_possible() -> None:
     tree = chain(1)
     tree.links[1].inertia = LinkInertia(mass=1.0, com=np.zeros(3), inertia=np.diag([0.1, 0.2, 0.3 * (1 + 5e-7)]))
-    arm = assemble(tree)
+    arm = assemble(taut.Arm, tree)
     for seed in range(50):
         body = arm.perturbed(seed=seed, inertia=1.0).bodies[0]
         assert check_inertia(body.mass, body.inertia) is None
@@ -316,7 +317,7 @@ def trees(draw: st.DrawFn) -> Tree:
 def test_an_arm_written_as_urdf_and_read_back_is_the_same_arm(
     tree: Tree, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    arm = assemble(tree, tool="l1")
+    arm = assemble(taut.Arm, tree, tool="l1")
     file = tmp_path_factory.mktemp("urdf") / "drawn.urdf"
     file.write_text(as_urdf(arm))
     again = load_arm(file, tool="l1")

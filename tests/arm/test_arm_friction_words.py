@@ -11,8 +11,8 @@ from arm_models import DUO, PAIR
 
 import taut
 from taut import Friction
+from taut.arm.loaders.write_friction import to_mjcf_joints, to_urdf_dynamics
 from taut.arm.report import check_model, joint_table
-from taut.arm.write_friction import to_mjcf_joints, to_urdf_dynamics
 from taut.errors import ModelError, UsageError
 
 SIMPLE = Friction(viscous=[0.1, 1.0 / 3.0], coulomb=[0.5, 0.0])

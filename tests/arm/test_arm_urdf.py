@@ -14,7 +14,7 @@ from arm_models import DUO
 
 from taut.arm.load import load_arm
 from taut.arm.loaders.urdf import read_urdf
-from taut.arm.meshes import MeshPaths, OutsideError, file_inside
+from taut.arm.loaders.visuals import MeshPaths, OutsideError, file_inside
 from taut.base.errors import ModelError
 
 VISUAL = '<visual><origin xyz="0 0 1"/><geometry>{}</geometry></visual>'

@@ -19,7 +19,7 @@ PANDA = taut.load_arm("panda")
 SAME = 1e-9  # of task laws, relative to the largest torque, with default damping
 STATES = 1000
 KP, KD = np.array([100.0, 90.0, 80.0, 70.0, 60.0, 50.0]), np.linspace(20.0, 14.0, 6)
-POSITION = taut.laws.Coordinates.position()
+POSITION = taut.Coordinates.position()
 REST = np.array(PANDA.home)
 
 

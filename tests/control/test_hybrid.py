@@ -93,7 +93,7 @@ def test_without_the_curvature_term_3_kg_at_0_3_m_per_s_on_0_1_m_press_2_7_newto
         for curvature in (True, False):
             law = HybridMotionForce(
                 constraint=ball,
-                motion=motion(error="coordinates", coordinates=taut.laws.Coordinates.position()),
+                motion=motion(error="coordinates", coordinates=taut.Coordinates.position()),
                 curvature=curvature,
             )
             ctrl = taut.compile(law, arm)
@@ -359,7 +359,7 @@ def squared(T: Pose) -> Any:
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose())), np.array(ARM.home)),
             taut.errors.RangeError,
-            r"must start on its constraint, and the constraint has phi = 0\.\d+ there, .*; start from taut\.onto",
+            r"must start on its constraint, and the constraint has phi = 0\.\d+ there, .*; start from taut\.dynamics\.onto",
         ),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), F_app=[0, 3.0, -9.0, 0, 0, 0])),

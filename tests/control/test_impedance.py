@@ -67,7 +67,7 @@ SPRINGS = [
     {"frame": "tool"},
     {"error": "body"},
     {"error": "space"},
-    {"error": "coordinates", "coordinates": taut.laws.Coordinates(function=lambda T: T.p), "K": K[:3]},
+    {"error": "coordinates", "coordinates": taut.Coordinates(function=lambda T: T.p), "K": K[:3]},
 ]
 
 

@@ -133,7 +133,7 @@ class TestSensing:
         )
         with pytest.raises(
             taut.errors.UsageError,
-            match=r"velocity must be 'measured', 'difference', .* or taut\.Kalman.*; got 'tacho'$",
+            match=r"velocity must be 'measured', 'difference', .* or taut\.sensors\.Kalman.*; got 'tacho'$",
         ):
             taut.Sensing(velocity="tacho")  # type: ignore[arg-type]
 

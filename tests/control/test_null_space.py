@@ -18,7 +18,7 @@ ROUNDING = 1e-14  # times the condition of J M^-1 J^T, of which Lambda is the in
 SEVEN = {name: taut.load_arm(name).with_joints(viscous=0.0, coulomb=0.0) for name in ("panda", "xarm7")}
 KINOVA = taut.load_arm("kinova").with_joints(viscous=0.0, coulomb=0.0)  # six joints: its position alone leaves three
 PANDA = SEVEN["panda"]
-POSITION = taut.laws.Coordinates.position()
+POSITION = taut.Coordinates.position()
 
 
 def full(null: Any) -> taut.laws.TaskComputedTorque:

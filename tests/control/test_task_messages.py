@@ -14,7 +14,7 @@ L = taut.laws
 PANDA = taut.load_arm("panda")
 T = taut.snapshot(PANDA, PANDA.home).T()
 HERE = taut.TaskMotion(pose=T)
-Coordinates = taut.laws.Coordinates
+Coordinates = taut.Coordinates
 
 
 class Weight(taut.Law):
@@ -87,7 +87,7 @@ CASES: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (
         lambda: task(error="coordinates"),
         taut.errors.UsageError,
-        "TaskComputedTorque with error='coordinates' needs coordinates=taut.laws.Coordinates(function=lambda T: T.p)",
+        "TaskComputedTorque with error='coordinates' needs coordinates=taut.Coordinates(function=lambda T: T.p)",
     ),
     (
         lambda: task(coordinates=Coordinates.position()),
@@ -98,7 +98,7 @@ CASES: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (
         lambda: task(error="coordinates", coordinates=lambda T: T.p),
         taut.errors.UsageError,
-        "coordinates must be taut.laws.Coordinates(function=lambda T: T.p); got function",
+        "coordinates must be taut.Coordinates(function=lambda T: T.p); got function",
     ),
     (
         coordinates(3),
@@ -296,7 +296,7 @@ def test_is_said_in_one_sentence(act: Callable[[], Any], kind: type[Exception], 
     ],
 )
 def test_a_goal_where_coordinates_are_singular_is_refused_and_costs_nothing(
-    coordinates: taut.laws.Coordinates, pose: taut.Pose
+    coordinates: taut.Coordinates, pose: taut.Pose
 ) -> None:
     ctrl = taut.compile(L.TaskComputedTorque(kp=100.0, kd=20.0, error="coordinates", coordinates=coordinates), PANDA)
     with pytest.raises(taut.errors.NumericalError, match="gives numbers that are not finite in tick 0"):

@@ -197,6 +197,6 @@ def test_a_law_of_the_tool_and_one_of_the_joints_do_not_add() -> None:
         tool + taut.laws.FrictionCompensation()
     assert str(caught.value) == (
         "TaskComputedTorque follows TaskMotion and FrictionCompensation JointMotion; only laws that follow the same "
-        "kind of reference add; taut.laws.via_joint_space(law) makes one of joint motion follow a TaskMotion"
+        "kind of reference add; taut.via_joint_space(law) makes one of joint motion follow a TaskMotion"
     )
-    assert isinstance(tool + taut.laws.via_joint_space(taut.laws.FrictionCompensation()), taut.laws.Sum)
+    assert isinstance(tool + taut.via_joint_space(taut.laws.FrictionCompensation()), taut.laws.Sum)

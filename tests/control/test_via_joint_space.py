@@ -83,7 +83,7 @@ def home(arm: taut.Arm) -> taut.Pose:
 
 def run(arm: taut.Arm, ref: object, duration: float, law: taut.Law = LAW, **options: Any) -> taut.Run:
     start = {"q0": options.pop("q0")} if "q0" in options else {}
-    ctrl = taut.compile(taut.laws.via_joint_space(law, **options), arm, rate=RATE)
+    ctrl = taut.compile(taut.via_joint_space(law, **options), arm, rate=RATE)
     return taut.run(ctrl, taut.RigidPlant(arm, friction=None), ref, duration=duration, **start)
 
 
@@ -172,7 +172,7 @@ class TestTheMotionOfTheJoints:
 
     def test_is_the_same_in_native_code_and_in_plain_python(self) -> None:
         arm = taut.load_arm("ur10")
-        law, ref = taut.laws.via_joint_space(LAW, steps=2), Circle(home(arm))
+        law, ref = taut.via_joint_space(LAW, steps=2), Circle(home(arm))
         native, plain = (taut.compile(law, arm, engine=engine) for engine in ("native", "float"))  # type: ignore[arg-type]
         for k in range(5):
             got, wanted = (c.step(arm.home, np.zeros(6), ref.at(k / RATE)) for c in (native, plain))
@@ -188,7 +188,7 @@ class TestTheClosedLoop:
         out = run(arm, taut.TaskMotion(pose=T), 1.0, q0=arm.home, speed=1e3, rise=1e-3)
         still = np.abs(out.extra["law.q_des"] - arm.home).max()
         assert still < 1e-12
-        ctrl = taut.compile(taut.laws.via_joint_space(LAW), arm)
+        ctrl = taut.compile(taut.via_joint_space(LAW), arm)
         goal = taut.TaskMotion(pose=T)
         off = arm.home + 0.01 * np.cos(np.arange(arm.n))
         ctrl.step(arm.home, np.zeros(arm.n), goal)  # q_des starts at home, and the arm is then found elsewhere
@@ -210,7 +210,7 @@ class TestTheClosedLoop:
     def test_of_a_velocity_controlled_arm_follows_the_circle(self) -> None:
         arm = taut.load_arm("ur10")
         kp, rate, ref = 5.0, 125.0, Circle(home(arm), radius=0.1, turn=0.0)
-        ctrl = taut.compile(taut.laws.via_joint_space(taut.laws.VelocityPI(kp=kp)), arm, rate=rate)
+        ctrl = taut.compile(taut.via_joint_space(taut.laws.VelocityPI(kp=kp)), arm, rate=rate)
         assert ctrl.kind == "velocity"
         q, errors = arm.home, []
         for k in range(500):  # drives that do what they are told, held for a period
@@ -362,7 +362,7 @@ def test_a_tool_that_may_spin_leaves_a_joint_to_spare() -> None:
 
 def test_memory_is_read_after_a_step() -> None:
     arm = taut.load_arm("panda")
-    ctrl = taut.compile(taut.laws.via_joint_space(LAW), arm)
+    ctrl = taut.compile(taut.via_joint_space(LAW), arm)
     with pytest.raises(taut.errors.UsageError, match="there is no memory before the first tick; call step first"):
         ctrl.memory  # noqa: B018
     T = home(arm)
@@ -381,7 +381,7 @@ def test_the_record_stands_in_a_log_and_in_runs_of_other_plants(tmp_path: Any) -
     again = taut.load_run(out.save(tmp_path / "run.mcap"))
     assert np.array_equal(again.extra["law.ik_error"], out.extra["law.ik_error"])
     hosted = taut.run(
-        taut.compile(taut.laws.via_joint_space(LAW), arm), taut.MujocoPlant(arm), Circle(home(arm)), duration=0.1
+        taut.compile(taut.via_joint_space(LAW), arm), taut.MujocoPlant(arm), Circle(home(arm)), duration=0.1
     )
     assert np.abs(hosted.extra["law.q_des"] - out.extra["law.q_des"]).max() < 1e-12
 
@@ -389,26 +389,26 @@ def test_the_record_stands_in_a_log_and_in_runs_of_other_plants(tmp_path: Any) -
 @pytest.mark.parametrize(
     ("make", "error", "text"),
     [
-        (lambda: taut.laws.via_joint_space("PID"), taut.errors.UsageError,  # type: ignore[arg-type]
+        (lambda: taut.via_joint_space("PID"), taut.errors.UsageError,  # type: ignore[arg-type]
          r"via_joint_space takes a law: taut.laws.ComputedTorque\(...\); got str"),
-        (lambda: taut.laws.via_joint_space(taut.laws.via_joint_space(LAW)), taut.errors.UsageError,
+        (lambda: taut.via_joint_space(taut.via_joint_space(LAW)), taut.errors.UsageError,
          "via_joint_space gives a JointMotion, and ViaJointSpace follows a TaskMotion; hold a law of joint motion, "
          "such as ComputedTorque"),
-        (lambda: taut.laws.via_joint_space(LAW, steps=0), taut.errors.RangeError,
+        (lambda: taut.via_joint_space(LAW, steps=0), taut.errors.RangeError,
          "steps must be a whole number from 1 to 10; got 0"),
-        (lambda: taut.laws.via_joint_space(LAW, steps=1.5), taut.errors.RangeError,  # type: ignore[arg-type]
+        (lambda: taut.via_joint_space(LAW, steps=1.5), taut.errors.RangeError,  # type: ignore[arg-type]
          "steps must be a whole number from 1 to 10; got 1.5"),
-        (lambda: taut.laws.via_joint_space(LAW, directions="six"), taut.errors.UsageError,  # type: ignore[arg-type]
+        (lambda: taut.via_joint_space(LAW, directions="six"), taut.errors.UsageError,  # type: ignore[arg-type]
          "directions must be one of 'all', 'pointing', 'position'; got 'six'"),
-        (lambda: taut.laws.via_joint_space(LAW, pull=[1.0] * 7), taut.errors.ShapeError,  # type: ignore[arg-type]
+        (lambda: taut.via_joint_space(LAW, pull=[1.0] * 7), taut.errors.ShapeError,  # type: ignore[arg-type]
          r"pull must be one number; got shape \(7,\)"),
-        (lambda: taut.laws.via_joint_space(LAW, speed=np.eye(7)), taut.errors.ShapeError,
+        (lambda: taut.via_joint_space(LAW, speed=np.eye(7)), taut.errors.ShapeError,
          r"speed must be a scalar or one per joint; got shape \(7, 7\)"),
-        (lambda: taut.laws.via_joint_space(LAW, speed=0.0), taut.errors.RangeError, "speed must be >= 1e-06"),
-        (lambda: taut.laws.via_joint_space(LAW, rise=0.0), taut.errors.RangeError, r"rise must be >= 0.001 \[s\]; got 0.0"),
-        (lambda: taut.compile(taut.laws.via_joint_space(LAW, posture=[0.0] * 6), taut.load_arm("panda")), taut.errors.ShapeError,
+        (lambda: taut.via_joint_space(LAW, speed=0.0), taut.errors.RangeError, "speed must be >= 1e-06"),
+        (lambda: taut.via_joint_space(LAW, rise=0.0), taut.errors.RangeError, r"rise must be >= 0.001 \[s\]; got 0.0"),
+        (lambda: taut.compile(taut.via_joint_space(LAW, posture=[0.0] * 6), taut.load_arm("panda")), taut.errors.ShapeError,
          r"posture must have one entry per joint, shape \(7,\); got shape \(6,\)"),
-        (lambda: taut.compile(taut.laws.via_joint_space(LAW, tool="panda_hand_tpc"), taut.load_arm("panda")),
+        (lambda: taut.compile(taut.via_joint_space(LAW, tool="panda_hand_tpc"), taut.load_arm("panda")),
          taut.errors.UnknownNameError, "the arm has no frame 'panda_hand_tpc'; did you mean 'panda_hand_tcp'"),
     ],
 )  # fmt: skip

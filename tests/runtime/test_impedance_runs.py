@@ -383,7 +383,7 @@ def test_expm_is_what_a_free_mode_does() -> None:
 
 def test_a_run_keeps_the_energy_of_the_tank() -> None:
     arm = taut.load_arm("planar3")
-    position = taut.laws.Coordinates(function=lambda T: taut.math.array([T.p[0], T.p[2]]))
+    position = taut.Coordinates(function=lambda T: taut.math.array([T.p[0], T.p[2]]))
     law = taut.laws.Impedance(
         K=[100.0, 100.0], B=[10.0, 10.0], error="coordinates", coordinates=position, tank=0.5, null=None
     )

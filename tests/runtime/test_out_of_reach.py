@@ -167,16 +167,16 @@ def test_what_a_law_asks_for_decides_what_is_told() -> None:
     x = taut.snapshot(arm, arm.home)
     rows = {"p": np.array([[0.9, 0.0, 0.5]]), "R": x.T().R[None]}
     gains = {"kp": 100.0, "kd": 20.0}
-    height = taut.laws.Coordinates(function=lambda T: T.p[2:])
+    height = taut.Coordinates(function=lambda T: T.p[2:])
     of = {
         "height": taut.laws.TaskComputedTorque(**gains, error="coordinates", coordinates=height),
         "position": taut.laws.TaskComputedTorque(
-            **gains, error="coordinates", coordinates=taut.laws.Coordinates.position()
+            **gains, error="coordinates", coordinates=taut.Coordinates.position()
         ),
         "led": taut.laws.Admittance(D=(5.0, 0.5), B=(50.0, 5.0), inner=LAWS["motion"]),
         "joints": taut.laws.ComputedTorque(**gains),
-        "whole": taut.laws.via_joint_space(taut.laws.ComputedTorque(**gains)),
-        "point": taut.laws.via_joint_space(taut.laws.ComputedTorque(**gains), directions="position"),
+        "whole": taut.via_joint_space(taut.laws.ComputedTorque(**gains)),
+        "point": taut.via_joint_space(taut.laws.ComputedTorque(**gains), directions="position"),
     }
     away = {name: far_away(law, x, rows) for name, law in of.items()}
     assert away["height"] is None

@@ -237,7 +237,7 @@ class Wave:
 
 def test_three_joints_asked_for_six_directions_follow_as_if_asked_for_their_three() -> None:
     arm = taut.load_arm("planar3")
-    in_plane = taut.laws.Coordinates(
+    in_plane = taut.Coordinates(
         function=lambda T: taut.math.array([T.p[0], T.p[2], taut.math.atan2(-T.R[2, 0], T.R[0, 0])]), angles=(2,)
     )
     three = taut.laws.TaskComputedTorque(

@@ -53,7 +53,7 @@ def run(
 
 
 @functools.cache
-def error_of(arm: taut.Arm, kind: Any, coordinates: taut.laws.Coordinates | None) -> Any:
+def error_of(arm: taut.Arm, kind: Any, coordinates: taut.Coordinates | None) -> Any:
     """X of a law, as a compiled function of q and the goal's p and R."""
     model, n = model_of(arm), arm.n
 
@@ -209,9 +209,7 @@ class TestCoordinates:
         assert np.abs(X - expected).max() < 6.0 / self.RATE * np.abs(X[0]).max()
 
     def test_of_position_alone(self) -> None:
-        law = L.TaskComputedTorque(
-            kp=100.0, kd=20.0, error="coordinates", coordinates=taut.laws.Coordinates.position()
-        )
+        law = L.TaskComputedTorque(kp=100.0, kd=20.0, error="coordinates", coordinates=taut.Coordinates.position())
         T = pose_at(PANDA, PANDA.home)
         self.check(
             law, PANDA, taut.Pose(T.p + np.array([-0.1, 0.2, 0.1]), R=np.eye(3)), PANDA.home, np.full(3, 0.1 - 1e-12)
@@ -220,12 +218,12 @@ class TestCoordinates:
     def test_of_the_plane(self) -> None:
         flat = taut.Pose([0.0, 0.0, 0.0], rpy=[-0.5 * np.pi, 0.0, 0.0])  # from upright to lying on a table
         arm = taut.load_arm("planar3", T_WB=flat).with_joints(viscous=0.0, coulomb=0.0)
-        law = L.TaskComputedTorque(kp=100.0, kd=20.0, error="coordinates", coordinates=taut.laws.Coordinates.planar())
+        law = L.TaskComputedTorque(kp=100.0, kd=20.0, error="coordinates", coordinates=taut.Coordinates.planar())
         q0, q1 = np.array([0.3, 0.9, 0.5]), np.array([0.8, 0.7, 1.2])
         self.check(law, arm, pose_at(arm, q1), q0, np.full(3, 0.05))
 
     def test_of_a_cylinder(self) -> None:
-        coordinates = taut.laws.Coordinates.cylindrical()
+        coordinates = taut.Coordinates.cylindrical()
         law = L.TaskComputedTorque(kp=100.0, kd=20.0, error="coordinates", coordinates=coordinates)
         p = pose_at(PANDA, PANDA.home).p
         r, angle = np.hypot(p[0], p[1]) + 0.1, np.arctan2(p[1], p[0]) + 1.0
@@ -233,7 +231,7 @@ class TestCoordinates:
         self.check(law, PANDA, goal, PANDA.home, np.array([0.1 - 1e-12, 1.0 - 1e-12, 0.1 - 1e-12]))
 
     def test_of_position_and_rpy(self) -> None:
-        coordinates = taut.laws.Coordinates.position_and_rpy()
+        coordinates = taut.Coordinates.position_and_rpy()
         law = L.TaskComputedTorque(kp=100.0, kd=20.0, error="coordinates", coordinates=coordinates)
         T = pose_at(PANDA, PANDA.home)
         rpy = T.rpy + np.array([0.3, 0.4, -0.5])

@@ -92,8 +92,7 @@ def calibrate_wrist(
 
     Poses must turn gravity in the sensor's axes: two directions tell the mass, three that are not on one line the
     centre too, and turning about the vertical changes nothing. `taut.analysis.calibration_poses(arm)` suggests good
-    ones. A
-    mass that cannot be told from zero is taken for none.
+    ones. A mass that cannot be told from zero is taken for none.
 
     Args:
         wrenches: (k, 6) readings at rest with nothing touching, force first: the wrench of the tool on the arm, as

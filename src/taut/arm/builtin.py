@@ -53,7 +53,7 @@ def one_joint(*, M: float = 0.5, m: float = 1.0, r: float = 0.1, b: float = 0.1)
     References:
         Lynch and Park, Modern Robotics (2017), section 10.2.1, equation 10.4 and below.
     """
-    return assemble(one_joint_tree(M=M, m=m, r=r, b=b), commands=COMMANDS)
+    return assemble(Arm, one_joint_tree(M=M, m=m, r=r, b=b), commands=COMMANDS)
 
 
 def one_joint_tree(*, M: float = 0.5, m: float = 1.0, r: float = 0.1, b: float = 0.1) -> Tree:

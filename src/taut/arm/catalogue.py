@@ -6,22 +6,28 @@ it puts in place of missing or senseless numbers of the file stands in the arm's
 
 from __future__ import annotations
 
+import importlib
 import math
+import pkgutil
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import ModuleType
 from typing import Final
 
 from taut.arm.description import CommandKind
 from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink
 from taut.arm.loaders.urdf import read_urdf
-from taut.base.errors import missing_extra
+from taut.base.errors import FileError, MissingExtraError, missing_extra, unknown_name
 from taut.trace.pose import Pose
 
-__all__ = ["CATALOGUE", "Entry", "entry_tree", "is_installed"]
+__all__ = ["CATALOGUE", "PATTERN", "Entry", "described", "entry_tree", "is_installed"]
 
 EVERY: Final[tuple[CommandKind, ...]] = ("torque", "velocity", "position")
 VELOCITY_POSITION: Final[tuple[CommandKind, ...]] = ("velocity", "position")
+DESCRIPTIONS: Final = "robot_descriptions"
+PATTERN: Final = re.compile(r"[a-z0-9_]+_description\Z")
 ROBOTS: Final = "cmeel.prefix/share/example-robot-data"
 
 
@@ -291,3 +297,46 @@ ENTRIES: Final = (
     ),
 )
 CATALOGUE: Final[Mapping[str, Entry]] = {entry.name: entry for entry in ENTRIES}
+
+
+# Models by the names of the package robot_descriptions, where that is installed; it downloads what it names.
+
+
+def described(name: str) -> tuple[Path, dict[str, Path]]:
+    """The model file of that description, and the folders that stand for its package.
+
+    Raises:
+        MissingExtraError: robot_descriptions is not installed.
+        UnknownNameError: It has no such description.
+        FileError: The download failed, or the description has neither URDF nor MJCF.
+    """
+    try:
+        package = importlib.import_module(DESCRIPTIONS)
+    except ImportError as cause:
+        raise MissingExtraError(
+            f"the name '{name}' needs the package '{DESCRIPTIONS}', which is not installed; "
+            f"pip install {DESCRIPTIONS} installs it, and taut arms lists the names that need no download",
+            name=DESCRIPTIONS,
+        ) from cause
+    known = [module.name for module in pkgutil.iter_modules(package.__path__) if PATTERN.match(module.name)]
+    if name not in known:
+        raise unknown_name(DESCRIPTIONS, "description", name, known)
+    module = _downloaded(name)
+    for attribute in ("URDF_PATH", "MJCF_PATH"):
+        path = getattr(module, attribute, None)
+        if path is not None:
+            folder = Path(getattr(module, "PACKAGE_PATH", Path(path).parent))
+            return Path(path), {folder.name: folder}
+    raise FileError(f"{DESCRIPTIONS} has neither URDF nor MJCF of '{name}'; name another description", name=name)
+
+
+def _downloaded(name: str) -> ModuleType:
+    try:
+        return importlib.import_module(f"{DESCRIPTIONS}.{name}")
+    except Exception as cause:  # it runs git, which fails in ways of its own
+        said = next(iter(str(cause).strip().splitlines()), type(cause).__name__)
+        raise FileError(
+            f"{DESCRIPTIONS} could not supply '{name}': {said}; it downloads models: check the network, "
+            "or give the path of a file",
+            name=name,
+        ) from cause

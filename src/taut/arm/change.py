@@ -5,18 +5,21 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from taut.arm.description import BASE, Arm, Body
 from taut.arm.friction import AT_REST, FRICTION_FIELDS
 from taut.arm.gears import doubt_rotors, reflected_inertia, rotor_doubts
 from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeLink, TreeVisual, assemble, require_within_limits
+from taut.arm.parts import BASE, Body
 from taut.arm.rules import check_inertia, value_problems
 from taut.base.checks import entry_names, finite_array, finite_scalar, require_at_least, require_positive, vector
 from taut.base.errors import ModelError, Problem, RangeError, ShapeError, UsageError, quoted_list, unknown_name
 from taut.base.types import ArrayLike, Float64Array
+
+if TYPE_CHECKING:
+    from taut.arm.description import Arm
 
 __all__ = ["body_replaced", "geared", "home_replaced", "joints_replaced", "locked_copy", "perturbed_copy"]
 
@@ -41,6 +44,7 @@ def locked_copy(arm: Arm, joints: Iterable[str], q: ArrayLike | None) -> Arm:
     locked = {name: float(at[i]) for i, name in enumerate(arm.joint_names) if name not in keep}
     home = {name: float(at[i]) for i, name in enumerate(arm.joint_names)}
     made = assemble(
+        type(arm),
         _tree_of(arm),
         locked=locked,
         tool=arm.tool,

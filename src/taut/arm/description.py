@@ -415,7 +415,7 @@ class Arm:
         """
         from taut.arm.loaders.screws import arm_from_screws
 
-        return arm_from_screws(Mlist, Glist, Slist, gravity, name)
+        return arm_from_screws(cls, Mlist, Glist, Slist, gravity, name)
 
     @classmethod
     def from_pinocchio(cls, model: PinocchioModel, tool: str | None = None, gravity: ArrayLike | None = None) -> Arm:
@@ -426,7 +426,7 @@ class Arm:
         """
         from taut.arm.loaders.pinocchio import arm_from_pinocchio
 
-        return arm_from_pinocchio(model, tool, gravity)
+        return arm_from_pinocchio(cls, model, tool, gravity)
 
     def __repr__(self) -> str:
         return f"Arm('{self.name}', {count_of(self.n, 'joint')}, tool '{self.tool}')"

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from taut.arm.description import BASE, Arm
+from taut.arm.parts import BASE
 from taut.base.errors import quoted_list
 from taut.base.types import Float64Array
+
+if TYPE_CHECKING:
+    from taut.arm.description import Arm
 
 __all__ = ["indefinite", "model_doubts"]
 

@@ -44,8 +44,7 @@ class Friction:
 
     The laws of figure 10.14 by what is given: (a) viscous; (b) coulomb; (c) viscous and coulomb, which at rest is as
     much; (d) coulomb and a larger static; (e) these and viscous; (f) these and stribeck.
-    `taut.analysis.plot_friction` draws
-    them.
+    `taut.analysis.plot_friction` draws them.
 
     Friction that is known is friction of the joint's own axis: of gears it is seen at their output.
 

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Final
 
 from taut.arm.builtin import BUILT_IN, COMMANDS
-from taut.arm.catalogue import CATALOGUE, entry_tree
+from taut.arm.catalogue import CATALOGUE, PATTERN, described, entry_tree
 from taut.arm.description import Arm, CommandKind
-from taut.arm.descriptions import PATTERN, described
 from taut.arm.loaders.pinocchio import PinocchioModel, pinocchio_tree
 from taut.arm.loaders.tree import Tree, assemble, rest_position
 from taut.arm.loaders.urdf import urdf_tree
@@ -98,6 +97,7 @@ def arm_of(
             _require_name("home", name)
         start = {**tree.home, **start}
     return assemble(
+        Arm,
         tree,
         locked=_locks(opened, locked, joints, start if isinstance(start, Mapping) else tree.home),
         tool=opened.tool if tool is None else tool,

@@ -93,7 +93,7 @@ def added(first: Law, second: Law) -> Sum:
         raise UsageError(
             f"{type(first).__name__} follows {first.reference.__name__} and {type(second).__name__} "
             f"{second.reference.__name__}; only laws that follow the same kind of reference add; "
-            f"taut.laws.via_joint_space(law) makes one of joint motion follow a TaskMotion"
+            f"taut.via_joint_space(law) makes one of joint motion follow a TaskMotion"
         )
     parts: dict[str, Law] = {}
     for law in (first, second):

@@ -96,7 +96,7 @@ class SampledLoop:
         rate: [Hz].
         delay: [s] from the tick to the force, beyond the hold; any number of periods, whole or not.
         velocity: "measured", "difference", `taut.sensors.LowPass(...)` of the measured,
-        `taut.sensors.Difference(cutoff=...)`.
+            `taut.sensors.Difference(cutoff=...)`.
         integrator: "exact" for a continuous mass, "semi-implicit-euler" as `RigidPlant` steps it.
         substeps: Of that integrator in a period.
 

@@ -16,6 +16,7 @@ import numpy as np
 from taut.arm.description import COMMANDS, Arm, CommandKind, Payload
 from taut.base.checks import one_of
 from taut.base.errors import RangeError, UsageError, unknown_name
+from taut.base.front_door import public_name
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.maths import dynamics as dyn
@@ -75,10 +76,9 @@ class RigidPlant:
         actuation: The drives: delay, amplifier, motor, gear; ideal if left out.
         sensors: What is measured, and how well; ideal sensors if left out.
         environment: What touches the tool, if anything: a taut.environments.Spring, a taut.environments.StiffWall,
-        ..., or a class of your own,
-            see `taut.environments.Environment`. Then the wrench is measured too, and the run's column
-            work.environment [J] is what
-            it did on the arm until the tick. Stiff drives do not give way to it, and give the torque that it takes.
+            ..., or a class of your own, see `taut.environments.Environment`. Then the wrench is measured too, and the
+            run's column work.environment [J] is what it did on the arm until the tick. Stiff drives do not give way
+            to it, and give the torque that it takes.
         contact: What holds the arm rigidly, or stops it: a taut.RigidContact, a bare taut.Constraint, or several in a
             tuple. See `taut.RigidContact` for the physics and the columns.
         adds: What the plant adds to a torque command itself: "gravity", "coriolis", and "friction", which cancels the
@@ -131,7 +131,7 @@ class RigidPlant:
         for name, kind in STAGES.items():
             if not isinstance(getattr(self, name), kind):
                 got = type(getattr(self, name)).__name__
-                raise UsageError(f"{name} must be taut.{kind.__name__}(...); got {got}", name=name)
+                raise UsageError(f"{name} must be {public_name(kind)}(...); got {got}", name=name)
         self.sensors.check(self.arm, touched=self.touched)
         if self.environment is not None:
             require_environment("environment", self.environment)

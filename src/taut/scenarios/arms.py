@@ -10,10 +10,9 @@ from typing import Any, Final
 import numpy as np
 
 from taut.arm.builtin import BUILT_IN, COMMANDS, one_joint_tree
-from taut.arm.catalogue import CATALOGUE
+from taut.arm.catalogue import CATALOGUE, PATTERN
 from taut.arm.change import joints_replaced
 from taut.arm.description import Arm
-from taut.arm.descriptions import PATTERN
 from taut.arm.friction import AT_REST, FRICTION_FIELDS, Friction
 from taut.arm.load import OpenedModel, arm_of, load_arm, open_model
 from taut.base.checks import finite_array

@@ -258,7 +258,7 @@ def _again(verb: str, laws: Mapping[str, Law | Run], on: Where | None, options: 
 def _option(value: object) -> str:
     """An option as Python writes it, arrays as lists."""
     if isinstance(value, WrongModel):
-        return f"taut.{value!r}"
+        return f"taut.analysis.{value!r}"
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{name!r}: {_option(one)}" for name, one in value.items()) + "}"
     return repr(value.tolist() if isinstance(value, np.ndarray) else value)

@@ -13,13 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from rich.cells import cell_len
-from rich.markup import escape
-from rich.table import Table
-
 from taut.analysis.constraints.task_freedoms import freedoms
 from taut.analysis.tool.impedance import check_impedance, impedance_of
 from taut.base.errors import FileError, ScenarioError, TautError, UsageError
+from taut.base.result import Cell, Content, Result, Table
 from taut.control.laws.hybrid import HybridMotionForce
 from taut.control.laws.impedance import Impedance
 from taut.control.tasks.phases import Phases
@@ -33,7 +30,6 @@ from taut.record.phases import PHASES
 from taut.record.plots.spread_plot import spread_figure
 from taut.record.report.run_report import SCENARIO
 from taut.record.run import Run
-from taut.record.table import number_text
 from taut.runtime.simulate import run
 from taut.scenarios.scenario import PassFigure, Scenario, Trial
 from taut.scenarios.sections import FILES
@@ -61,7 +57,7 @@ COLUMNS = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScenarioResult:
+class ScenarioResult(Result):
     """What a scenario gave."""
 
     scenario: Scenario
@@ -92,61 +88,62 @@ class ScenarioResult:
             "missed": list(self.missed),
         }
 
-    def table(self, width: int) -> Table:
-        """The numbers that mean something, of joints in rad and of joints in m apart.
+    def content(self) -> Content:
+        """The numbers that mean something, of joints in rad and of joints in m apart, what was missed, and the files."""
+        faults = [f"missed: {text}" for text in self.missed]
+        faults += [f"no {kind}: {reason}" for kind, reason in self.skipped.items()]
+        outcomes = [
+            f"{trial.label}: {one.outcome}"
+            for trial, one in self.runs.items()
+            if not one.outcome.ok or PHASES in one.info or "; " in one.outcome.message
+        ]
+        reached = f"reached: {self.figures - len(self.missed)} of {self.figures} pass figures"
+        return Content(
+            title=self.scenario.title,
+            faults=faults,
+            summary=[*outcomes, *([reached] if self.figures else [])],
+            tables=[self._of_runs() if self.scenario.spread is None else self._of_spread()],
+            notes=[f"{kind:8} {path}" for kind, path in self.outputs.items()],
+            texts={"Scenario": self.scenario.text},
+        )
 
-        Args:
-            width: Letters in a line. One row stands for each run, or one column where the rows would be longer; where
-                both would be, the narrower of them.
-        """
-        names, joint = self.scenario.outputs.columns or COLUMNS, self.scenario.outputs.joint
-        if self.scenario.spread is not None:
-            return self._of_spread(names, joint)
+    @property
+    def _names(self) -> Sequence[str]:
+        return self.scenario.outputs.columns or COLUMNS
+
+    def _of_runs(self) -> Table:
+        """A row for each metric and a column for each run; the other way round where there are more runs."""
+        joint, window = self.scenario.outputs.joint, self.scenario.outputs.window
         runs = _apart(self.runs)
-        window = self.scenario.outputs.window
-        rows_of = [[_within(one, window).by_unit(name, joint) for name in names] for one in runs.values()]
-        heads = dict.fromkeys((i, unit) for row in rows_of for i, by_unit in enumerate(row) for unit in by_unit)
-        cells = [["case", *(trial.case for trial in runs)]] if self.scenario.cases else []
-        cells.append(["law", *(trial.law for trial in runs)])
-        for i, unit in sorted(heads, key=lambda head: head[0]):
-            numbers = [row[i].get(unit, math.nan) for row in rows_of]
-            if not all(math.isnan(number) for number in numbers):
-                cells.append([f"{MEASURES[names[i]].title}\n[{unit}]", *map(number_text, numbers)])
-        cells.append(["outcome", *(one.outcome.kind for one in runs.values())])
-        upright = list(zip(*cells, strict=True))
-        lying = [[text.replace("\n", " ") for text in column] for column in cells]
-        rows = upright if _width(upright) <= max(width, _width(lying)) else lying
-        of_joint = "" if joint is None else f"\nnumbers of joint '{joint}'"
-        of_joint += "" if window is None else f"\nfrom {window[0]:g} to {window[1]:g} s"
-        table = Table(title=escape(self.scenario.title + of_joint))
-        for head in rows[0]:
-            table.add_column(escape(head), overflow="fold")
-        for row in rows[1:]:
-            table.add_row(*map(escape, row))
-        return table
+        values = [[_within(one, window).by_unit(name, joint) for name in self._names] for one in runs.values()]
+        columns: list[list[Cell]] = []
+        for i, name in enumerate(self._names):
+            for unit in dict.fromkeys(unit for row in values for unit in row[i]):
+                numbers = [row[i].get(unit, math.nan) for row in values]
+                if not all(math.isnan(number) for number in numbers):
+                    columns.append([f"{MEASURES[name].title} [{unit}]", *numbers])
+        columns.append(["outcome", *(one.outcome.kind for one in runs.values())])
+        heads = [["", *(trial.label for trial in runs)]]
+        rows = [*heads, *columns] if len(runs) <= len(columns) else list(map(list, zip(*heads, *columns, strict=True)))
+        of = [] if joint is None else [f"of joint '{joint}'"]
+        of += [] if window is None else [f"from {window[0]:g} to {window[1]:g} s"]
+        return Table(title=", ".join(of), columns=[str(head) for head in rows[0]], rows=rows[1:])
 
-    def _of_spread(self, names: Sequence[str], joint: str | None) -> Table:
+    def _of_spread(self) -> Table:
         """A row for each metric: how it is spread over the runs of each law, and which run has the largest."""
-        table = Table(title=escape(self.scenario.title))
-        for head in ("law", "metric", "runs", "least", "median", "largest", "largest in"):
-            table.add_column(head, overflow="fold")
+        rows: list[list[Cell]] = []
         for law in self.scenario.laws:
             runs = {trial.case: one for trial, one in self.runs.items() if trial.law == law}
-            for name in names:
-                found = {case: one.metrics.by_unit(name, joint) for case, one in runs.items()}
+            for name in self._names:
+                found = {case: one.metrics.by_unit(name, self.scenario.outputs.joint) for case, one in runs.items()}
                 for unit in dict.fromkeys(unit for numbers in found.values() for unit in numbers):
                     row = _spread_row({case: numbers.get(unit, math.nan) for case, numbers in found.items()})
                     if row is not None:
-                        table.add_row(*map(escape, (law, f"{MEASURES[name].title} [{unit}]", *row)))
+                        rows.append([law, f"{MEASURES[name].title} [{unit}]", *row])
             ended = sum(one.outcome.ok for one in runs.values())
-            table.add_row(escape(law), "completed", f"{ended} of {len(runs)}")
-        return table
-
-
-def _width(rows: Sequence[Sequence[str]]) -> int:
-    """Letters in a line of a table of these rows, with its rules."""
-    columns = zip(*rows, strict=True)
-    return 1 + sum(3 + max(cell_len(part) for text in column for part in text.split("\n")) for column in columns)
+            rows.append([law, "completed", ended, None, None, None, ""])
+        heads = ("law", "metric", "runs", "smallest", "median", "largest", "largest in")
+        return Table(columns=heads, rows=rows)
 
 
 def _within(one: Run, window: tuple[float, float] | None) -> Metrics:
@@ -156,13 +153,13 @@ def _within(one: Run, window: tuple[float, float] | None) -> Metrics:
     return one.between(*window).metrics
 
 
-def _spread_row(values: Mapping[str, float]) -> list[str] | None:
-    """Count, least, median and largest of what is a number, and the run of the largest; None if nothing is."""
+def _spread_row(values: Mapping[str, float]) -> list[Cell] | None:
+    """Count, smallest, median and largest of what is a number, and the run of the largest; None if nothing is."""
     known = {case: value for case, value in values.items() if not math.isnan(value)}
     if not known:
         return None
-    least, median, largest = (number_text(f(known.values())) for f in (min, statistics.median, max))
-    return [str(len(known)), least, median, largest, max(known, key=lambda case: known[case])]
+    smallest, median, largest = (f(known.values()) for f in (min, statistics.median, max))
+    return [len(known), smallest, median, largest, max(known, key=lambda case: known[case])]
 
 
 def _apart(runs: Mapping[Trial, Run]) -> dict[Trial, Run]:

@@ -156,7 +156,7 @@ def _law_of(law: type[Law] | Law) -> Law:
         way_out = {
             laws.HybridMotionForce: "taut.laws.HybridMotionForce(constraint=..., motion=taut.laws.TaskComputedTorque("
             "kp=1.0, kd=1.0))",
-            laws.ViaJointSpace: "taut.laws.via_joint_space(taut.laws.ComputedTorque(kp=1.0, kd=1.0))",
+            laws.ViaJointSpace: "taut.via_joint_space(taut.laws.ComputedTorque(kp=1.0, kd=1.0))",
         }.get(law, "taut.laws.FeedForward() + taut.laws.PID(kp=1.0)")
         raise UsageError(
             f"{law.__name__} is nothing without what it holds: give a law, whose gains are replaced: {way_out}",

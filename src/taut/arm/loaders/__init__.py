@@ -1,1 +1,1 @@
-"""Readers of model files, all of which make a `Tree`; `arm/lump.py` turns that into an `Arm`."""
+"""Readers of model files, all of which make a `Tree`; `arm/loaders/lump.py` turns that into an `Arm`."""

@@ -15,10 +15,9 @@ import numpy as np
 from taut.arm.loaders.mjcf_actuators import Efforts, Rotors
 from taut.arm.loaders.mjcf_compile import Compiled, compiled
 from taut.arm.loaders.mjcf_source import prepare
-from taut.arm.loaders.mjcf_visuals import visuals_of
 from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink, Words
+from taut.arm.loaders.visuals import MeshPaths, mjcf_visuals
 from taut.arm.loaders.xml import Element
-from taut.arm.meshes import MeshPaths
 from taut.base.errors import ModelError, Problem, quoted_list
 from taut.base.types import Float64Array
 from taut.trace.pose import Pose, axis_angle
@@ -47,7 +46,7 @@ def mjcf_tree(root: Element, path: Path) -> Tree:
     tree = Tree(name=root.get("model") or path.stem, source=str(path), line=root.line, words=WORDS)
     links = _Builder(tree, result, str(path)).build()
     meshes = MeshPaths(path.parent)
-    for body, visual in visuals_of(result, source.meshes, meshes):
+    for body, visual in mjcf_visuals(result, source.meshes, meshes):
         links[body].visuals.append(visual)
     tree.notes.extend(meshes.notes())
     return tree

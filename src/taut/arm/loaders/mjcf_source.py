@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from taut.arm.loaders.visuals import OutsideError, file_inside
 from taut.arm.loaders.xml import (
     MAX_BYTES,
     MAX_DEPTH,
@@ -24,7 +25,6 @@ from taut.arm.loaders.xml import (
     numbers,
     read_xml,
 )
-from taut.arm.meshes import OutsideError, file_inside
 from taut.arm.rules import MAX_LINKS, check_inertia
 from taut.base.errors import FileError, ModelError, Problem
 from taut.trace.inertia import inertia_matrix

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
-from taut.arm.description import Arm
 from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink, Words, assemble
 from taut.base.errors import UsageError
 from taut.base.types import ArrayLike, Float64Array
 from taut.trace.pose import Pose
+
+if TYPE_CHECKING:
+    from taut.arm.description import Arm
 
 __all__ = ["PinocchioModel", "arm_from_pinocchio", "pinocchio_tree"]
 
@@ -128,11 +130,13 @@ KINDS: Final[dict[str, TreeKind]] = {
 }
 
 
-def arm_from_pinocchio(model: PinocchioModel, tool: str | None, gravity: ArrayLike | None) -> Arm:
+def arm_from_pinocchio(
+    arm_class: type[Arm], model: PinocchioModel, tool: str | None, gravity: ArrayLike | None
+) -> Arm:
     """The arm of a Pinocchio model; see `Arm.from_pinocchio`."""
     if not hasattr(model, "jointPlacements"):
         raise UsageError(f"model must be a pinocchio.Model; got {type(model).__name__}", name="model")
-    return assemble(pinocchio_tree(model), tool=tool, gravity=gravity)
+    return assemble(arm_class, pinocchio_tree(model), tool=tool, gravity=gravity)
 
 
 def pinocchio_tree(model: PinocchioModel) -> Tree:

@@ -6,17 +6,19 @@ read.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from taut.arm.description import Arm
 from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink, Words, assemble
 from taut.base.checks import SYMMETRY_TOLERANCE, finite_array
 from taut.base.errors import RangeError, ShapeError
 from taut.base.types import ArrayLike, Float64Array
 from taut.trace import math as tm
 from taut.trace.pose import Pose
+
+if TYPE_CHECKING:
+    from taut.arm.description import Arm
 
 __all__ = ["arm_from_screws"]
 
@@ -26,7 +28,9 @@ TOOL: Final = "tool"
 WORDS: Final = Words(no_mass="fix its entry of Glist", wrong_inertia="fix its entry of Glist")
 
 
-def arm_from_screws(Mlist: ArrayLike, Glist: ArrayLike, Slist: ArrayLike, gravity: ArrayLike, name: str) -> Arm:
+def arm_from_screws(
+    arm_class: type[Arm], Mlist: ArrayLike, Glist: ArrayLike, Slist: ArrayLike, gravity: ArrayLike, name: str
+) -> Arm:
     """The arm of the textbook's lists; see `Arm.from_screws`.
 
     Frames:
@@ -60,7 +64,7 @@ def arm_from_screws(Mlist: ArrayLike, Glist: ArrayLike, Slist: ArrayLike, gravit
         parent = link
     tree.links.append(TreeLink(name=TOOL))
     tree.joints.append(_fixed(parent, TOOL, _pose(f"Mlist[{n}]", M[n])))
-    return assemble(tree, tool=TOOL, gravity=gravity)
+    return assemble(arm_class, tree, tool=TOOL, gravity=gravity)
 
 
 def _fixed(parent: str, child: str, origin: Pose) -> TreeJoint:

@@ -10,15 +10,15 @@ import dataclasses
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from taut.arm.angles import TURN
-from taut.arm.description import STANDARD_GRAVITY, Arm, CommandKind, Frame, Joint, Shape
 from taut.arm.doubts import indefinite
 from taut.arm.gears import rotor_doubts
-from taut.arm.lump import Lumps
+from taut.arm.loaders.lump import Lumps
+from taut.arm.parts import STANDARD_GRAVITY, CommandKind, Frame, Joint, Shape
 from taut.arm.rules import (
     AXIS_TOLERANCE,
     OTHER_KINDS,
@@ -30,6 +30,9 @@ from taut.base.checks import finite_scalar, vector
 from taut.base.errors import ModelError, Problem, RangeError, UsageError, quoted_list, unknown_name
 from taut.base.types import ArrayLike, Float64Array
 from taut.trace.pose import Pose
+
+if TYPE_CHECKING:
+    from taut.arm.description import Arm
 
 __all__ = [
     "LinkInertia",
@@ -144,6 +147,7 @@ class Tree:
 
 
 def assemble(
+    arm_class: type[Arm],
     tree: Tree,
     *,
     locked: Mapping[str, float] | None = None,
@@ -156,6 +160,7 @@ def assemble(
     """The Arm of a tree of links and joints.
 
     Args:
+        arm_class: The class of what is made, `Arm`, which stands above its loaders.
         tree: What a loader read.
         locked: Joints that do not move, with the position [rad | m] at which they are held.
         tool: Frame that carries the payload; the only leaf link by default.
@@ -184,7 +189,7 @@ def assemble(
         raise ModelError(tree.source, sorted(problems, key=_by_line))
     joints = lumps.joints()
     frames = lumps.frames()
-    arm = Arm(
+    arm = arm_class(
         name=tree.name,
         joints=joints,
         bodies=lumps.bodies(),

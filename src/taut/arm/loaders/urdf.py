@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import math
-from collections.abc import Mapping
+from collections.abc import Container, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -12,10 +13,8 @@ import numpy as np
 
 from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink, Words
 from taut.arm.loaders.urdf_transmissions import read_transmissions
-from taut.arm.loaders.urdf_visuals import colours_of, visuals_of
-from taut.arm.loaders.urdf_words import INERTIA, slips
+from taut.arm.loaders.visuals import MeshPaths, colours_of, urdf_visuals
 from taut.arm.loaders.xml import BadNumberError, Element, numbers, read_xml
-from taut.arm.meshes import MeshPaths
 from taut.arm.rules import MAX_LINKS
 from taut.base.errors import ModelError, Problem, quoted_list, unknown_name
 from taut.trace.inertia import inertia_matrix
@@ -30,6 +29,29 @@ SIZES: Final[Mapping[str, Mapping[str, int]]] = {
     "cylinder": {"radius": 1, "length": 1},
     "sphere": {"radius": 1},
 }
+
+INERTIA: Final = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+ELEMENTS: Final = {
+    "robot": ("link", "joint"),
+    "link": ("inertial", "visual", "collision"),
+    "inertial": ("origin", "mass", "inertia"),
+    "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic"),
+}
+ATTRIBUTES: Final = {
+    "link": ("name",),
+    "joint": ("name", "type"),
+    "origin": ("xyz", "rpy"),
+    "mass": ("value",),
+    "inertia": INERTIA,
+    "parent": ("link",),
+    "child": ("link",),
+    "axis": ("xyz",),
+    "limit": ("lower", "upper", "velocity", "effort"),
+    "dynamics": ("damping", "friction"),
+    "mimic": ("joint", "multiplier", "offset"),
+}
+MAX_ATTRIBUTES: Final = 50  # an element with more is a vendor's own
+LIKE: Final = 0.75  # difflib's ratio from which a word is taken for another
 
 
 def read_urdf(path: Path, packages: Mapping[str, Path] | None = None) -> Tree:
@@ -78,7 +100,7 @@ class _Reader:
         colours = colours_of(robot)
         for element in robot.all("link"):
             link = self._link(element)
-            link.visuals = visuals_of(element, meshes, colours)
+            link.visuals = urdf_visuals(element, meshes, colours)
             self._tree.links.append(link)
         for element in robot.all("joint"):
             joint = self._joint(element)
@@ -201,7 +223,7 @@ class _Reader:
                 return
 
     def _check_words(self, owner: str, element: Element) -> None:
-        for word, text, line in slips(element):
+        for word, text, line in _slips(element):
             self._problem(owner, word, text, line)
 
     def _check_sizes(self, owner: str, element: Element) -> None:
@@ -269,3 +291,34 @@ class _Reader:
             self._problem(owner, attribute, f"{where} {wrong}", element.line)
             # NaN stands for "missing"; what is there and wrong is reported once
             return tuple(math.copysign(math.inf, d) if math.isnan(d) else d for d in default)
+
+
+# A vendor may put elements and attributes of its own into a URDF file, and those are fine. A misspelt known word is
+# not: left out, it would change the arm in silence.
+
+
+def _slips(element: Element) -> Iterator[tuple[str, str, int]]:
+    """Words in an element that are most likely misspelt: (word, sentence, line).
+
+    Only where the known word itself is missing: `limits` beside a `limit` is a vendor's own.
+    """
+    tags = {child.tag: child.line for child in element.children}
+    for tag, line in tags.items():
+        like = _meant(tag, ELEMENTS.get(element.tag, ()), tags)
+        if like is not None:
+            yield tag, f"<{element.tag}> has an unknown <{tag}>; did you mean <{like}>?", line
+    if len(element.attributes) > MAX_ATTRIBUTES:
+        return
+    for attribute in element.attributes:
+        like = _meant(attribute, ATTRIBUTES.get(element.tag, ()), element.attributes)
+        if like is not None:
+            text = f"<{element.tag}> has an unknown attribute '{attribute}'; did you mean '{like}'?"
+            yield attribute, text, element.line
+
+
+def _meant(word: str, known: tuple[str, ...], present: Container[str]) -> str | None:
+    if word in known:
+        return None
+    close = [other for other in known if sorted(other) == sorted(word.lower())]  # xzy for xyz
+    close = close or difflib.get_close_matches(word.lower(), known, n=1, cutoff=LIKE)
+    return close[0] if close and close[0] not in present else None

@@ -362,7 +362,7 @@ def check_directions(x: Snapshot, tool: str | None, J: Matrix) -> None:
         raise MatchError(
             f"frame '{name}' of '{x.arm.name}' is moved by {count_of(moving, 'joint')}, and is asked for "
             f"{len(rows)} directions; control another frame, or what it can do: error='coordinates', "
-            "coordinates=taut.laws.Coordinates.position()",
+            "coordinates=taut.Coordinates.position()",
             name="tool",
         )
 

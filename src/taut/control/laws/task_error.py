@@ -246,13 +246,13 @@ def check_coordinates(kind: ErrorKind, coordinates: object, law: str) -> None:
     if coordinates is None:
         if kind == "coordinates":
             raise UsageError(
-                f"{law} with error='coordinates' needs coordinates=taut.laws.Coordinates(function=lambda T: T.p)",
+                f"{law} with error='coordinates' needs coordinates=taut.Coordinates(function=lambda T: T.p)",
                 name="coordinates",
             )
         return
     if not isinstance(coordinates, Coordinates):
         raise UsageError(
-            f"coordinates must be taut.laws.Coordinates(function=lambda T: T.p); got {type(coordinates).__name__}",
+            f"coordinates must be taut.Coordinates(function=lambda T: T.p); got {type(coordinates).__name__}",
             name="coordinates",
         )
     if kind != "coordinates":

@@ -324,7 +324,7 @@ def via_joint_space(
     Example:
         >>> import taut
         >>> arm = taut.load_arm("planar3")
-        >>> law = taut.laws.via_joint_space(taut.laws.ComputedTorque(kp=100.0, kd=20.0))
+        >>> law = taut.via_joint_space(taut.laws.ComputedTorque(kp=100.0, kd=20.0))
         >>> ctrl = taut.compile(law, arm)
         >>> goal = taut.TaskMotion(pose=taut.snapshot(arm, arm.home + 0.2).T())
         >>> run = taut.run(ctrl, taut.RigidPlant(arm), goal, duration=2.0)

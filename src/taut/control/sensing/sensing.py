@@ -9,6 +9,7 @@ from typing import Any, Final, Literal, TypeAlias
 
 from taut.arm.description import Arm
 from taut.base.errors import UsageError
+from taut.base.front_door import public_name
 from taut.base.paths import subtree
 from taut.base.quantity import Quantified
 from taut.base.types import ArrayLike, Float64Array
@@ -76,7 +77,7 @@ class Sensing:
             value = getattr(self, name)
             if value is not None and not isinstance(value, kind):
                 raise UsageError(
-                    f"{name} must be taut.{kind.__name__}(...) or None; got {type(value).__name__}", name=name
+                    f"{name} must be {public_name(kind)}(...) or None; got {type(value).__name__}", name=name
                 )
 
     @cached_property

@@ -12,6 +12,7 @@ import numpy as np
 from taut.arm.description import Arm
 from taut.base.checks import finite_array, finite_scalar, require_at_least
 from taut.base.errors import RangeError, UsageError
+from taut.base.front_door import public_name
 from taut.base.paths import flatten
 from taut.base.quantity import Quantity, keep_quantities
 from taut.base.types import ArrayLike, Float64Array, Vector
@@ -116,7 +117,7 @@ class Actuation:
         for name, kinds in PARTS.items():
             part = getattr(self, name)
             if part is not None and not isinstance(part, kinds):
-                words = " or ".join(f"taut.{kind.__name__}(...)" for kind in kinds)
+                words = " or ".join(f"{public_name(kind)}(...)" for kind in kinds)
                 raise UsageError(f"actuation.{name} must be {words}; got {type(part).__name__}", name=name)
 
     @property

@@ -89,8 +89,8 @@ class Environments:
 
     Example:
         >>> import taut
-        >>> both = Environments(rope=taut.environments.Spring(stiffness=300.0),
-        water=taut.environments.Damper(damping=20.0))
+        >>> rope, water = taut.environments.Spring(stiffness=300.0), taut.environments.Damper(damping=20.0)
+        >>> both = Environments(rope=rope, water=water)
         >>> sorted(both.parameters())
         ['rope.stiffness', 'water.damping']
     """

@@ -12,6 +12,7 @@ import numpy as np
 from taut.arm.description import Arm
 from taut.base.checks import finite_array
 from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.front_door import public_name
 from taut.base.paths import subtree
 from taut.base.quantity import six_of
 from taut.base.types import ArrayLike, Float64Array
@@ -84,7 +85,7 @@ class Sensors:
                 continue
             or_none = "" if name == "position" else " or None"
             got = type(sensor).__name__
-            raise UsageError(f"sensors.{name} must be taut.{kind.__name__}(...){or_none}; got {got}", name=name)
+            raise UsageError(f"sensors.{name} must be {public_name(kind)}(...){or_none}; got {got}", name=name)
         for name in ("position", "velocity", "motor", "motor_velocity"):
             sensor, at_motor = getattr(self, name), name.startswith("motor")
             if sensor is None:

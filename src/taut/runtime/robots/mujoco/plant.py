@@ -13,6 +13,7 @@ import numpy as np
 from taut.arm.description import COMMANDS, Arm, CommandKind, Payload
 from taut.base.checks import one_of, positive_scalar
 from taut.base.errors import MatchError, UsageError, unknown_name
+from taut.base.front_door import public_name
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.maths import dynamics as dyn
@@ -110,8 +111,8 @@ class MujocoPlant:
         actuation: The drives, as of RigidPlant: delay, amplifier, motor, gear; ideal if left out.
         sensors: What is measured, and how well; ideal sensors if left out.
         environment: What acts at the tool besides the scene: a taut.environments.Push, a taut.environments.Hand,
-        ..., as of RigidPlant. It acts
-            through data.qfrc_applied, which is then the plant's; F_ext is that of both together, and the run's column
+            ..., as of RigidPlant. It acts through data.qfrc_applied, which is
+            then the plant's; F_ext is that of both together, and the run's column
             work.environment [J] is what the environment did until the tick.
 
     Columns of a run:
@@ -169,7 +170,7 @@ class MujocoPlant:
         for name, given, part in (("actuation", drives, Actuation), ("sensors", seen, Sensors)):
             if not isinstance(given, part):
                 got = type(given).__name__
-                raise UsageError(f"{name} must be taut.{part.__name__}(...); got {got}", name=name)
+                raise UsageError(f"{name} must be {public_name(part)}(...); got {got}", name=name)
         if tip is not None and not isinstance(tip, SpringTip):
             raise UsageError(f"tip must be taut.environments.SpringTip(...); got {type(tip).__name__}", name="tip")
         if environment is not None:

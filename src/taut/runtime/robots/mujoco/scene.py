@@ -15,8 +15,8 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Final
 from xml.sax.saxutils import quoteattr
 
+from taut.arm.loaders.visuals import OutsideError, file_inside
 from taut.arm.loaders.xml import MAX_BYTES, Element, is_not_finite, parse_xml
-from taut.arm.meshes import OutsideError, file_inside
 from taut.base.checks import readable_file
 from taut.base.errors import ModelError, Problem, UsageError, quoted_list
 from taut.runtime.robots.mujoco.health import Guard

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from taut.arm.description import BASE, Body, Frame, Joint, JointKind, Visual
 from taut.arm.friction import FRICTION_FIELDS
+from taut.arm.parts import BASE, Body, Frame, Joint, JointKind, Visual
 from taut.arm.rules import check_inertia, wrong_mass
 from taut.base.errors import Problem, quoted_list
 from taut.base.types import Float64Array

@@ -1,0 +1,250 @@
+"""What of a model can be drawn, and which mesh files may be shown. Never needed to control an arm.
+
+Mesh files are those inside the model's own folder or its catalogue's. Nothing here opens one, and a path that leads
+anywhere else is dropped with a note. Of a MJCF the geoms are drawn that MuJoCo shows by default; of a URDF what is
+wrong is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Final
+
+from taut.arm.loaders.tree import TreeVisual
+from taut.arm.loaders.xml import BadNumberError, Element, numbers
+from taut.arm.parts import Shape
+from taut.trace.pose import Pose
+
+if TYPE_CHECKING:
+    from taut.arm.loaders.mjcf_compile import Compiled
+
+__all__ = [
+    "SHOWABLE",
+    "Colour",
+    "MeshPaths",
+    "OutsideError",
+    "colours_of",
+    "file_inside",
+    "mjcf_visuals",
+    "urdf_visuals",
+]
+
+SHOWABLE: Final = (".stl", ".obj")  # what MuJoCo can show
+PACKAGE: Final = "package://"
+
+
+class OutsideError(ValueError):
+    """A name that leads out of its folder; the text completes "it ..."."""
+
+
+class MeshPaths:
+    """Resolves the mesh names of one model, and remembers why some were dropped.
+
+    Args:
+        folder: The folder of the model file; relative names start there.
+        packages: Folders that stand for `package://NAME`.
+    """
+
+    def __init__(self, folder: Path, packages: Mapping[str, Path] | None = None) -> None:
+        self._folder = folder
+        self._packages = dict(packages or {})
+        self._dropped: dict[str, list[str]] = {}
+
+    def resolve(self, name: str) -> str:
+        """The path of a mesh inside an allowed folder; "" where there is none."""
+        try:
+            return self._resolve(name)
+        except (OSError, RuntimeError):  # too long, a loop of links, an odd character
+            return self._drop("is no file name", name)
+
+    def drop_unshowable(self, *names: str) -> None:
+        """Remember the meshes of these that are of a type that cannot be shown."""
+        for name in names:
+            if PurePosixPath(name).suffix.lower() not in SHOWABLE:
+                self._drop(f"is not {' or '.join(SHOWABLE)}", name)
+
+    def notes(self) -> Iterator[str]:
+        """What was dropped, one note for each reason."""
+        for reason, names in self._dropped.items():
+            more = f" ({len(names) - 1} more like it)" if len(names) > 1 else ""
+            yield f"the mesh '{names[0]}' is not shown: it {reason}{more}"
+
+    def _drop(self, reason: str, name: str) -> str:
+        self._dropped.setdefault(reason, []).append(name if len(name) <= 60 else f"...{name[-57:]}")
+        return ""
+
+    def _resolve(self, name: str) -> str:
+        root, path = self._folder, name
+        if name.startswith(PACKAGE):
+            package, _, path = name[len(PACKAGE) :].partition("/")
+            if package not in self._packages:
+                return self._drop("belongs to a package that is not known here", name)
+            root = self._packages[package]
+        try:
+            file = file_inside(root, path)
+        except OutsideError as reason:
+            return self._drop(str(reason), name)
+        return str(file) if file.is_file() else self._drop("is not there", name)
+
+
+def file_inside(root: Path, name: str) -> Path:
+    """The path of a file below `root`, given by a plain relative name; it need not exist.
+
+    Raises:
+        OutsideError: An address, an absolute path, `..`, or a link that leads out; the text says which.
+    """
+    if not name.isprintable() or any(character in name for character in ":\\"):
+        raise OutsideError("is an address or an odd name, not a plain relative path")
+    parts = PurePosixPath(name)
+    if not name or parts.is_absolute() or ".." in parts.parts:
+        raise OutsideError("leads out of the model's folder")
+    root = root.resolve()
+    file = (root / parts).resolve()  # follows links, so that one that leads outside shows
+    if not file.is_relative_to(root):
+        raise OutsideError("is a link that leads out of the model's folder")
+    return file
+
+
+LAST_SHOWN_GROUP: Final = 2  # collision shapes live in the groups above
+
+
+def mjcf_visuals(result: Compiled, files: Mapping[str, str], meshes: MeshPaths) -> Iterator[tuple[int, TreeVisual]]:
+    """Shapes to draw, each with the id of its body.
+
+    Args:
+        result: The compiled model.
+        files: Mesh names with their files, relative to the model's folder.
+        meshes: Where mesh files may be.
+    """
+    import mujoco
+
+    m = result.model
+    types = mujoco.mjtGeom
+    for g in range(m.ngeom):
+        if m.geom_group[g] > LAST_SHOWN_GROUP:
+            continue
+        shape: Shape
+        size = tuple(float(s) for s in m.geom_size[g])
+        kind = int(m.geom_type[g])
+        file = ""
+        if g in result.meshes:
+            name = files[result.meshes[g].name]
+            if PurePosixPath(name).suffix.lower() not in SHOWABLE:
+                meshes.drop_unshowable(name)
+                continue
+            file = meshes.resolve(name)
+            if not file:
+                continue
+            shape, size = "mesh", result.meshes[g].scale
+        elif kind == int(types.mjGEOM_BOX):
+            shape, size = "box", tuple(2.0 * s for s in size)
+        elif kind in (int(types.mjGEOM_CYLINDER), int(types.mjGEOM_CAPSULE)):
+            shape, size = "cylinder", (size[0], 2.0 * size[1])
+        elif kind == int(types.mjGEOM_SPHERE):
+            shape, size = "sphere", size[:1]
+        else:
+            continue
+        yield (
+            int(m.geom_bodyid[g]),
+            TreeVisual(
+                placement=Pose(m.geom_pos[g], wxyz=m.geom_quat[g]),
+                shape=shape,
+                size=size,
+                file=file,
+                rgba=_geom_colour(result, g),
+            ),
+        )
+
+
+def _geom_colour(result: Compiled, g: int) -> tuple[float, float, float, float]:
+    m = result.model
+    material = int(m.geom_matid[g])
+    given = m.geom_rgba[g] if material < 0 else m.mat_rgba[material]
+    r, green, b, a = (min(max(float(value), 0.0), 1.0) for value in given)
+    return r, green, b, a
+
+
+Colour = tuple[float, float, float, float]
+GREY: Colour = (0.8, 0.8, 0.8, 1.0)
+
+
+def colours_of(robot: Element) -> dict[str, Colour]:
+    """The named materials that stand at the top of the file."""
+    found = ((material.get("name"), _colour(material)) for material in robot.all("material"))
+    return {name: colour for name, colour in found if name and colour is not None}
+
+
+def urdf_visuals(link: Element, meshes: MeshPaths, colours: Mapping[str, Colour]) -> list[TreeVisual]:
+    """The shapes of <visual> where all of them can be drawn, else those of <collision>, else what is left."""
+    shapes = link.all("visual")
+    shown = _drawn(shapes, meshes, colours)
+    if len(shown) < len(shapes):
+        shown = _drawn(link.all("collision"), meshes, colours) or shown
+    if shapes and not shown:
+        for shape in shapes:
+            meshes.drop_unshowable(*_mesh_names(shape))
+    return shown
+
+
+def _mesh_names(shape: Element) -> list[str]:
+    return [mesh.get("filename") or "" for geometry in shape.all("geometry") for mesh in geometry.all("mesh")]
+
+
+def _drawn(shapes: list[Element], meshes: MeshPaths, colours: Mapping[str, Colour]) -> list[TreeVisual]:
+    found = []
+    for shape in shapes:
+        try:
+            visual = _visual(shape, meshes, colours)
+        except BadNumberError:
+            continue
+        if visual is not None:
+            found.append(visual)
+    return found
+
+
+def _visual(shape: Element, meshes: MeshPaths, colours: Mapping[str, Colour]) -> TreeVisual | None:
+    geometry = next((child for element in shape.all("geometry") for child in element.children), None)
+    if geometry is None:
+        return None
+    origin = next(iter(shape.all("origin")), None)
+    placement = Pose.identity()
+    if origin is not None:
+        xyz, rpy = (numbers(origin.get(name) or "0 0 0", 3) for name in ("xyz", "rpy"))
+        placement = Pose(xyz, rpy=rpy)
+    material = next(iter(shape.all("material")), None)
+    rgba = GREY
+    if material is not None:
+        rgba = _colour(material) or colours.get(material.get("name") or "", GREY)
+    if geometry.tag == "mesh":
+        name = geometry.get("filename") or ""
+        if PurePosixPath(name).suffix.lower() not in SHOWABLE:
+            return None
+        file = meshes.resolve(name)
+        scale = numbers(geometry.get("scale") or "1 1 1", 3)
+        return TreeVisual(placement=placement, shape="mesh", size=scale, file=file, rgba=rgba) if file else None
+    if geometry.tag == "box":
+        return TreeVisual(placement=placement, shape="box", size=_sizes(geometry, "size", 3), rgba=rgba)
+    if geometry.tag == "cylinder":
+        size = (*_sizes(geometry, "radius", 1), *_sizes(geometry, "length", 1))
+        return TreeVisual(placement=placement, shape="cylinder", size=size, rgba=rgba)
+    if geometry.tag == "sphere":
+        return TreeVisual(placement=placement, shape="sphere", size=_sizes(geometry, "radius", 1), rgba=rgba)
+    return None
+
+
+def _sizes(geometry: Element, attribute: str, count: int) -> tuple[float, ...]:
+    values = numbers(geometry.get(attribute) or "", count)
+    if min(values) <= 0.0:
+        raise BadNumberError("must be > 0")
+    return values
+
+
+def _colour(material: Element) -> Colour | None:
+    for colour in material.all("color"):
+        try:
+            r, g, b, a = (min(max(value, 0.0), 1.0) for value in numbers(colour.get("rgba") or "", 4))
+        except BadNumberError:
+            return None
+        return (r, g, b, a)
+    return None
