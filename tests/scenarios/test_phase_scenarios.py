@@ -73,21 +73,21 @@ def test_a_hybrid_phase_goes_from_where_it_begins_and_presses(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("hybrid", "more", "message"),
+    ("hybrid", "more", "path"),
     [
-        (False, "press = 5", "[phases 2.reference] press is for a hybrid law, and TaskComputedTorque applies no forces"),
-        (True, "press = -5", "[phases 2.reference] press must be >= 0 [N], the force into the surface; got -5"),
-        (True, "press = 5, lam = [3]", "[phases 2.reference] pressing takes one of press, lam and F_app; got press and lam"),
+        (False, "press = 5", "phases 2.reference"),
+        (True, "press = -5", "phases 2.reference.press"),
+        (True, "press = 5, lam = [3]", "phases 2.reference.lam"),
     ],
-)  # fmt: skip
-def test_forces_of_a_phase_that_are_none_are_refused(hybrid: bool, more: str, message: str, tmp_path: Path) -> None:
+)
+def test_forces_of_a_phase_that_are_none_are_refused(hybrid: bool, more: str, path: str, tmp_path: Path) -> None:
     text = built_in_scenarios()["touch_and_press"].read_text(encoding="utf-8")
     assert text.count(DEEPER) == 1
     assert text.count(SOFT) == 1
     text = text.replace(DEEPER, DEEPER.replace(" }", f", {more} }}"))
     with pytest.raises(taut.errors.ScenarioError) as caught:
         loaded(text.replace(SOFT, HYBRID.replace("\\\n", "")) if hybrid else text, tmp_path)
-    assert message in str(caught.value)
+    assert caught.value.name == path
 
 
 def loaded(text: str, folder: Path) -> Any:
@@ -132,4 +132,4 @@ def test_what_is_wrong_with_a_task_is_told_by_section_and_key(
     assert old in TASK
     with pytest.raises(taut.errors.ScenarioError) as caught:
         loaded(TASK.replace(old, new, 1), tmp_path)
-    assert message in str(caught.value)
+    assert caught.value.name == path

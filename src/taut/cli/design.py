@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any, Final
 
+from taut.cli.command import DONE, FAILED, Answer, Command, Say
+
 if TYPE_CHECKING:
     from taut.analysis.design.design import Design
     from taut.control.law import Law
 
-__all__ = ["EXAMPLES", "add_arguments", "design_of"]
+__all__ = ["DESIGN", "EXAMPLES", "add_arguments", "design_of"]
 
 EXAMPLES: Final = """examples:
   taut design PID --arm one_joint --zeta 1 --omega_n 10
@@ -139,7 +141,7 @@ def _hybrid(constraint: str | None) -> Law:
     # One line, so that nothing beside the table can stand in it.
     table = table_of(f"constraint = {' '.join(constraint.split())}", "--constraint", "--constraint")
     table.only(("constraint",))
-    held = read_constraint(table)
+    held = read_constraint(table, "constraint")
     return laws.HybridMotionForce(constraint=held, motion=laws.TaskComputedTorque(kp=1.0, kd=1.0))
 
 
@@ -157,3 +159,17 @@ def _numbers(name: str, text: str) -> Any:
             name=name,
         ) from None
     return flat[0] if len(flat) == 1 and name != "at" else flat
+
+
+def _design(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
+    found = design_of(arguments)
+    return Answer(text=found.report(), data=found.json(), status=DONE if found.met else FAILED)
+
+
+DESIGN: Final = Command(
+    name="design",
+    help="Find the gains of a law from a specification, and their limits.",
+    arguments=add_arguments,
+    run=_design,
+    more=EXAMPLES,
+)

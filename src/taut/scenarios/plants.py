@@ -159,7 +159,7 @@ def _require_start(plant: Plant, table: Table, rate: float) -> None:
     rest, dt = np.zeros(plant.arm.n), 1.0 / rate
     if not isinstance(plant, RigidPlant):
         with table.blamed("timestep"):
-            plant.reset(plant.arm.home, rest, dt)
+            plant.reset(plant.arm.home, rest, dt, seed=0)
         return
     with table.blamed("actuation"):
         plant.actuation.taps(dt)

@@ -89,7 +89,7 @@ class ScenarioResult(Result):
         }
 
     def content(self) -> Content:
-        """The numbers that mean something, of joints in rad and of joints in m apart, what was missed, and the files."""
+        """Metrics, of joints in rad and of joints in m apart, what was missed, and the files."""
         faults = [f"missed: {text}" for text in self.missed]
         faults += [f"no {kind}: {reason}" for kind, reason in self.skipped.items()]
         outcomes = [
@@ -116,15 +116,14 @@ class ScenarioResult(Result):
         joint, window = self.scenario.outputs.joint, self.scenario.outputs.window
         runs = _apart(self.runs)
         values = [[_within(one, window).by_unit(name, joint) for name in self._names] for one in runs.values()]
-        columns: list[list[Cell]] = []
+        columns: list[list[Cell]] = [["", *(trial.label for trial in runs)]]
         for i, name in enumerate(self._names):
             for unit in dict.fromkeys(unit for row in values for unit in row[i]):
                 numbers = [row[i].get(unit, math.nan) for row in values]
                 if not all(math.isnan(number) for number in numbers):
                     columns.append([f"{MEASURES[name].title} [{unit}]", *numbers])
         columns.append(["outcome", *(one.outcome.kind for one in runs.values())])
-        heads = [["", *(trial.label for trial in runs)]]
-        rows = [*heads, *columns] if len(runs) <= len(columns) else list(map(list, zip(*heads, *columns, strict=True)))
+        rows = columns if len(runs) < len(columns) else [list(row) for row in zip(*columns, strict=True)]
         of = [] if joint is None else [f"of joint '{joint}'"]
         of += [] if window is None else [f"from {window[0]:g} to {window[1]:g} s"]
         return Table(title=", ".join(of), columns=[str(head) for head in rows[0]], rows=rows[1:])

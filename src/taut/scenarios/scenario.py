@@ -22,13 +22,22 @@ from taut.scenarios.arms import read_arm
 from taut.scenarios.checks import Places, refuse_misfits, refuse_unfit_results
 from taut.scenarios.laws import read_control, read_law
 from taut.scenarios.phases import TASK, read_phases
-from taut.scenarios.plants import Plant, Spread, plants_of, read_spread
+from taut.scenarios.plants import Plant, Spread, plants_of, read_plant, read_spread
 from taut.scenarios.reading import read
 from taut.scenarios.references import read_reference
 from taut.scenarios.sections import Outputs, PassFigure, RunSection, read_event, require_case, require_one
 from taut.scenarios.toml import Table, read_toml, with_values
 
-__all__ = ["Outputs", "PassFigure", "Scenario", "Trial", "built_in_scenarios", "load_scenario", "scenario_file"]
+__all__ = [
+    "Outputs",
+    "PassFigure",
+    "Scenario",
+    "Trial",
+    "built_in_scenarios",
+    "load_scenario",
+    "read_control_side_and_plant",
+    "scenario_file",
+]
 
 OF_A_CASE: Final = ("arm", "laws", "phases", "control", "plant", "reference", "run", "event")
 OF_ALL_CASES: Final = ("title", "outputs", "pass")
@@ -181,8 +190,7 @@ def _cases_of(root: Table) -> dict[str, Table]:
 
 def _experiment(root: Table, folder: Path, own_laws: Mapping[str, Law] | None) -> tuple[dict[str, Any], Places]:
     """The fields of a scenario that say what is run, and the tables that they came from."""
-    root.need("arm", "the section [arm]")
-    arm = read_arm(root.table("arm"), folder)
+    arm = read_arm(root.table("arm", required=True), folder)
     task = root.tables("phases")
     _refuse_beside_task(root, task, own_laws)
     section = root.table("laws", required=own_laws is None and not task)
@@ -226,6 +234,20 @@ def _experiment(root: Table, folder: Path, own_laws: Mapping[str, Law] | None) -
         events=events,
     )
     return fields, places
+
+
+def read_control_side_and_plant(path: Path) -> dict[str, Any]:
+    """arm, plant, rate and sensing of a file with [arm], [plant] and [control], such as a scenario.
+
+    Raises:
+        ScenarioError: A section breaks the schema.
+        FileError: The file cannot be read.
+    """
+    root = read_toml(path, f"plant '{path}'")
+    arm = read_arm(root.table("arm", required=True), path.parent)
+    rate, sensing, _ = read_control(root.table("control"), arm)
+    plant = read_plant(root.table("plant", required=True), arm, rate, path.parent)
+    return {"arm": arm, "plant": plant, "rate": rate, "sensing": sensing}
 
 
 def _refuse_beside_task(root: Table, task: list[Table], own_laws: Mapping[str, Law] | None) -> None:

@@ -279,39 +279,45 @@ class Table:
 def with_values(root: Table, values: Mapping[str, Any]) -> Table:
     """A file with other values of some keys, by their paths: {"run.duration": 2.0}; rows of [[event]] have numbers.
 
-    Paths of parameters are known too: "law.kp" of the only law, "sensors.position.noise", "limits.tau".
+    Paths of parameters are known too: "law.kp" in each of the laws, "law.touch.kp" in the law of a phase,
+    "sensors.position.noise", "limits.tau".
 
     Raises:
         ScenarioError: A path below something that is no table.
     """
-    laws = root.get("laws")
     table = copy.deepcopy(root.values)
     for path, value in values.items():
         words = path.split(".")
-        if words[0] == "law" and isinstance(laws, dict) and laws:
-            if len(laws) != 1:
-                rest, first = ".".join(words[1:]), next(iter(laws))
-                raise root.error(f"has the laws {quoted_list(laws)}; write laws.{first}.{rest} for '{path}'")
-            words[:1] = ["laws", next(iter(laws))]
-        words[:1] = PARAMETERS.get(words[0], words[0]).split(".")
-        at: Any = table
-        for i, word in enumerate(words[:-1]):
-            inside = at.setdefault(word, {}) if isinstance(at, dict) else _row(at, word)
-            if not isinstance(inside, (dict, list)):
-                above = ".".join(words[: i + 1])
-                raise ScenarioError(f"{root.where} has no table '{above}' for '{path}'", name=path)
-            at = inside
-        if not isinstance(at, dict):
-            raise ScenarioError(
-                f"{root.where} has rows at '{'.'.join(words[:-1])}', not keys, for '{path}'", name=path
-            )
-        at[words[-1]] = value
+        for whole in _places(root, words):
+            at: Any = table
+            for word in whole[:-1]:
+                at = at.setdefault(word, {}) if isinstance(at, dict) else _row(at, word)
+            if not isinstance(at, dict):
+                raise ScenarioError(f"{root.where} has no table '{'.'.join(whole[:-1])}' for '{path}'", name=path)
+            at[whole[-1]] = value
     return Table(root.file, root.path, table)
 
 
-def _row(rows: list[Any], word: str) -> Any:
+def _places(root: Table, words: list[str]) -> list[list[str]]:
+    """Where a path stands in the file."""
+    first, rest = words[0], words[1:]
+    phases = root.get("phases")
+    if first != "law":
+        return [[*PARAMETERS.get(first, first).split("."), *rest]]
+    if isinstance(phases, list):
+        names = [row.get("name", f"phase{i}") for i, row in enumerate(phases, start=1)]
+        if not rest or rest[0] not in names:
+            raise ScenarioError(
+                f"{root.where} has the phases {quoted_list(names)}; write law.{names[0]}.kp", name="law"
+            )
+        return [["phases", str(1 + names.index(rest[0])), "law", *rest[1:]]]
+    return [["laws", label, *rest] for label in root.get("laws", {})]
+
+
+def _row(rows: Any, word: str) -> Any:
     """A row of an array of tables by its number, from 1 on."""
-    return rows[int(word) - 1] if word.isdigit() and 1 <= int(word) <= len(rows) else None
+    there = isinstance(rows, list) and word.isdigit() and 1 <= int(word) <= len(rows)
+    return rows[int(word) - 1] if there else None
 
 
 def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
