@@ -31,7 +31,7 @@ def _run_arguments(command: argparse.ArgumentParser) -> None:
         "--set",
         action="append",
         default=[],
-        metavar="PATH=VALUE",
+        metavar="NAME=VALUE",
         help="another value of a key, by its path in the file, or of a parameter: law.kp=5; once for each",
     )
     command.add_argument(

@@ -263,7 +263,7 @@ def _law_side(scenario: Scenario, law: Law, place: Table, control: Table) -> Law
         head, _, last = (cause.name or "").partition(".")
         # A torque limit for a command that is no torque, a filter of what the law does not use.
         key = {"limits": "limits", "sensing": last}.get(head)
-        with (place if key is None else control).blamed(key):
+        with (place if key is None else control).blamed(key or ""):
             raise
 
 

@@ -65,7 +65,7 @@ def _arguments(kind: Callable[..., Any]) -> Mapping[str, Argument]:
         of = [f for f in dataclasses.fields(kind) if not isinstance(vars(kind).get(f.name), Memory)]
         must = {f.name: f.default is f.default_factory is dataclasses.MISSING for f in of}
         return {name: _argument(hints[name], required) for name, required in must.items()}
-    hints = get_type_hints(kind.__init__ if isinstance(kind, type) else kind)
+    hints = get_type_hints(vars(kind)["__init__"] if isinstance(kind, type) else kind)
     signature = inspect.signature(kind)
     named = (p for p in signature.parameters.values() if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY))
     return {p.name: _argument(hints.get(p.name, Any), p.default is p.empty) for p in named}
