@@ -73,8 +73,7 @@ CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
     (
         lambda: taut.RigidPlant(ARM, takes="position"),
         taut.errors.UsageError,
-        "a plant that takes position needs the bandwidth of its drives: "
-        "actuation.bandwidth, 50 rad/s say",
+        "a plant that takes position needs the bandwidth of its drives: actuation.bandwidth, 50 rad/s say",
     ),
     (
         lambda: taut.RigidPlant(ARM, takes="velocity", actuation=Actuation(bandwidth=9.0), adds=("gravity",)),

@@ -21,7 +21,7 @@ from taut.control.trajectories.reference import Sample
 from taut.control.trajectories.task_force import TaskForce
 from taut.linear.linearise import linearise
 from taut.maths.snapshot import snapshot
-from taut.plant.environments.held import Handle
+from taut.plant.environments.hands import Handle
 from taut.record.plots.style import colour, prepared
 from taut.runtime.simulate import run
 

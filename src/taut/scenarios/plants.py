@@ -17,11 +17,9 @@ from taut.base.types import Float64Array
 from taut.maths.adds import Adds
 from taut.maths.spatial import rotation_exp
 from taut.plant.environments.environment import Environment, Environments
-from taut.plant.environments.held import Hand, Handle
-from taut.plant.environments.prescribed import BandNoise, Oscillation
+from taut.plant.environments.hands import BandNoise, Hand, Handle, Oscillation, PrescribedMotion
 from taut.plant.environments.push import Push
-from taut.plant.environments.springs import Damper, Spring
-from taut.plant.environments.wall import StiffWall
+from taut.plant.environments.springs import Damper, Spring, StiffWall
 from taut.plant.rigid import RigidPlant
 from taut.plant.sensors.sensors import SENSORS, Sensors
 from taut.runtime.host import HostPlant
@@ -71,7 +69,7 @@ def _environment(table: Table, key: str) -> Environment:
         return Environments(**parts)
 
 
-@reads(Oscillation, BandNoise)
+@reads(PrescribedMotion)
 def _motion(table: Table, key: str) -> Any:
     return of_kind(MOTIONS, table.table(key))
 

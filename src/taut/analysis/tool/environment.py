@@ -18,7 +18,7 @@ from taut.loop import Loop
 from taut.maths import dynamics as dyn
 from taut.maths.model import model_of
 from taut.plant.environments.environment import Environment, Environments, added
-from taut.plant.environments.held import Handle
+from taut.plant.environments.hands import Handle
 from taut.plant.environments.springs import Damper, Spring
 from taut.plant.rigid import RigidPlant
 from taut.trace.pose import Pose

@@ -174,6 +174,4 @@ class TorqueLoop:
     def __post_init__(self) -> None:
         keep_quantities(self)
         if not np.any(self.kp) and not np.any(self.ki):
-            raise UsageError(
-                "TorqueLoop needs kp or ki above zero; without a loop leave it out", name="torque_loop"
-            )
+            raise UsageError("TorqueLoop needs kp or ki above zero; without a loop leave it out", name="torque_loop")

@@ -33,8 +33,7 @@ def require_drives(takes: CommandKind, actuation: Actuation, adds: Adds) -> None
         return
     if actuation.bandwidth is None:
         raise UsageError(
-            f"a plant that takes {takes} needs the bandwidth of its drives: "
-            "actuation.bandwidth, 50 rad/s say",
+            f"a plant that takes {takes} needs the bandwidth of its drives: actuation.bandwidth, 50 rad/s say",
             name="actuation",
         )
     only = actuation.for_torque_only

@@ -78,8 +78,7 @@ class Transmission:
             rigid = np.inf if self.stiffness is None else kept["stiffness"]
             if np.any((kept[name] > 0.0) & np.isinf(rigid)):
                 raise UsageError(
-                    f"{where}.{name} needs a stiffness, that of the teeth or of the elastic part: 1e4 "
-                    "N m/rad, say",
+                    f"{where}.{name} needs a stiffness, that of the teeth or of the elastic part: 1e4 N m/rad, say",
                     name=name,
                 )
         for name, values in kept.items():
