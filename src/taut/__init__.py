@@ -80,6 +80,7 @@ if TYPE_CHECKING:
     from taut.record.report.report import report as report
     from taut.record.run import Run as Run
     from taut.runtime.events import Event as Event
+    from taut.runtime.host import PlantBase as PlantBase
     from taut.runtime.robots.mujoco.plant import MujocoPlant as MujocoPlant
     from taut.runtime.simulate import run as run
     from taut.scenarios.compare import compare as compare

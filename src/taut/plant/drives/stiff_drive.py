@@ -14,7 +14,8 @@ from taut.base.types import Float64Array, Vector
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
 from taut.maths.model import Model, PayloadValues
-from taut.plant.drives.actuation import Actuation, lagged
+from taut.plant.drives.actuation import Actuation
+from taut.plant.drives.motor import lagged
 from taut.trace import math as tm
 
 __all__ = ["INNER", "Follower", "aim", "require_drives"]
