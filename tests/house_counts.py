@@ -24,7 +24,7 @@ FAMILIES = (  # members of a family, and front doors, may have one importer
     "arm/loaders", "cli", "book",
 )  # fmt: skip
 EXPRESSIONS = (  # the twenty unambiguous ones of the left column of the glossary
-    r"swings?\b", r"swinging", r"for ever", r"by the book", r"joints to spare", r"los(?:es|ing) rank", r"what counts",
+    r"swings?\b", r"swinging", r"for ever\b", r"by the book", r"joints to spare", r"los(?:es|ing) rank", r"what counts",
     r"is borne", r"bears?\b", r"turned round", r"felt\b", r"told\b", r"ways? out\b", r"set off\b", r"kinks?\b",
     r"sags?\b", r"says? otherwise", r"calm\b", r"how far it may go", r"the border\b",
 )  # fmt: skip

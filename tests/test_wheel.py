@@ -1,4 +1,4 @@
-"""The wheel: built without isolation, installed without an index, used by somebody who has nothing else."""
+"""The source distribution, and the wheel that is built of it, installed without an index, used with nothing else."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def execute(*words: str | Path, cwd: Path) -> str:
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
-    build = (sys.executable, "-m", "pip", "wheel", "--quiet", "--no-build-isolation", "--no-deps")
-    execute(*build, "--wheel-dir", folder, REPOSITORY, cwd=folder)
+    execute(sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, REPOSITORY, cwd=folder)
+    (_,) = folder.glob("*.tar.gz")  # of which it makes the wheel
     (built,) = folder.glob("*.whl")
     return built
 

@@ -1,4 +1,4 @@
-"""Angles: the short way from one to another, and degrees told from radians by what a joint can reach."""
+"""Angles: the short way from one to another, and degrees recognised by what a joint can reach."""
 
 from __future__ import annotations
 

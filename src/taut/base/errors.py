@@ -1,6 +1,6 @@
 """The one tree of errors, and the words they share.
 
-Every message has the same four parts: what, the rule, what was got, the way out. The error keeps the
+Every message has the same four parts: what, the rule, what was got, and how to fix it. The error keeps the
 data as attributes, so that a program can act on it without reading the text.
 """
 
@@ -50,7 +50,7 @@ class TautError(Exception):
     """Base of every error that taut raises. Its class has a `code`, which stays the same in every version.
 
     Args:
-        message: One sentence: what, rule, what was got, way out.
+        message: One sentence: what, rule, what was got, how to fix it.
         name: The argument, gain, frame or file that the sentence is about.
         joint: The joint that it is about, where there is one.
         value: What was got.
@@ -75,7 +75,7 @@ class TautError(Exception):
         self.rule = rule
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copies and pickles go without the constructor; a value that cannot be pickled is told as text."""
+        """Copies and pickles go without the constructor; a value that cannot be pickled becomes text."""
         state = {**vars(self), **{key: getattr(self, key) for key in ("name", "joint", "value", "rule")}}
         try:
             pickle.dumps(self.value)

@@ -13,7 +13,7 @@ T = TypeVar("T")
 
 
 class Named(dict[str, T]):
-    """A dict whose missing names are told.
+    """A dict that reports missing names with the nearest ones.
 
     Args:
         owner: What has the names, for the message: "the run".

@@ -25,7 +25,7 @@ class Quantity:
     Args:
         unit: Its unit, for messages.
         rule: "finite" for any; "> 0 somewhere" for numbers whose zeros stand for none, which not all may be.
-        instead: The way out in a message about a number that is not above zero.
+        instead: How to fix it, in a message about a number that is not above zero.
         infinite: Whether infinity is allowed.
     """
 

@@ -97,7 +97,7 @@ def made(entries: Iterable[Entry], say: Callable[[str], None] = lambda _: None) 
 
     Args:
         entries: Which.
-        say: Is told what is computed.
+        say: Takes a line of progress.
 
     Raises:
         NumericalError: A number that is none.

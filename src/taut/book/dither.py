@@ -128,11 +128,11 @@ def sec_10_2_1_4() -> Page:
             states="some torque without any motion",
         ),
     ]  # fmt: skip
-    told = {push: mean_speed(push) for push in PUSHES}
-    for push, speed in told.items():
+    got = {push: mean_speed(push) for push in PUSHES}
+    for push, speed in got.items():
         wanted = mean_speed_solved(push)
         rows.append(row(f"mean speed under {push:g} N m, with dither", "rad/s", speed, wanted, SOLVED, rel=0.005))
-    push, speed = next(iter(told.items()))
+    push, speed = next(iter(got.items()))
     wanted = push / (SHAKEN * math.sin(0.5 * math.pi * push / KINETIC))
     source = "viscous friction, (2 b_kinetic / pi) asin(v / V)"
     states = "to smooth the discontinuity"

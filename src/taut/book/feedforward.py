@@ -73,16 +73,16 @@ def eq_10_16() -> Page:
 
 def fig_10_9() -> Page:
     ctrl = controller(FeedForward() + FrictionCompensation(at="ref"), link(r=WRONG_R), rate=100.0, differenced=True)
-    told = [ctrl.step([q], ref=WANTED.at(k / 100.0))[0] for k, q in enumerate(angles(100, 0.01))]
+    got = [ctrl.step([q], ref=WANTED.at(k / 100.0))[0] for k, q in enumerate(angles(100, 0.01))]
     written = []
     w = 0.8 * math.pi
     for k in range(100):
         qd, qdotd = 0.2 + 0.5 * math.sin(w * 0.01 * k), 0.5 * w * math.cos(w * 0.01 * k)
         written.append(model_torque(qd, qdotd, -0.5 * w * w * math.sin(w * 0.01 * k)))
-    worst = int(np.argmax(np.abs(np.subtract(told, written))))
+    worst = int(np.argmax(np.abs(np.subtract(got, written))))
     rows = (
-        row("last torque of 100 ticks at 100 Hz", "N m", told[-1], written[-1], LINE_BY_LINE, rel=1e-11),
-        row("the torque that differs most", "N m", told[worst], written[worst], LINE_BY_LINE),
+        row("last torque of 100 ticks at 100 Hz", "N m", got[-1], written[-1], LINE_BY_LINE, rel=1e-11),
+        row("the torque that differs most", "N m", got[worst], written[worst], LINE_BY_LINE),
     )
     return Page(rows=rows, note="Chosen: a sine as trajectory.")
 
@@ -304,7 +304,7 @@ def fig_10_13() -> Page:
     rate, angle = 100.0, angles(200, 0.01)
     law = ComputedTorque(kp=100.0, kd=20.0, ki=150.0) + FrictionCompensation(at="meas")
     ctrl = controller(law, link(r=WRONG_R), rate=rate, differenced=True)
-    told = [ctrl.step([q], ref=WANTED.at(k / rate))[0] for k, q in enumerate(angle)]
+    got = [ctrl.step([q], ref=WANTED.at(k / rate))[0] for k, q in enumerate(angle)]
     written, eint, qprev, w, dt = [], 0.0, float(angle[0]), 0.8 * math.pi, 1.0 / rate
     for k, q in enumerate(angle.tolist()):
         s, c = math.sin(w * k * dt), math.cos(w * k * dt)
@@ -314,10 +314,10 @@ def fig_10_13() -> Page:
         e, edot = qd - q, qdotd - qdot
         eint = eint + e * dt
         written.append(model_torque(q, qdot, qdotdotd + 100.0 * e + 20.0 * edot + 150.0 * eint))
-    worst = int(np.argmax(np.abs(np.subtract(told, written))))
+    worst = int(np.argmax(np.abs(np.subtract(got, written))))
     rows = (
-        row("last torque of 200 ticks at 100 Hz", "N m", told[-1], written[-1], LINE_BY_LINE, rel=1e-10),
-        row("the torque that differs most", "N m", told[worst], written[worst], LINE_BY_LINE, rel=1e-8),
+        row("last torque of 200 ticks at 100 Hz", "N m", got[-1], written[-1], LINE_BY_LINE, rel=1e-10),
+        row("the torque that differs most", "N m", got[worst], written[worst], LINE_BY_LINE, rel=1e-8),
     )
     return Page(rows=rows, note="Chosen: recorded angles, a sine as trajectory, Kp = 100, Kd = 20, Ki = 150.")
 

@@ -62,19 +62,19 @@ def eq_10_32() -> Page:
 def eq_10_33() -> Page:
     arm = panda()
     x = snapshot(arm, Q)
-    told = np.asarray(x.g) + np.asarray(x.J()).T @ F
+    got = np.asarray(x.g) + np.asarray(x.J()).T @ F
     m = engine().at(Q, np.zeros(7))
     return Page(
-        rows=tuple(compared(told, m.h + m.J.T @ F, "N m", MUJOCO, "torque of a Panda that presses")),
+        rows=tuple(compared(got, m.h + m.J.T @ F, "N m", MUJOCO, "torque of a Panda that presses")),
         note="Chosen: the wrench (5, -3, -10) N, (0.3, 0.2, -0.1) N m.",
     )
 
 
 def eq_10_34() -> Page:
     ctrl = ticked(ForceControl(feedback="none", null=None), panda(), Q, np.zeros(7), REST)
-    told = total(ctrl.terms)
+    got = total(ctrl.terms)
     m = engine().at(Q, np.zeros(7))
-    rows = compared(told, m.h + m.J.T @ F, "N m", MUJOCO, "torque of the Panda")
+    rows = compared(got, m.h + m.J.T @ F, "N m", MUJOCO, "torque of the Panda")
     return Page(rows=tuple(rows), note="The wrench of equation 10.33.")
 
 
@@ -82,12 +82,12 @@ def eq_10_35() -> Page:
     F_app = 0.8 * F
     law = ForceControl(kfp=KFP, kfi=KFI, null=None)
     ctrl = ticked(law, panda(), Q, np.zeros(7), REST, F_app=F_app)
-    told = total(ctrl.terms)
+    got = total(ctrl.terms)
     m = engine().at(Q, np.zeros(7))
     F_e = F - F_app
     wanted = m.h + m.J.T @ (F + KFP * F_e + KFI * F_e * 1e-3)
     return Page(
-        rows=tuple(compared(told, wanted, "N m", MUJOCO, "torque of the Panda")),
+        rows=tuple(compared(got, wanted, "N m", MUJOCO, "torque of the Panda")),
         note="Chosen: Kfp = 0.5, Kfi = 3 1/s; 0.8 of the wrench is measured.",
     )
 
@@ -165,12 +165,12 @@ def eq_10_38() -> Page:
     V_tool = engine().at(Q, V).J @ V
     law = ForceControl(kfp=KFP, kfi=KFI, kdamp=KDAMP, null=None)
     ctrl = ticked(law, panda(), Q, V, REST, F_app=0.8 * F)
-    told = total(ctrl.terms)
+    got = total(ctrl.terms)
     m, K, dt = engine().at(Q, np.zeros(7)), np.diag(KDAMP), 1e-3
     F_e = 0.2 * F
     damping = np.linalg.solve(np.eye(6) + dt * K @ np.linalg.inv(m.Lambda), K @ V_tool)
     wanted = m.h + m.J.T @ (F + KFP * F_e + KFI * F_e * dt - damping)
-    rows = compared(told, wanted, "N m", MUJOCO, "torque of the Panda", 1e-6)
+    rows = compared(got, wanted, "N m", MUJOCO, "torque of the Panda", 1e-6)
     gantry = load_arm("gantry3").with_joints(viscous=0.0)
     kdamp = np.array([50.0, 50.0, 50.0, 1.0, 1.0, 1.0])
     push = TaskForce(F_app=[10.0, 0.0, 0.0, 0.0, 0.0, 0.0])

@@ -89,12 +89,12 @@ def sec_10_2_1_5() -> Page:
                 rel=1e-9,
             )
         )
-    for G, told in zip((1.0, 100.0), carried, strict=True):
+    for G, got in zip((1.0, 100.0), carried, strict=True):
         wanted = 100.0 / (I_LINK + G**2 * I_MOTOR)
         name, states = f"change of the inertia with a load of 1 kg m^2, G = {G:g}", ""
         if G > 1.0:
             states = "geared: less sensitive"
-        rows.append(row(name, "%", 100.0 * told, wanted, SUMS, states=states))
+        rows.append(row(name, "%", 100.0 * got, wanted, SUMS, states=states))
     figure, (ax,) = panels(1, 2.5)
     prepared(ax, "1 N m of the motor", "acceleration of the link [rad/s²]", "gear ratio G")
     ratios = np.geomspace(1.0, 300.0, 200)

@@ -65,14 +65,14 @@ def eq_10_39() -> Page:
     q, v, m = state()
     A = np.asarray(eraser().at(snapshot(load_arm("gantry3"), [0.0, 0.0, 0.2])).A)
     wanted = np.array([[0.0, 0, 1, 0, 0, 0], [0, 0, 0, 1, 0, 0], [0, 0, 0, 0, 1, 0]])
-    told = np.linalg.svd(A @ np.linalg.pinv(wanted) @ wanted - A)[1].max()
+    got = np.linalg.svd(A @ np.linalg.pinv(wanted) @ wanted - A)[1].max()
     board_A = np.asarray(Constraint(lambda T: T.p[2] - HEIGHT).at(snapshot(panda(), q, v)).A)
     rows = (
         row("eraser: rank of A", "", np.linalg.matrix_rank(A), 3, "the chapter: k = 3", states="k = 3"),
         row(
             "eraser: what A has besides z-dot, phi_x-dot, phi_y-dot",
             "",
-            told,
+            got,
             0.0,
             "the chapter's three rows",
             near=1e-9,
@@ -162,18 +162,18 @@ def eq_10_42() -> Page:
     ball = Constraint.sphere(center=start - [0.0, 0.0, 0.1], radius=0.1)
     x = snapshot(gantry, np.zeros(3), [0.0, 0.3, 0.0])
     ref = pressing(TaskMotion(pose=x.T(), twist=[0.0, 0.3, 0.0, 0.0, 0.0, 0.0]), 10.0)
-    told = {}
+    got = {}
     for curvature in (True, False):
         motion = TaskComputedTorque(kp=100.0, kd=20.0, error="coordinates", coordinates=Coordinates.position())
         law = HybridMotionForce(constraint=ball, motion=motion, curvature=curvature)
-        told[curvature] = float(ticked(law, gantry, x.q, x.v, ref).memory["law.lam"][0])  # type: ignore[arg-type]
-    lam, felt = (float(out.extra[column][250, 0]) for column in ("law.lam", "contact.lam"))
+        got[curvature] = float(ticked(law, gantry, x.q, x.v, ref).memory["law.lam"][0])  # type: ignore[arg-type]
+    lam, taken = (float(out.extra[column][250, 0]) for column in ("law.lam", "contact.lam"))
     rows = (
-        row("multiplier of the law, in the middle of a stroke", "N", lam, felt, "what the contact takes", rel=1e-6),
-        row("on a ball: multiplier with A-dot V compensated", "N", told[True], -10.0, "as asked: 10 N", rel=1e-9),
+        row("multiplier of the law, in the middle of a stroke", "N", lam, taken, "what the contact takes", rel=1e-6),
+        row("on a ball: multiplier with A-dot V compensated", "N", got[True], -10.0, "as asked: 10 N", rel=1e-9),
         row(
             "on a ball: 10.45 as it stands presses less by", "N",
-            told[False] - told[True], 3.0 * 0.3**2 / 0.1, "m v^2 / r",
+            got[False] - got[True], 3.0 * 0.3**2 / 0.1, "m v^2 / r",
             rel=1e-9, states="slip: error dynamics inherited, 10 N",
         ),
     )  # fmt: skip
@@ -287,7 +287,7 @@ def eq_10_45() -> Page:
     motion = TaskMotion(pose=Pose(m.p + np.array([0.01, -0.02, 0.0]), R=m.R), twist=[0.1, 0.05, 0.0, 0.0, 0.0, 0.0])
     F_app = np.array([0.5, 0.2, -8.0, 0.0, 0.0, 0.0])
     ctrl = ticked(law, panda(), q, v, pressing(motion, 10.0), F_ext=-F_app)  # type: ignore[arg-type]
-    told = total(ctrl.terms)
+    got = total(ctrl.terms)
     X = np.concatenate([np.asarray(motion.p) - m.p, np.zeros(3)])
     F_motion = m.Lambda @ (100.0 * X + 20.0 * (motion.twist - m.J @ v))
     lam_e = -10.0 - F_app[2]
@@ -297,7 +297,7 @@ def eq_10_45() -> Page:
     )
     gamma = -m.Lambda @ m.Jdot_v
     wanted = m.J.T @ (P @ F_motion + (np.eye(6) - P) @ F_force + gamma) + m.h
-    rows += compared(told, wanted, "N m", BY_HAND, "torque of the Panda", 1e-6)
+    rows += compared(got, wanted, "N m", BY_HAND, "torque of the Panda", 1e-6)
     note = "The stroke of equation 10.40; then a tick with kp = 100, kd = 20, Kfp = 0.3, Kfi = 10, and 8 N measured."
     return Page(rows=tuple(rows), note=note)
 

@@ -50,23 +50,23 @@ def eq_10_20() -> Page:
 
 def eq_10_21() -> Page:
     ctrl = ticked(ComputedTorque(kp=100.0, kd=20.0, ki=50.0), panda(), Q, V, REF)
-    told = total(ctrl.terms)
+    got = total(ctrl.terms)
     m = engine().at(Q, V)
     e = REF.q - Q
     wanted = m.M @ (A + 100.0 * e + 50.0 * e * 1e-3 + 20.0 * (REF.v - V)) + m.h
     return Page(
-        rows=tuple(compared(told, wanted, "N m", MUJOCO, "torque of the Panda")),
+        rows=tuple(compared(got, wanted, "N m", MUJOCO, "torque of the Panda")),
         note="Chosen: kp = 100, kd = 20, ki = 50.",
     )
 
 
 def eq_10_22() -> Page:
     ctrl = ticked(GravityPID(kp=80.0, kd=12.0, ki=30.0), panda(), Q, V, REF)
-    told = total(ctrl.terms)
+    got = total(ctrl.terms)
     e = REF.q - Q
     wanted = 80.0 * e + 30.0 * e * 1e-3 + 12.0 * (REF.v - V) + engine().at(Q, np.zeros(7)).h
     return Page(
-        rows=tuple(compared(told, wanted, "N m", MUJOCO, "torque of the Panda")),
+        rows=tuple(compared(got, wanted, "N m", MUJOCO, "torque of the Panda")),
         note="Chosen: kp = 80, kd = 12, ki = 30.",
     )
 
@@ -314,12 +314,12 @@ def _followed(name: str, law: PID | ComputedTorque) -> Row:
     got = solve_ivp(rate, (0.0, 2.0), [*first.q, *first.v], "DOP853", times, rtol=1e-9, atol=1e-11)
     wanted = np.abs(SINE.rows(times).q - got.y[:2].T).max()
     assert out.error is not None
-    told, name = np.abs(out.error[::50]).max(), f"{name}: largest error along a sine in gravity"
+    got, name = np.abs(out.error[::50]).max(), f"{name}: largest error along a sine in gravity"
     if isinstance(law, PID):
         claim = "no longer acceptable where gravity is coupled"
-        return row(name, "rad", told, wanted, "SciPy's DOP853, written out", rel=2e-3, states=claim)
+        return row(name, "rad", got, wanted, "SciPy's DOP853, written out", rel=2e-3, states=claim)
     assert wanted < 1e-8  # of SciPy's own solution
-    return row(name, "rad", told, 0.0, "10.17: none with an exact model", near=1e-3)
+    return row(name, "rad", got, 0.0, "10.17: none with an exact model", near=1e-3)
 
 
 ENTRIES: Final = (

@@ -28,14 +28,14 @@ def soft_joint() -> Page:
     stiff = linearise(looped(free, arm, rest, rate=FAST), at=[0.0])
     soft = linearise(looped(free, arm, rest, rate=FAST, actuation=drive, substeps=10), at=[0.0])
     mobility = 1.0 / M + 1.0 / (GEAR**2 * ROTOR)
-    swing = np.roots([1.0, DAMPING * mobility, STIFFNESS * mobility])[0]
+    pole = np.roots([1.0, DAMPING * mobility, STIFFNESS * mobility])[0]
     found = max((mode.s for mode in soft.modes), key=lambda s: s.imag)
     source = f"{ROOTS} of s^2 + (d s + k)(1 / M + 1 / G^2 I_motor)"
     rows = (
         row("order of the dynamics, rigid", "", len(stiff.poles), 2, "M theta-ddot = tau"),
         row("order of the dynamics, flexible", "", len(soft.poles), 4, "two masses and a spring", states="increased"),
-        row("swing of link against motor: real part", "1/s", found.real, swing.real, source, rel=1e-3),
-        row("swing of link against motor: imaginary part", "1/s", found.imag, abs(swing.imag), source, rel=1e-3),
+        row("oscillation of link against motor: real part", "1/s", found.real, pole.real, source, rel=1e-3),
+        row("oscillation of link against motor: imaginary part", "1/s", found.imag, abs(pole.imag), source, rel=1e-3),
     )
     note = (
         "By taut.linearise. Chosen: a gear of 100, a rotor of 1e-4 kg m^2, 2000 N m/rad and 5 N m s/rad between "

@@ -103,17 +103,17 @@ def row(
 
 
 def compared(
-    told: Float64Array, wanted: Float64Array, unit: str, source: str, what: str, rel: float = 1e-9
+    got: Float64Array, wanted: Float64Array, unit: str, source: str, what: str, rel: float = 1e-9
 ) -> list[Row]:
     """Two rows for a vector: its length, and the entry that is farthest off, beside the largest."""
-    worst = int(np.argmax(np.abs(told - wanted)))
+    worst = int(np.argmax(np.abs(got - wanted)))
     scale = float(np.abs(wanted).max())
     return [
-        row(f"{what}: length", unit, np.linalg.norm(told), np.linalg.norm(wanted), source, rel=rel),
+        row(f"{what}: length", unit, np.linalg.norm(got), np.linalg.norm(wanted), source, rel=rel),
         row(
             f"{what}: entry {worst + 1}, which differs most",
             unit,
-            told[worst],
+            got[worst],
             wanted[worst],
             source,
             rel=0.0,

@@ -243,13 +243,11 @@ def fig_10_3() -> Page:
 
 def fig_10_8() -> Page:
     angle, rate = angles(200, 0.01), 100.0
-    told, written = ticks(PID(kp=KP, kd=KD, ki=KI), angle, rate), pseudocode(angle, 1.0 / rate)
-    worst = int(np.argmax(np.abs(told - written)))
+    got, written = ticks(PID(kp=KP, kd=KD, ki=KI), angle, rate), pseudocode(angle, 1.0 / rate)
+    worst = int(np.argmax(np.abs(got - written)))
     rows = (
-        row(
-            "last torque of 200 ticks at 100 Hz", "N m", told[-1], written[-1], "figure 10.8 line by line", rel=1e-11
-        ),
-        row("the torque that differs most", "N m", told[worst], written[worst], "figure 10.8 line by line", rel=1e-9),
+        row("last torque of 200 ticks at 100 Hz", "N m", got[-1], written[-1], "figure 10.8 line by line", rel=1e-11),
+        row("the torque that differs most", "N m", got[worst], written[worst], "figure 10.8 line by line", rel=1e-9),
     )
     return Page(rows=rows, note="Chosen: recorded angles, a sine as trajectory, gains of figure 10.6.")
 

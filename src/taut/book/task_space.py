@@ -100,9 +100,9 @@ def eq_10_28() -> Page:
 
 def eq_10_29() -> Page:
     ctrl, t = followed()
-    told, wanted = ctrl.memory["law.v_des"], joints(t)[1]
+    got, wanted = ctrl.memory["law.v_des"], joints(t)[1]
     rows = [
-        row(f"speed of joint {i + 1} after 0.4 s", "rad/s", told[i], wanted[i], f"J^-1 V, {TWO_BY_HAND}", near=1e-5)
+        row(f"speed of joint {i + 1} after 0.4 s", "rad/s", got[i], wanted[i], f"J^-1 V, {TWO_BY_HAND}", near=1e-5)
         for i in (0, 1)
     ]
     return Page(rows=tuple(rows), note="The circle of equation 10.28.")
@@ -110,12 +110,12 @@ def eq_10_29() -> Page:
 
 def eq_10_30() -> Page:
     ctrl, t = followed()
-    told, wanted = ctrl.memory["law.a_des"], joints(t)[2]
+    got, wanted = ctrl.memory["law.a_des"], joints(t)[2]
     rows = [
         row(
             f"acceleration of joint {i + 1} after 0.4 s",
             "rad/s^2",
-            told[i],
+            got[i],
             wanted[i],
             f"J^-1 (V-dot - J-dot v), {TWO_BY_HAND}",
             near=1e-4,
@@ -140,7 +140,7 @@ def eq_10_31() -> Page:
     """The decoupled error, with Lambda, gamma and eta of MuJoCo."""
     ref = target()
     ctrl = ticked(TaskComputedTorque(kp=100.0, kd=20.0, ki=50.0, null=None), panda(), Q, V, ref)
-    told = total(ctrl.terms)
+    got = total(ctrl.terms)
     m = engine().at(Q, V)
     X = np.concatenate([np.asarray(ref.p) - m.p, Rotation.from_matrix(np.asarray(ref.R) @ m.R.T).as_rotvec()])
     a = ref.acceleration + 100.0 * X + 50.0 * X * 1e-3 + 20.0 * (ref.twist - m.J @ V)
@@ -148,12 +148,12 @@ def eq_10_31() -> Page:
     gamma_eta = J_bar.T @ m.h - m.Lambda @ m.Jdot_v
     wanted = m.J.T @ (m.Lambda @ a + gamma_eta)
     free = (np.eye(7) - m.J.T @ J_bar.T) @ m.h  # what of h the free motion has, which the law adds too
-    rows = compared(told, wanted + free, "N m", MUJOCO, "torque of the Panda", 1e-6)
+    rows = compared(got, wanted + free, "N m", MUJOCO, "torque of the Panda", 1e-6)
     stretched, bent = (snapshot(two_links(), [0.3, q2]) for q2 in (0.0, 1.2))
     for name, x, q in (("stretched", stretched, np.array([0.3, 0.0])), ("bent", bent, np.array([0.3, 1.2]))):
         J = np.asarray(x.J())[[0, 2]]
         told_M, wanted_M = (np.linalg.eigvalsh(np.asarray(M))[0] for M in (x.M, TWO_LINKS.M(q)))
-        states = "slip: M loses rank at a dynamic singularity" if name == "stretched" else ""
+        states = "slip: M is singular at a dynamic singularity" if name == "stretched" else ""
         rows.append(
             row(f"two links, {name}: least eigenvalue of M", "kg m^2", told_M, wanted_M, TWO_BY_HAND, states=states)
         )
@@ -162,7 +162,7 @@ def eq_10_31() -> Page:
             row(f"two links, {name}: least singular value of J", "m", told_J, wanted_J, TWO_BY_HAND, near=1e-12)
         )
     note = (
-        "The chapter speaks of a dynamic singularity where M loses rank. M never does: J loses rank there, and "
+        "The chapter speaks of a dynamic singularity where M is singular. M never is: J is singular there, and "
         "Lambda is unbounded. Chosen: the error of the third choice, a Panda, kp = 100, kd = 20, ki = 50; h "
         "goes to all joints, so that the free motion carries its own weight."
     )
@@ -242,8 +242,8 @@ def transported() -> Page:
     }
     for k, (name, (law, kd)) in enumerate(laws.items()):
         out, errors = spun(law)
-        told = two_poles(errors, TICK)
-        told, wanted = told[np.argsort(told.imag)], sampled(kd)
+        got = two_poles(errors, TICK)
+        got, wanted = got[np.argsort(got.imag)], sampled(kd)
         design = np.roots([1.0, kd, KP])
         design = design[np.argsort(design.imag)]
         states = "slip: V-dot_d fed as it is, the poles as designed" if name == "fed as it is" else ""
@@ -253,7 +253,7 @@ def transported() -> Page:
                 row(
                     f"{name}: pole {i + 1}, real part",
                     "1/s",
-                    told[i].real,
+                    got[i].real,
                     wanted[i].real,
                     source,
                     rel=0.0,
@@ -265,7 +265,7 @@ def transported() -> Page:
                 row(
                     f"{name}: pole {i + 1}, imaginary part",
                     "1/s",
-                    told[i].imag,
+                    got[i].imag,
                     wanted[i].imag,
                     source,
                     rel=0.0,

@@ -1,4 +1,4 @@
-"""The graph as a CasADi function, and a CasADi function as law code: the way out, and an oracle for derivatives."""
+"""The graph as a CasADi function, and a CasADi function as law code: exchange with other tools, and an oracle."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ def inverse_kinematics(
 
     Law:
         Levenberg-Marquardt steps dq = (J^T J + mu |e| I)^-1 J^T e, kept where |e| falls; a joint at its limit that
-        the gradient J^T e would drive beyond it is held. Arms with joints to spare then go along their free motion to
+        the gradient J^T e would drive beyond it is held. Redundant arms then go along their free motion to
         the position that is nearest to the posture. Joints that turn further than once end within half a turn of q0
         where their limits allow.
 

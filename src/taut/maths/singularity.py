@@ -1,7 +1,7 @@
-"""Through singularities: the joint accelerations that a task asks for, calm where the arm cannot follow.
+"""Through singularities: the joint accelerations that a task asks for, smooth where the arm cannot follow.
 
-Where J loses rank its inverse asks for any speed and any torque. Here the direction that is nearly lost is damped and
-nothing else, what it asks of the joints is held within what they can do, and away from singularities nothing changes.
+Where J is singular its inverse asks for any speed and any torque. Here the direction that is nearly lost is damped,
+and nothing else; what it asks of the joints is held within what they can do; elsewhere nothing changes.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from taut.trace.linalg import factor_spd
 __all__ = ["TOP_SPEED", "ResolvedMotion", "Sizes", "resolve", "sizes_of"]
 
 BORDER: Final = 0.1  # smallest singular value of J under which an arm of 0.9 m and more is near a singularity
-DAMPING: Final = 0.1  # lambda at the singularity, in parts of the border
+DAMPING: Final = 0.1  # lambda at the singularity, as a fraction of the limit of manipulability
 SHARE: Final = 0.1  # of the torque that gravity and Coriolis forces leave: what motion may use near a singularity
 TOP_SPEED: Final = 0.97  # of a joint's limit
 LEAST_ROOM: Final = 0.05  # of the effort: what is taken to be left where gravity takes all of it
-FULL: Final = 0.9  # of the border: where limits act in full
-STEEP: Final = 0.5  # of the border: where damping acts in full
-LEAST_CUT: Final = 1e-9  # of what is asked: what counts as cut
+FULL: Final = 0.9  # of that limit: where limits act in full
+STEEP: Final = 0.5  # of that limit: where damping acts in full
+LEAST_CUT: Final = 1e-9  # of what is asked: the tolerance of a cut
 TINY: Final = 1e-12  # keeps the pivots of what is to be inverted from zero
 ENDLESS: Final = 1.4  # [m] reach of an arm whose slides have no ends
 
@@ -75,7 +75,7 @@ def resolve(
     damping: Any = DAMPING,
     share: Any = SHARE,
 ) -> ResolvedMotion:
-    """Joint accelerations for a task acceleration: J^# a away from singularities, and calm through them.
+    """Joint accelerations for a task acceleration: J^# a away from singularities, and smooth through them.
 
     Law:          v_c = v_g + rho v_u,  v_g + v_u = v + (J_d^# (a + k J v) - k v) / k,  q_ddot = s k (c v_c - v)
                   J^# = M^-1 J^T Lambda for n > k joints; for n <= k the least-squares inverse (J^T W J)^-1 J^T W,
@@ -84,7 +84,7 @@ def resolve(
                   v_u   what that direction asks of the joints; rho <= 1 leaves of it what their speed limits allow
                   c <= 1 brings the rest within the speed limits, s <= 1 the torque of motion M q_ddot within `share`
                     of what h leaves of the effort
-                  lambda = 0 and rho = c = s = 1 where J moves everything by more than the border: q_ddot = J^# a.
+                  lambda = 0 and rho = c = s = 1 where J moves everything by more than that limit: q_ddot = J^# a.
                     rho, c and s act on until nothing is left to cut: what a singularity leaves behind is worked off
                     within the limits. They act too while the target is `beyond` reach, on the way to the singularity
                     at which that ends
@@ -99,7 +99,7 @@ def resolve(
         rate: k, at which joints settle where the task does not move them [1/s]: the damping of the task.
         held: Memory, zero at the start.
         beyond: 0 to 1: how clearly the target is out of reach.
-        damping: lambda at the singularity, in parts of the border.
+        damping: lambda at the singularity, as a fraction of the limit of manipulability.
         share: Of the torque that h leaves, what motion may use near a singularity.
 
     References:
@@ -147,10 +147,10 @@ def resolve(
     def damped(b: Vector) -> Vector:
         return back(solved(b if wide else side @ b))
 
-    calm = (
+    smooth = (
         near if wide else 1.0
     )  # the motion that a task of fewer directions leaves free is damped near singularities
-    asked = a + (calm * rate) * (J @ x.v)
+    asked = a + (smooth * rate) * (J @ x.v)
     target = damped(asked)
     if wide:
         target = target + ((1.0 - near) * rate) * x.v

@@ -109,7 +109,7 @@ def load_wrench(
     """
     if a is None or omega is None or alpha is None:
         return tm.array([*(body.m * g), *cross(body.h, g)])
-    felt = g - a
-    force = body.m * felt - cross(alpha, body.h) - cross(omega, cross(omega, body.h))
-    moment = cross(body.h, felt) - body.I @ alpha - cross(omega, body.I @ omega)
+    apparent_gravity = g - a
+    force = body.m * apparent_gravity - cross(alpha, body.h) - cross(omega, cross(omega, body.h))
+    moment = cross(body.h, apparent_gravity) - body.I @ alpha - cross(omega, body.I @ omega)
     return tm.array([*force, *moment])

@@ -137,7 +137,7 @@ def jacobian(function: Callable[[Array], Any], x: Any) -> Matrix:
 
     Returns:
         (..., n) the derivative of each entry of the result along each entry of x. Where there is none, as of
-        norm at 0, it is NaN or infinite; at a kink it is the derivative of one side.
+        norm at 0, it is NaN or infinite; at a non-smooth point it is the derivative of one side.
 
     Example:
         >>> from taut import math
