@@ -16,6 +16,7 @@ from taut.base.fields import Declared, Field
 from taut.base.types import Float64Array
 from taut.maths.adds import Adds
 from taut.maths.spatial import rotation_exp
+from taut.plant.drives.motor import ElectricMotor, Motor, MotorModel
 from taut.plant.environments.environment import Environment, Environments
 from taut.plant.environments.hands import BandNoise, Hand, Handle, Oscillation, PrescribedMotion
 from taut.plant.environments.push import Push
@@ -24,7 +25,7 @@ from taut.plant.rigid import RigidPlant
 from taut.plant.sensors.sensors import SENSORS, Sensors
 from taut.runtime.host import HostPlant
 from taut.scenarios.arms import OF_TRUE_ARM, friction_word, pose_of, read_true_arm
-from taut.scenarios.reading import arguments, of_kind, read, reads
+from taut.scenarios.reading import arguments, of_keys, of_kind, read, reads
 from taut.scenarios.sections import Whole
 from taut.scenarios.toml import Table, file_beside
 from taut.trace.pose import Pose
@@ -72,6 +73,12 @@ def _environment(table: Table, key: str) -> Environment:
 @reads(PrescribedMotion)
 def _motion(table: Table, key: str) -> Any:
     return of_kind(MOTIONS, table.table(key))
+
+
+@reads(MotorModel)
+def _motor(table: Table, key: str) -> MotorModel:
+    """A motor with electrical numbers is an electric motor."""
+    return of_keys((Motor, ElectricMotor), table.table(key))  # type: ignore[no-any-return]
 
 
 @reads(Sensors)

@@ -18,7 +18,7 @@ from taut.base.fields import REQUIRED, Declared, Part, Plain
 from taut.control.gains import Memory
 from taut.scenarios.toml import EMPTY, Table
 
-__all__ = ["arguments", "of_kind", "read", "reads"]
+__all__ = ["arguments", "of_keys", "of_kind", "read", "reads"]
 
 NONE: Final = "none"  # the word for an object that is not there
 
@@ -138,11 +138,15 @@ def value(argument: Argument, table: Table, key: str) -> Any:
     if reader is not None:
         return reader(table, key)
     below = table.table(key)
-    return read(_fitting(argument.parts, below), below)
+    return of_keys(argument.parts, below)
+
+
+def of_keys(kinds: Iterable[type], table: Table) -> Any:
+    """What a table describes: of several classes the one that has its keys."""
+    return read(_fitting(frozenset(kinds), table), table)
 
 
 def _fitting(kinds: frozenset[type], table: Table) -> type:
-    """The class that has the keys of a table."""
     if len(kinds) == 1:
         return next(iter(kinds))
     by_name = {kind.__name__: arguments(kind).keys() & table.values.keys() for kind in kinds}
