@@ -183,7 +183,7 @@ CASES: dict[str, tuple[dict[str, Any], str]] = {
             "plant.gears": {"ratio": 100, "motor_inertia": 1e-6},
             "plant.actuation": {"transmission": {"stiffness": 5e4}},
         }, "plant.timestep"),
-    "half a curve": ({"plant.actuation": {"motor": {"stall": 1}}}, "plant.actuation.motor.stall"),
+    "half a curve": ({"plant.actuation": {"motor": {"stall": 1}}}, "plant.actuation.motor"),
     "an electric motor without a constant": ({"plant.actuation": {"motor": {"resistance": 1}}}, "plant.actuation.motor.torque_constant"),
     "a misspelt resistance": ({"plant.actuation": {"motor": {"resistence": 1}}}, "plant.actuation.motor.resistence"),
     "a negative peak": ({"plant.actuation": {"motor": {"peak": [1, -1]}}}, "plant.actuation.motor.peak"),
