@@ -27,7 +27,7 @@ def main() -> None:
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else IMAGES
     diagnosis = taut.doctor(integral())
     print(diagnosis)
-    np.testing.assert_equal(diagnosis.findings[0].name, "oscillates")
+    np.testing.assert_equal(diagnosis.findings[0].name, "oscillation")
     diagnosis.findings[0].plot().savefig(folder / "doctor.png", dpi=150)
 
 

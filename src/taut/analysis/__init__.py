@@ -18,8 +18,12 @@ if TYPE_CHECKING:
     from taut.analysis.constraints.task_freedoms import Freedoms as Freedoms
     from taut.analysis.constraints.task_freedoms import freedoms as freedoms
     from taut.analysis.design.design import Design as Design
+    from taut.analysis.diagnosis.check import Check as Check
+    from taut.analysis.diagnosis.check import Finding as Finding
+    from taut.analysis.diagnosis.check import Threshold as Threshold
+    from taut.analysis.diagnosis.checks import CHECKS as CHECKS
     from taut.analysis.diagnosis.diagnosis import Diagnosis as Diagnosis
-    from taut.analysis.diagnosis.finding import Finding as Finding
+    from taut.analysis.diagnosis.examined_run import ExaminedRun as ExaminedRun
     from taut.analysis.joint_coupling import Coupling as Coupling
     from taut.analysis.joint_coupling import coupling as coupling
     from taut.analysis.lyapunov_function import Lyapunov as Lyapunov

@@ -50,7 +50,12 @@ def _doctor(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
                 finding.plot().savefig(aside, format="png", dpi=150)
     return Answer(
         text="\n".join([str(diagnosis), *(f"picture {path}" for path in pictures)]),
-        data={"run": str(arguments.run), **diagnosis.json(), "pictures": [str(path) for path in pictures]},
+        data={
+            "run": str(arguments.run),
+            "healthy": diagnosis.healthy,
+            **diagnosis.json(),
+            "pictures": [str(path) for path in pictures],
+        },
         status=WRONG if diagnosis.problems else DONE,
         remarks=[f"'{arguments.run}' is no whole run: {problem}" for problem in diagnosis.problems],
     )
@@ -84,7 +89,7 @@ def _report(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
 
 DOCTOR: Final = Command(
     name="doctor",
-    help="Find why a recorded run has a steady-state error, oscillates, sticks, saturates, ...",
+    help="Find what went wrong in a recorded run: oscillation, stiction, saturation, ...",
     arguments=_doctor_arguments,
     run=_doctor,
     more=EXAMPLES,

@@ -1,18 +1,20 @@
-"""The model that a controller believed in, and what a run's torques say of it."""
+"""The model that a controller had, and one least-squares fit of the torque beyond it: gravity, payload, friction."""
 
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
+from scipy.optimize import least_squares, lsq_linear
 
 from taut.arm.description import Arm
 from taut.base.errors import MatchError, UsageError
-from taut.base.types import Float64Array
+from taut.base.types import Array, Float64Array
 from taut.codegen.function import native
 from taut.maths import dynamics as dyn
 from taut.maths.chain import Chain
@@ -20,27 +22,30 @@ from taut.maths.model import PayloadValues, model_of
 from taut.record.report.arm_numbers import DYNAMICS, arm_from_json, arm_json, differences
 from taut.record.run import Run
 from taut.record.sticking import MOVING
-from taut.record.task import TOOL
 
-__all__ = ["ENOUGH", "ArmModel", "model_of_run"]
+__all__ = ["ArmModel", "Fit", "fit_residual", "model_of_run"]
 
-SAME: Final = 1e-9  # of kinematics: what counts as the same arm
-MOST_TICKS: Final = 600  # that a fit looks at, evenly spread
+FIT_TICKS: Final = 600  # that a fit looks at, evenly spread
+MIN_MOTION: Final = 0.05  # of the ticks: fewer in motion do not show friction
+MIN_MOVING_TICKS: Final = 32
 PAYLOAD: Final = {"mass": slice(0, 1), "com": slice(1, 4), "inertia": slice(4, 10)}  # columns
-ENOUGH: Final = 0.05  # of the ticks: fewer in motion say nothing of friction
-LEAST_MOTION: Final = 32  # ticks in motion that say something of friction, however few they are
+INDEPENDENT_TICKS: Final = (
+    100.0  # neighbouring ticks of a run are much alike: it counts as so many in standard errors
+)
+TINY: Final = float(np.finfo(np.float64).tiny)
+CENTRE_WEIGHT: Final = 0.01  # of the prior, which only keeps an unobservable centre of mass at the tool
 
 
 def model_of_run(run: Run, arm: Arm | None) -> tuple[ArmModel | None, str]:
-    """The model that the run's controller had, and in words where it comes from.
+    """The model that the controller of a run had, and where it comes from.
 
     Args:
         run: The run.
         arm: The arm, where the caller knows it.
 
     Raises:
-        UsageError: It is none.
-        MatchError: It has other joints than the run.
+        UsageError: `arm` is no arm.
+        MatchError: The arm has other joints than the run.
     """
     if arm is not None:
         if not isinstance(arm, Arm):  # callers without a type checker
@@ -53,36 +58,18 @@ def model_of_run(run: Run, arm: Arm | None) -> tuple[ArmModel | None, str]:
             )
         of_log = _of_log(run)
         apart = () if of_log is None else differences(arm_json(of_log), arm_json(arm))
-        other = (
-            f"; the controller's in the log has another {', '.join(apart)}, and is used without it" if apart else ""
-        )
-        return ArmModel(run=run, arm=arm), f"the arm that was given{other}"
-    name = run.info.get("arm")
-    of_controller = f"arm '{name}' of the controller, with the masses, gravity and gears that the log has"
-    for known, words in ((_of_log(run), of_controller), (run.arm, "the arm of the plant")):
-        if known is not None and _same_kinematics(run, known):
-            return ArmModel(run=run, arm=known), words
-    return None, "none, so that gravity and payload were not looked at; give the controller's arm, arm= or --arm"
+        other = f"; it differs from the controller's arm in the log in {', '.join(apart)}" if apart else ""
+        return ArmModel(run=run, arm=arm), f"arm '{arm.name}' as given{other}"
+    known = _of_log(run)
+    if known is None or known.joint_names != run.joint_names:  # of laws side by side, one part has fewer
+        return None, "none: give the arm of the controller, arm= or --arm, to have gravity and payload checked"
+    return ArmModel(run=run, arm=known), f"arm '{run.info.get('arm')}' of the controller, as the run holds it"
 
 
 def _of_log(run: Run) -> Arm | None:
     """The controller's arm, as the run keeps it: the same for a run in memory and for its log."""
     known = run.info.get(DYNAMICS, {})
     return arm_from_json(known["controller"]) if isinstance(known, Mapping) and "controller" in known else None
-
-
-def _same_kinematics(run: Run, arm: Arm) -> bool:
-    """Whether an arm has the run's joints, and puts the tool where the run's chain does."""
-    if arm.joint_names != run.joint_names:
-        return False
-    if TOOL not in run.info:
-        return True
-    there = Chain.of_json(run.info[TOOL])
-    if there.frame not in arm.frame_names:
-        return False
-    R, p = there.poses(run.q[:1])
-    R_here, p_here = Chain.of(model_of(arm), there.frame).poses(run.q[:1])
-    return bool(np.abs(R - R_here).max() < SAME and np.abs(p - p_here).max() < SAME)
 
 
 @functools.lru_cache(maxsize=16)
@@ -94,17 +81,6 @@ def _native_torques(arm: Arm) -> Callable[..., Float64Array]:
         return dyn.inverse_dynamics(model, q, v, a, PayloadValues(mass=mass, com=com, inertia=inertia))
 
     return native(torques, q=n, v=n, a=n, mass=(), com=3, inertia=6)
-
-
-@functools.lru_cache(maxsize=16)
-def _native_mass(arm: Arm) -> Callable[..., Float64Array]:
-    """(n, n) M of an arm with a payload, in native code."""
-    model = model_of(arm)
-
-    def mass_matrix(q: Any, mass: Any, com: Any, inertia: Any) -> Any:
-        return dyn.mass_matrix(model, q, PayloadValues(mass=mass, com=com, inertia=inertia))
-
-    return native(mass_matrix, q=arm.n, mass=(), com=3, inertia=6)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -141,10 +117,10 @@ class ArmModel:
         Where a run has little motion, all of that, for nothing else tells of friction.
         """
         count = len(self.run) - 1
-        spread = np.linspace(0, count - 1, min(count, MOST_TICKS)).round().astype(np.intp)
+        spread = np.linspace(0, count - 1, min(count, FIT_TICKS)).round().astype(np.intp)
         moving = np.flatnonzero((np.abs(self.run.v[:count]) > MOVING).any(axis=1))
-        if LEAST_MOTION <= len(moving) < ENOUGH * count:
-            few = np.linspace(0, len(moving) - 1, min(len(moving), MOST_TICKS)).round().astype(np.intp)
+        if MIN_MOVING_TICKS <= len(moving) < MIN_MOTION * count:
+            few = np.linspace(0, len(moving) - 1, min(len(moving), FIT_TICKS)).round().astype(np.intp)
             spread = np.concatenate([spread, moving[few]])
         return np.unique(spread)
 
@@ -207,15 +183,160 @@ class ArmModel:
         """The arm's tool, at which F_ext is measured."""
         return Chain.of(model_of(self.arm), None)
 
-    @cached_property
-    def mass_matrices(self) -> Float64Array:
-        """(k, n, n) M with the declared payload, at every tick."""
-        return np.array([self.mass_matrix(k) for k in range(len(self.run))])
 
-    def mass_matrix(self, tick: int) -> Float64Array:
-        """(n, n) M with the declared payload."""
-        return _native_mass(self.arm)(np.ascontiguousarray(self.run.q[tick]), *self.payload(tick))
+# -------------------------------------------------------------------- the fit
 
-    def inertia_felt(self, tick: int) -> Float64Array:
-        """(n,) what each joint's torque moves with the others free: 1 / (M^-1)_ii [kg m^2 | kg]."""
-        return np.asarray(1.0 / np.diag(np.linalg.inv(self.mass_matrix(tick))))
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fit:
+    """The torque beyond the model, explained by friction and at most one load.
+
+    Args:
+        kind: The load: "gravity" that something else compensates too, another "payload", or "none".
+        load: (ticks, n) its torque [N m | N].
+        explained: 0 to 1: of what friction alone leaves, in squares.
+        unexplained: 0 to 1: of the torque beyond the model, in squares.
+        gravity: The fraction of gravity that something else compensates.
+        mass: [kg] of the whole payload, never negative.
+        centre: (3,) [m] centre of mass of the whole payload in the tool frame.
+        covariance: (4, 4) of mass [kg] and centre of mass [m].
+        viscous: (n,) viscous friction [N m s/rad | N s/m].
+        coulomb: (n,) dry friction [N m | N]; 0 of joints without motion.
+        moved: (n,) joints that moved enough to show their friction.
+    """
+
+    kind: Literal["none", "gravity", "payload"]
+    load: Float64Array
+    explained: float
+    unexplained: float
+    gravity: float
+    mass: float
+    centre: Float64Array
+    covariance: Float64Array
+    viscous: Float64Array
+    coulomb: Float64Array
+    moved: Array
+
+
+def fit_residual(model: ArmModel, scale: Float64Array, threshold: Mapping[str, float]) -> Fit:
+    """Explain the torque beyond the model by friction and, where friction does not suffice, by one load.
+
+    Law:  residual = b v + c sign(v) + load,  load = -alpha g  or  Y(q, v, a) (pi(m, r) - pi_declared)
+
+    with b, c >= 0 for each joint, and the inertial parameters pi of a point mass m >= 0 at r in the tool frame.
+    Gravity is tried first: it has one parameter. Where joints move, only they are looked at, because dry friction at
+    rest may take any value up to its limit; where next to nothing moves, or too little for the mass of a payload, all
+    are, without dry friction. A payload whose centre of mass is far from the tool is none: another link is heavier.
+
+    Args:
+        model: The model that the controller had.
+        scale: (n,) what the torques of each joint are compared with.
+        threshold: Thresholds by name.
+    """
+    v, v_next = model.run.v[model.ticks], model.run.v[model.ticks + 1]
+    moving = (np.minimum(np.abs(v), np.abs(v_next)) > MOVING) & (v * v_next > 0.0)  # throughout the period
+    moving &= moving.sum(axis=0) >= MIN_MOVING_TICKS / 4
+    everywhere = np.ones_like(moving)
+    if not len(moving) or moving.any(axis=1).mean() < MIN_MOTION:
+        return _fit(model, scale, threshold, everywhere, False)
+    fit = _fit(model, scale, threshold, moving, True)
+    uncertain = abs(fit.mass - float(model.payload()[0])) <= 3.0 * math.sqrt(max(float(fit.covariance[0, 0]), 0.0))
+    return _fit(model, scale, threshold, everywhere, False) if fit.kind == "payload" and uncertain else fit
+
+
+def _fit(model: ArmModel, scale: Float64Array, threshold: Mapping[str, float], used: Array, in_motion: bool) -> Fit:
+    """The fit to the ticks and joints that are used."""
+    n, v_next = model.run.n, model.run.v[model.ticks + 1]
+
+    def rows(columns: Float64Array) -> Float64Array:
+        return np.asarray((columns / scale[:, np.newaxis])[used])
+
+    # Both kinds of friction act against the velocity at the end of the period, as in the plants.
+    dry = np.sign(v_next) * (used & in_motion)
+    by_joint = [np.einsum("ki,ij->kij", x, np.eye(n)) for x in (v_next, dry)]
+    friction, d = rows(np.concatenate(by_joint, axis=2)), np.asarray((model.residual / scale)[used])
+    floor = threshold["model accuracy"] * float(np.abs(model.gravity / scale).max()) + TINY
+    alone = _bounded(d, friction, np.zeros(2 * n))
+    before, whole = float(np.sum((d - friction @ alone) ** 2)), float(np.sum(d**2))
+
+    def made(
+        kind: Literal["none", "gravity", "payload"], load: Float64Array, by: Float64Array, **numbers: Any
+    ) -> Fit:
+        after = float(np.sum((d - rows(load[:, :, np.newaxis])[:, 0] - friction @ by) ** 2))
+        none = {"gravity": 0.0, "mass": 0.0, "centre": np.zeros(3), "covariance": np.zeros((4, 4))}
+        return Fit(
+            kind=kind,
+            load=load,
+            explained=1.0 - after / before if before > 0.0 else 0.0,
+            unexplained=after / whole if whole > 0.0 else 0.0,
+            viscous=by[:n],
+            coulomb=by[n:],
+            moved=np.asarray(used.any(axis=0) & in_motion),
+            **{**none, **numbers},
+        )
+
+    by_friction = made("none", np.zeros_like(model.residual), alone)
+    if not np.any(model.arm.gravity) or (in_motion and before <= floor**2 * len(d)):
+        return by_friction
+    columns = np.concatenate([rows(-model.gravity[:, :, np.newaxis]), friction], axis=1)
+    values = _bounded(d, columns, np.array([-math.inf, *np.zeros(2 * n)]))
+    fit = made("gravity", -values[0] * model.gravity, values[1:], gravity=float(values[0]))
+    if fit.explained >= threshold["explained by the load"] and abs(fit.gravity - 1.0) <= 0.25:
+        return fit
+    reach = threshold["centre of mass"] * model.length
+    p, covariance = _payload(model, rows(model.payload_columns), friction, d, floor, reach)
+    beyond = _point_mass(p[0], p[1:4]) - _point_mass(*model.payload()[:2])
+    load = model.payload_columns @ beyond
+    fit = made("payload", load, p[4:], mass=float(p[0]), centre=p[1:4], covariance=covariance)
+    near = float(np.linalg.norm(fit.centre)) <= reach
+    return fit if near and fit.explained >= threshold["explained by the load"] else by_friction
+
+
+def _payload(
+    model: ArmModel, Y: Float64Array, friction: Float64Array, d: Float64Array, floor: float, reach: float
+) -> tuple[Float64Array, Float64Array]:
+    """(4 + 2 n,) mass, centre of mass and friction that explain d best, and the covariance (4, 4) of the first four.
+
+    A centre of mass that the run does not show stays at the tool: a weak prior holds it there, with the reach as its
+    standard deviation. Standard errors are those of a model that is as accurate as its threshold says.
+    """
+    Q, R = np.linalg.qr(np.concatenate([Y, friction], axis=1))  # the same problem in as many rows as parameters
+    y, (mass, centre, _) = Q.T @ d, model.payload()
+    declared, low = _point_mass(mass, centre), np.array([-mass, *np.full(3, -math.inf), *np.zeros(friction.shape[1])])
+    linear = _bounded(d, np.concatenate([Y[:, :4], friction], axis=1), low)
+    moment = mass * centre + linear[1:4]
+    guess = max(float(mass) + linear[0], float(np.linalg.norm(moment)) / reach, 0.0)
+    sigma = floor * math.sqrt(len(d) / INDEPENDENT_TICKS)
+    weight = np.concatenate([np.zeros((3, 1)), np.eye(3), np.zeros((3, friction.shape[1]))], axis=1) * sigma / reach
+
+    def rest(p: Float64Array) -> Float64Array:
+        fitted = R[:, :10] @ (_point_mass(p[0], p[1:4]) - declared) + R[:, 10:] @ p[4:]
+        return np.concatenate([fitted - y, CENTRE_WEIGHT * weight @ p])
+
+    low[0] = 0.0
+    start = np.maximum(np.concatenate([[guess], moment / guess if guess > 0.0 else centre, linear[4:]]), low)
+    found = least_squares(rest, start, bounds=(low, np.inf), x_scale="jac", xtol=1e-12)
+    J = np.concatenate([found.jac[: len(y)], weight])
+    noise = float(np.sum(rest(found.x) ** 2)) / INDEPENDENT_TICKS + sigma**2
+    size = np.linalg.norm(J, axis=0)
+    size = np.where(size > 0.0, size, 1.0)
+    covariance = noise * np.linalg.pinv((J / size).T @ (J / size), hermitian=True) / np.outer(size, size)
+    return found.x, np.asarray(covariance[:4, :4])
+
+
+def _point_mass(mass: Any, centre: Float64Array) -> Float64Array:
+    """(10,) mass, first moment and inertia xx, yy, zz, xy, xz, yz about the tool frame."""
+    x, y, z = centre
+    squares = [y * y + z * z, x * x + z * z, x * x + y * y, -x * y, -x * z, -y * z]
+    return np.asarray(mass * np.array([1.0, x, y, z, *squares]))
+
+
+def _bounded(d: Float64Array, X: Float64Array, low: Float64Array) -> Float64Array:
+    """Least squares with lower bounds; zero where the rows do not depend on a parameter."""
+    size = np.linalg.norm(X, axis=0)
+    seen, out = size > 0.0, np.zeros(X.shape[1])
+    if seen.any():
+        Q, R = np.linalg.qr(X[:, seen] / size[seen])
+        found = lsq_linear(R, Q.T @ d, bounds=(low[seen] * size[seen], np.inf), method="bvls")
+        out[seen] = found.x / size[seen]
+    return out

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
 from taut.base.errors import UsageError
+from taut.base.result import Content, Result, cell_text
 from taut.record.log.files import checked_target, written_aside
 from taut.record.plots.style import short
 from taut.record.report.html import html_of
@@ -65,8 +66,8 @@ def report(
         x: A `taut.Run`, a `taut.analysis.Comparison`, a `taut.analysis.Grade`, a `taut.analysis.Design`, a
         `taut.analysis.LinearLoop`; or anything with
             `plot()` or `report()`, or a dataclass with a print of its own, such as error dynamics, a map, a
-            coupling: its words, its figure, and `tables()` if it has that. What has `report_page()` says itself what
-            its report holds, such as the doctor's `taut.analysis.Diagnosis`.
+            coupling: its words, its figure, and `tables()` if it has that; or a result that describes itself, such as
+            the doctor's `taut.analysis.Diagnosis`.
         path: Where to, ending in .html, in a folder that exists. What is there stays until the new file is whole.
         title: A title, instead of the usual one.
         repeat: How to do it again, instead of what is known.
@@ -102,6 +103,8 @@ def page_of(x: object, *, title: str = "", repeat: str = "", log: str = "run.mca
     """
     if isinstance(x, Run):
         page = page_of_run(x, log=log)
+    elif isinstance(x, Result):
+        page = _of_result(x.content())
     elif isinstance(x, Reportable):
         page = x.report_page()
     elif isinstance(x, type) or not (isinstance(x, (Told, Drawn)) or _prints(x)):
@@ -115,6 +118,24 @@ def page_of(x: object, *, title: str = "", repeat: str = "", log: str = "run.mca
         page = _of_anything(x)
     changed = {name: text for name, text in (("title", title), ("repeat", repeat)) if text}
     return Page(**{**vars(page), **changed})
+
+
+def _of_result(content: Content) -> Page:
+    """The page of a result that describes itself."""
+    tables = [
+        Table(title=table.title, heads=table.columns, rows=[[cell_text(cell) for cell in row] for row in table.rows])
+        for table in content.tables
+    ]
+    return Page(
+        title=content.title,
+        summary=[*content.summary, *content.notes],
+        faults=content.faults,
+        tables=tables,
+        pictures=[Picture(title=title, figure=draw()) for title, draw in content.figures.items()],
+        settings=content.settings,
+        texts=content.texts,
+        repeat=content.repeat,
+    )
 
 
 def _prints(x: object) -> bool:
