@@ -292,11 +292,11 @@ def test_a_dotted_key_is_refused_before_it_is_read(
 
 
 def test_dots_in_texts_comments_and_numbers_are_no_keys() -> None:
-    from taut.scenarios.toml import section_of
+    from taut.scenarios.toml import table_of
 
     words = "a." * 100
     text = f'a = "{words}" # {words}\nb = """{words}\n{words}"""\nc = [{"0.1, " * 100}]\nd = \'{words}\'\n'
-    assert section_of(text, "case", "case").left == ["a", "b", "c", "d"]
+    assert list(table_of(text, "case", "case").values) == ["a", "b", "c", "d"]
 
 
 def test_the_cases_of_a_scenario_are_counted(tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import taut
-from taut.cli.law_table import law_rows
 from taut.cli.main import main
+from taut.cli.models import law_rows
 from taut.scenarios.scenario import load_scenario
 
 URDF_HEAD = '<robot name="six"><link name="base"/>'
@@ -174,7 +174,7 @@ BROKEN: dict[str, tuple[dict[str, Any], str]] = {
     "a pose without a position": ({**LINE, "T1": {"rpy": [0, 0, 0]}}, "[reference.T1] needs its position p"),
     "a pose with two rotations": (
         {**LINE, "T1": {**POSE, "xyzw": [0, 0, 0, 1]}},
-        "[reference.T1] a pose takes one rotation; got xyzw and rpy; keep one",
+        "[reference.T1] rpy: a pose takes one rotation",
     ),
     "a quaternion that is none": (
         {**LINE, "T1": {"p": [0, 0, 0], "xyzw": [0, 0, 0, 2]}},
@@ -187,7 +187,7 @@ BROKEN: dict[str, tuple[dict[str, Any], str]] = {
     "a line that takes no time": ({**LINE, "duration": 0}, "[reference] duration must be > 0 [s]; got 0.0"),
     "a line without a duration": (
         {"kind": "line", "T1": POSE},
-        "[reference] Line needs duration= [s], or velocity= and acceleration=, each (linear, angular)",
+        "[reference] kind: needs duration",
     ),
     "limits that are no pair": (
         {**LINE, "velocity": 0.5, "acceleration": [1, 1]},

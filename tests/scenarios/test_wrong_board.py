@@ -13,7 +13,7 @@ import pytest
 
 import taut
 from taut.base.errors import RangeError, ScenarioError, ShapeError, UsageError
-from taut.scenarios.run_scenario import run_scenario
+from taut.scenarios.run import run_scenario
 from taut.scenarios.scenario import built_in_scenarios, load_scenario
 
 TITLE = "wrong_board"

@@ -60,6 +60,6 @@ if TYPE_CHECKING:
     from taut.record.metrics import Metric as Metric
     from taut.record.metrics import metric as metric
     from taut.record.plots.friction_curves import plot_friction as plot_friction
-    from taut.scenarios.compare_laws_by_name import grade as grade
+    from taut.scenarios.compare import grade as grade
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

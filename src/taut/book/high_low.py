@@ -22,7 +22,7 @@ from taut.control.trajectories.force_reference import TaskForce
 from taut.control.trajectories.reference import Sample
 from taut.linear.linearise import linearise
 from taut.maths.snapshot import snapshot
-from taut.plant.environments.held import Handle
+from taut.plant.environments.hands import Handle
 from taut.runtime.simulate import run
 
 __all__ = ["ENTRIES"]

@@ -1,11 +1,15 @@
-"""The table of laws: what each computes, yields and needs, from its docstring and from a run of it."""
+"""The commands `taut arms`, `taut laws` and `taut check`, which list and check models."""
 
 from __future__ import annotations
 
+import argparse
+import dataclasses
 import functools
 import re
+import shutil
 import textwrap
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from typing import Any, Final
 
@@ -13,7 +17,10 @@ import numpy as np
 
 from taut import laws
 from taut.arm.description import Arm, Friction
+from taut.base.errors import ModelError
 from taut.base.fields import REQUIRED
+from taut.base.result import Table
+from taut.cli.command import DONE, WRONG, Answer, Command, Say
 from taut.control.describe import held_laws, law_classes, statements, summary
 from taut.control.gains import Gain
 from taut.control.law import Law
@@ -24,7 +31,7 @@ from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.adds import Adds
 from taut.maths.constraints.constraint import Constraint
 
-__all__ = ["LawRow", "law_rows"]
+__all__ = ["ARMS", "CHECK", "LAWS", "law_rows"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,3 +126,48 @@ def _six_axes() -> Arm:
     inertia = np.diag([0.1, 0.1, 0.1, 1.0, 1.0, 1.0])
     arm = Arm.from_screws(links, [inertia] * 6, screws, np.array([0.0, 0.0, -9.81]))
     return arm.with_friction(Friction(viscous=1.0))
+
+
+# -------------------------------------------------------------------- commands
+
+
+def _arms(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
+    from taut.arm.report import arm_rows
+
+    rows = list(arm_rows())
+    table = Table(
+        title="taut.load_arm(NAME)",
+        columns=("arm", "joints", "takes in real life", "from", "installed"),
+        rows=[(row.name, str(row.joints), ", ".join(row.commands), row.source, bool(row.installed)) for row in rows],
+    )
+    return Answer(text=str(table), data=[dataclasses.asdict(row) for row in rows])
+
+
+def _laws(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
+    rows, width = law_rows(), shutil.get_terminal_size((140, 0)).columns
+    return Answer(text="\n\n".join(row.text(width) for row in rows), data=[row.json() for row in rows])
+
+
+def _check(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
+    from taut.arm.load import open_model
+    from taut.arm.report import check_model
+
+    report = check_model(arguments.model)
+    if report.opened is None and not arguments.json:
+        with suppress(ModelError):  # a model that is broken has its report; a name without a model ends here
+            open_model(arguments.model)
+    return Answer(text=report.text(), data=report.json(), status=DONE if report.ok else WRONG)
+
+
+def _check_arguments(command: argparse.ArgumentParser) -> None:
+    command.add_argument("model", metavar="MODEL", help="a name, a .urdf or an MJCF .xml file")
+
+
+ARMS: Final = Command(name="arms", help="List the arms that taut knows by name.", run=_arms)
+LAWS: Final = Command(name="laws", help="List the laws with their equations and what they need measured.", run=_laws)
+CHECK: Final = Command(
+    name="check",
+    help="Read a robot model and report what is in it and everything that is wrong with it.",
+    arguments=_check_arguments,
+    run=_check,
+)

@@ -13,13 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from rich.cells import cell_len
-from rich.markup import escape
-from rich.table import Table
-
 from taut.analysis.constraints.natural_constraints import natural_constraints
 from taut.base.errors import FileError, MissingExtraError, ScenarioError, TautError, UsageError, warn
-from taut.base.result import cell_text
+from taut.base.result import Cell, Content, Result, Table
 from taut.control.combine import bare
 from taut.control.laws.hybrid import HybridMotionForce
 from taut.control.tasks.phases import Phases
@@ -31,8 +27,8 @@ from taut.record.metrics import METRICS, Metrics
 from taut.record.plots.comparison import compare, spread_figure
 from taut.record.run import Run
 from taut.runtime.simulate import run
-from taut.scenarios.cases import Trial
-from taut.scenarios.scenario import SUFFIXES, PassFigure, Scenario
+from taut.scenarios.scenario import PassFigure, Scenario, Trial
+from taut.scenarios.sections import FILES
 
 __all__ = ["ScenarioResult", "run_scenario"]
 
@@ -57,7 +53,7 @@ COLUMNS = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScenarioResult:
+class ScenarioResult(Result):
     """What a scenario gave."""
 
     scenario: Scenario
@@ -88,61 +84,61 @@ class ScenarioResult:
             "missed": list(self.missed),
         }
 
-    def table(self, width: int) -> Table:
-        """The numbers that mean something, of joints in rad and of joints in m apart.
+    def content(self) -> Content:
+        """Metrics, of joints in rad and of joints in m apart, what was missed, and the files."""
+        faults = [f"missed: {text}" for text in self.missed]
+        faults += [f"no {kind}: {reason}" for kind, reason in self.skipped.items()]
+        outcomes = [
+            f"{trial.label}: {one.outcome}"
+            for trial, one in self.runs.items()
+            if not one.outcome.ok or PHASES in one.info or "; " in one.outcome.message
+        ]
+        reached = f"reached: {self.figures - len(self.missed)} of {self.figures} pass figures"
+        return Content(
+            title=self.scenario.title,
+            faults=faults,
+            summary=[*outcomes, *([reached] if self.figures else [])],
+            tables=[self._of_runs() if self.scenario.spread is None else self._of_spread()],
+            notes=[f"{kind:8} {path}" for kind, path in self.outputs.items()],
+            texts={"Scenario": self.scenario.text},
+        )
 
-        Args:
-            width: Letters in a line. One row stands for each run, or one column where the rows would be longer; where
-                both would be, the narrower of them.
-        """
-        names, joint = self.scenario.outputs.columns or COLUMNS, self.scenario.outputs.joint
-        if self.scenario.spread is not None:
-            return self._of_spread(names, joint)
+    @property
+    def _names(self) -> Sequence[str]:
+        return self.scenario.outputs.columns or COLUMNS
+
+    def _of_runs(self) -> Table:
+        """A row for each metric and a column for each run; the other way round where there are more runs."""
+        joint, window = self.scenario.outputs.joint, self.scenario.outputs.window
         runs = _apart(self.runs)
-        window = self.scenario.outputs.window
-        rows_of = [[_within(one, window).by_unit(name, joint) for name in names] for one in runs.values()]
-        heads = dict.fromkeys((i, unit) for row in rows_of for i, by_unit in enumerate(row) for unit in by_unit)
-        cells = [["case", *(trial.case for trial in runs)]] if self.scenario.cases else []
-        cells.append(["law", *(trial.law for trial in runs)])
-        for i, unit in sorted(heads, key=lambda head: head[0]):
-            numbers = [row[i].get(unit, math.nan) for row in rows_of]
-            if not all(math.isnan(number) for number in numbers):
-                cells.append([f"{METRICS[names[i]].title}\n[{unit}]", *map(cell_text, numbers)])
-        cells.append(["outcome", *(one.outcome.kind for one in runs.values())])
-        upright = list(zip(*cells, strict=True))
-        lying = [[text.replace("\n", " ") for text in column] for column in cells]
-        rows = upright if _width(upright) <= max(width, _width(lying)) else lying
-        of_joint = "" if joint is None else f"\nnumbers of joint '{joint}'"
-        of_joint += "" if window is None else f"\nfrom {window[0]:g} to {window[1]:g} s"
-        table = Table(title=escape(self.scenario.title + of_joint))
-        for head in rows[0]:
-            table.add_column(escape(head), overflow="fold")
-        for row in rows[1:]:
-            table.add_row(*map(escape, row))
-        return table
+        values = [[_within(one, window).by_unit(name, joint) for name in self._names] for one in runs.values()]
+        columns: list[list[Cell]] = [["", *(trial.label for trial in runs)]]
+        for i, name in enumerate(self._names):
+            for unit in dict.fromkeys(unit for row in values for unit in row[i]):
+                numbers = [row[i].get(unit, math.nan) for row in values]
+                if not all(math.isnan(number) for number in numbers):
+                    columns.append([f"{METRICS[name].title} [{unit}]", *numbers])
+        columns.append(["outcome", *(one.outcome.kind for one in runs.values())])
+        rows = columns if len(runs) < len(columns) else [list(row) for row in zip(*columns, strict=True)]
+        of = [] if joint is None else [f"of joint '{joint}'"]
+        of += [] if window is None else [f"from {window[0]:g} to {window[1]:g} s"]
+        return Table(title=", ".join(of), columns=[str(head) for head in rows[0]], rows=rows[1:])
 
-    def _of_spread(self, names: Sequence[str], joint: str | None) -> Table:
+    def _of_spread(self) -> Table:
         """A row for each metric: how it is spread over the runs of each law, and which run has the largest."""
-        table = Table(title=escape(self.scenario.title))
-        for head in ("law", "metric", "runs", "least", "median", "largest", "largest in"):
-            table.add_column(head, overflow="fold")
+        rows: list[list[Cell]] = []
         for law in self.scenario.laws:
             runs = {trial.case: one for trial, one in self.runs.items() if trial.law == law}
-            for name in names:
-                found = {case: one.metrics.by_unit(name, joint) for case, one in runs.items()}
+            for name in self._names:
+                found = {case: one.metrics.by_unit(name, self.scenario.outputs.joint) for case, one in runs.items()}
                 for unit in dict.fromkeys(unit for numbers in found.values() for unit in numbers):
                     row = _spread_row({case: numbers.get(unit, math.nan) for case, numbers in found.items()})
                     if row is not None:
-                        table.add_row(*map(escape, (law, f"{METRICS[name].title} [{unit}]", *row)))
+                        rows.append([law, f"{METRICS[name].title} [{unit}]", *row])
             ended = sum(one.outcome.ok for one in runs.values())
-            table.add_row(escape(law), "completed", f"{ended} of {len(runs)}")
-        return table
-
-
-def _width(rows: Sequence[Sequence[str]]) -> int:
-    """Letters in a line of a table of these rows, with its rules."""
-    columns = zip(*rows, strict=True)
-    return 1 + sum(3 + max(cell_len(part) for text in column for part in text.split("\n")) for column in columns)
+            rows.append([law, "completed", ended, None, None, None, ""])
+        heads = ("law", "metric", "runs", "smallest", "median", "largest", "largest in")
+        return Table(columns=heads, rows=rows)
 
 
 def _within(one: Run, window: tuple[float, float] | None) -> Metrics:
@@ -152,13 +148,13 @@ def _within(one: Run, window: tuple[float, float] | None) -> Metrics:
     return one.between(*window).metrics
 
 
-def _spread_row(values: Mapping[str, float]) -> list[str] | None:
-    """Count, least, median and largest of what is a number, and the run of the largest; None if nothing is."""
+def _spread_row(values: Mapping[str, float]) -> list[Cell] | None:
+    """Count, smallest, median and largest of what is a number, and the run of the largest; None if nothing is."""
     known = {case: value for case, value in values.items() if not math.isnan(value)}
     if not known:
         return None
-    least, median, largest = (cell_text(f(known.values())) for f in (min, statistics.median, max))
-    return [str(len(known)), least, median, largest, max(known, key=lambda case: known[case])]
+    smallest, median, largest = (f(known.values()) for f in (min, statistics.median, max))
+    return [len(known), smallest, median, largest, max(known, key=lambda case: known[case])]
 
 
 def _apart(runs: Mapping[Trial, Run]) -> dict[Trial, Run]:
@@ -226,7 +222,7 @@ def run_scenario(
                 say(f"law '{trial.law}': {remark}")
         if scenario.spread is not None:
             made[trial.law] = ctrl
-        log = files.get("log") if trial == scenario.outputs.shown else None
+        log = files.get("log") if trial == scenario.shown else None
         runs[trial] = _one_run(one, ctrl, trial, say, log)
     outputs, skipped = _written(scenario, runs, files, say)
     missed = tuple(text for figure in scenario.figures for text in _missed(figure, runs))
@@ -313,7 +309,7 @@ def _targets(scenario: Scenario, folder: Path) -> dict[str, Path]:
     Raises:
         FileError: The folder cannot be made, or takes no files; a folder has the name of a file.
     """
-    wanted = {kind: getattr(scenario.outputs, kind) for kind in SUFFIXES}
+    wanted = {kind: getattr(scenario.outputs, kind) for kind in FILES}
     files = {kind: folder / name for kind, name in wanted.items() if name is not None}
     files["metrics"] = folder / f"{scenario.name}.json"
     try:
@@ -338,7 +334,7 @@ def _written(
     scenario: Scenario, runs: Mapping[Trial, Run], files: Mapping[str, Path], say: Callable[[str], None]
 ) -> tuple[dict[str, Path], dict[str, str]]:
     """The files that were made, and why others were not: what happened in the runs must not be lost with them."""
-    shown = runs[scenario.outputs.shown]
+    shown = runs[scenario.shown]
     writers: dict[str, Callable[[Path], object]] = {
         "plot": lambda path: _save_plot(scenario, runs, path),
         "video": lambda path: _film(shown, path),
@@ -462,7 +458,8 @@ def _shortfall(figure: PassFigure, metrics: Metrics) -> str | None:
         value = getattr(metrics, figure.metric)[metrics.joint_names.index(figure.joint)]
     if math.isnan(value):
         return f"{what} has no meaning in this run, so that no bound on it is reached"
-    if figure.least <= value <= figure.most:
+    low, high = figure.bounds
+    if low <= value <= high:
         return None
-    bound = f"<= {figure.most:g}" if not value <= figure.most else f">= {figure.least:g}"
+    bound = f"<= {high:g}" if not value <= high else f">= {low:g}"
     return f"{what} must be {bound}; got {value:.6g}"

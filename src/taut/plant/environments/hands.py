@@ -2,46 +2,129 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar, Final
+from typing import Any, Final
 
 import numpy as np
 
-from taut.base.checks import finite_array
-from taut.base.errors import UsageError
-from taut.base.quantity import Quantity
-from taut.base.types import ArrayLike, Float64Array, Twist, Vector3, Wrench
-from taut.plant.environments.environment import Environment, Environments, added
-from taut.plant.environments.numbers import keep_axes, replaced
-from taut.plant.environments.prescribed import BandNoise, Oscillation, Will
+from taut.base.errors import RangeError
+from taut.base.fields import Declared, Field, Part, Plain
+from taut.base.types import Float64Array, Twist, Vector, Vector3, Wrench
+from taut.plant.environments.environment import EnvironmentBase
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
-__all__ = ["Hand", "Handle"]
+__all__ = ["BandNoise", "Hand", "Handle", "Oscillation", "PrescribedMotion"]
 
 Values = Mapping[str, Any]
 GRIP: Final = 300.0  # [rad/s]
-HELD: Final[Mapping[str, Quantity]] = {
-    "mass": Quantity(
-        unit="kg", rule="> 0", instead="without mass it is a taut.environments.Spring and a taut.environments.Damper"
-    ),
-    "damping": Quantity(unit="N s/m", rule=">= 0"),
-    "stiffness": Quantity(unit="N/m", rule=">= 0"),
-    "grip": Quantity(unit="rad/s", rule="> 0", instead="not to hold it leave it out"),
-}
-WANTED: Final = ("motion", "force")
+PRESCRIBED: Final = ("motion", "force")
+MAX_TONES: Final = 64
+MASS: Final = "without mass it is a taut.environments.Spring and a taut.environments.Damper"
 
 
-def _numbers(held: Handle | Hand) -> dict[str, Float64Array]:
-    out = {name: np.asarray(getattr(held, name)) for name in HELD}
-    return out if held.at is None else out | {"at": np.asarray(held.at)}
+# -------------------------------------------------------------------- what a hand wants over time
 
 
-def _keep(held: Handle | Hand) -> None:
-    keep_axes(held, "damping", "stiffness")
-    if held.at is not None:
-        object.__setattr__(held, "at", finite_array(f"{held.title}.at", held.at, shape=(3,), unit="m"))
+class PrescribedMotion(Declared):
+    """Base of what a hand wants over time: three numbers of phases that go on at rates, so that no change jumps."""
+
+    def start(self) -> Float64Array:
+        """(k,) phases at the start [rad]."""
+        raise NotImplementedError
+
+    def rates(self, parameters: Values) -> Vector:
+        """(k,) rates of the phases [rad/s]."""
+        raise NotImplementedError
+
+    def value(self, phases: Vector, parameters: Values) -> Vector3:
+        """(3,) what is wanted, in world axes."""
+        raise NotImplementedError
+
+
+class Oscillation(PrescribedMotion):
+    """One frequency.
+
+    Law:          wanted = amplitude sin(2 pi frequency t + phase)
+
+    Args:
+        amplitude: (3,) or scalar, in world axes [m] of a motion, [N] of a force.
+        frequency: [Hz]. A change of it makes no jump.
+        phase: [rad].
+    """
+
+    amplitude: Field = Field(unit="m | N", shape=3, accepts=("scalar",))
+    frequency: Field = Field(unit="Hz", minimum=0.0)
+    phase: Field = Field(0.0, unit="rad")
+
+    def start(self) -> Float64Array:
+        """(1,) phase at the start [rad]."""
+        return np.zeros(1)
+
+    def rates(self, parameters: Values) -> Vector:
+        """(1,) [rad/s]."""
+        return tm.array([2.0 * math.pi * parameters["frequency"]])
+
+    def value(self, phases: Vector, parameters: Values) -> Vector3:
+        """(3,) what is wanted, in world axes."""
+        swing = tm.sin(phases[0] + parameters["phase"])
+        return parameters["amplitude"] * swing + np.zeros(3)  # type: ignore[no-any-return]
+
+
+class BandNoise(PrescribedMotion):
+    """A band of frequencies with phases from a seed: smooth, and the same in every run.
+
+    Law:          wanted_j = rms_j sqrt(2 / tones) sum_i sin(2 pi f_i t + phase_ij), one f_i in each of `tones` equal
+                  parts of the band from low to high
+
+    Args:
+        rms: (3,) or scalar, in world axes [m] of a motion, [N] of a force.
+        low: Lowest frequency [Hz].
+        high: Highest frequency [Hz].
+        seed: Of frequencies and phases.
+        tones: How many frequencies.
+    """
+
+    rms: Field = Field(unit="m | N", shape=3, accepts=("scalar",), minimum=0.0)
+    low: Field = Field(unit="Hz", minimum=0.0)
+    high: Field = Field(unit="Hz", above=0.0, hint="it ends the band")
+    seed: Plain[int] = Plain(int, default=0)
+    tones: Plain[int] = Plain(int, default=8)
+
+    def check(self) -> None:
+        """A band that is one, and counts that there are."""
+        if self.low > self.high:
+            self.refuse("low", f"must be <= high, {float(self.high):g} [Hz]; got {float(self.low):g}", RangeError)
+        if self.seed < 0:
+            self.refuse("seed", f"must be >= 0; got {self.seed}", RangeError)
+        if not 1 <= self.tones <= MAX_TONES:
+            self.refuse("tones", f"must be between 1 and {MAX_TONES}; got {self.tones}", RangeError)
+
+    def _drawn(self) -> tuple[Float64Array, Float64Array]:
+        """Places of the frequencies in the band, in [0, 1), and (tones, 3) phases [rad]."""
+        rng = np.random.default_rng(self.seed)
+        places = (np.arange(self.tones) + rng.random(self.tones)) / self.tones
+        return places, rng.uniform(0.0, 2.0 * math.pi, (self.tones, 3))
+
+    def start(self) -> Float64Array:
+        """(tones,) phases at the start [rad]."""
+        return np.zeros(self.tones)
+
+    def rates(self, parameters: Values) -> Vector:
+        """(tones,) [rad/s]."""
+        places, _ = self._drawn()
+        band = parameters["high"] - parameters["low"]
+        return 2.0 * math.pi * (parameters["low"] + band * places)  # type: ignore[no-any-return]
+
+    def value(self, phases: Vector, parameters: Values) -> Vector3:
+        """(3,) what is wanted, in world axes."""
+        _, offsets = self._drawn()
+        total = sum(tm.sin(phases[i] + offsets[i]) for i in range(self.tones))
+        return parameters["rms"] * (math.sqrt(2.0 / self.tones) * total)  # type: ignore[no-any-return]
+
+
+# -------------------------------------------------------------------- what is held
 
 
 def _start(held: Handle | Hand, T_WE: Pose) -> dict[str, Any]:
@@ -70,8 +153,7 @@ def _rates(mobility: Float64Array, parameters: Values) -> tuple[float, float]:
     return float(np.sqrt(m * omega**2 * both + behind)), m * omega * both
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Handle:
+class Handle(EnvironmentBase):
     """A handle (m, b, k) that the tool holds by its middle: a mass, with damper and spring to the world.
 
     Law:          mass a_h + damping v_h + stiffness (p_h - at) = f_grip,  F_ext = -f_grip
@@ -105,21 +187,11 @@ class Handle:
         Chapter, section 10.5 impedance control.
     """
 
-    title: ClassVar[str] = "handle"
-    quantities: ClassVar[Mapping[str, Quantity]] = HELD
-
-    mass: ArrayLike
-    damping: ArrayLike = 0.0
-    stiffness: ArrayLike = 0.0
-    at: ArrayLike | None = None
-    grip: ArrayLike = GRIP
-
-    def __post_init__(self) -> None:
-        _keep(self)
-
-    def parameters(self) -> dict[str, Float64Array]:
-        """Run-time parameters by name."""
-        return _numbers(self)
+    mass: Field = Field(unit="kg", above=0.0, hint=MASS)
+    damping: Field = Field(0.0, unit="N s/m", shape=3, accepts=("scalar",), minimum=0.0)
+    stiffness: Field = Field(0.0, unit="N/m", shape=3, accepts=("scalar",), minimum=0.0)
+    at: Field = Field(unit="m", shape=3, optional=True)
+    grip: Field = Field(GRIP, unit="rad/s", above=0.0, hint="not to hold it leave it out")
 
     def start(self, T_WE: Pose) -> dict[str, Any]:
         """Memory at the start: at rest where the tool is."""
@@ -137,20 +209,12 @@ class Handle:
         """(6,) [N, N m] on the arm, and the handle's motion after the step."""
         return _held(T_WE, twist, memory, parameters, dt, np.zeros(3), np.zeros(3))
 
-    def changed(self, name: str, value: ArrayLike) -> Handle:
-        """The same with another value of a parameter, checked as when it was made."""
-        return replaced(self, name, value)
-
     def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
-        """How fast tool and handle swing in the grip [rad/s], and how fast it brakes that [1/s]."""
+        """How fast tool and handle oscillate in the grip [rad/s], and how fast it brakes that [1/s]."""
         return _rates(mobility, parameters)
 
-    def __add__(self, other: Environment) -> Environments:
-        return added(self, other)
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Hand:
+class Hand(EnvironmentBase):
     """A hand with a will of its own, which holds the tool.
 
     Law:          mass a_h + damping v_h + stiffness (p_h - at - motion(t)) = f_grip + force(t),  F_ext = -f_grip
@@ -181,41 +245,18 @@ class Hand:
         ['motion.frequency', 'motion.phase', 'stiffness']
     """
 
-    title: ClassVar[str] = "hand"
-    quantities: ClassVar[Mapping[str, Quantity]] = HELD
-
-    mass: ArrayLike
-    damping: ArrayLike
-    stiffness: ArrayLike
-    motion: Oscillation | BandNoise | None = None
-    force: Oscillation | BandNoise | None = None
-    at: ArrayLike | None = None
-    grip: ArrayLike = GRIP
-
-    def __post_init__(self) -> None:
-        _keep(self)
-        for name in WANTED:
-            will = getattr(self, name)
-            if will is not None and not isinstance(will, (Oscillation, BandNoise)):
-                raise UsageError(
-                    f"hand.{name} must be taut.environments.Oscillation(...) or "
-                    f"taut.environments.BandNoise(...); got {type(will).__name__}",
-                    name=name,
-                )
-
-    def _wills(self) -> dict[str, Will]:
-        return {name: getattr(self, name) for name in WANTED if getattr(self, name) is not None}
-
-    def parameters(self) -> dict[str, Float64Array]:
-        """Run-time parameters by name."""
-        out = _numbers(self)
-        for name, will in self._wills().items():
-            out |= {f"{name}.{key}": value for key, value in will.parameters().items()}
-        return out
+    mass: Field = Field(unit="kg", above=0.0, hint=MASS)
+    damping: Field = Field(unit="N s/m", shape=3, accepts=("scalar",), minimum=0.0)
+    stiffness: Field = Field(unit="N/m", shape=3, accepts=("scalar",), minimum=0.0)
+    motion: Part[PrescribedMotion] = Part(PrescribedMotion, optional=True)
+    force: Part[PrescribedMotion] = Part(PrescribedMotion, optional=True)
+    at: Field = Field(unit="m", shape=3, optional=True)
+    grip: Field = Field(GRIP, unit="rad/s", above=0.0, hint="not to hold it leave it out")
 
     def start(self, T_WE: Pose) -> dict[str, Any]:
-        """Memory at the start: at rest where the tool is, with the phases of its will."""
-        return _start(self, T_WE) | {f"{name}.phases": will.start() for name, will in self._wills().items()}
+        """Memory at the start: at rest where the tool is, with the phases of what it wants."""
+        wanted = {name: getattr(self, name) for name in PRESCRIBED if getattr(self, name) is not None}
+        return _start(self, T_WE) | {f"{name}.phases": each.start() for name, each in wanted.items()}
 
     def wrench(
         self,
@@ -227,22 +268,16 @@ class Hand:
         dt: Any,
     ) -> tuple[Wrench, dict[str, Any]]:
         """(6,) [N, N m] on the arm, and the hand's motion after the step."""
-        wants: dict[str, Any] = dict.fromkeys(WANTED, np.zeros(3))
+        wants: dict[str, Any] = dict.fromkeys(PRESCRIBED, np.zeros(3))
         phases: dict[str, Any] = {}
-        for name, will in self._wills().items():
+        for name, will in self.declared_parts().items():
+            assert isinstance(will, PrescribedMotion)
             p = {key: parameters[f"{name}.{key}"] for key in will.parameters()}
             wants[name] = will.value(memory[f"{name}.phases"], p)
             phases[f"{name}.phases"] = memory[f"{name}.phases"] + dt * will.rates(p)
         wrench, after = _held(T_WE, twist, memory, parameters, dt, wants["motion"], wants["force"])
         return wrench, after | phases
 
-    def changed(self, name: str, value: ArrayLike) -> Hand:
-        """The same with another value of a parameter, checked as when it was made."""
-        return replaced(self, name, value)
-
     def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
-        """How fast tool and hand swing in the grip [rad/s], and how fast it brakes that [1/s]."""
+        """How fast tool and hand oscillate in the grip [rad/s], and how fast it brakes that [1/s]."""
         return _rates(mobility, parameters)
-
-    def __add__(self, other: Environment) -> Environments:
-        return added(self, other)

@@ -21,7 +21,7 @@ from taut.control.trajectories.reference import as_reference
 from taut.loop import Loop
 from taut.record.report.run_report import law_in_python
 from taut.record.run import Run
-from taut.scenarios.compare_laws import law_of_text
+from taut.scenarios.laws import law_of_text
 from taut.scenarios.scenario import Scenario, load_scenario
 
 __all__ = ["USUAL", "compare", "grade"]

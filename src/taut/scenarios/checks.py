@@ -35,13 +35,11 @@ from taut.loop import check_fit, duration_of_ticks, state_at_start
 from taut.plant.rigid import RigidPlant
 from taut.record.metrics import METRICS, names_that_need
 from taut.runtime.events import Event, sorted_events
-from taut.scenarios.read_force_reference import FORCE_KINDS
-from taut.scenarios.read_reference import JOINT_KINDS
-from taut.scenarios.read_task_reference import TASK_KINDS
-from taut.scenarios.toml import Section
+from taut.scenarios.references import FORCE_KINDS, JOINT_KINDS, TASK_KINDS
+from taut.scenarios.toml import Table
 
 if TYPE_CHECKING:
-    from taut.scenarios.read_plant import Plant
+    from taut.scenarios.plants import Plant
     from taut.scenarios.scenario import PassFigure, Scenario
 
 __all__ = ["Places", "refuse_misfits"]
@@ -68,16 +66,16 @@ class Places:
     """The sections that a scenario came from, to name them in messages."""
 
     labels: list[str]  # of the laws in the file, which are others where a law of the user's own runs
-    laws: Mapping[str, Section]
-    control: Section
-    plant: Section
-    reference: Section
-    run: Section
-    events: Sequence[Section]
+    laws: Mapping[str, Table]
+    control: Table
+    plant: Table
+    reference: Table
+    run: Table
+    events: Sequence[Table]
 
 
 def refuse_misfits(scenario: Scenario, places: Places) -> None:
-    """Check what concerns more than one section.
+    """Check what concerns more than one table.
 
     Raises:
         ScenarioError: The message names file, section and key.
@@ -85,8 +83,9 @@ def refuse_misfits(scenario: Scenario, places: Places) -> None:
     longest = MOST_TICKS / scenario.rate
     if scenario.duration > longest:
         raise places.run.error(
-            f"duration must be <= {longest:g} [s] at {scenario.rate:g} Hz, as a run keeps every tick; got "
-            f"{scenario.duration:g}"
+            f"must be <= {longest:g} [s] at {scenario.rate:g} Hz, as a run keeps every tick; got "
+            f"{scenario.duration:g}",
+            "duration",
         )
     with places.run.blamed():
         duration_of_ticks(scenario.duration, 1.0 / scenario.rate)
@@ -99,11 +98,11 @@ def refuse_misfits(scenario: Scenario, places: Places) -> None:
         side = _law_side(scenario, law, places.laws[label], places.control)
         with places.plant.blamed(_key_of_plant(side, scenario.plant)):
             check_fit(side, scenario.plant)
-        for event, section in zip(scenario.events, places.events, strict=True):
-            _check_event(scenario, event, side, section, label)
+        for event, table in zip(scenario.events, places.events, strict=True):
+            _check_event(scenario, event, side, table, label)
 
 
-def refuse_unfit_results(scenario: Scenario, outputs: Section, figures: Sequence[Section]) -> None:
+def refuse_unfit_results(scenario: Scenario, outputs: Table, figures: Sequence[Table]) -> None:
     """Check that files can be made, and that each number that is asked for will be there.
 
     Raises:
@@ -116,10 +115,10 @@ def refuse_unfit_results(scenario: Scenario, outputs: Section, figures: Sequence
     if scenario.outputs.joint is not None:
         for one in places.values():
             _check_joint(scenario.outputs.joint, outputs, one.arm)
-    for figure, section in zip(scenario.figures, figures, strict=True):
+    for figure, table in zip(scenario.figures, figures, strict=True):
         for case, one in places.items():
             if figure.case in (None, case):
-                _check_figure(figure, section, one)
+                _check_figure(figure, table, one)
 
 
 def _look_at_reference(scenario: Scenario) -> None:
@@ -133,7 +132,7 @@ def _look_at_reference(scenario: Scenario) -> None:
             require_radians("q", rows["q"], arm)
 
 
-def _check_kind(reference: Reference, label: str, law: Law, section: Section) -> None:
+def _check_kind(reference: Reference, label: str, law: Law, table: Table) -> None:
     """A reference is of the kind of sample that each law follows; a hold is of any kind."""
     given, wanted = _kind_of(reference), law.reference
     if isinstance(reference, Hold) or given is wanted:
@@ -143,9 +142,10 @@ def _check_kind(reference: Reference, label: str, law: Law, section: Section) ->
         hybrid_kind(TaskMotion): list(TASK_KINDS),
         TaskForce: list(FORCE_KINDS),
     }.get(wanted, list(JOINT_KINDS))
-    raise section.error(
-        f"kind gives a {given.__name__}, and the law '{label}' follows a {wanted.__name__}; take one of "
-        f"{quoted_list(['hold', *kinds], most=len(kinds) + 1)}"
+    raise table.error(
+        f"gives a {given.__name__}, and the law '{label}' follows a {wanted.__name__}; take one of "
+        f"{quoted_list(['hold', *kinds], most=len(kinds) + 1)}",
+        "kind",
     )
 
 
@@ -177,72 +177,75 @@ def _moves(scenario: Scenario) -> bool:
     return isinstance(reference, JointMotion) and bool(np.any(reference.v))
 
 
-def _check_figure(figure: PassFigure, section: Section, scenario: Scenario) -> None:
+def _check_figure(figure: PassFigure, table: Table, scenario: Scenario) -> None:
     """A pass figure is a number that the runs will have."""
     arm = scenario.arm
     law = scenario.laws.get(figure.law)  # another runs where it is of the user's own
     if figure.part is not None:
-        law = _part(figure.part, figure.law, law, section)
+        law = _part(figure.part, figure.law, law, table)
     names, units = arm.joint_names, arm.units
     if figure.joint is not None:
-        _check_joint(figure.joint, section, arm)
+        _check_joint(figure.joint, table, arm)
         if not METRICS[figure.metric].per_joint:
-            raise section.error(f"metric '{figure.metric}' is of the tool; leave joint out")
+            raise table.error(f"'{figure.metric}' is of the tool; leave joint out", "metric")
     if law is not None:
-        _check_kind_of_figure(figure, law, section)
+        _check_kind_of_figure(figure, law, table)
     if figure.joint is None and METRICS[figure.metric].per_unit and len(set(units)) > 1:
-        raise section.error(
-            f"metric '{figure.metric}' has no one number for joints in rad and joints in m together; add joint, one "
-            f"of {quoted_list(names, most=len(names))}"
+        raise table.error(
+            f"'{figure.metric}' has no one number for joints in rad and joints in m together; add joint, one "
+            f"of {quoted_list(names, most=len(names))}",
+            "metric",
         )
-    _check_window(figure.window, section, scenario)
+    _check_window(figure.window, table, scenario)
     if METRICS[figure.metric].needs == "set-point" and _moves(scenario):
-        raise section.error(
-            f"metric '{figure.metric}' is for a set-point, and the [reference] moves; take one of "
-            f"{quoted_list([name for name, one in METRICS.items() if one.needs != 'set-point'])}"
+        raise table.error(
+            f"'{figure.metric}' is for a set-point, and the [reference] moves; take one of "
+            f"{quoted_list([name for name, one in METRICS.items() if one.needs != 'set-point'])}",
+            "metric",
         )
 
 
-def _check_window(window: tuple[float, float] | None, section: Section, scenario: Scenario) -> None:
+def _check_window(window: tuple[float, float] | None, table: Table, scenario: Scenario) -> None:
     if window is not None and window[1] > scenario.duration:
-        raise section.error(f"window must end with the run, at {scenario.duration:g} [s]; got {list(window)}")
+        raise table.error(f"must end with the run, at {scenario.duration:g} [s]; got {list(window)}", "window")
 
 
-def _part(part: str, label: str, law: Law | None, section: Section) -> Law | None:
+def _part(part: str, label: str, law: Law | None, table: Table) -> Law | None:
     """One of laws side by side."""
     if law is None:
         return None
     if isinstance(law, Phases):
         if part not in law.phases:
-            with section.blamed("part"):
+            with table.blamed("part"):
                 raise unknown_name("the task", "phase", part, law.phases)
         return law.laws[part]
     if not isinstance(law, SideBySide):
-        raise section.error(f"part is for laws side by side, and '{label}' is one law; leave part out")
+        raise table.error(f"is for laws side by side, and '{label}' is one law; leave part out", "part")
     if part not in law.parts:
-        with section.blamed("part"):
+        with table.blamed("part"):
             raise unknown_name(f"the law '{label}'", "part", part, law.parts)
     return law.parts[part]
 
 
-def _check_kind_of_figure(figure: PassFigure, law: Law, section: Section) -> None:
+def _check_kind_of_figure(figure: PassFigure, law: Law, table: Table) -> None:
     """Errors of joints are for laws that follow joints, of the task for those of the tool, of forces for theirs."""
     fitting = ERRORS_OF.get(law.reference)
     whose = next((kind for kind, names in ERRORS_OF.items() if figure.metric in names), None)
     if fitting is not None and whose is not None and figure.metric not in fitting:
-        raise section.error(
-            f"metric '{figure.metric}' is of {WHOSE[whose]}, and the law '{figure.law}' follows a "
-            f"{law.reference.__name__}; take one of {quoted_list(fitting, most=len(fitting))}"
+        raise table.error(
+            f"'{figure.metric}' is of {WHOSE[whose]}, and the law '{figure.law}' follows a "
+            f"{law.reference.__name__}; take one of {quoted_list(fitting, most=len(fitting))}",
+            "metric",
         )
 
 
-def _check_joint(joint: str, section: Section, arm: Arm) -> None:
+def _check_joint(joint: str, table: Table, arm: Arm) -> None:
     if joint not in arm.joint_names:
-        with section.blamed("joint"):
+        with table.blamed("joint"):
             raise unknown_name(f"arm '{arm.name}'", "joint", joint, arm.joint_names)
 
 
-def _law_side(scenario: Scenario, law: Law, place: Section, control: Section) -> LawSide:
+def _law_side(scenario: Scenario, law: Law, place: Table, control: Table) -> LawSide:
     """The law with what surrounds it, tried once on plain numbers."""
     try:
         return compile(
@@ -258,7 +261,7 @@ def _law_side(scenario: Scenario, law: Law, place: Section, control: Section) ->
         head, _, last = (cause.name or "").partition(".")
         # A torque limit for a command that is no torque, a filter of what the law does not use.
         key = {"limits": "limits", "sensing": last}.get(head)
-        with (place if key is None else control).blamed(key):
+        with (place if key is None else control).blamed(key or ""):
             raise
 
 
@@ -269,13 +272,13 @@ def _key_of_plant(side: LawSide, plant: Plant) -> str:
     return "takes" if isinstance(plant, RigidPlant) and side.probe.kind != plant.takes else "kind"
 
 
-def _check_event(scenario: Scenario, event: Event, side: LawSide, section: Section, label: str) -> None:
+def _check_event(scenario: Scenario, event: Event, side: LawSide, table: Table, label: str) -> None:
     """An event acts during the run, on parameters that there are with each of the laws."""
-    with section.blamed("t"):
+    with table.blamed("t"):
         sorted_events([event], scenario.rate, round(scenario.duration * scenario.rate) + 1)
     plant = scenario.plant
     for path, value in event.set.items():
-        with section.blamed("set"):
+        with table.blamed("set"):
             if path in side.parameters:
                 side.checked_parameter(path, value)
             elif path in plant.parameters:
@@ -283,7 +286,7 @@ def _check_event(scenario: Scenario, event: Event, side: LawSide, section: Secti
             else:
                 whose = "the loop" if len(scenario.laws) == 1 else f"the loop of the law '{label}'"
                 told = unknown_name(whose, "parameter", path, [*side.parameters, *plant.parameters])
-                raise section.error(f"set: {told}")
+                raise table.error(f": {told}", "set")
 
 
 def _parts(law: Law | None) -> int:
@@ -291,14 +294,15 @@ def _parts(law: Law | None) -> int:
     return len(law.parts) if isinstance(law, SideBySide) else 1
 
 
-def _check_files(scenario: Scenario, section: Section) -> None:
+def _check_files(scenario: Scenario, table: Table) -> None:
     """Files that could not be made after the run."""
     wanted = scenario.outputs
     runs = sum(_parts(one.laws.get(trial.law)) for trial, one in scenario.trials.items())
     if wanted.plot is not None and scenario.spread is None and runs > MOST_RUNS:
         what = "laws, counted in each case" if scenario.cases else "laws"
-        raise section.error(f"plot draws at most {MOST_RUNS} {what}; got {runs}; leave it out, or some of the laws")
+        raise table.error(f"draws at most {MOST_RUNS} {what}; got {runs}; leave it out, or some of the laws", "plot")
     if wanted.video is not None and wanted.video.endswith(".mp4") and shutil.which("ffmpeg") is None:
-        raise section.error(
-            f"video '{wanted.video}' needs the program ffmpeg, which is not on the PATH; install it, or write a .gif"
+        raise table.error(
+            f"'{wanted.video}' needs the program ffmpeg, which is not on the PATH; install it, or write a .gif",
+            "video",
         )
