@@ -17,7 +17,7 @@ from rich.table import Table
 
 import taut
 from taut.analysis.loci import bisected
-from taut.record.plots.style import COLOURS, DASHED, INK, SMALL, WIDTH, prepared
+from taut.base.plot_style import COLOURS, DASHED, INK, SMALL, WIDTH, prepared
 
 IMAGES = Path(__file__).parent.parent / "docs" / "images"
 CHAPTER = {"M": 0.5, "b": 0.1}

@@ -18,7 +18,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator
 from rich.console import Console
 from rich.table import Table
 
-from taut.record.plots.style import COLOURS, DASHED, INK, SMALL, WIDTH, prepared
+from taut.base.plot_style import COLOURS, DASHED, INK, SMALL, WIDTH, prepared
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "tests" / "analysis"))

@@ -18,8 +18,8 @@ from rich.console import Console
 from rich.table import Table
 
 import taut
+from taut.base.plot_style import COLOURS, DASHED, INK, SMALL, WIDTH, prepared
 from taut.maths.spatial import pose_log, rotation_exp, rotation_log
-from taut.record.plots.style import COLOURS, DASHED, INK, SMALL, WIDTH, prepared
 
 Array = NDArray[np.float64]
 IMAGES = Path(__file__).parent.parent / "docs" / "images"

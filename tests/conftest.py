@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from taut.codegen import native
+from taut.record.metrics import METRICS
 
 WHOLE = bool(os.environ.get("TAUT_BARS"))  # `make bars`
 BAR = "bar: "  # begins the names of properties that stand in the table of `make bars`
@@ -37,6 +38,15 @@ def quick_code() -> None:
     """
     if not WHOLE:
         native.LEVEL = native.QUICK  # type: ignore[misc]  # which nothing but tests changes
+
+
+@pytest.fixture(autouse=True)
+def only_our_metrics() -> Iterator[None]:
+    """The metrics that a test declares, as a user's file does, are gone after it."""
+    before = dict(METRICS)
+    yield
+    METRICS.clear()
+    METRICS.update(before)
 
 
 @pytest.fixture(scope="session")

@@ -462,7 +462,7 @@ COMPILES: list[tuple[str, Callable[[], Any], type[TautError], str]] = [
     ("limits of another arm", lambda: taut.compile(L.PID(kp=1.0), ARM, limits=taut.Limits(tau=[1.0, 2.0, 3.0])), ShapeError,
      "limits.tau must have shape (2,) (2 joints); got shape (3,)"),
     ("limits on a velocity", lambda: taut.compile(L.VelocityPI(kp=1.0), ARM, limits=taut.Limits(tau=1.0)), MatchError,
-     "limits.tau is for torques, and VelocityPI gives a velocity; leave it out, or give taut.Limits(v=...)"),
+     "limits.tau is for torques, and VelocityPI gives a velocity; leave it out, or give limits with v"),
     ("adds", lambda: taut.compile(L.PID(kp=1.0), ARM, adds="gravity"), UsageError,
      "adds must be a tuple of names; got 'gravity'; write ('gravity',)"),
     ("adds of nothing known", lambda: taut.compile(L.PID(kp=1.0), ARM, adds=("gravit",)), UnknownNameError,

@@ -82,9 +82,10 @@ if TYPE_CHECKING:
     from taut.record.report.report import report as report
     from taut.record.run import Run as Run
     from taut.runtime.events import Event as Event
+    from taut.runtime.host import PlantBase as PlantBase
     from taut.runtime.robots.mujoco.plant import MujocoPlant as MujocoPlant
     from taut.runtime.simulate import run as run
-    from taut.scenarios.compare_laws_by_name import compare as compare
+    from taut.scenarios.compare import compare as compare
     from taut.trace.pose import Pose as Pose
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

@@ -11,11 +11,16 @@ if TYPE_CHECKING:
     from taut.arm.loaders.write_friction import JointWords as JointWords
     from taut.arm.loaders.write_friction import to_mjcf_joints as to_mjcf_joints
     from taut.arm.loaders.write_friction import to_urdf_dynamics as to_urdf_dynamics
+    from taut.base.fields import Choice as Choice
+    from taut.base.fields import Field as Field
     from taut.maths.gearing import rotor_share as rotor_share
     from taut.plant.drives.actuation import Actuation as Actuation
     from taut.plant.drives.actuation import Ripple as Ripple
+    from taut.plant.drives.drivetrain import FrictionLaw as FrictionLaw
     from taut.plant.drives.motor import ElectricMotor as ElectricMotor
     from taut.plant.drives.motor import Motor as Motor
+    from taut.plant.drives.motor import MotorModel as MotorModel
+    from taut.plant.drives.motor import MotorStep as MotorStep
     from taut.plant.drives.motor import TorqueLoop as TorqueLoop
     from taut.plant.drives.transmission import Transmission as Transmission
 

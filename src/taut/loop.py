@@ -40,12 +40,12 @@ __all__ = [
 Values = Mapping[str, Any]
 DT: Final = "dt"
 PROVIDED_BY: Final[Mapping[str, str]] = {
-    "v": "; sensing=taut.Sensing(velocity='difference') needs positions only",
-    "F_ext": "; give the plant environment= or contact=, or take a taut.MujocoPlant",
-    "tau_meas": "; give the plant sensors=taut.sensors.Sensors(torque=taut.sensors.TorqueSensor())",
-    "q_motor": "; give the plant sensors=taut.sensors.Sensors(motor=taut.sensors.Encoder())",
-    "v_motor": "; give the plant sensors=taut.sensors.Sensors(motor_velocity=taut.sensors.Tachometer())",
-    "a_tip": "; give the plant sensors=taut.sensors.Sensors(tip=taut.sensors.Accelerometer())",
+    "v": "; sensing with the velocity 'difference' needs positions only",
+    "F_ext": "; give the plant an environment or a contact, or take one in MuJoCo",
+    "tau_meas": "; give the plant a torque sensor, sensors.torque",
+    "q_motor": "; give the plant encoders at the motors, sensors.motor",
+    "v_motor": "; give the plant tachometers at the motors, sensors.motor_velocity",
+    "a_tip": "; give the plant an accelerometer, sensors.tip",
 }
 """What would measure it, for messages."""
 ONE_PLACE: Final = 1e-6  # [m] between the origins of frames that are the same point
@@ -141,7 +141,7 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
     if probe.kind != plant.takes:
         raise MatchError(
             f"{law} gives a {probe.kind} and plant '{plant.name}' takes a {plant.takes}; choose a law for "
-            f"{plant.takes} commands, or a plant with takes='{probe.kind}'"
+            f"{plant.takes} commands, or a plant that takes '{probe.kind}'"
         )
     for name in side.needs:
         if name not in plant.measures:
@@ -160,7 +160,7 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
 def _provided_by(name: str, plant: AnyPlant) -> str:
     """What would measure it, as a way out."""
     if name == "F_ext" and isinstance(plant, HasSensors) and plant.sensors.wrench is None:
-        return "; give the plant sensors=taut.sensors.Sensors(wrench=taut.sensors.WrenchSensor())"
+        return "; give the plant a wrench sensor, sensors.wrench"
     return PROVIDED_BY.get(name, "")
 
 
@@ -220,8 +220,8 @@ def _check_weight(side: LawSide, plant: AnyPlant) -> None:
         return
     raise MatchError(
         "the controller's sensing takes the weight of tool and payload out of F_ext, and the wrench sensor of plant "
-        f"'{plant.name}' reads no weight; give it sensors=taut.sensors.Sensors(wrench=taut.sensors.WrenchSensor(tool="
-        "taut.Payload(mass=...))), or leave mass out of taut.sensors.Wrist",
+        f"'{plant.name}' reads no weight; give it its tool, sensors.wrench.tool, or leave the mass out of "
+        "sensing.wrist",
         name="wrist",
     )
 

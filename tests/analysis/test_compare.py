@@ -14,8 +14,8 @@ from taut.analysis.compare.grading import Mark
 from taut.analysis.compare.truth import PlantChange
 from taut.analysis.compare.words import aligned
 from taut.base.errors import MatchError, RangeError, ScenarioError, UnknownNameError, UsageError
-from taut.record.plots.style import wrapped
-from taut.scenarios.compare_laws import law_of_text
+from taut.base.plot_style import wrapped
+from taut.scenarios.laws import law_of_text
 
 
 class NoCoriolis(taut.Law):

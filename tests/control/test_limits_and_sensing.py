@@ -73,14 +73,14 @@ class TestLimits:
         [
             (
                 lambda: taut.Limits(),
-                "Limits needs one of tau=, tau_dot=, v= and blend= at least; for no limits leave limits=None",
+                "Limits needs one of tau, tau_dot, v and blend at least; for no limits leave the limits out",
             ),
             (lambda: taut.Limits(tau=0.0), "limits.tau must be > 0 [N m | N]; got 0.0"),
             (lambda: taut.Limits(tau=[1.0, np.nan]), "limits.tau[1] must be finite [N m | N]; got nan"),
             (lambda: taut.Limits(tau_dot=-1.0), "limits.tau_dot must be > 0 [N m/s | N/s]; got -1.0"),
             (
                 lambda: taut.Limits.of(ARM),
-                "planar2: arm 'planar2' states no effort limits; give taut.Limits(tau=...)",
+                "planar2: arm 'planar2' states no effort limits; give limits with tau",
             ),
             (
                 lambda: taut.compile(taut.laws.PID(kp=1.0), ARM, limits=taut.Limits(tau=[1.0, 2.0, 3.0])),
@@ -88,7 +88,7 @@ class TestLimits:
             ),
             (
                 lambda: taut.compile(taut.laws.VelocityPI(kp=1.0), ARM, limits=taut.Limits(tau=1.0)),
-                "limits.tau is for torques, and VelocityPI gives a velocity; leave it out, or give taut.Limits(v=...)",
+                "limits.tau is for torques, and VelocityPI gives a velocity; leave it out, or give limits with v",
             ),
         ],
         ids=range(7),

@@ -187,7 +187,7 @@ class TestOfAVelocityCommand:
 
 REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "v of zero": (lambda: Limits(v=0.0), "limits.v must be > 0 [rad/s | m/s]; got 0.0"),
-    "v_gain alone": (lambda: Limits(tau=1.0, v_gain=1.0), "limits.v_gain belongs to a speed limit; give v= too, or leave it out"),
+    "v_gain alone": (lambda: Limits(tau=1.0, v_gain=1.0), "limits.v_gain belongs to a speed limit; give v too, or leave it out"),
     "v_gain without end": (lambda: Limits(v=1.0, v_gain=np.inf), "limits.v_gain must be finite [1/s]; got inf"),
     "v_gain above the rate": (
         lambda: taut.compile(Asked(), ARM, rate=100.0, limits=Limits(v=1.0, v_gain=[10.0, 200.0])),
@@ -199,15 +199,15 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     ),
     "v of an arm without": (
         lambda: Limits.of(ARM.with_joints(effort=[1.0, 1.0], velocity=[np.inf, np.inf]), speed=True),
-        "planar2: arm 'planar2' states no velocity limits; give taut.Limits(v=...)",
+        "planar2: arm 'planar2' states no velocity limits; give limits with v",
     ),
     "a torque rate of velocities": (
         lambda: taut.compile(L.VelocityPI(kp=1.0), ARM, limits=Limits(v=1.0, tau_dot=1.0)),
-        "limits.tau_dot is for torques, and VelocityPI gives a velocity; leave it out, or give taut.Limits(v=...)",
+        "limits.tau_dot is for torques, and VelocityPI gives a velocity; leave it out, or give limits with v",
     ),
     "v_gain of velocities": (
         lambda: taut.compile(L.VelocityPI(kp=1.0), ARM, limits=Limits(v=1.0, v_gain=1.0)),
-        "limits.v_gain is for torques, and VelocityPI gives a velocity; leave it out, or give taut.Limits(v=...)",
+        "limits.v_gain is for torques, and VelocityPI gives a velocity; leave it out, or give limits with v",
     ),
 }  # fmt: skip
 
@@ -227,7 +227,7 @@ def test_limits_on_a_position_are_refused_in_words() -> None:
 
     with pytest.raises(taut.errors.MatchError) as caught:
         taut.compile(Place(), ARM, limits=Limits(v=1.0))
-    assert str(caught.value) == "limits cut torques and velocities, and Place gives a position; leave limits=None"
+    assert str(caught.value) == "limits cut torques and velocities, and Place gives a position; leave the limits out"
 
 
 # -------------------------------------------------------------------- the bar

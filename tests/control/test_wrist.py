@@ -240,13 +240,13 @@ CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
     (lambda: taut.sensors.Wrist(repeats=1), taut.errors.RangeError, "repeats must be >= 2 ticks; got 1"),
     (lambda: taut.sensors.Wrist(repeats=2.5), taut.errors.UsageError, "repeats must be a whole number; got 2.5"),  # type: ignore[arg-type]
     (lambda: taut.Sensing(wrist=BIAS), taut.errors.UsageError, "wrist must be a Wrist; got ndarray"),  # type: ignore[arg-type]
-    (lambda: taut.compile(Blind(), ARM, sensing=taut.Sensing(wrist=taut.sensors.Wrist())), taut.errors.UsageError, "sensing corrects F_ext, which Blind does not use; leave wrist= out of the sensing"),
+    (lambda: taut.compile(Blind(), ARM, sensing=taut.Sensing(wrist=taut.sensors.Wrist())), taut.errors.UsageError, "sensing corrects F_ext, which Blind does not use; leave wrist out of the sensing"),
     (lambda: taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=taut.sensors.Wrist(frame="link2"))), taut.errors.UsageError, "sensing.wrist.frame must move with the tool 'tip'; got 'link2', which has a joint between it and the tool; name a frame of the last body"),
     (lambda: taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=taut.sensors.Wrist(frame="tol"))), taut.errors.UnknownNameError, "the arm has no frame 'tol'; did you mean 'tool'? (6 frames: taut check MODEL lists them)"),
     (lambda: compiled().parameters.__setitem__("sensing.wrist.mass", -1.0), taut.errors.RangeError, "sensing.wrist.mass must be >= 0 [kg]; got -1.0"),
     (lambda: compiled().parameters.__setitem__("sensing.wrist.com", [0.0]), taut.errors.ShapeError, "sensing.wrist.com must be (3,) [m]; got shape (1,)"),
     (lambda: compiled().parameters.__setitem__("sensing.wrist.range", (9.0, 1.0)), taut.errors.UnknownNameError, "the controller has no parameter 'sensing.wrist.range'; did you mean 'sensing.wrist.mass' or 'sensing.wrist.bias'?"),
-    (lambda: taut.run(compiled(), taut.MujocoPlant(ARM), duration=0.01), taut.errors.MatchError, "the controller's sensing takes the weight of tool and payload out of F_ext, and the wrench sensor of plant 'MujocoPlant(planar3)' reads no weight; give it sensors=taut.sensors.Sensors(wrench=taut.sensors.WrenchSensor(tool=taut.Payload(mass=...))), or leave mass out of taut.sensors.Wrist"),
+    (lambda: taut.run(compiled(), taut.MujocoPlant(ARM), duration=0.01), taut.errors.MatchError, "the controller's sensing takes the weight of tool and payload out of F_ext, and the wrench sensor of plant 'MujocoPlant(planar3)' reads no weight; give it its tool, sensors.wrench.tool, or leave the mass out of sensing.wrist"),
 ]  # fmt: skip
 
 

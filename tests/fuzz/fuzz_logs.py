@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 import taut
-from taut.record.description import described, sealed
-from taut.record.log.mcap_writer import MAGIC, McapWriter
-from taut.record.log.topics import Description, TickLayout, columns_of
+from taut.record.log.container import MAGIC, McapWriter
+from taut.record.log.description import described, sealed
+from taut.record.log.messages import Description, TickLayout, columns_of
 
 
 def write_log(

@@ -188,38 +188,38 @@ def test_every_part_runs_the_same_in_native_code_and_in_plain_python(drives: dic
 
 
 @pytest.mark.parametrize(
-    ("make", "kind", "message"),
+    ("make", "kind", "name"),
     [
-        (lambda: taut.drives.Motor(), taut.errors.UsageError, "Motor needs peak=, or stall= and no_load=, or all three; without limits leave it out"),
-        (lambda: taut.drives.Motor(stall=1.0), taut.errors.UsageError, "a motor's curve needs both stall= [N m] and no_load= [rad/s], or neither"),
-        (lambda: taut.drives.Motor(peak=-1.0), taut.errors.RangeError, "actuation.motor.peak must be > 0 [N m]; got -1.0"),
-        (lambda: taut.drives.ElectricMotor(torque_constant=0.1, resistance=0.0), taut.errors.RangeError, "actuation.motor.resistance must be > 0 [ohm]; got 0.0"),
-        (lambda: taut.drives.ElectricMotor(torque_constant=0.1, resistance=1.0, inductance=0.0), taut.errors.RangeError, "actuation.motor.inductance must be > 0 [H]; got 0.0; leave it out where the current is there at once"),
-        (lambda: taut.drives.TorqueLoop(), taut.errors.UsageError, "TorqueLoop needs kp= or ki= above zero; without a loop leave it out"),
-        (lambda: taut.drives.TorqueLoop(kp=-1.0), taut.errors.RangeError, "actuation.torque_loop.kp must be >= 0 [1]; got -1.0"),
-        (lambda: taut.drives.Ripple(amplitude=5.0, periods=6), taut.errors.RangeError, "actuation.ripple.amplitude must be below 1, a share of the torque; got 5; 5 % is 0.05"),
-        (lambda: taut.drives.Ripple(amplitude=0.05, periods=2.5), taut.errors.RangeError, "actuation.ripple.periods must be a whole number: after one turn of the motor its torque is the same again; got 2.5"),
-        (lambda: taut.drives.Actuation(resolution=0.0), taut.errors.RangeError, "actuation.resolution must be > 0 [N m | N]; got 0.0; for an ideal amplifier leave it out"),
-        (lambda: taut.drives.Actuation(motor=2.0), taut.errors.UsageError, "actuation.motor must be taut.drives.Motor(...) or taut.drives.ElectricMotor(...); got float"),  # type: ignore[arg-type]
-        (lambda: taut.RigidPlant(FREE, actuation=taut.drives.Actuation(motor=taut.drives.Motor(peak=[1.0, 2.0]))), taut.errors.ShapeError, "actuation.motor.peak must have shape (1,) (1 joint); got shape (2,)"),
+        (lambda: taut.drives.Motor(), taut.errors.UsageError, "Motor"),
+        (lambda: taut.drives.Motor(stall=1.0), taut.errors.UsageError, "no_load"),
+        (lambda: taut.drives.Motor(peak=-1.0), taut.errors.RangeError, "peak"),
+        (lambda: taut.drives.ElectricMotor(torque_constant=0.1, resistance=0.0), taut.errors.RangeError, "resistance"),
+        (lambda: taut.drives.ElectricMotor(torque_constant=0.1, resistance=1.0, inductance=0.0), taut.errors.RangeError, "inductance"),
+        (lambda: taut.drives.TorqueLoop(), taut.errors.UsageError, "TorqueLoop"),
+        (lambda: taut.drives.TorqueLoop(kp=-1.0), taut.errors.RangeError, "kp"),
+        (lambda: taut.drives.Ripple(amplitude=5.0, periods=6), taut.errors.RangeError, "amplitude"),
+        (lambda: taut.drives.Ripple(amplitude=0.05, periods=2.5), taut.errors.RangeError, "periods"),
+        (lambda: taut.drives.Actuation(resolution=0.0), taut.errors.RangeError, "resolution"),
+        (lambda: taut.drives.Actuation(motor=2.0), taut.errors.UsageError, "motor"),  # type: ignore[arg-type]
+        (lambda: taut.RigidPlant(FREE, actuation=taut.drives.Actuation(motor=taut.drives.Motor(peak=[1.0, 2.0]))), taut.errors.ShapeError, "actuation.motor.peak"),
     ],
 )  # fmt: skip
-def test_what_no_drive_is_is_refused_in_words(make: Any, kind: type[taut.TautError], message: str) -> None:
+def test_what_no_drive_is_is_refused_by_its_name(make: Any, kind: type[taut.TautError], name: str) -> None:
     with pytest.raises(kind) as caught:
         make()
-    assert str(caught.value) == message
+    assert caught.value.name == name
 
 
 @pytest.mark.parametrize(
-    ("path", "value", "message"),
+    ("path", "value"),
     [
-        ("actuation.motor.peak", 0.0, "actuation.motor.peak must be > 0 [N m]; got 0.0"),
-        ("actuation.transmission.efficiency", 1.5, "actuation.transmission.efficiency must be above 0 and at most 1: gears give back no more than they get; got 1.5; 80 % is 0.8"),
-        ("plant.rotor_inertia", -1.0, "plant.rotor_inertia must be >= 0; got -1.0"),
-        ("plant.friction.stribeck_shape", 0.0, "plant.friction.stribeck_shape must be > 0; got 0.0"),
+        ("actuation.motor.peak", 0.0),
+        ("actuation.transmission.efficiency", 1.5),
+        ("plant.rotor_inertia", -1.0),
+        ("plant.friction.stribeck_shape", 0.0),
     ],
 )  # fmt: skip
-def test_a_new_value_is_checked_like_the_first_one(path: str, value: float, message: str) -> None:
+def test_a_new_value_is_checked_like_the_first_one(path: str, value: float) -> None:
     arm = FREE.with_gears(ratio=10.0, motor_inertia=1e-4)
     arm = arm.with_friction(taut.Friction(coulomb=0.1, static=0.2, stribeck=0.1, stribeck_shape=1.0))
     drives = taut.drives.Actuation(
@@ -228,7 +228,7 @@ def test_a_new_value_is_checked_like_the_first_one(path: str, value: float, mess
     loop = taut.Loop(taut.compile(taut.laws.PID(kp=1.0), arm), taut.RigidPlant(arm, actuation=drives), duration=1.0)
     with pytest.raises(taut.errors.RangeError) as caught:
         loop.parameters[path] = value
-    assert str(caught.value) == message
+    assert caught.value.name == path
 
 
 @pytest.mark.parametrize(
@@ -247,7 +247,7 @@ def test_a_new_value_is_checked_like_the_first_one(path: str, value: float, mess
         (
             "plant.rotor_inertia", 0.0,
             "joint 'joint2' has an elastic transmission or backlash, so its motor moves by itself and needs a rotor: "
-            "arm.with_gears(ratio=, motor_inertia=), or with_joints(rotor_inertia=)",
+            "give the arm gears or rotor_inertia",
         ),
     ],
 )  # fmt: skip
@@ -273,7 +273,7 @@ def test_an_inner_loop_needs_the_sensor_that_it_reads(plant: Any, sensor: Any, g
         plant(FREE, actuation=drives, sensors=taut.sensors.Sensors(torque=sensor))
     assert str(caught.value) == (
         "actuation.torque_loop reads the torque sensor at the link, behind gear and friction; sensors.torque is "
-        f"{got}; give sensors=taut.sensors.Sensors(torque=taut.sensors.TorqueSensor()), or leave the loop out"
+        f"{got}; give it one, sensors.torque, or leave the loop out"
     )
 
 
@@ -306,8 +306,8 @@ class TestStepsThatAreTooLong:
         message = self.refused(taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor)))
         assert message == (
             "the motor of joint 'joint1' loses torque with speed so steeply that its joint answers in 0.00075 s, too "
-            "fast for steps of 0.001 s; give the plant substeps=2, or the joint its rotor's inertia: "
-            "arm.with_gears(ratio=, motor_inertia=)"
+            "fast for steps of 0.001 s; give the plant 2 substeps, or the joint its rotor's inertia, "
+            "by gears"
         )
         enough = taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor), substeps=2)
         push = taut.compile(taut.laws.PID(kp=1.0), arm)
@@ -317,7 +317,7 @@ class TestStepsThatAreTooLong:
     def test_for_a_motor_under_a_voltage(self) -> None:
         arm = FREE.with_joints(gear=200.0)
         motor = taut.drives.ElectricMotor(torque_constant=0.1, resistance=0.5, voltage=24.0)
-        assert "give the plant substeps=2," in self.refused(
+        assert "give the plant 2 substeps," in self.refused(
             taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor))
         )
         free = taut.drives.ElectricMotor(
@@ -336,7 +336,7 @@ class TestStepsThatAreTooLong:
         fast = taut.RigidPlant(
             FREE, actuation=taut.drives.Actuation(torque_loop=taut.drives.TorqueLoop(kp=3.0), bandwidth=3000.0)
         )
-        assert self.refused(fast).endswith("lower it, or give the plant substeps=2")
+        assert self.refused(fast).endswith("lower it, or give the plant 2 substeps")
         left, mean = np.exp(-3.0), (1.0 - np.exp(-3.0)) / 3.0
         most = (1.0 + left) / (1.0 + left - 2.0 * mean)
         for kp, stable in ((0.97 * most, True), (1.03 * most, False)):

@@ -185,67 +185,65 @@ HAND = taut.environments.Hand(
 
 
 @pytest.mark.parametrize(
-    ("make", "kind", "words"),
+    ("make", "kind", "name"),
     [
-        (lambda: taut.environments.Spring(stiffness=-1.0), taut.errors.RangeError, "spring.stiffness must be >= 0 [N/m]; got -1.0"),
-        (lambda: taut.environments.Spring(stiffness=[1.0, 2.0, 3.0]), taut.errors.ShapeError, "spring.stiffness must be one number of the position alone [N/m], (linear, angular), six, or a matrix (6, 6) [N/m, N m/rad]; got shape (3,)"),
-        (lambda: taut.environments.Spring(stiffness=(1.0, np.nan)), taut.errors.RangeError, "spring.stiffness[1] must be finite [N/m, N m/rad]; got nan"),
-        (lambda: taut.environments.Spring(stiffness=np.triu(np.ones((6, 6)))), taut.errors.RangeError, "spring.stiffness must be a symmetric matrix [N/m, N m/rad]; it differs from its transpose by 1"),
-        (lambda: taut.environments.Spring(stiffness=1.0, at="here"), taut.errors.UsageError, "spring.at must be a taut.Pose or a point (3,) [m]; got 'here'"),
-        (lambda: taut.environments.Spring(stiffness=(1.0, 2.0), slack=0.1), taut.errors.UsageError, "spring.slack is one number, the free length of a cord of one stiffness [N/m]; leave it out, or give stiffness=300.0"),
-        (lambda: taut.environments.Spring(stiffness=1.0, slack=-0.1), taut.errors.RangeError, "spring.slack must be >= 0 [m]; got -0.1"),
-        (lambda: taut.environments.Damper(damping=1.0, frame="base"), taut.errors.UsageError, "damper.frame must be one of 'world', 'tool'; got 'base'"),
-        (lambda: taut.environments.StiffWall(point=[0, 0], normal=[0, 0, 1], stiffness=1.0), taut.errors.ShapeError, "wall.point must have shape (3,) [m]; got shape (2,)"),
-        (lambda: taut.environments.StiffWall(point=[0, 0, 0], normal=[0, 0, 0], stiffness=1.0), taut.errors.RangeError, "wall.normal must have a length, as [0, 0, 1] for a floor; got [0.0, 0.0, 0.0]"),
-        (lambda: taut.environments.StiffWall(point=[0, 0, 0], normal=[0, 0, 1], stiffness=0.0), taut.errors.RangeError, "wall.stiffness must be > 0 [N/m]; got 0.0; for free space leave the wall out"),
-        (lambda: taut.environments.StiffWall(point=[0, 0, 0], normal=[0, 0, 1], stiffness=[1.0, 2.0]), taut.errors.ShapeError, "wall.stiffness must be one number [N/m]; got shape (2,)"),
-        (lambda: taut.environments.Handle(mass=0.0), taut.errors.RangeError, "handle.mass must be > 0 [kg]; got 0.0; without mass it is a taut.environments.Spring and a taut.environments.Damper"),
-        (lambda: taut.environments.Handle(mass=1.0, damping=[1.0, 2.0]), taut.errors.ShapeError, "handle.damping must be one number for all three axes, or three for those of the world [N s/m]; got shape (2,)"),
-        (lambda: taut.environments.Hand(mass=1.0, damping=1.0, stiffness=1.0, motion=3.0), taut.errors.UsageError, "hand.motion must be taut.environments.Oscillation(...) or taut.environments.BandNoise(...); got float"),  # type: ignore[arg-type]
-        (lambda: taut.environments.Oscillation(amplitude=1.0, frequency=-1.0), taut.errors.RangeError, "oscillation.frequency must be >= 0 [Hz]; got -1.0"),
-        (lambda: taut.environments.BandNoise(rms=1.0, low=2.0, high=1.0), taut.errors.RangeError, "noise.low must be <= noise.high, 1 [Hz]; got 2"),
-        (lambda: taut.environments.BandNoise(rms=1.0, low=1.0, high=2.0, tones=0), taut.errors.RangeError, "noise.tones must be between 1 and 64; got 0"),
-        (lambda: taut.environments.BandNoise(rms=1.0, low=1.0, high=2.0, seed=1.5), taut.errors.UsageError, "noise.seed must be a whole number; got 1.5"),  # type: ignore[arg-type]
-        (lambda: taut.environments.BandNoise(rms=1.0, low=1.0, high=2.0, seed=-1), taut.errors.RangeError, "noise.seed must be >= 0; got -1"),
-        (lambda: taut.environments.Push(peak=[1.0, 2.0]), taut.errors.ShapeError, "push.peak must be a force (3,) [N] or a wrench (6,), force first [N, N m]; got shape (2,)"),
-        (lambda: taut.environments.Push(peak=[1.0, 2.0, 3.0], duration=0.0), taut.errors.RangeError, "push.duration must be > 0 [s]; got 0.0; for no push leave it out"),
-        (lambda: taut.environments.Push(peak=[1.0, 2.0, 3.0], t=-1.0), taut.errors.RangeError, "push.t must be >= 0 [s]; got -1.0"),
-        (lambda: taut.environments.Push(peak=[1.0, 2.0, 3.0], shape="square"), taut.errors.UsageError, "push.shape must be one of 'half-sine', 'rectangular'; got 'square'"),  # type: ignore[arg-type]
-        (lambda: taut.environments.Environments(), taut.errors.UsageError, "taut.environments.Environments needs one part at least: taut.environments.Environments(wall=taut.environments.StiffWall(...))"),
-        (lambda: taut.environments.Environments(wall=3.0), taut.errors.UsageError, "wall must have parameters(), start(T_WE) and wrench(...), see taut.environments.Environment; got float"),  # type: ignore[arg-type]
-        (lambda: taut.environments.Environments(wall=taut.environments.StiffWall), taut.errors.UsageError, "wall must have parameters(), start(T_WE) and wrench(...), see taut.environments.Environment; got StiffWall"),  # type: ignore[arg-type]
-        (lambda: WALL + 3.0, taut.errors.UsageError, "a part of a sum must have parameters(), start(T_WE) and wrench(...), see taut.environments.Environment; got float"),  # type: ignore[operator]
-        (lambda: taut.Event.push(t=1.0, peak=[1.0]), taut.errors.ShapeError, "push.peak must be a force (3,) [N] or a wrench (6,), force first [N, N m]; got shape (1,)"),
+        (lambda: taut.environments.Spring(stiffness=-1.0), taut.errors.RangeError, "stiffness"),
+        (lambda: taut.environments.Spring(stiffness=[1.0, 2.0, 3.0]), taut.errors.ShapeError, "stiffness"),
+        (lambda: taut.environments.Spring(stiffness=(1.0, np.nan)), taut.errors.RangeError, "stiffness"),
+        (lambda: taut.environments.Spring(stiffness=np.triu(np.ones((6, 6)))), taut.errors.RangeError, "stiffness"),
+        (lambda: taut.environments.Spring(stiffness=1.0, at="here"), taut.errors.UsageError, "at"),
+        (lambda: taut.environments.Spring(stiffness=(1.0, 2.0), slack=0.1), taut.errors.UsageError, "slack"),
+        (lambda: taut.environments.Spring(stiffness=1.0, slack=-0.1), taut.errors.RangeError, "slack"),
+        (lambda: taut.environments.Damper(damping=1.0, frame="base"), taut.errors.UsageError, "frame"),
+        (lambda: taut.environments.StiffWall(point=[0, 0], normal=[0, 0, 1], stiffness=1.0), taut.errors.ShapeError, "point"),
+        (lambda: taut.environments.StiffWall(point=[0, 0, 0], normal=[0, 0, 0], stiffness=1.0), taut.errors.RangeError, "normal"),
+        (lambda: taut.environments.StiffWall(point=[0, 0, 0], normal=[0, 0, 1], stiffness=0.0), taut.errors.RangeError, "stiffness"),
+        (lambda: taut.environments.StiffWall(point=[0, 0, 0], normal=[0, 0, 1], stiffness=[1.0, 2.0]), taut.errors.ShapeError, "stiffness"),
+        (lambda: taut.environments.Handle(mass=0.0), taut.errors.RangeError, "mass"),
+        (lambda: taut.environments.Handle(mass=1.0, damping=[1.0, 2.0]), taut.errors.ShapeError, "damping"),
+        (lambda: taut.environments.Hand(mass=1.0, damping=1.0, stiffness=1.0, motion=3.0), taut.errors.UsageError, "motion"),  # type: ignore[arg-type]
+        (lambda: taut.environments.Oscillation(amplitude=1.0, frequency=-1.0), taut.errors.RangeError, "frequency"),
+        (lambda: taut.environments.BandNoise(rms=1.0, low=2.0, high=1.0), taut.errors.RangeError, "low"),
+        (lambda: taut.environments.BandNoise(rms=1.0, low=1.0, high=2.0, tones=0), taut.errors.RangeError, "tones"),
+        (lambda: taut.environments.BandNoise(rms=1.0, low=1.0, high=2.0, seed=1.5), taut.errors.UsageError, "seed"),  # type: ignore[arg-type]
+        (lambda: taut.environments.BandNoise(rms=1.0, low=1.0, high=2.0, seed=-1), taut.errors.RangeError, "seed"),
+        (lambda: taut.environments.Push(peak=[1.0, 2.0]), taut.errors.ShapeError, "peak"),
+        (lambda: taut.environments.Push(peak=[1.0, 2.0, 3.0], duration=0.0), taut.errors.RangeError, "duration"),
+        (lambda: taut.environments.Push(peak=[1.0, 2.0, 3.0], t=-1.0), taut.errors.RangeError, "t"),
+        (lambda: taut.environments.Push(peak=[1.0, 2.0, 3.0], shape="square"), taut.errors.UsageError, "shape"),  # type: ignore[arg-type]
+        (lambda: taut.environments.Environments(), taut.errors.UsageError, None),
+        (lambda: taut.environments.Environments(wall=3.0), taut.errors.UsageError, "wall"),  # type: ignore[arg-type]
+        (lambda: taut.environments.Environments(wall=taut.environments.StiffWall), taut.errors.UsageError, "wall"),  # type: ignore[arg-type]
+        (lambda: WALL + 3.0, taut.errors.UsageError, "a part of a sum"),  # type: ignore[operator]
+        (lambda: taut.Event.push(t=1.0, peak=[1.0]), taut.errors.ShapeError, "peak"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_is_refused(make: Any, kind: type[taut.TautError], words: str) -> None:
+def test_what_cannot_be_is_refused(make: Any, kind: type[taut.TautError], name: str | None) -> None:
     with pytest.raises(kind) as caught:
         make()
-    assert str(caught.value) == words
+    assert caught.value.name == name
 
 
 @pytest.mark.parametrize(
-    ("environment", "path", "value", "words"),
+    ("environment", "path", "value"),
     [
-        (WALL, "stiffness", 0.0, "wall.stiffness must be > 0 [N/m]; got 0.0; for free space leave the wall out"),
-        (WALL, "stiffness", np.inf, "wall.stiffness must be finite [N/m]; got inf"),
-        (WALL, "normal", [0, 0, 0], "wall.normal must have a length, as [0, 0, 1] for a floor; got [0.0, 0.0, 0.0]"),
-        (WALL + HAND, "Hand.motion.frequency", -2.0, "oscillation.frequency must be >= 0 [Hz]; got -2.0"),
-        (WALL + HAND, "Hand.mass", [1.0, 2.0, 3.0], "hand.mass must be one number [kg]; got shape (3,)"),
-        (HAND, "damping", [1.0, 2.0, 3.0], "environment.damping has shape (); got shape (3,); make the plant with a value of the new shape"),
-        (taut.environments.Spring(stiffness=(1.0, 1.0)), "stiffness", 3.0, "environment.stiffness has shape (6,); got shape (); make the plant with a value of the new shape"),
-        (taut.environments.Spring(stiffness=1.0, at=[0, 0, 0]), "at.xyzw", [0, 0, 0, 2.0], "xyzw must have length 1; its length is 2; divide it by its length"),
-        (taut.environments.Push(), "t", -1.0, "push.t must be >= 0 [s]; got -1.0"),
+        (WALL, "stiffness", 0.0),
+        (WALL, "stiffness", np.inf),
+        (WALL, "normal", [0, 0, 0]),
+        (WALL + HAND, "Hand.motion.frequency", -2.0),
+        (WALL + HAND, "Hand.mass", [1.0, 2.0, 3.0]),
+        (HAND, "damping", [1.0, 2.0, 3.0]),
+        (taut.environments.Spring(stiffness=(1.0, 1.0)), "stiffness", 3.0),
+        (taut.environments.Spring(stiffness=1.0, at=[0, 0, 0]), "at.xyzw", [0, 0, 0, 2.0]),
+        (taut.environments.Push(), "t", -1.0),
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
-def test_a_parameter_is_checked_when_it_changes(
-    plant: Any, environment: Any, path: str, value: Any, words: str
-) -> None:
+def test_a_parameter_is_checked_when_it_changes(plant: Any, environment: Any, path: str, value: Any) -> None:
     made = plant(GANTRY, environment=environment)
     with pytest.raises(taut.TautError) as caught:
         made.checked_parameter(f"environment.{path}", value)
-    assert str(caught.value) == words
+    assert caught.value.name in (f"environment.{path}", path.rpartition(".")[2])
 
 
 def test_a_changed_parameter_is_kept_as_it_would_be_made() -> None:

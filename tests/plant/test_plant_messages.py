@@ -37,7 +37,7 @@ CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
     (
         lambda: taut.RigidPlant(ARM, "none"),  # type: ignore[arg-type]
         taut.errors.UsageError,
-        "friction must be 'arm' or None; got 'none'; another friction is the arm's: arm.with_friction(...)",
+        "friction must be 'arm', None or a taut.drives.FrictionLaw; got 'none'; another friction is the arm's: arm.with_friction(...)",
     ),
     (
         lambda: taut.RigidPlant(ARM, integrator="euler"),  # type: ignore[arg-type]
@@ -68,13 +68,12 @@ CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
     (
         lambda: taut.RigidPlant(DRY, integrator="rk4"),
         taut.errors.UsageError,
-        "rk4 needs smooth forces, and arm 'planar2' has dry friction; use semi-implicit-euler, or friction=None",
+        "rk4 needs smooth forces, and arm 'planar2' has dry friction; use semi-implicit-euler, or no friction",
     ),
     (
         lambda: taut.RigidPlant(ARM, takes="position"),
         taut.errors.UsageError,
-        "a plant that takes position needs the bandwidth of its drives: "
-        "actuation=taut.drives.Actuation(bandwidth=50.0)  # rad/s",
+        "a plant that takes position needs the bandwidth of its drives: actuation.bandwidth, 50 rad/s say",
     ),
     (
         lambda: taut.RigidPlant(ARM, takes="velocity", actuation=Actuation(bandwidth=9.0), adds=("gravity",)),
@@ -119,19 +118,19 @@ CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
     (
         lambda: Actuation(bandwidth=0.0),
         taut.errors.RangeError,
-        "actuation.bandwidth must be > 0 [rad/s]; got 0.0; for an ideal torque drive leave it out",
+        "bandwidth must be > 0 [rad/s]; got 0.0; for an ideal torque drive leave it out",
     ),
     (
         lambda: Actuation(bandwidth="fast"),  # type: ignore[arg-type]
         taut.errors.ShapeError,
-        "actuation.bandwidth must be numbers [rad/s]; got 'fast'",
+        "bandwidth must be numbers [rad/s]; got 'fast'",
     ),
     (
         lambda: Actuation(bandwidth=np.inf),
         taut.errors.RangeError,
-        "actuation.bandwidth must be finite [rad/s]; got inf",
+        "bandwidth must be finite [rad/s]; got inf; for an ideal torque drive leave it out",
     ),
-    (lambda: Actuation(delay=-1e-3), taut.errors.RangeError, "actuation.delay must be >= 0 [s]; got -0.001"),
+    (lambda: Actuation(delay=-1e-3), taut.errors.RangeError, "delay must be >= 0 [s]; got -0.001"),
     (
         lambda: Actuation(delay=0.0015).taps(1e-3),
         taut.errors.RangeError,

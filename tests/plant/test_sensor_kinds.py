@@ -425,7 +425,7 @@ CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
     (lambda: Sensors(motor=taut.sensors.Encoder(side="link")), taut.errors.UsageError, "sensors.motor is at the motor; got side='link'; leave side out, or give it as position="),
     (lambda: Sensors(motor_velocity=taut.sensors.Tachometer(side="link")), taut.errors.UsageError, "sensors.motor_velocity is at the motor; got side='link'; leave side out, or give it as velocity="),
     (lambda: taut.RigidPlant(ARM, sensors=Sensors(tip=taut.sensors.Accelerometer(noise=[1.0, 1.0]))), taut.errors.ShapeError, "sensors.tip.noise must have shape (3,); got shape (2,)"),
-    (lambda: taut.RigidPlant(ARM, sensors=Sensors(wrench=taut.sensors.WrenchSensor(noise=(1.0, 0.1)))), taut.errors.UsageError, "sensors.wrench is for a plant that something touches, or whose tool it weighs; give environment= or tool= too, or leave it out"),
+    (lambda: taut.RigidPlant(ARM, sensors=Sensors(wrench=taut.sensors.WrenchSensor(noise=(1.0, 0.1)))), taut.errors.UsageError, "sensors.wrench is for a plant that something touches, or whose tool it weighs; give the plant an environment or the sensor its tool, or leave it out"),
 ]  # fmt: skip
 
 

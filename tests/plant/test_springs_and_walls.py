@@ -234,7 +234,7 @@ class TestStepsThatAreTooLong:
             free(rigid(wall))
         assert str(caught.value) == (
             "environment: what touches the tool swings at 1.41e+03 rad/s and is braked at 667 1/s, too fast for "
-            "steps of 0.001 s; give the plant substeps=2, or a softer environment"
+            "steps of 0.001 s; give the plant 2 substeps, or a softer environment"
         )
         out = free(rigid(wall, substeps=2), v0=[0, 0, -0.3])
         assert np.abs(out.v[:, 2]).max() <= 0.3

@@ -13,7 +13,7 @@ import pytest
 from scipy.io import loadmat
 
 import taut
-from taut.record.log.topics import columns_of
+from taut.record.log.messages import columns_of
 
 
 def test_arrays_have_every_number_by_name(noisy_run: taut.Run) -> None:

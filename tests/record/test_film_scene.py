@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +15,9 @@ from scipy.integrate import solve_ivp
 
 import taut
 from taut.record.film import scene, video
-from taut.record.film.skeleton import Skeleton, upright
-from taut.record.film.surroundings import AROUND, POSES, Around, Mesh, Shape, Thing, around_of, poses_of
+from taut.record.film.scene import Skeleton, upright
+from taut.record.film.surroundings import POSES, Around, Mesh, Shape, Thing, around_of, poses_of
+from taut.record.info import AROUND
 
 SIZE = (96, 72)
 PLACES = 1e-9  # [m]
@@ -70,12 +70,10 @@ def test_the_scene_of_a_film_stands_as_that_of_the_plant(pressing_task: taut.Run
 
 def test_a_film_from_a_log_shows_the_scene(pressing_task: taut.Run, tmp_path: Path) -> None:
     run = taut.load_run(pressing_task.save(tmp_path / "run.mcap"))
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always")
+    try:
         path = run.video(tmp_path / "run.gif", fps=5, size=SIZE, arm=pressing_task.arm)
-    if said:  # a machine without OpenGL
-        assert "is a schematic drawing of the arm alone, because no OpenGL works here" in str(said[0].message)
-        return
+    except taut.errors.MissingExtraError:
+        pytest.skip("this machine has no OpenGL")
     flaps = []
     for picture in pictures(path):
         red, green, blue = picture.transpose(2, 0, 1)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import taut
-from taut.record.compare import compare
-from taut.record.force import force_error, wanted_wrench
+from taut.record.plots.comparison import compare
+from taut.record.tool import force_error, wanted_wrench
 
 L = taut.laws
 ARM = taut.load_arm("planar3")
@@ -113,7 +113,7 @@ def test_a_press_may_be_asked_for_as_a_wrench_and_as_multipliers_it_is_not_known
             t, np.zeros(3), reference=type(sample).of(rows), extra={"contact.normal_force": felt}
         ).metrics
     for name in ("F_app", "press"):
-        assert told[name].press_rms == pytest.approx(np.sqrt((10.0**2 + 0.0 + 6.0**2) / 3.0)), name
-        assert told[name].press_peak == pytest.approx(10.0), name
-    assert np.isnan([told["lam"].press_rms, told["lam"].press_peak]).all()
-    assert told["lam"].largest_press == pytest.approx(10.0)
+        assert told[name].normal_force_error_rms == pytest.approx(np.sqrt((10.0**2 + 0.0 + 6.0**2) / 3.0)), name
+        assert told[name].normal_force_error_peak == pytest.approx(10.0), name
+    assert np.isnan([told["lam"].normal_force_error_rms, told["lam"].normal_force_error_peak]).all()
+    assert told["lam"].peak_normal_force == pytest.approx(10.0)

@@ -16,8 +16,8 @@ from matplotlib.text import Text
 
 import taut
 from taut.analysis.compare.plot import plot_runs
-from taut.record.plots.plot import compare
-from taut.record.plots.style import thinned
+from taut.base.plot_style import thinned
+from taut.record.plots.comparison import compare
 
 
 def axes_titled(figure: Figure, title: str) -> Any:
@@ -102,7 +102,7 @@ def test_the_plot_shows_the_numbers_of_the_run(panda_run: taut.Run) -> None:
     labels = [text.get_text() for text in figure.findobj(Text)]
     assert "zero: I, torque_limit" in labels
     title = figure.get_suptitle()
-    assert title.startswith("ComputedTorque(kp=100, kd=20, ki=0)  on  RigidPlant(panda)\ncompleted: 501 ticks")
+    assert title.startswith("ComputedTorque(kp=100, kd=20)  on  RigidPlant(panda)\ncompleted: 501 ticks")
 
 
 @pytest.mark.parametrize("n", [1, 2, 7, 30])

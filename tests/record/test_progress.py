@@ -11,9 +11,9 @@ import pytest
 
 import taut
 from taut.record import progress
-from taut.record.film import video
-from taut.record.log.writing import export
-from taut.record.log.writing import writing as log
+from taut.record.film import render, video
+from taut.record.log import export
+from taut.record.log import writing as log
 
 
 class Terminal(io.StringIO):
@@ -98,11 +98,20 @@ def test_writing_a_long_run_shows_progress_block_by_block(
     assert all(len(bar.steps) > 1 for bar in counted)
 
 
-@pytest.mark.filterwarnings("ignore:video:RuntimeWarning")
 def test_a_film_shows_progress_picture_by_picture(
     make_run: Any, tmp_path: Path, counted: list[Counting], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("MUJOCO_GL", "off")
+    class Blank:
+        def __enter__(self) -> Any:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+        def pictures(self) -> Any:
+            return (np.zeros((32, 32, 3), dtype=np.uint8) for _ in range(10))
+
+    monkeypatch.setattr(render, "opened", lambda *_: Blank())
     arm = taut.load_arm("one_joint")
     run = make_run(np.arange(100) * 0.01, np.zeros((100, 1)), arm=arm, joint_names=arm.joint_names)
     run.video(tmp_path / "run.gif", fps=10, size=(32, 32), progress=True)

@@ -65,19 +65,19 @@ CASES: list[tuple[Callable[[], tuple[taut.Controller, Any]], type[taut.TautError
         lambda: (compiled(taut.laws.VelocityPI(kp=1.0)), plant()),
         taut.errors.MatchError,
         "VelocityPI gives a velocity and plant 'RigidPlant(planar2)' takes a torque; choose a law for torque commands, "
-        "or a plant with takes='velocity'",
+        "or a plant that takes 'velocity'",
     ),
     (
         lambda: (compiled(Pushed(kp=1.0)), plant()),
         taut.errors.MatchError,
         "Pushed needs F_ext, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; "
-        "give the plant environment= or contact=, or take a taut.MujocoPlant",
+        "give the plant an environment or a contact, or take one in MuJoCo",
     ),
     (
         lambda: (compiled(), HandPlant(measures="")),
         taut.errors.MatchError,
         "PID needs v, which plant 'HandPlant' does not measure; it measures positions only; "
-        "sensing=taut.Sensing(velocity='difference') needs positions only",
+        "sensing with the velocity 'difference' needs positions only",
     ),
     (
         lambda: (compiled(GRAVITY), plant(adds=("gravity",))),

@@ -181,7 +181,7 @@ def test_a_spring_that_a_parameter_makes_too_stiff_for_the_steps_is_refused_when
     assert taut.run(loop).outcome.ok
     loop.parameters["actuation.transmission.stiffness"] = 1e6
     with pytest.raises(
-        taut.errors.RangeError, match=r"too fast for steps of 0\.000333333 s; give the plant substeps=\d+, a softer"
+        taut.errors.RangeError, match=r"too fast for steps of 0\.000333333 s; give the plant \d+ substeps, a softer"
     ):
         taut.run(loop)
 

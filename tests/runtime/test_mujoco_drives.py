@@ -149,7 +149,7 @@ MESSAGES: dict[str, tuple[Callable[[], object], type[taut.TautError], str]] = {
     "no bandwidth": (
         lambda: taut.MujocoPlant(GANTRY, takes="velocity"),
         taut.errors.UsageError,
-        "a plant that takes velocity needs the bandwidth of its drives: actuation=taut.drives.Actuation(bandwidth=50.0)  # rad/s",
+        "a plant that takes velocity needs the bandwidth of its drives: actuation.bandwidth, 50 rad/s say",
     ),
     "another word": (
         lambda: taut.MujocoPlant(GANTRY, takes="power"),  # type: ignore[arg-type]
@@ -174,7 +174,7 @@ MESSAGES: dict[str, tuple[Callable[[], object], type[taut.TautError], str]] = {
         ),
         taut.errors.RangeError,
         "the inner loop of a drive of 300 rad/s is 10 times as fast, too fast for steps of 0.001 s (joint 'y'); give the "
-        "plant timestep=0.000333333333, or slower drives",
+        "plant a timestep of 0.000333333333, or slower drives",
     ),
 }
 

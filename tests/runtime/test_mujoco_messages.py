@@ -73,7 +73,7 @@ def test_a_plant_takes_an_arm() -> None:
 
 def test_rk4_refuses_dry_friction_and_takes_an_arm_without() -> None:
     arm = ARM.with_joints(coulomb=[0.1, 0.0])
-    words = "rk4 needs smooth forces, and arm 'planar2' has dry friction; use integrator='discrete', or friction=None"
+    words = "rk4 needs smooth forces, and arm 'planar2' has dry friction; use integrator='discrete', or no friction"
     assert said(lambda: taut.MujocoPlant(arm, integrator="rk4"), taut.errors.UsageError) == words
     taut.MujocoPlant(arm, integrator="rk4", adds=("friction",))
 

@@ -242,13 +242,13 @@ def test_what_they_cannot_be_is_refused_before_a_run() -> None:
 
 
 LACKS: list[tuple[taut.Law, taut.sensors.Sensors, str]] = [
-    (PD, taut.sensors.Sensors(velocity=None), "PID needs v, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas; sensing=taut.Sensing(velocity='difference') needs positions only"),
-    (Seen(), taut.sensors.Sensors(torque=None), "Seen needs tau_meas, which plant 'RigidPlant(planar2)' does not measure; it measures v; give the plant sensors=taut.sensors.Sensors(torque=taut.sensors.TorqueSensor())"),
-    (Motors(), taut.sensors.Sensors(), "Motors needs q_motor, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant sensors=taut.sensors.Sensors(motor=taut.sensors.Encoder())"),
-    (Motors(), taut.sensors.Sensors(motor=taut.sensors.Encoder()), "Motors needs v_motor, which plant 'RigidPlant(planar2)' does not measure; it measures q_motor, tau_meas, v; give the plant sensors=taut.sensors.Sensors(motor_velocity=taut.sensors.Tachometer())"),
-    (Tip(), taut.sensors.Sensors(), "Tip needs a_tip, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant sensors=taut.sensors.Sensors(tip=taut.sensors.Accelerometer())"),
-    (Forces(), taut.sensors.Sensors(), "Forces needs F_ext, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant environment= or contact=, or take a taut.MujocoPlant"),
-    (Forces(), taut.sensors.Sensors(wrench=None), "Forces needs F_ext, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant sensors=taut.sensors.Sensors(wrench=taut.sensors.WrenchSensor())"),
+    (PD, taut.sensors.Sensors(velocity=None), "PID needs v, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas; sensing with the velocity 'difference' needs positions only"),
+    (Seen(), taut.sensors.Sensors(torque=None), "Seen needs tau_meas, which plant 'RigidPlant(planar2)' does not measure; it measures v; give the plant a torque sensor, sensors.torque"),
+    (Motors(), taut.sensors.Sensors(), "Motors needs q_motor, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant encoders at the motors, sensors.motor"),
+    (Motors(), taut.sensors.Sensors(motor=taut.sensors.Encoder()), "Motors needs v_motor, which plant 'RigidPlant(planar2)' does not measure; it measures q_motor, tau_meas, v; give the plant tachometers at the motors, sensors.motor_velocity"),
+    (Tip(), taut.sensors.Sensors(), "Tip needs a_tip, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant an accelerometer, sensors.tip"),
+    (Forces(), taut.sensors.Sensors(), "Forces needs F_ext, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant an environment or a contact, or take one in MuJoCo"),
+    (Forces(), taut.sensors.Sensors(wrench=None), "Forces needs F_ext, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant a wrench sensor, sensors.wrench"),
 ]  # fmt: skip
 
 

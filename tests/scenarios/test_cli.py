@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import signal
@@ -9,12 +10,15 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import taut
+from taut.cli.command import Answer
+from taut.cli.main import COMMANDS as ALL
 from taut.cli.main import _parser, main
-from taut.scenarios.scenario import built_in_scenarios
+from taut.scenarios.scenario import built_in_scenarios, load_scenario
 
 LAW = '''
 import taut
@@ -161,39 +165,53 @@ def test_the_laws_are_running_text_as_wide_as_the_terminal(
     assert "follows JointMotion; gives a torque; needs q, v" in told
 
 
-def table_of(said: str) -> list[str]:
-    return [line for line in said.splitlines() if line[:1] in "┏┃┡│└"]
+class TestValuesOfAScenario:
+    def told(self, capsys: pytest.CaptureFixture[str], *words: str, status: int = 0) -> dict[str, Any]:
+        assert main(["run", "one_joint_pid", *words, "--json"]) == status
+        out: dict[str, Any] = json.loads(capsys.readouterr().out)
+        return out
 
+    def test_one_number_changes_by_its_path_in_the_file_or_as_a_parameter(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        out = ("--out", str(tmp_path))
+        plain = self.told(capsys, *out)["metrics"]
+        one = self.told(capsys, *out, "--set", "laws.PD.kp=4", status=1)["metrics"]
+        both = self.told(capsys, *out, "--set", "law.kp=4", "--set", "run.seed=3", status=1)["metrics"]
+        assert plain["PID"] == one["PID"]
+        assert plain["PD"] != one["PD"] == both["PD"]
+        assert plain["PID"] != both["PID"]
 
-def test_a_table_of_a_run_is_no_wider_than_120_columns_in_a_pipe(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("COLUMNS", raising=False)
-    assert main(["run", "one_joint_pid", "--out", str(tmp_path)]) == 0
-    lines = table_of(capsys.readouterr().out)
-    assert max(map(len, lines)) <= 120
-    assert lines[1].replace("┃", " ").split() == ["law", "PD", "PID"]  # on its side, for its rows would be longer
-
-
-def test_a_table_that_needs_more_columns_has_them_in_a_pipe(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Many laws with many numbers: a row of each, and no number on two lines."""
-    monkeypatch.delenv("COLUMNS", raising=False)
-    laws = [f"law number {i}" for i in range(12)]
-    text = (
-        '[arm]\nmodel = "one_joint"\n[plant]\nkind = "rigid"\n[reference]\nkind = "set-point"\nq = [0.0]\n'
-        "[run]\nduration = 0.5\nq0 = [-1.0]\n"
+    @pytest.mark.parametrize(
+        ("words", "path", "near"),
+        [
+            ("law.kpp=4", "[laws.PD]", "did you mean 'kp'?"),
+            ("run.duraton=4", "[run]", "did you mean 'duration'?"),
+            ("plant.payloads.mass=1", "[plant]", "did you mean 'payload'?"),
+            ("title.x=1", "title", ""),
+            ("sensors.position.noise=-1", "[plant.sensors.position]", "noise"),
+            ("law.kp", "--set", "NAME=VALUE"),
+        ],
     )
-    text += "".join(f'[laws."{name}"]\nlaw = "PID"\nkp = 2.0\nkd = 2.0\n' for name in laws)
-    (tmp_path / "many.toml").write_text(text, encoding="utf-8")
-    assert main(["run", str(tmp_path / "many.toml"), "--out", str(tmp_path / "out")]) == 0
-    lines = table_of(capsys.readouterr().out)
-    rows = [[cell.strip() for cell in line.strip("│").split("│")] for line in lines if line.startswith("│")]
-    assert [row[0] for row in rows] == laws
-    assert {len(row) for row in rows} == {len(rows[0])}
-    assert all(float(cell) > 0.0 for row in rows for cell in row[1:3])
-    assert max(map(len, lines)) > 120
+    def test_a_path_or_value_that_is_none_is_one_sentence(
+        self, words: str, path: str, near: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert main(["run", "one_joint_pid", "--out", str(tmp_path / "out"), "--set", words]) == 2
+        said = capsys.readouterr().err
+        assert path in said
+        assert near in said
+        assert said.count("\n") == 1
+        assert not (tmp_path / "out").exists()
+
+    def test_the_gain_of_a_phase_is_named_by_its_phase(self) -> None:
+        scenario = load_scenario("touch_and_press", values={"law.approach.kp": 77.0})
+        task: Any = scenario.laws["task"]
+        assert float(task.laws["approach"].kp.as_array()) == 77.0
+
+    def test_the_file_of_a_scenario_is_printed(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main(["scenarios", "one_joint_pid"]) == 0
+        text = built_in_scenarios()["one_joint_pid"].read_text(encoding="utf-8")
+        assert capsys.readouterr().out == text.rstrip() + "\n"
 
 
 class TestALawOfTheUsersOwn:
@@ -283,9 +301,13 @@ class TestALawOfTheUsersOwn:
         file.write_text(LAW)
         text = built_in_scenarios()["one_joint_pid"].read_text()
         for old, new, message in (
-            ('shown = "PID"', 'shown = "x"', "[outputs] shown must be one of the laws 'PD', 'PID'; got 'x'"),
+            ('shown = "PID"', 'shown = "x"', "[outputs] shown must be one of 'PD', 'PID'; got 'x'"),
             ('law = "PD"', 'law = "x"', "[pass 2] law must be one of 'PD', 'PID'; got 'x'"),
-            ('metric = "final_error"', 'metric = "x"', "[pass 1] metric: a run has no metric 'x'"),
+            (
+                'metric = "final_error"',
+                'metric = "x"',
+                "[pass 1] metric must name what is measured: a run has no metric 'x'",
+            ),
         ):
             case = tmp_path / "case.toml"
             case.write_text(text.replace(old, new))
@@ -337,11 +359,12 @@ def test_a_name_that_is_a_file_here_is_told(
 def test_a_warning_is_one_line_without_our_code(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def warn(arguments: object) -> int:
+    def warn(*_: object) -> Answer:
         warnings.warn("this may take\nlong", RuntimeWarning, stacklevel=2)
-        return 0
+        return Answer(text="", data=None)
 
-    monkeypatch.setattr("taut.cli.main._arms", warn)
+    commands = tuple(dataclasses.replace(each, run=warn) if each.name == "arms" else each for each in ALL)
+    monkeypatch.setattr("taut.cli.main.COMMANDS", commands)
     with warnings.catch_warnings():
         warnings.simplefilter("default")
         assert main(["arms"]) == 0
@@ -399,7 +422,7 @@ def test_a_reader_that_goes_away_changes_no_exit_status(tmp_path: Path) -> None:
         assert (done.returncode, done.stderr) == (status, "")
 
 
-@pytest.mark.parametrize("module", ["rich.console", "taut.cli.compare", "taut.arm.load", "numpy"])
+@pytest.mark.parametrize("module", ["taut.cli.run", "taut.cli.compare", "taut.arm.load", "numpy"])
 def test_ctrl_c_while_modules_load_gives_no_traceback(module: str) -> None:
     code = f"""
 import os, signal, sys

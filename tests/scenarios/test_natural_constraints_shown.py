@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import taut
-from taut.scenarios.run_scenario import _remark, run_scenario
+from taut.scenarios.run import _remark, run_scenario
 from taut.scenarios.scenario import load_scenario
 
 SCENARIO = """

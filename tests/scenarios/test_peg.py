@@ -14,7 +14,7 @@ import pytest
 
 import taut
 from taut.cli.main import main
-from taut.scenarios.run_scenario import run_scenario
+from taut.scenarios.run import run_scenario
 from taut.scenarios.scenario import Outputs, Scenario, built_in_scenarios, load_scenario
 
 HOLE = built_in_scenarios()["peg"].with_name("peg_hole.xml")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.scenarios.run_scenario import run_scenario
+from taut.scenarios.run import run_scenario
 from taut.scenarios.scenario import built_in_scenarios, load_scenario
 
 TASK = """
@@ -73,21 +73,21 @@ def test_a_hybrid_phase_goes_from_where_it_begins_and_presses(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("hybrid", "more", "message"),
+    ("hybrid", "more", "path"),
     [
-        (False, "press = 5", "[phases 2.reference] press is for a hybrid law, and TaskComputedTorque applies no forces"),
-        (True, "press = -5", "[phases 2.reference] press must be >= 0 [N], the force into the surface; got -5"),
-        (True, "press = 5, lam = [3]", "[phases 2.reference] pressing takes one of press, lam and F_app; got press and lam"),
+        (False, "press = 5", "phases 2.reference"),
+        (True, "press = -5", "phases 2.reference.press"),
+        (True, "press = 5, lam = [3]", "phases 2.reference.lam"),
     ],
-)  # fmt: skip
-def test_forces_of_a_phase_that_are_none_are_refused(hybrid: bool, more: str, message: str, tmp_path: Path) -> None:
+)
+def test_forces_of_a_phase_that_are_none_are_refused(hybrid: bool, more: str, path: str, tmp_path: Path) -> None:
     text = built_in_scenarios()["touch_and_press"].read_text(encoding="utf-8")
     assert text.count(DEEPER) == 1
     assert text.count(SOFT) == 1
     text = text.replace(DEEPER, DEEPER.replace(" }", f", {more} }}"))
     with pytest.raises(taut.errors.ScenarioError) as caught:
         loaded(text.replace(SOFT, HYBRID.replace("\\\n", "")) if hybrid else text, tmp_path)
-    assert message in str(caught.value)
+    assert caught.value.name == path
 
 
 def loaded(text: str, folder: Path) -> Any:
@@ -112,24 +112,26 @@ def test_a_task_runs_from_a_file_and_has_a_line_for_each_visit_of_a_phase(tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "message"),
+    ("old", "new", "path"),
     [
-        ('until = { contact = 5.0 }', "until = { }", 'mine.toml\': [phases 2.until] needs a condition, such as { contact = 2.0 }: one or more of \'contact\', \'no_contact\', \'moved\', \'elapsed\', \'settled\''),
-        ('until = { contact = 5.0 }', "until = { force = 5.0 }", "[phases 2.until] has no key 'force'; did you mean 'frame'?"),
-        ('otherwise = "go"', 'otherwise = "og"', "mine.toml' [[phases]]: phase 'stay': otherwise: the task has no phase 'og'; it has 'go', 'stay', 'stop'"),
-        ('otherwise = "go"', 'othrwise = "go"', "[phases 2] has no key 'othrwise'; did you mean 'otherwise'"),
-        ("timeout = 1.0", "timeout = -1.0", "[phases 1] timeout must be > 0 [s]; got -1.0"),
-        ('{ kind = "quintic"', '{ kind = "steady", velocity = [0, 0, 1] }\nxx = { kind = "quintic"', "[phases 1.reference] kind is for a law that follows the tool, and ComputedTorque follows a JointMotion"),
-        ("[[phases]]", '[laws.a]\nlaw = "PID"\nkp = 1\n\n[[phases]]', "has [[phases]], each with its law and its reference; leave [laws] out"),
-        ("ticks = 5", "direction = [0, 0, 1]", "[phases 1.until] direction and frame are for contact and no_contact; leave them out"),
-        ('part = "stay"', 'part = "sty"', "[pass 1] part: the task has no phase 'sty'; did you mean 'stay'"),
-        ('law = { law = "GravityPID", kp = 20, kd = 5 }', "", "[phases 2] needs the section [phases 2.law]"),
+        ("until = { contact = 5.0 }", "until = { }", "phases 2.until"),
+        ("until = { contact = 5.0 }", "until = { force = 5.0 }", "phases 2.until.force"),
+        ('otherwise = "go"', 'otherwise = "og"', ""),
+        ('otherwise = "go"', 'othrwise = "go"', "phases 2.othrwise"),
+        ("timeout = 1.0", "timeout = -1.0", "phases 1.timeout"),
+        (
+            '{ kind = "quintic"',
+            '{ kind = "steady", velocity = [0, 0, 1] }\nxx = { kind = "quintic"',
+            "phases 1.reference",
+        ),
+        ("[[phases]]", '[laws.a]\nlaw = "PID"\nkp = 1\n\n[[phases]]', ""),
+        ("ticks = 5", "direction = [0, 0, 1]", "phases 1.until"),
+        ('part = "stay"', 'part = "sty"', "pass 1.part"),
+        ('law = { law = "GravityPID", kp = 20, kd = 5 }', "", "phases 2.law"),
     ],
-)  # fmt: skip
-def test_what_is_wrong_with_a_task_is_told_by_section_and_key(
-    old: str, new: str, message: str, tmp_path: Path
-) -> None:
+)
+def test_what_is_wrong_with_a_task_is_refused_by_its_path(old: str, new: str, path: str, tmp_path: Path) -> None:
     assert old in TASK
     with pytest.raises(taut.errors.ScenarioError) as caught:
         loaded(TASK.replace(old, new, 1), tmp_path)
-    assert message in str(caught.value)
+    assert caught.value.name == path

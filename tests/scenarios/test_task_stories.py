@@ -17,10 +17,9 @@ from story_names import STORIES
 
 import taut
 from taut.base.errors import TautError
-from taut.scenarios.cases import Trial
-from taut.scenarios.run_scenario import ScenarioResult, run_scenario
+from taut.scenarios.run import ScenarioResult, run_scenario
 from taut.scenarios.sample_policy import SamplePolicy
-from taut.scenarios.scenario import Scenario, built_in_scenarios, load_scenario
+from taut.scenarios.scenario import Scenario, Trial, built_in_scenarios, load_scenario
 
 WHOLE = bool(os.environ.get("TAUT_BARS"))  # `make bars`
 ENDS = ("ur10_led", "ur10_led_drives")  # stories of many frequencies

@@ -13,7 +13,7 @@ import pytest
 
 import taut
 from taut.base.errors import RangeError, ScenarioError, ShapeError, UsageError
-from taut.scenarios.run_scenario import run_scenario
+from taut.scenarios.run import run_scenario
 from taut.scenarios.scenario import built_in_scenarios, load_scenario
 
 TITLE = "wrong_board"
@@ -66,10 +66,10 @@ def test_a_spring_tip_takes_the_impact_and_gives_way_by_the_force_over_its_stiff
     apart = stiff.task.p[-1] - soft.task.p[-1]
     sunk, weight = (n @ apart) / n[2], 0.02 * 9.81
     assert np.isclose(sunk, (soft.extra["F_ext"][-1, 2] - weight) / 1000.0, atol=7e-4)
-    assert soft.metrics.largest_press == pytest.approx(np.linalg.norm(told["soft"], axis=1).max())
+    assert soft.metrics.peak_normal_force == pytest.approx(np.linalg.norm(told["soft"], axis=1).max())
     error = 10.0 - np.linalg.norm(told["soft"], axis=1)
-    assert soft.metrics.press_rms == pytest.approx(np.sqrt(np.mean(error**2)))
-    assert soft.metrics.surface_peak < 0.02
+    assert soft.metrics.normal_force_error_rms == pytest.approx(np.sqrt(np.mean(error**2)))
+    assert soft.metrics.path_error_peak < 0.02
     assert np.isnan(soft.metrics.normal_error)
 
 

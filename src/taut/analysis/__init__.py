@@ -46,6 +46,9 @@ if TYPE_CHECKING:
     from taut.analysis.wrist_calibration import WristCalibration as WristCalibration
     from taut.analysis.wrist_calibration import calibrate_wrist as calibrate_wrist
     from taut.analysis.wrist_calibration import calibration_poses as calibration_poses
+    from taut.base.result import Content as Content
+    from taut.base.result import Result as Result
+    from taut.base.result import Table as Table
     from taut.linear.joint_loop import SecondOrder as SecondOrder
     from taut.linear.joint_loop import second_order as second_order
     from taut.linear.judgement import Judgement as Judgement
@@ -53,7 +56,10 @@ if TYPE_CHECKING:
     from taut.linear.linearise import Linearisation as Linearisation
     from taut.linear.routh_table import RouthTable as RouthTable
     from taut.linear.routh_table import routh as routh
+    from taut.record.metrics import METRICS as METRICS
+    from taut.record.metrics import Metric as Metric
+    from taut.record.metrics import metric as metric
     from taut.record.plots.friction_curves import plot_friction as plot_friction
-    from taut.scenarios.compare_laws_by_name import grade as grade
+    from taut.scenarios.compare import grade as grade
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

@@ -237,7 +237,7 @@ class ToolImpedance(Result):
         """Bode diagram of Z: specified, predicted and, after a sweep, measured."""
         from matplotlib.figure import Figure
 
-        from taut.record.plots.style import DASHED, INK, SMALL, WIDTH, colour, prepared
+        from taut.base.plot_style import DASHED, INK, SMALL, WIDTH, colour, prepared
 
         figure = Figure(figsize=(WIDTH, FIGURE_HEIGHT), layout="constrained")
         above, below = figure.subplots(2, 1, sharex=True)

@@ -349,11 +349,16 @@ class Declared:
             "properties": fields,
         }
 
+    def _as_by_default(self, name: str) -> bool:
+        """Whether a field has the value of its default; a copy of a part may be another object of the same text."""
+        stored, default = self.__dict__[name], self.declared[name].default
+        return _same(stored, default) or (isinstance(stored, Declared) and repr(stored) == repr(default))
+
     def __repr__(self) -> str:
         shown = (
             f"{name}={_shown(self.__dict__[name])}"
             for name, field in self.declared.items()
-            if field.default is REQUIRED or not _same(self.__dict__[name], field.default)
+            if field.default is REQUIRED or name in self.specified or not self._as_by_default(name)
         )
         return f"{type(self).__name__}({', '.join(shown)})"
 

@@ -31,7 +31,8 @@ class Table:
     Args:
         title: What the rows are.
         columns: Heads, with units: "settling [s]".
-        rows: A cell for each column. Numbers stay numbers; NaN and None have no meaning in their row.
+        rows: A cell for each column. Numbers stay numbers; NaN and None have no meaning in their row. A column that
+            holds texts alone is aligned to the left.
         note: A sentence below it.
     """
 
@@ -43,17 +44,17 @@ class Table:
     def __str__(self) -> str:
         texts = [[cell_text(cell) for cell in row] for row in self.rows]
         widths = [max(map(len, column)) for column in zip(self.columns, *texts, strict=True)]
-        words = [all(isinstance(cell, str) for cell in column) for column in zip(*self.rows, strict=True)] or [
-            True
-        ] * len(self.columns)
+        sides = [str.ljust if words else str.rjust for words in self.text_columns]
         lines = [
-            "  ".join(
-                cell.ljust(width) if word else cell.rjust(width)
-                for cell, width, word in zip(line, widths, words, strict=True)
-            ).rstrip()
+            "  ".join(side(cell, width) for side, cell, width in zip(sides, line, widths, strict=True)).rstrip()
             for line in (list(self.columns), *texts)
         ]
         return "\n".join(([self.title] if self.title else []) + lines + ([self.note] if self.note else []))
+
+    @property
+    def text_columns(self) -> tuple[bool, ...]:
+        """Of each column, whether it holds texts alone."""
+        return tuple(all(isinstance(row[i], str) for row in self.rows) for i in range(len(self.columns)))
 
     def json(self) -> list[dict[str, Any]]:
         """The rows as mappings from the heads; NaN and infinite numbers as texts."""
@@ -74,6 +75,7 @@ class Content:
         settings: What the analysis was done with, as text by name.
         texts: Longer texts by title, such as a scenario.
         repeat: How to do it again: a command, or lines of Python.
+        versions: Of the programs that it was done with; a report shows those that write it if left out.
     """
 
     title: str
@@ -85,6 +87,7 @@ class Content:
     settings: Mapping[str, str] = field(default_factory=dict)
     texts: Mapping[str, str] = field(default_factory=dict)
     repeat: str = ""
+    versions: Mapping[str, str] = field(default_factory=dict)
 
 
 class Result(ABC):
@@ -133,6 +136,7 @@ def cell_text(cell: Cell) -> str:
 
 def plain(cell: Cell) -> Cell:
     """A cell in JSON, which has no NaN and no infinity."""
-    if isinstance(cell, float):
-        return None if math.isnan(cell) else str(cell) if math.isinf(cell) else float(cell)
-    return bool(cell) if isinstance(cell, np.bool_) else cell
+    value: Cell = cell.item() if isinstance(cell, np.generic) else cell
+    if isinstance(value, float):
+        return None if math.isnan(value) else str(value) if math.isinf(value) else value
+    return value

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from taut.analysis.loci import bisected
+from taut.base.plot_style import colour, prepared
 from taut.book.drawing import legend, panels
 from taut.book.link import KD, KI, KP, B, M, controller, link, on_link
 from taut.book.oracle import held_radius
@@ -20,7 +21,6 @@ from taut.control.trajectories.reference import JointMotion
 from taut.linear.joint_loop import error_dynamics, second_order
 from taut.linear.linear_system import LinearSystem
 from taut.plant.drives.actuation import Actuation
-from taut.record.plots.style import colour, prepared
 from taut.record.run import Run
 
 __all__ = ["ENTRIES"]

@@ -9,11 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from taut.analysis.constraints.natural_constraints import ConstraintTable, natural_constraints
 from taut.analysis.constraints.specification import check_specification
+from taut.base.plot_style import INK, SMALL, colour
 from taut.base.types import Float64Array
 from taut.book.drawing import arrow, canvas, words
 from taut.book.page import Entry, Page, row
 from taut.maths.constraints.constraint import Constraint
-from taut.record.plots.style import INK, SMALL, colour
 from taut.trace.pose import Pose
 
 __all__ = ["ENTRIES"]

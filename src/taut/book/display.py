@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 
 from taut.analysis.stiffness import check_virtual_wall
 from taut.arm.load import load_arm
+from taut.base.plot_style import DASHED, INK, SMALL, colour, prepared
 from taut.book.drawing import arrow, box, legend, panels, words
 from taut.book.oracle import held_radius
 from taut.book.page import Entry, Page, Row, row
@@ -17,7 +18,6 @@ from taut.control.laws.joint import PID
 from taut.control.sensing.sensing import Sensing
 from taut.control.trajectories.reference import JointMotion
 from taut.controller import compile
-from taut.record.plots.style import DASHED, INK, SMALL, colour, prepared
 
 __all__ = ["ENTRIES"]
 

@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 
 from taut.arm.description import Arm
 from taut.arm.friction import Friction
+from taut.base.plot_style import DASHED, INK, colour, prepared
 from taut.book.drawing import legend, panels
 from taut.book.friction import KINETIC, REST, STATIC, STICKING
 from taut.book.link import M, controller, link, on_link
@@ -20,7 +21,6 @@ from taut.control.law import Law
 from taut.control.laws.friction import Dither, RaisedGains
 from taut.control.laws.joint import PID
 from taut.control.trajectories.reference import JointMotion
-from taut.record.plots.style import DASHED, INK, colour, prepared
 from taut.record.run import Run
 
 if TYPE_CHECKING:

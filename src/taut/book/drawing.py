@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from taut.base.plot_style import INK, SMALL, WIDTH, colour
 from taut.base.types import Float64Array
-from taut.record.plots.style import INK, SMALL, WIDTH, colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

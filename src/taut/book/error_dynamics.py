@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 from taut.analysis.design.design import design
 from taut.analysis.loci import root_locus
 from taut.arm.load import load_arm
+from taut.base.plot_style import DASHED, DOTTED, INK, SMALL, colour, prepared
 from taut.book.drawing import legend, panels
 from taut.book.link import FAST, KD, B, M, link, on_link
 from taut.book.page import ROOTS, Entry, Page, Row, row
@@ -21,7 +22,6 @@ from taut.linear.joint_loop import error_dynamics, second_order
 from taut.linear.linear_system import LinearSystem
 from taut.linear.linearise import linearise
 from taut.linear.routh_table import routh
-from taut.record.plots.style import DASHED, DOTTED, INK, SMALL, colour, prepared
 
 __all__ = ["ENTRIES", "settling"]
 

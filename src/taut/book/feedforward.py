@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import expm
 
+from taut.base.plot_style import DASHED, INK, SMALL, colour, prepared
 from taut.base.types import Float64Array
 from taut.book.drawing import law_diagram, legend, panels
 from taut.book.link import (
@@ -37,7 +38,6 @@ from taut.control.laws.joint import PID, ComputedTorque, FeedForward
 from taut.control.trajectories.joint import Sine
 from taut.control.trajectories.reference import JointMotion
 from taut.maths.snapshot import snapshot
-from taut.record.plots.style import DASHED, INK, SMALL, colour, prepared
 from taut.record.run import Run
 
 __all__ = ["ENTRIES"]

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from taut.arm.load import load_arm
+from taut.base.plot_style import DASHED, INK, colour, prepared
 from taut.book.drawing import legend, panels
 from taut.book.multi_joint import Q, V
 from taut.book.oracle import TWO_LINKS, engine, panda, two_links
@@ -21,7 +22,6 @@ from taut.maths.snapshot import snapshot
 from taut.plant.contact import RigidContact
 from taut.plant.environments.environment import Environments
 from taut.plant.environments.springs import Damper, Spring
-from taut.record.plots.style import DASHED, INK, colour, prepared
 from taut.record.run import Run
 
 __all__ = ["ENTRIES", "pressing_down"]

@@ -11,6 +11,7 @@ from scipy.optimize import minimize_scalar
 from taut.arm.builtin import one_joint
 from taut.arm.description import Arm
 from taut.arm.gears import matched_ratio, reflected_inertia
+from taut.base.plot_style import DOTTED, INK, colour, prepared
 from taut.book.drawing import legend, panels
 from taut.book.link import controller, on_link
 from taut.book.page import Entry, Page, row
@@ -18,7 +19,6 @@ from taut.book.single_joint import ConstantTorque
 from taut.control.trajectories.reference import JointMotion
 from taut.maths.gearing import rotor_share
 from taut.maths.snapshot import snapshot
-from taut.record.plots.style import DOTTED, INK, colour, prepared
 
 __all__ = ["ENTRIES"]
 

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from taut.base.plot_style import colour, prepared
 from taut.book.drawing import legend, panels
 from taut.book.impedance import FAST, B, K, Pushed, along_x, slides, still
 from taut.book.page import Entry, Page, Row, row
@@ -21,8 +22,7 @@ from taut.control.trajectories.force_reference import TaskForce
 from taut.control.trajectories.reference import Sample
 from taut.linear.linearise import linearise
 from taut.maths.snapshot import snapshot
-from taut.plant.environments.held import Handle
-from taut.record.plots.style import colour, prepared
+from taut.plant.environments.hands import Handle
 from taut.runtime.simulate import run
 
 __all__ = ["ENTRIES"]

@@ -14,6 +14,7 @@ from taut.analysis.impedance_at_tool import ToolImpedance, tool_impedance
 from taut.arm.description import Arm
 from taut.arm.load import load_arm
 from taut.base.errors import RangeError
+from taut.base.plot_style import DASHED, INK, colour, prepared
 from taut.base.types import Float64Array
 from taut.book.drawing import legend, panels
 from taut.book.link import M, link
@@ -31,7 +32,6 @@ from taut.control.trajectories.reference import Sample
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.controller import compile
 from taut.maths.snapshot import Snapshot, snapshot
-from taut.record.plots.style import DASHED, INK, colour, prepared
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 

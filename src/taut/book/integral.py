@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 
 from taut.analysis.loci import bisected, root_locus
 from taut.arm.load import load_arm
+from taut.base.plot_style import DASHED, INK, SMALL, colour, prepared
 from taut.book.drawing import arrow, legend, panels, words
 from taut.book.link import KD, KI, KP, SAMPLED, B, M, R, controller, link, on_link, solved, weight
 from taut.book.page import ODE, ROOTS, Entry, Page, Row, row
@@ -20,7 +21,6 @@ from taut.control.trajectories.reference import JointMotion
 from taut.linear.joint_loop import error_dynamics, second_order
 from taut.linear.linear_system import LinearSystem
 from taut.linear.linearise import linearise
-from taut.record.plots.style import DASHED, INK, SMALL, colour, prepared
 from taut.record.run import Run
 
 __all__ = ["ENTRIES"]

@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 from taut.analysis.joint_coupling import coupling
 from taut.analysis.lyapunov_function import Lyapunov, lyapunov
 from taut.arm.load import load_arm
+from taut.base.plot_style import DASHED, INK, colour, prepared
 from taut.base.types import Float64Array
 from taut.book.drawing import legend, panels
 from taut.book.oracle import TWO_LINKS, engine, panda, two_links
@@ -22,7 +23,6 @@ from taut.control.laws.joint import PID, ComputedTorque, GravityPID
 from taut.control.trajectories.joint import Sine
 from taut.control.trajectories.reference import JointMotion
 from taut.maths.snapshot import snapshot
-from taut.record.plots.style import DASHED, INK, colour, prepared
 from taut.record.run import Run
 
 __all__ = ["ENTRIES", "Q", "V"]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.signal import butter, lfilter
 
+from taut.base.plot_style import COLOURS, INK, SMALL, colour, prepared
 from taut.book.drawing import arrow, block, box, canvas, legend, panels, words
 from taut.book.link import WRONG_R, B, M, controller, link, on_link, weight
 from taut.book.page import Entry, Page, Row, row
@@ -19,7 +20,6 @@ from taut.control.sensing.velocity import Difference
 from taut.control.trajectories.joint import Sine
 from taut.control.trajectories.reference import JointMotion
 from taut.controller import compile
-from taut.record.plots.style import COLOURS, INK, SMALL, colour, prepared
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

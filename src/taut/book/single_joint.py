@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from taut.base.plot_style import INK, SMALL, colour
 from taut.base.types import Float64Array
 from taut.book.drawing import arrow, frame, law_diagram, panels, words
 from taut.book.link import (
@@ -35,7 +36,6 @@ from taut.control.laws.joint import PID
 from taut.control.trajectories.joint import Sine
 from taut.control.trajectories.reference import JointMotion, Sample
 from taut.maths.snapshot import Snapshot, snapshot
-from taut.record.plots.style import INK, SMALL, colour
 
 __all__ = ["ENTRIES", "ConstantTorque", "pseudocode"]
 

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
+from taut.base.plot_style import DASHED, INK, colour, prepared
 from taut.base.types import Float64Array
 from taut.book.drawing import legend, panels
 from taut.book.oracle import panda
@@ -17,7 +18,6 @@ from taut.book.simulation import simulated
 from taut.control.laws.task import TaskComputedTorque
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.snapshot import snapshot
-from taut.record.plots.style import DASHED, INK, colour, prepared
 from taut.trace.pose import Pose
 
 if TYPE_CHECKING:

@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from taut.base.plot_style import INK, colour, prepared
 from taut.base.types import Float64Array
 from taut.book.drawing import legend, panels
 from taut.book.multi_joint import Q, V
@@ -28,7 +29,6 @@ from taut.controller import Controller, compile
 from taut.maths.snapshot import Snapshot, snapshot
 from taut.maths.spatial import rotated
 from taut.maths.task_inertia import TaskInertia
-from taut.record.plots.style import INK, colour, prepared
 from taut.record.run import Run
 from taut.trace import math as tm
 from taut.trace.pose import Pose

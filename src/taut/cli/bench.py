@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import tempfile
 import time
@@ -17,6 +18,7 @@ import numpy as np
 from taut.arm.description import Arm
 from taut.base.errors import count_of
 from taut.base.types import Float64Array
+from taut.cli.command import Answer, Command, Say
 from taut.codegen.engine import Steps
 from taut.codegen.layout import Block
 from taut.codegen.loop import StepLoop
@@ -27,7 +29,7 @@ from taut.controller import Controller, compile
 from taut.loop import DT, Loop
 from taut.plant.rigid import RigidPlant
 
-__all__ = ["BareLoop", "Timing", "bench_arm", "empty_cache", "interleaved"]
+__all__ = ["BENCH", "BareLoop", "Timing", "bench_arm", "empty_cache", "interleaved"]
 
 ROUNDS: Final = 9
 BUDGET: Final = 0.05  # [s] that one case takes in one round
@@ -165,3 +167,22 @@ def bench_arm(arm: Arm) -> list[tuple[str, str]]:
         ("ctrl.step", f"{1e6 * timing['step'].median:.2f} us (+-{100 * timing['step'].spread:.0f} %)"),
         ("fused closed loop", f"{1e-6 / per_step:.2f} million steps/s, {1e-3 / per_step:.0f} times real time"),
     ]
+
+
+def _bench(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
+    from taut.arm.load import load_arm
+
+    rows = bench_arm(load_arm(arguments.arm))
+    return Answer(text="\n".join(f"{what:22} {figure}" for what, figure in rows), data=dict(rows))
+
+
+def _arguments(command: argparse.ArgumentParser) -> None:
+    command.add_argument("arm", nargs="?", default="planar3", metavar="ARM", help="name or file (default: planar3)")
+
+
+BENCH: Final = Command(
+    name="bench",
+    help="Measure what a tick, a compile and a closed loop cost on this machine.",
+    arguments=_arguments,
+    run=_bench,
+)

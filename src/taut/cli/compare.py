@@ -5,12 +5,13 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from taut.base.errors import UsageError, unknown_name
-from taut.scenarios.name_value import named_values
+from taut.cli.command import DONE, ENGINES, FAILED, STATUS, Answer, Command, Say
+from taut.cli.values import load_law, named_values
 
 if TYPE_CHECKING:
     from taut.analysis.compare.compare import Comparison
@@ -19,22 +20,22 @@ if TYPE_CHECKING:
     from taut.control.law import Law
     from taut.record.run import Run
 
-__all__ = ["COMPARE", "add_compare", "compare_from"]
+__all__ = ["COMPARE"]
 
-COMPARE: Final = """examples:
+EXAMPLES: Final = f"""examples:
   taut compare panda_payload --by rms_error --plot compared.png
   taut compare one_joint_pid --laws "soft: PID(kp=2, kd=2)" "stiff: PID(kp=20, kd=6)" PID
   taut compare one_joint_pid --law student.py:MyLaw --reference "PID(kp=2.205, kd=2)"
 
 With --reference, the one law is graded: each figure passes within the tolerance, and so does the command in the
 states of the reference's own run.
-"""
+
+{STATUS}"""
 PICTURES: Final = (".png", ".pdf", ".svg")
 OF_MODEL: Final = ("mass", "com", "inertia", "friction", "payload", "trials", "seed")
 
 
-def add_compare(command: argparse.ArgumentParser, engines: Sequence[str]) -> None:
-    """The arguments of `taut compare`."""
+def _arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument("scenario", nargs="?", metavar="SCENARIO", help="a built-in scenario, or a .toml file")
     command.add_argument(
         "--laws",
@@ -78,7 +79,7 @@ def add_compare(command: argparse.ArgumentParser, engines: Sequence[str]) -> Non
     command.add_argument("--seed", type=int, metavar="N", help="of the noise (default: the scenario's)")
     command.add_argument("--plot", type=Path, metavar="FILE", help="a picture: .png, .pdf or .svg")
     command.add_argument("--report", type=Path, metavar="FILE.html", help="a report, one file")
-    command.add_argument("--engine", choices=engines, default="auto", help="as of taut run")
+    command.add_argument("--engine", choices=ENGINES, default="auto", help="as of taut run")
 
 
 def _share(text: str) -> float:
@@ -94,7 +95,7 @@ def _share(text: str) -> float:
     return 0.01 * value if text.endswith("%") else value
 
 
-def compare_from(arguments: argparse.Namespace, say: Callable[[str], None]) -> Comparison | Grade:
+def _compared(arguments: argparse.Namespace, say: Say) -> Comparison | Grade:
     """What the arguments ask for, with its files.
 
     Raises:
@@ -102,7 +103,7 @@ def compare_from(arguments: argparse.Namespace, say: Callable[[str], None]) -> C
     """
     from taut.analysis.compare.grading import TOLERANCE
     from taut.record.log.files import checked_target
-    from taut.scenarios.compare_laws_by_name import compare, grade
+    from taut.scenarios.compare import compare, grade
 
     if arguments.plot is not None:
         checked_target("picture", arguments.plot, PICTURES)
@@ -138,7 +139,7 @@ def compare_from(arguments: argparse.Namespace, say: Callable[[str], None]) -> C
     return told
 
 
-def _write(done: Comparison | Grade, arguments: argparse.Namespace, say: Callable[[str], None]) -> None:
+def _write(done: Comparison | Grade, arguments: argparse.Namespace, say: Say) -> None:
     """The picture and the report, where they are asked for."""
     from taut.record.log.files import written_aside
     from taut.record.report.report import report
@@ -165,7 +166,6 @@ def _refuse_beside_grade(arguments: argparse.Namespace, given: Mapping[str, obje
 
 def _given(arguments: argparse.Namespace) -> dict[str, Law | Run | str]:
     """Laws and runs by name, in the order in which they were asked for."""
-    from taut.cli.user_law import load_law
     from taut.record.log.reading import load_run
 
     if arguments.gain and len(arguments.law) != 1:
@@ -197,7 +197,7 @@ def _noise(texts: Sequence[str]) -> dict[str, Any] | None:
 def _model(text: str | None) -> WrongModel | None:
     """By how much the true arm may differ."""
     from taut.analysis.compare.truth import WrongModel
-    from taut.scenarios.compare_laws_by_name import USUAL
+    from taut.scenarios.compare import USUAL
 
     if text is None:
         return USUAL
@@ -209,3 +209,18 @@ def _model(text: str | None) -> WrongModel | None:
             raise unknown_name("a wrong model", "number", name, OF_MODEL)
     stated = {"mass", "com", "inertia", "friction", "payload"} & numbers.keys()
     return WrongModel(**numbers) if stated else dataclasses.replace(USUAL, **numbers)
+
+
+def _compare(arguments: argparse.Namespace, say: Say) -> Answer:
+    done = _compared(arguments, say)
+    files = [f"{kind:8} {path}" for kind in ("plot", "report") if (path := getattr(arguments, kind)) is not None]
+    return Answer(text="\n".join([done.report(), *files]), data=done.json(), status=DONE if done.ok else FAILED)
+
+
+COMPARE: Final = Command(
+    name="compare",
+    help="Compare laws on a scenario, or grade a law against a reference law.",
+    arguments=_arguments,
+    run=_compare,
+    more=EXAMPLES,
+)

@@ -6,11 +6,13 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from taut.cli.command import DONE, FAILED, Answer, Command, Say
+
 if TYPE_CHECKING:
     from taut.analysis.design.result import Design
     from taut.control.law import Law
 
-__all__ = ["EXAMPLES", "add_arguments", "design_of"]
+__all__ = ["DESIGN", "EXAMPLES", "add_arguments", "design_of"]
 
 EXAMPLES: Final = """examples:
   taut design PID one_joint --zeta 1 --omega_n 10
@@ -136,8 +138,8 @@ def _constraint(text: str | None) -> Any:
         ScenarioError: It is no constraint.
     """
     from taut.base.errors import UsageError
-    from taut.scenarios.read_constraint import read_constraint
-    from taut.scenarios.toml import section_of
+    from taut.scenarios.laws import read_constraint
+    from taut.scenarios.toml import table_of
 
     if text is None:
         raise UsageError(
@@ -146,10 +148,9 @@ def _constraint(text: str | None) -> Any:
             name="constraint",
         )
     # One line, so that nothing beside the table can stand in it.
-    section = section_of(f"constraint = {' '.join(text.split())}", "--constraint", "--constraint")
-    constraint = read_constraint(section)
-    section.done()
-    return constraint
+    table = table_of(f"constraint = {' '.join(text.split())}", "--constraint", "--constraint")
+    table.only(("constraint",))
+    return read_constraint(table, "constraint")
 
 
 def _numbers(name: str, text: str) -> Any:
@@ -170,3 +171,17 @@ def _numbers(name: str, text: str) -> Any:
             name=name,
         ) from None
     return flat[0] if len(flat) == 1 and name != "at" else flat
+
+
+def _design(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
+    found = design_of(arguments)
+    return Answer(text=str(found), data=found.json(), status=DONE if found.met else FAILED)
+
+
+DESIGN: Final = Command(
+    name="design",
+    help="Find the gains of a law from a specification, what of it the sampled loop has, and its limits.",
+    arguments=add_arguments,
+    run=_design,
+    more=EXAMPLES,
+)

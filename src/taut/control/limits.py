@@ -93,11 +93,11 @@ class Limits:
     def __post_init__(self) -> None:
         if not self.given() - {"v_gain"}:
             raise UsageError(
-                "Limits needs one of tau=, tau_dot=, v= and blend= at least; for no limits leave limits=None"
+                "Limits needs one of tau, tau_dot, v and blend at least; for no limits leave the limits out"
             )
         if self.v_gain is not None and self.v is None:
             raise UsageError(
-                "limits.v_gain belongs to a speed limit; give v= too, or leave it out", name="limits.v_gain"
+                "limits.v_gain belongs to a speed limit; give v too, or leave it out", name="limits.v_gain"
             )
         for name in self.given():
             object.__setattr__(self, name, self.checked(name, getattr(self, name)))
@@ -180,7 +180,7 @@ class Limits:
 def _require_stated(arm: Arm, attribute: str, name: str) -> None:
     """An arm that states no limit of a kind has none to be taken over."""
     if np.isinf(getattr(arm, attribute)).all():
-        message = f"arm '{arm.name}' states no {attribute} limits; give taut.Limits({name}=...)"
+        message = f"arm '{arm.name}' states no {attribute} limits; give limits with {name}"
         raise ModelError(arm.name, [Problem(object=arm.name, attribute=attribute, message=message)])
 
 

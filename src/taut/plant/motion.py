@@ -23,7 +23,7 @@ from taut.plant.contact_step import ContactStep, contact_step
 from taut.plant.disturbance import WRENCH, joint_forces
 from taut.plant.drives import drive
 from taut.plant.drives.actuation import Actuation
-from taut.plant.drives.drivetrain import Drivetrain, FrictionLimits
+from taut.plant.drives.drivetrain import Drivetrain, FrictionLaw, FrictionLimits
 from taut.plant.drives.stiff_drive import aim
 from taut.plant.environments.environment import Environment, touch
 from taut.plant.work import work_of_step
@@ -131,6 +131,7 @@ class Motion:
             tau = tau + parameters["plant.rotor_inertia"] * a
         friction = self.train.friction
         if friction is not None:
+            assert not isinstance(friction, FrictionLaw)  # which is for torque commands
             load: Any = np.zeros(self.arm.n)
             if friction.loaded:
                 load = force - dyn.bias(self.link_model, q, v, payload_of(parameters))

@@ -17,7 +17,7 @@ from taut.base.paths import flatten
 from taut.base.types import ArrayLike, Float64Array
 from taut.plant.contact import Contacts
 from taut.plant.drives.actuation import Actuation
-from taut.plant.drives.drivetrain import Drivetrain
+from taut.plant.drives.drivetrain import Drivetrain, FrictionLaw
 from taut.plant.drives.transmission import require_rotors
 from taut.plant.environments.environment import Environment, checked_change
 from taut.plant.sensors.sensors import Sensors
@@ -72,6 +72,11 @@ class PlantNumbers:
         if path.startswith("contact."):
             assert self.contacts is not None
             return self.contacts.checked(path.partition(".")[2], value)
+        law = self.drivetrain.friction
+        if path.startswith(FRICTION) and isinstance(law, FrictionLaw):
+            name = path.removeprefix(FRICTION)
+            old, changed = law.parameters()[name], law.changed(name, value, name=path)
+            return np.broadcast_to(changed.parameters()[name], old.shape)
         shape = self.values()[path].shape
         new = finite_array(path, value, allow_infinite=path == STIFFNESS)
         if new.shape not in ((), shape):
@@ -82,7 +87,7 @@ class PlantNumbers:
         if path == STIFFNESS:
             self._check_kept_apart(new)
         if path.startswith("actuation."):
-            self.actuation.checked(path.partition(".")[2], new)
+            self.actuation.changed(path.partition(".")[2], new, name=path)
         elif path == f"{FRICTION}stribeck_shape":
             require_positive(path, new)
         else:
@@ -134,6 +139,6 @@ def require_torque_sensor(actuation: Actuation, sensors: Sensors) -> None:
     got = "None" if sensors.torque is None else "one at the motor"
     raise UsageError(
         "actuation.torque_loop reads the torque sensor at the link, behind gear and friction; sensors.torque is "
-        f"{got}; give sensors=taut.sensors.Sensors(torque=taut.sensors.TorqueSensor()), or leave the loop out",
+        f"{got}; give it one, sensors.torque, or leave the loop out",
         name="torque_loop",
     )

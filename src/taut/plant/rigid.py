@@ -29,7 +29,7 @@ from taut.plant.contact import Contacts, RigidContact, each_contact
 from taut.plant.contact_step import TOLD, contact_start
 from taut.plant.drives import drive
 from taut.plant.drives.actuation import Actuation, delayed
-from taut.plant.drives.drivetrain import Drivetrain
+from taut.plant.drives.drivetrain import Drivetrain, FrictionLaw
 from taut.plant.drives.stiff_drive import require_drives
 from taut.plant.drives.transmission import require_rotors
 from taut.plant.environments.environment import Environment, require_environment, started
@@ -68,7 +68,8 @@ class RigidPlant:
 
     Args:
         arm: The true arm; make it differ from the controller's and there is a modelling error.
-        friction: "arm" for the arm's own friction (`arm.with_friction`), None for none.
+        friction: "arm" for the arm's own friction (`arm.with_friction`), None for none, or a law of your own: see
+            `taut.drives.FrictionLaw`.
         integrator: "semi-implicit-euler" or "rk4".
         substeps: Steps of the integrator in one control period.
         takes: The command: "torque", "velocity" or "position". The last two are stiff drives, which need
@@ -95,7 +96,7 @@ class RigidPlant:
     """
 
     arm: Arm
-    friction: Literal["arm"] | None = "arm"
+    friction: Literal["arm"] | FrictionLaw | None = "arm"
     integrator: Integrator = field(default="semi-implicit-euler", kw_only=True)
     substeps: int = field(default=1, kw_only=True)
     takes: CommandKind = field(default="torque", kw_only=True)
@@ -114,10 +115,10 @@ class RigidPlant:
             raise UsageError(f"a plant takes an Arm from taut.load_arm; got {type(self.arm).__name__}", name="arm")
         one_of("integrator", self.integrator, INTEGRATORS)
         one_of("takes", self.takes, COMMANDS)
-        if self.friction not in ("arm", None):
+        if not isinstance(self.friction, FrictionLaw) and self.friction not in ("arm", None):
             raise UsageError(
-                f"friction must be 'arm' or None; got {_named(self.friction)}; another friction is the arm's: "
-                "arm.with_friction(...)",
+                f"friction must be 'arm', None or a taut.drives.FrictionLaw; got {_named(self.friction)}; another "
+                "friction is the arm's: arm.with_friction(...)",
                 name="friction",
             )
         for name in ("substeps", "sweeps"):
@@ -132,6 +133,8 @@ class RigidPlant:
             if not isinstance(getattr(self, name), kind):
                 got = type(getattr(self, name)).__name__
                 raise UsageError(f"{name} must be {public_name(kind)}(...); got {got}", name=name)
+        if isinstance(self.friction, FrictionLaw):
+            self._check_friction_law(self.friction)
         self.sensors.check(self.arm, touched=self.touched)
         if self.environment is not None:
             require_environment("environment", self.environment)
@@ -139,7 +142,7 @@ class RigidPlant:
             self._check_contacts()
         adds = Adds.of(self.adds)
         object.__setattr__(self, "adds", adds)
-        self.actuation.check_size(self.arm)
+        self.actuation.check_size(self.arm.joint_names, "actuation.")
         require_rotors(self.arm, self.drivetrain.compliant)
         require_torque_sensor(self.actuation, self.sensors)
         if self.integrator == "rk4":
@@ -147,6 +150,15 @@ class RigidPlant:
         require_drives(self.takes, self.actuation, adds)
         if self.takes != "torque" and self.energy:
             raise UsageError(f"energy is for torque commands; this plant takes {self.takes}", name="energy")
+
+    def _check_friction_law(self, law: FrictionLaw) -> None:
+        law.check_size(self.arm.joint_names, "plant.friction.")
+        if self.takes != "torque":
+            raise UsageError(
+                f"a friction law of your own is for torque commands; this plant takes {self.takes}", name="friction"
+            )
+        if Adds.of(self.adds).friction:
+            raise UsageError("the plant adds the arm's friction, and has a law of its own; keep one", name="adds")
 
     def _check_contacts(self) -> None:
         if self.takes != "torque":
@@ -168,7 +180,7 @@ class RigidPlant:
             what = "gears that lose power" if not self._has("coulomb", "static") else "dry friction"
             raise UsageError(
                 f"rk4 needs smooth forces, and arm '{self.arm.name}' has {what}; use semi-implicit-euler, or "
-                "friction=None",
+                "no friction",
                 name="integrator",
             )
         if self.drivetrain.compliant:
@@ -186,8 +198,9 @@ class RigidPlant:
     @cached_property
     def drivetrain(self) -> Drivetrain:
         """Rotors, friction and transmissions."""
-        left = self.friction == "arm" and not Adds.of(self.adds).friction
-        friction = self.arm.friction if left else None
+        friction: Any = self.friction
+        if friction == "arm":
+            friction = None if Adds.of(self.adds).friction else self.arm.friction
         return Drivetrain(arm=self.arm, friction=friction, transmission=self.actuation.transmission)
 
     @cached_property
@@ -343,7 +356,7 @@ class RigidPlant:
 
     def _more_steps(self, more: float) -> str:
         """The way out of steps that are so many times too long."""
-        return f"substeps={math.ceil(more * self.substeps * (1.0 - 1e-9))}"
+        return f"{math.ceil(more * self.substeps * (1.0 - 1e-9))} substeps"
 
     def measure(self, memory: Values, noise: Values, parameters: Values) -> dict[str, Any]:
         """What the sensors give, by measurement: q, v, tau_meas, F_ext, ..."""

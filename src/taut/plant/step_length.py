@@ -126,7 +126,7 @@ def _check_motor(arm: Arm, fast: Float64Array, dt: float, way_out: WayOut) -> No
     raise RangeError(
         f"the motor of joint '{arm.joint_names[i]}' loses torque with speed so steeply that its joint answers "
         f"in {dt / fast[i]:.3g} s, too fast for steps of {dt:g} s; give the plant {enough}, or the joint its "
-        "rotor's inertia: arm.with_gears(ratio=, motor_inertia=)",
+        "rotor's inertia, by gears",
         name="motor",
     )
 

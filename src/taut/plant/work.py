@@ -15,7 +15,7 @@ from typing import Any, Final
 from taut.base.paths import subtree
 from taut.base.types import Vector
 from taut.plant.drives.drivetrain import Drivetrain, FrictionLimits
-from taut.plant.drives.motor import ElectricMotor
+from taut.plant.drives.motor import MotorModel
 from taut.trace import math as tm
 
 __all__ = ["WORK", "work_of_step", "work_parts"]
@@ -39,15 +39,15 @@ WORK: Final = {
 }
 
 
-def work_parts(train: Drivetrain, motor: object) -> tuple[str, ...]:
+def work_parts(train: Drivetrain, motor: MotorModel | None) -> tuple[str, ...]:
     """The names that a drivetrain and its motors have, in the order of `WORK`."""
     there = {"motor", "link", "integration"}
-    if isinstance(motor, ElectricMotor):
-        there |= {"electric", "copper", "conversion"} | ({"magnetic"} if motor.inductance is not None else set())
+    if motor is not None:
+        there |= set(motor.work)
     if train.arm.rotor_inertia.any():
         there.add("rotor")
     if train.friction is not None:
-        there |= {"viscous"} if "viscous" in train.parameters() else set()
+        there |= {"viscous"} if train.viscous else set()
         there |= {"dry"} if train.friction.dry else set()
     there |= {"gears"} if train.lossy else set()
     there |= {"spring", "damping"} if train.compliant else set()

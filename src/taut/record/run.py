@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
@@ -25,9 +25,10 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
+    from taut.base.result import Content
     from taut.record.metrics import Metrics
-    from taut.record.phases import PhaseWindow
-    from taut.record.task import TaskSide
+    from taut.record.parts import PhaseWindow
+    from taut.record.tool import TaskSide
 
 __all__ = ["Run"]
 
@@ -109,6 +110,12 @@ class Run:
         wanted = getattr(self.reference, "q", None)
         return None if wanted is None else short_way(np.asarray(wanted) - self.q, self.continuous)
 
+    @property
+    def is_setpoint(self) -> bool:
+        """Whether the reference asks for one position of the joints throughout."""
+        q, v = getattr(self.reference, "q", None), getattr(self.reference, "v", None)
+        return q is not None and bool(len(self)) and not np.any(q != q[0]) and not np.any(v)
+
     @cached_property
     def task(self) -> TaskSide:
         """What the frame that the law controls did: pose, twist, Jacobian, and errors of position and rotation.
@@ -116,16 +123,16 @@ class Run:
         Raises:
             UsageError: A run that was not made by `taut.run` does not say which frame that is.
         """
-        from taut.record.task import task_of
+        from taut.record.tool import task_of
 
         return task_of(self)
 
     @cached_property
     def metrics(self) -> Metrics:
         """How well it went, in numbers: overshoot, settling time, errors, effort, ..."""
-        from taut.record.metrics import metrics_of
+        from taut.record.metrics import Metrics
 
-        return metrics_of(self)
+        return Metrics(self)
 
     @property
     def arms(self) -> tuple[Arm, Arm]:
@@ -134,13 +141,26 @@ class Run:
         Raises:
             UsageError: The run was not made by `taut.run`, or its log holds none.
         """
-        from taut.record.report.arm_numbers import DYNAMICS, arm_from_json
+        from taut.record.info import DYNAMICS, arm_from_json
 
         known = self.info.get(DYNAMICS, {})
         both = [arm_from_json(known[name]) for name in ("controller", "plant") if name in known]
         if len(both) != 2 or both[0] is None or both[1] is None:
             raise UsageError("the run does not hold the arms that it was made with; it is no run of taut.run")
         return both[0], both[1]
+
+    def content(self, *, log: str = "run.mcap") -> Content:
+        """The description of the run that `taut.report` writes.
+
+        Args:
+            log: What its log is called, for the lines that repeat the run.
+
+        Raises:
+            UsageError: It has no two ticks.
+        """
+        from taut.record.report.run_report import content_of_run
+
+        return content_of_run(self, log=log)
 
     def part(self, name: str) -> Run:
         """The run of one of the laws side by side: its joints, its terms, what it followed, its metrics.
@@ -151,7 +171,7 @@ class Run:
             UsageError: The law was not `taut.SideBySide`.
             UnknownNameError: It has no such part.
         """
-        from taut.record.part import part_of
+        from taut.record.parts import part_of
 
         return part_of(self, name)
 
@@ -162,7 +182,7 @@ class Run:
         Raises:
             UsageError: The run is not one of a task.
         """
-        from taut.record.phases import phases_of
+        from taut.record.parts import phases_of
 
         return phases_of(self)
 
@@ -178,7 +198,7 @@ class Run:
             UnknownNameError: It has no phase of that name.
             RangeError: The phase did not act that often.
         """
-        from taut.record.phases import phase_of
+        from taut.record.parts import phase_of
 
         return phase_of(self, name, visit)
 
@@ -218,7 +238,7 @@ class Run:
         Raises:
             UnknownNameError: The run has no such joint.
         """
-        from taut.record.plots.plot import plot
+        from taut.record.plots.run_plot import plot
 
         return plot(self, joints=joints)
 
@@ -229,19 +249,24 @@ class Run:
         fps: int = 30,
         size: tuple[int, int] = (640, 480),
         speed: float = 1.0,
+        camera: tuple[float, float] | None = None,
+        focus: Literal["arm", "tool"] = "arm",
         arm: Arm | None = None,
         progress: bool | None = None,
     ) -> Path:
-        """A film: rendered by MuJoCo where OpenGL works, else a schematic drawing of the arm, with a warning.
+        """A film, rendered by MuJoCo, which needs OpenGL: EGL, OSMesa or a screen.
 
         It shows the arm, the scene of a MujocoPlant with what moves in it, and the surfaces that a RigidPlant's
-        contacts and walls have near the tool; a warning says what of them has no shape to show. A log keeps them.
+        contacts and walls declare; a warning says what declares none. A log keeps them.
 
         Args:
             path: Where to: .gif, or .mp4 where ffmpeg is installed.
             fps: Frames per second of the film.
             size: Width and height in pixels.
             speed: How fast the film plays; 2.0 is twice as fast as it was.
+            camera: Azimuth and elevation [deg] of the direction of view, from the x axis towards y, and upwards; by
+                default one from which what stands around does not hide the tool.
+            focus: What the picture holds: all that the "arm" does, or where its "tool" goes.
             arm: The arm to draw; the plant's by default. A run from a file needs it.
             progress: Show progress; by default on a terminal when it takes a while.
 
@@ -250,11 +275,23 @@ class Run:
 
         Raises:
             FileError: Another suffix, no such folder, no ffmpeg.
+            MissingExtraError: No OpenGL works here.
             UsageError: The run does not know its arm.
+            UnknownNameError: Another focus.
         """
         from taut.record.film.video import film
 
-        return film(self, path, fps=fps, size=size, speed=speed, arm=arm, progress=progress)
+        return film(
+            self,
+            path,
+            fps=fps,
+            size=size,
+            speed=speed,
+            camera=camera,
+            focus=focus,
+            arm=arm,
+            progress=progress,
+        )
 
     # ---------------------------------------------------------------- to keep
 

@@ -16,10 +16,8 @@ from taut.control.trajectories.reference import Hold, Reference, as_reference
 from taut.controller import Controller, compile
 from taut.linear.judgement import Judgement, judge_start
 from taut.loop import Loop, ModelPlant, check_fit, duration_of_ticks, require_no_reference, state_at_start
+from taut.record.info import DYNAMICS, OPTIONS, VERSIONS, arm_json, plant_options, stated, versions
 from taut.record.progress import Progress
-from taut.record.report.arm_numbers import DYNAMICS, arm_json
-from taut.record.report.page import VERSIONS, stated, versions
-from taut.record.report.plant_options import OPTIONS, plant_options
 from taut.record.run import Run
 from taut.runtime.around_info import around_info
 from taut.runtime.events import Event, sorted_events

@@ -21,7 +21,7 @@ from taut.control.tasks.task import NO_CONTACT
 from taut.loop import AnyPlant
 from taut.maths.snapshot import Snapshot
 from taut.record.outcome import Outcome
-from taut.record.phases import PhaseWindow, told, windows
+from taut.record.parts import PhaseWindow, outcome_with_phases, windows
 from taut.record.run import Run
 
 __all__ = ["RowLog", "Tape"]
@@ -141,7 +141,9 @@ class Tape:
             return outcome
         rows = slice(outcome.tick + 1)
         phase, ended = (self.outputs[name][rows] for name in ("phase", "phase_ended"))
-        return told(windows(self._phases, phase, ended, self.inputs["t"][rows]), outcome, self._contact_at)
+        return outcome_with_phases(
+            windows(self._phases, phase, ended, self.inputs["t"][rows]), outcome, self._contact_at
+        )
 
     def _contact_at(self, window: PhaseWindow) -> str:
         """What a phase that began without contact measured in that tick, in words."""
@@ -166,13 +168,13 @@ class Tape:
                     f"ticks, first at t = {self.inputs['t'][at[0]]:.6g} s"
                 )
         for path, text in self._side.notices.items():
-            told = self.outputs[path][:ticks] != 0.0
+            lost = self.outputs[path][:ticks] != 0.0
             if self._phases:
-                told[~self._acting(path, 0, ticks)] = False
-            if told.ndim > 1:
-                text += f" (index {', '.join(str(i) for i in np.flatnonzero(told.any(axis=0)))})"
-                told = told.any(axis=1)
-            at = np.flatnonzero(told)
+                lost[~self._acting(path, 0, ticks)] = False
+            if lost.ndim > 1:
+                text += f" (index {', '.join(str(i) for i in np.flatnonzero(lost.any(axis=0)))})"
+                lost = lost.any(axis=1)
+            at = np.flatnonzero(lost)
             if len(at):
                 said += f"; {text} in {len(at)} of {ticks} ticks, first at t = {self.inputs['t'][at[0]]:.6g} s"
         return said

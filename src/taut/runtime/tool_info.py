@@ -18,11 +18,7 @@ from taut.control.tasks.task import Task
 from taut.maths.chain import Chain
 from taut.maths.model import Model, PayloadValues
 from taut.maths.snapshot import Snapshot
-from taut.record.felt import FELT
-from taut.record.metrics import LIMITS
-from taut.record.part import PARTS
-from taut.record.phases import PHASES
-from taut.record.task import TOOL
+from taut.record.info import IMPEDANCE, LIMITS, PARTS, PHASES, TOOL
 
 __all__ = ["tool_info"]
 
@@ -66,4 +62,4 @@ def _of_law(law: Law | Task, model: Model, x: Snapshot) -> dict[str, Any]:
     felt = None
     if isinstance(law, Law) and frame in (None, model.arm.tool):  # F_ext is taken at the arm's tool
         felt = felt_impedance(law, x)
-    return out if felt is None else out | {FELT: felt.json()}
+    return out if felt is None else out | {IMPEDANCE: felt.json()}

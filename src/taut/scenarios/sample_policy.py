@@ -53,7 +53,8 @@ class SamplePolicy:
             if pair.min() < 0.0:
                 raise RangeError(f"{name} must be >= 0 [m, rad]; got {pair.tolist()}", name=name)
         for name, least in (("ahead", 1), ("seed", 0)):
-            if getattr(self, name) < least:
+            number = getattr(self, name)
+            if isinstance(number, bool) or not isinstance(number, int) or number < least:
                 raise RangeError(f"{name} must be a whole number >= {least}; got {getattr(self, name)}", name=name)
 
     def __call__(self, x: Snapshot) -> Chunk:

@@ -18,8 +18,7 @@ from taut.base.types import ArrayLike
 from taut.control.law import Law
 from taut.controller import Controller
 from taut.plant.sensors.sensors import SENSORS
-from taut.record.phases import PHASES
-from taut.record.report.page import stated
+from taut.record.info import PHASES, stated
 from taut.record.run import Run
 
 if TYPE_CHECKING:

@@ -16,11 +16,11 @@ from taut.analysis.compare.words import aligned
 from taut.base.checks import positive_scalar
 from taut.base.errors import RangeError, UsageError
 from taut.base.paths import subtree
+from taut.base.result import cell_text
 from taut.base.types import Float64Array
 from taut.control.law import Law
 from taut.controller import compile
 from taut.record.run import Run
-from taut.record.table import number_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -88,9 +88,9 @@ class Difference:
     def text(self) -> str:
         """In words."""
         return (
-            f"{number_text(self.size)} {self.unit} at joint '{self.joint}', t = {self.t:g} s: "
-            f"{number_text(self.law)} where the reference has {number_text(self.reference)}, at most "
-            f"{number_text(self.scale)}"
+            f"{cell_text(self.size)} {self.unit} at joint '{self.joint}', t = {self.t:g} s: "
+            f"{cell_text(self.law)} where the reference has {cell_text(self.reference)}, at most "
+            f"{cell_text(self.scale)}"
         )
 
 
@@ -151,8 +151,8 @@ class Grade:
             (
                 FIGURES[mark.figure].title,
                 mark.unit,
-                number_text(mark.law),
-                number_text(mark.reference),
+                cell_text(mark.law),
+                cell_text(mark.reference),
                 mark.off_text,
                 "pass" if mark.ok else "fail",
             )

@@ -9,8 +9,8 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from taut.record.metrics import MEASURES, Measure
-from taut.record.part import PARTS
+from taut.record.info import PARTS
+from taut.record.metrics import METRICS, Metric
 from taut.record.run import Run
 
 __all__ = ["ERRORS", "FIGURES", "Numbers", "main_error", "of_model", "of_noise", "of_run"]
@@ -23,7 +23,7 @@ ERRORS: Final = {
     "error": ("rms_error", "peak_error"),
     "task": ("task_rms", "task_peak"),
     "rotation": ("task_rms_rotation", "task_peak_rotation"),
-    "press": ("press_rms", "press_peak"),
+    "press": ("normal_force_error_rms", "normal_force_error_peak"),
     "force_error": ("force_error_rms", "force_error_peak"),
     "moment_error": ("moment_error_rms", "moment_error_peak"),
 }
@@ -32,26 +32,26 @@ STEADY: Final = {f"steady_{error}": names[0] for error, names in ERRORS.items()}
 OF_TORQUE: Final = ("effort", "peak_torque", "chatter")
 
 
-def _own(title: str, unit: str, overall: str) -> Measure:
-    return Measure(title=title, unit=unit, overall=overall, per_joint=False)
+def _own(title: str, unit: str, overall: str) -> Metric:
+    return Metric(name=title, title=title, unit=unit, doc=overall, compute=lambda _: None)
 
 
-def _errors() -> dict[str, Measure]:
+def _errors() -> dict[str, Metric]:
     """RMS, peak and steady value of each error."""
-    out: dict[str, Measure] = {}
+    out: dict[str, Metric] = {}
     for error, (rms, peak) in ERRORS.items():
-        words = f"{MEASURES[rms].title}, last fifth"
-        steady = _own(words, MEASURES[rms].unit, f"{rms} of the last fifth of the run")
-        out |= {rms: MEASURES[rms], peak: MEASURES[peak], f"steady_{error}": steady}
+        words = f"{METRICS[rms].title}, last fifth"
+        steady = _own(words, METRICS[rms].unit, f"{rms} of the last fifth of the run")
+        out |= {rms: METRICS[rms], peak: METRICS[peak], f"steady_{error}": steady}
     return out
 
 
-FIGURES: Final[Mapping[str, Measure]] = {
+FIGURES: Final[Mapping[str, Metric]] = {
     **_errors(),
-    "effort": MEASURES["effort"],
-    "peak_torque": MEASURES["peak_torque"],
+    "effort": METRICS["effort"],
+    "peak_torque": METRICS["peak_torque"],
     "saturation": _own("saturated", "% of ticks", "share of the run in which a limit cut any joint's command"),
-    "chatter": MEASURES["chatter"],
+    "chatter": METRICS["chatter"],
     "noise_error": _own("error by noise", "{q}", "the first error with noise of the sensors, less that without"),
     "noise_chatter": _own("chatter by noise", "{tau}/s", "chatter with noise of the sensors, less that without"),
     "model_median": _own("wrong model, median", "{q}", "the first error with true arms that differ: the median"),

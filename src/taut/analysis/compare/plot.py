@@ -10,13 +10,13 @@ import numpy as np
 
 from taut.analysis.compare.numbers import FIGURES, main_error, of_run
 from taut.base.errors import UsageError
+from taut.base.plot_style import INK, SMALL, WIDTH, colour, legend_above, prepared, short_name, wrapped
 from taut.base.types import Array, Float64Array
-from taut.record.compare import draw_bars, draw_norms, error_norms
-from taut.record.force import force_error
-from taut.record.part import PARTS
-from taut.record.plots.style import INK, SMALL, WIDTH, colour, legend_above, prepared, short_name, wrapped
-from taut.record.plots.task_plot import is_task_run
+from taut.record.info import PARTS
+from taut.record.plots.comparison import draw_bars, draw_norms, error_norms
+from taut.record.plots.run_plot import is_task_run
 from taut.record.run import Run
+from taut.record.tool import force_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

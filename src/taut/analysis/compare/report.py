@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING
 
 from taut.analysis.compare.numbers import FIGURES
 from taut.analysis.compare.words import comparison_rows
-from taut.record.metrics import MEASURES
-from taut.record.report.page import VERSIONS, Page, Picture, Table
-from taut.record.report.run_report import meaning
-from taut.record.table import number_text
+from taut.base.result import cell_text
+from taut.record.info import VERSIONS
+from taut.record.report.page import Page, Picture, Table
 
 if TYPE_CHECKING:
     from taut.analysis.compare.compare import Comparison
@@ -25,7 +24,7 @@ def page_of_comparison(comparison: Comparison) -> Page:
     joints = max(entry.run.n for entry in entries.values())
     ranked = f"Ranked by {', then '.join(comparison.by)}, the best first: {', '.join(comparison.ranking)}."
     there = {figure for entry in entries.values() for figure in entry.numbers}
-    meaning = [(FIGURES[figure].title, _meaning(figure, joints)) for figure in FIGURES if figure in there]
+    meaning = [(FIGURES[figure].title, FIGURES[figure].meaning(joints)) for figure in FIGURES if figure in there]
     failed = [f"{name}: {entry.run.outcome}" for name, entry in entries.items() if entry.failed]
     first = next(iter(entries.values())).run.info
     drawn = any(len(entry.run) > 1 for entry in entries.values())
@@ -50,10 +49,6 @@ def page_of_comparison(comparison: Comparison) -> Page:
     )
 
 
-def _meaning(figure: str, joints: int) -> str:
-    return meaning(figure, joints) if figure in MEASURES else FIGURES[figure].overall
-
-
 def page_of_grade(grade: Grade) -> Page:
     """The marks, the commands in the same states, both laws."""
     marks = [
@@ -61,8 +56,8 @@ def page_of_grade(grade: Grade) -> Page:
             FIGURES[mark.figure].title,
             mark.unit,
             "pass" if mark.ok else "fail",
-            number_text(mark.law),
-            number_text(mark.reference),
+            cell_text(mark.law),
+            cell_text(mark.reference),
             mark.off_text,
         )
         for mark in grade.marks
@@ -75,7 +70,7 @@ def page_of_grade(grade: Grade) -> Page:
             "pass" if ok else "fail",
             one.joint,
             f"{one.t:g}",
-            *map(number_text, (one.law, one.reference, one.size)),
+            *map(cell_text, (one.law, one.reference, one.size)),
             one.unit,
         )
         for what, ok, one in parts

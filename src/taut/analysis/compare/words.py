@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 from taut.analysis.compare.numbers import FIGURES
-from taut.record.table import number_text
+from taut.base.result import cell_text
 
 if TYPE_CHECKING:
     from taut.analysis.compare.compare import Comparison
@@ -21,7 +21,7 @@ WHOLE: Final = 120  # columns of a table with names on one line
 
 def figure_text(value: float) -> str:
     """A figure in words: a dash where it has no meaning, "failed" where a run with another arm did."""
-    return "failed" if math.isinf(value) else number_text(value)
+    return "failed" if math.isinf(value) else cell_text(value)
 
 
 def comparison_rows(comparison: Comparison) -> list[tuple[str, ...]]:

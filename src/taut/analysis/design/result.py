@@ -9,11 +9,11 @@ import numpy as np
 
 from taut.analysis.design.achieved import Limit, Requirement, Steps
 from taut.analysis.design.specification import Specification
+from taut.base.plot_style import INK, SMALL, WIDTH, colour, prepared
 from taut.base.result import Content, Result, Table
 from taut.base.types import Float64Array
 from taut.control.law import Law
 from taut.linear.linearise import Linearisation
-from taut.record.plots.style import INK, SMALL, WIDTH, colour, prepared
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

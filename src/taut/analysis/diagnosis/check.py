@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 import numpy as np
 
 from taut.base.errors import UsageError
+from taut.base.plot_style import INK, WIDTH, colour, line, prepared
 from taut.base.types import Array, Float64Array
-from taut.record.plots.style import INK, WIDTH, colour, line, prepared
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -12,7 +12,7 @@ from taut.analysis.diagnosis.examined_run import ExaminedRun
 from taut.analysis.diagnosis.spectrum import chatter, oscillation
 from taut.base.types import Array, Float64Array
 from taut.maths.singularity import BORDER, sizes_of
-from taut.record.sticking import stuck
+from taut.record.metrics import stuck
 
 __all__ = ["CHECKS", "SHARED"]
 
@@ -329,7 +329,7 @@ def singularity(run: ExaminedRun) -> Finding | None:
     """
     if not run.of_task:
         return None
-    record, sigma = run.run, run.run.task.least_singular_value
+    record, sigma = run.run, run.run.task.min_singular_value
     border = BORDER * min(1.0, run.length / 0.9) if run.model is None else sizes_of(run.model.arm).border
     near = sigma < border
     if not near.any():

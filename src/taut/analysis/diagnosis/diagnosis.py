@@ -17,7 +17,7 @@ from taut.analysis.diagnosis.model import model_of_run
 from taut.arm.description import Arm
 from taut.base.errors import UsageError
 from taut.base.result import Content, Result, Table
-from taut.record.phases import PHASES
+from taut.record.info import PHASES
 from taut.record.run import Run
 
 if TYPE_CHECKING:
@@ -316,5 +316,5 @@ def _figures(case: ExaminedRun) -> dict[str, Number]:
     out["time cut"] = 100.0 * (case.cut != 0.0).any(axis=1).mean(), "% of the run"
     out["longest period"] = np.diff(run.t).max(initial=0.0) * run.rate, "times the nominal"
     if case.of_task:
-        out["smallest singular value"] = run.task.least_singular_value.min(), "1"
+        out["smallest singular value"] = run.task.min_singular_value.min(), "1"
     return {"ticks": Number(float(len(run)))} | {name: Number(float(x), unit) for name, (x, unit) in out.items()}

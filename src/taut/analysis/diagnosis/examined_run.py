@@ -18,11 +18,10 @@ from taut.control.limits import LIMIT_TERMS
 from taut.control.trajectories.force_reference import HybridMotion, TaskForce
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.chain import Chain
-from taut.record.felt import deviation_promised
-from taut.record.part import PARTS
+from taut.record.info import PARTS, TOOL
+from taut.record.metrics import RESTING
 from taut.record.run import Run
-from taut.record.sticking import RESTING
-from taut.record.task import TOOL
+from taut.record.tool import expected_deviation
 
 __all__ = ["MODEL_TERMS", "ExaminedRun"]
 
@@ -127,7 +126,7 @@ class ExaminedRun:
         if task.position_error is None or task.rotation_error is None:
             return None
         X = np.concatenate([task.position_error, task.rotation_error], axis=1)
-        promised = deviation_promised(self.run)
+        promised = expected_deviation(self.run)
         X = X if promised is None else X + promised
         return np.asarray(np.einsum("kij,kj->ki", np.linalg.pinv(task.J, rcond=1e-2), X))
 

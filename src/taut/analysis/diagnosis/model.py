@@ -19,9 +19,9 @@ from taut.codegen.function import native
 from taut.maths import dynamics as dyn
 from taut.maths.chain import Chain
 from taut.maths.model import PayloadValues, model_of
-from taut.record.report.arm_numbers import DYNAMICS, arm_from_json, arm_json, differences
+from taut.record.info import DYNAMICS, arm_from_json, arm_json, differences
+from taut.record.metrics import MOVING
 from taut.record.run import Run
-from taut.record.sticking import MOVING
 
 __all__ = ["ArmModel", "Fit", "fit_residual", "model_of_run"]
 

@@ -142,7 +142,7 @@ class Tuned:
         """The cost of each trial, and the best so far."""
         from matplotlib.figure import Figure as NewFigure
 
-        from taut.record.plots.style import DASHED, INK, WIDTH, colour, legend_above, prepared
+        from taut.base.plot_style import DASHED, INK, WIDTH, colour, legend_above, prepared
 
         figure = NewFigure(figsize=(WIDTH, 3.0), layout="constrained")
         ax = prepared(figure.subplots(), "tuning: cost over that of the start", "", "trial")

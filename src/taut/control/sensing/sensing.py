@@ -125,7 +125,7 @@ class Sensing(Declared):
                 if name not in used:
                     does = "corrects" if way == "wrist" else "filters"
                     raise UsageError(
-                        f"sensing {does} {name}, which {law} does not use; leave {way}= out of the sensing",
+                        f"sensing {does} {name}, which {law} does not use; leave {way} out of the sensing",
                         name=f"sensing.{way}",
                     )
 

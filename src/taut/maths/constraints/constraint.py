@@ -262,7 +262,8 @@ class Constraint:
             frame: The frame; the arm's tool if left out.
         """
         phi = shapes.plane(point, normal, face, velocity, sway, period)
-        return cls.of([of_poses(phi, (frame,), one_sided if face is None else (one_sided, False, False))])
+        surface = shapes.plane_surface(point, normal, velocity, sway, period)
+        return cls.of([of_poses(phi, (frame,), one_sided if face is None else (one_sided, False, False), surface)])
 
     @classmethod
     def point(
@@ -283,7 +284,8 @@ class Constraint:
             one_sided: Whether the surface only pushes.
             frame: The frame; the arm's tool if left out.
         """
-        return cls.of([of_poses(shapes.point(point, normal), (frame,), (one_sided, False, False))])
+        surface = shapes.plane_surface(point, normal, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0)
+        return cls.of([of_poses(shapes.point(point, normal), (frame,), (one_sided, False, False), surface)])
 
     @classmethod
     def sphere(
@@ -296,7 +298,11 @@ class Constraint:
         frame: str | None = None,
     ) -> Self:
         """The tool's origin on a sphere: outside of it, or in its hollow."""
-        return cls.of([of_poses(shapes.sphere(center, radius, inside=inside), (frame,), one_sided)])
+        phi = shapes.sphere(center, radius, inside=inside)
+        surface = shapes.Surface(
+            kind="sphere", point=np.asarray(center, dtype=float), radius=float(radius), inside=inside
+        )
+        return cls.of([of_poses(phi, (frame,), one_sided, surface)])
 
     @classmethod
     def cylinder(
@@ -310,7 +316,15 @@ class Constraint:
         frame: str | None = None,
     ) -> Self:
         """The tool's origin on a cylinder about an axis through a point: outside of it, or in its hollow."""
-        return cls.of([of_poses(shapes.cylinder(point, axis, radius, inside=inside), (frame,), one_sided)])
+        phi = shapes.cylinder(point, axis, radius, inside=inside)
+        surface = shapes.Surface(
+            kind="cylinder",
+            point=np.asarray(point, dtype=float),
+            axis=shapes.unit("axis", axis),
+            radius=float(radius),
+            inside=inside,
+        )
+        return cls.of([of_poses(phi, (frame,), one_sided, surface)])
 
     @classmethod
     def line(cls, *, point: ArrayLike, axis: ArrayLike, frame: str | None = None) -> Self:

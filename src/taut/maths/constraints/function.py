@@ -11,6 +11,7 @@ import numpy as np
 from taut.base.errors import RangeError, ShapeError, TautError, UsageError, raised_location
 from taut.base.types import Array, Float64Array, Vector
 from taut.maths.constraints.rows import OfPoses, OfVelocity, Piece, each_moved
+from taut.maths.constraints.shapes import Surface
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
@@ -25,7 +26,12 @@ SOMEWHERE: Final = (
 )
 
 
-def of_poses(function: Callable[..., Any], frames: Sequence[str | None], one_sided: bool | Sequence[bool]) -> OfPoses:
+def of_poses(
+    function: Callable[..., Any],
+    frames: Sequence[str | None],
+    one_sided: bool | Sequence[bool],
+    surface: Surface | None = None,
+) -> OfPoses:
     """phi of the poses of frames, and of time.
 
     Raises:
@@ -57,7 +63,12 @@ def of_poses(function: Callable[..., Any], frames: Sequence[str | None], one_sid
                 name="function",
             )
     return OfPoses(
-        function=function, frames=tuple(frames), timed=timed, count=shapes[0], one_sided=sides(one_sided, shapes[0])
+        function=function,
+        frames=tuple(frames),
+        timed=timed,
+        count=shapes[0],
+        one_sided=sides(one_sided, shapes[0]),
+        surface=surface,
     )
 
 

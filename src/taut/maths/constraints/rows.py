@@ -10,6 +10,7 @@ import numpy as np
 
 from taut.base.errors import ShapeError
 from taut.base.types import Array, Matrix, Twist, Vector
+from taut.maths.constraints.shapes import Surface
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import moved
 from taut.trace import math as tm
@@ -93,6 +94,7 @@ class OfPoses:
     timed: bool
     count: int
     one_sided: tuple[bool, ...]
+    surface: Surface | None = None  # that of the first row, where it is declared
 
     def phi(self, poses: Sequence[Pose], t: Any) -> Vector:
         """(k,)."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -14,9 +15,47 @@ from taut.maths.spatial import rotation_log
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
-__all__ = ["cylinder", "grasp", "hinge", "line", "pin", "plane", "point", "sphere", "unit"]
+__all__ = [
+    "Surface",
+    "cylinder",
+    "grasp",
+    "hinge",
+    "line",
+    "pin",
+    "plane",
+    "plane_surface",
+    "point",
+    "sphere",
+    "unit",
+]
 
 NEVER: Final = 1e-24  # keeps a root from zero, where it has no slope
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Surface:
+    """The surface on which the first row of a ready-made constraint is zero, for films."""
+
+    kind: Literal["plane", "sphere", "cylinder"]
+    point: Float64Array  # (3,) [m] of the plane, at time 0; the centre; a point of the axis
+    axis: Float64Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))  # (3,) normal or axis
+    radius: float = 0.0  # [m]
+    inside: bool = False  # whether the tool is in its hollow
+    displacement: Callable[[float], float] | None = None  # [m] of the plane along its normal, by time
+
+
+def plane_surface(
+    point: ArrayLike, normal: ArrayLike, velocity: ArrayLike, sway: ArrayLike, period: float
+) -> Surface:
+    """That of `plane`."""
+    n = unit("normal", normal)
+    speed, half = float(n @ np.asarray(velocity, dtype=float)), 0.5 * float(n @ np.asarray(sway, dtype=float))
+
+    def displacement(t: float) -> float:
+        return speed * t + half * (1.0 - float(np.cos(2.0 * np.pi * t / period)))
+
+    moves = displacement if speed or half else None
+    return Surface(kind="plane", point=_three("point", point), axis=n, displacement=moves)
 
 
 def plane(

@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
 from taut.arm.description import Arm, Friction
+from taut.base.fields import Declared
 from taut.base.paths import subtree
 from taut.base.types import Float64Array, Matrix, Vector
 from taut.maths.friction_law import FrictionValues, dry_limit
 from taut.plant.drives.transmission import Transmission
 from taut.trace import math as tm
 
-__all__ = ["Drivetrain", "FrictionLimits", "RotorStep"]
+__all__ = ["Drivetrain", "FrictionLaw", "FrictionLimits", "RotorStep"]
 
 Values = Mapping[str, Any]
 SIDES: Final = 2  # times that the side which drives each gear is looked up; a third one changes nothing on a Panda
@@ -27,14 +28,15 @@ RESTS: Final = 1e-9  # [rad/s | m/s] of a joint that friction holds: in MuJoCo i
 class FrictionLimits:
     """(n,) the largest friction torques of a step [N m | N]."""
 
-    dry: Vector  # of the friction law
-    low: Vector  # against motion in the positive direction, losses of the gears included
-    high: Vector  # against motion in the negative direction
+    law: tuple[Vector, Vector]  # of the friction law, against motion in the positive and in the negative direction
+    low: Vector  # the first, losses of the gears included
+    high: Vector  # the second
 
     def share_of_law(self, f: Vector) -> Vector:
         """(n,) the part of a friction torque that is the law's, the rest is the gears'."""
         most = tm.where(f < 0.0, self.low, self.high)
-        return f * self.dry / tm.where(most > 0.0, most, 1.0)  # type: ignore[no-any-return]
+        dry = self.law[0] if self.law[0] is self.law[1] else tm.where(f < 0.0, *self.law)
+        return f * dry / tm.where(most > 0.0, most, 1.0)  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +46,50 @@ class RotorStep:
     v: Vector
     f: Vector
     at_rest: Vector
+
+
+class FrictionLaw(Declared):
+    """Base of a friction law of your own: declared fields, and the largest friction torques as a pure function.
+
+    The plant sees to the rest: that joints really stick, alone and together, and the account of energy. Each `Field`
+    is a parameter of the plant by its path, plant.friction.NAME.
+
+    Example:
+        >>> import taut
+        >>> from taut.drives import Field, FrictionLaw
+        >>> class Screw(FrictionLaw):
+        ...     forward: Field = Field(unit="N m", shape="n", minimum=0.0)
+        ...     backward: Field = Field(unit="N m", shape="n", minimum=0.0)
+        ...
+        ...     def limits(self, v, at_rest, tau_motor, tau_load, p):
+        ...         return p["forward"] + 0.0 * v, p["backward"] + 0.0 * v
+        >>> plant = taut.RigidPlant(taut.load_arm("one_joint"), friction=Screw(forward=0.5, backward=0.2))
+        >>> float(plant.parameters["plant.friction.forward"])
+        0.5
+    """
+
+    dry: ClassVar[bool] = True
+    """Whether there is dry friction; where there is none, `limits` is not asked."""
+    falls: ClassVar[bool] = False
+    """Whether friction differs between rest and motion, so that `at_rest` is a condition and not None."""
+
+    def limits(
+        self, v: Vector, at_rest: Any, tau_motor: Vector, tau_load: Vector, p: Values
+    ) -> tuple[Vector, Vector]:
+        """(n,) the largest dry friction against motion in the positive and in the negative direction, both >= 0.
+
+        Args:
+            v: (n,) speeds of the motors when a step begins [rad/s | m/s].
+            at_rest: (n,) whether a joint rested; None where `falls` is False.
+            tau_motor: (n,) torques of the motors [N m | N].
+            tau_load: (n,) what weight, motion and contact put on the joints [N m | N].
+            p: Current values of the fields by name.
+        """
+        raise NotImplementedError
+
+    def viscous(self, p: Values) -> Any:  # noqa: ARG002
+        """(n,) or scalar, friction per speed [N m s/rad | N s/m]; None for none."""
+        return None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,7 +103,7 @@ class Drivetrain:
     """
 
     arm: Arm
-    friction: Friction | None
+    friction: Friction | FrictionLaw | None
     transmission: Transmission | None
 
     @cached_property
@@ -76,6 +122,13 @@ class Drivetrain:
         return self.lossy or (self.friction is not None and self.friction.dry)
 
     @property
+    def viscous(self) -> bool:
+        """Whether there is viscous friction."""
+        if isinstance(self.friction, FrictionLaw):
+            return type(self.friction).viscous is not FrictionLaw.viscous
+        return "viscous" in self.parameters()
+
+    @property
     def lossy(self) -> bool:
         """Whether the gears lose power."""
         return self.transmission is not None and self.transmission.lossy
@@ -89,12 +142,16 @@ class Drivetrain:
         """Run-time parameters of the friction by name: those that are there."""
         if self.friction is None:
             return {}
+        if isinstance(self.friction, FrictionLaw):
+            return self.friction.parameters()
         return {name: getattr(self.friction, name) for name in FrictionValues.names(self.friction)}
 
     def values(self, parameters: Values) -> FrictionValues:
         """The friction's current values."""
         if self.friction is None:
             return FrictionValues()
+        if isinstance(self.friction, FrictionLaw):
+            return FrictionValues(viscous=self.friction.viscous(subtree(parameters, "plant.friction")))
         return FrictionValues.of(subtree(parameters, "plant.friction"), self.friction)
 
     # ---------------------------------------------------------------- the pure functions
@@ -134,18 +191,29 @@ class Drivetrain:
         mass matrix of the links, and contact what rigid contacts put on the joints.
         """
         at_rest = memory["at_rest"] > 0.5 if self.remembers_rest else None
-        dry = dry_limit(values, v, at_rest, tau, load) if values.dry else tm.zeros(self.arm.n)
+        law = self._of_law(values, v, at_rest, tau, load, parameters)
         if not self.lossy:
-            return FrictionLimits(dry=dry, low=dry, high=dry)
+            return FrictionLimits(law=law, low=law[0], high=law[1])
         assert self.transmission is not None
         rotor, p = parameters.get("plant.rotor_inertia"), subtree(parameters, "actuation.transmission")
         reaching = tau
         if rotor is not None:
             b = _per_joint(0.0 if values.viscous is None else values.viscous, self.arm.n)
-            outside = load + contact - b * v - tm.sign(v) * dry
+            same = law[0] is law[1]
+            dry = tm.sign(v) * law[0] if same else tm.where(v > 0.0, law[0], tm.where(v < 0.0, -law[1], 0.0))
+            outside = load + contact - b * v - dry
             reaching = tau - rotor * self._accelerations(M, tau, outside, v, rotor, b, p["efficiency"], dt)
         forth, back = self.transmission.loss_limits(reaching, p)
-        return FrictionLimits(dry=dry, low=dry + forth, high=dry + back)
+        return FrictionLimits(law=law, low=law[0] + forth, high=law[1] + back)
+
+    def _of_law(
+        self, values: FrictionValues, v: Vector, at_rest: Any, tau: Vector, load: Vector, parameters: Values
+    ) -> tuple[Vector, Vector]:
+        """(n,) the largest dry friction in both directions; the arm's own is the same in both."""
+        if isinstance(self.friction, FrictionLaw) and self.friction.dry:
+            return self.friction.limits(v, at_rest, tau, load, subtree(parameters, "plant.friction"))
+        dry = dry_limit(values, v, at_rest, tau, load) if values.dry else tm.zeros(self.arm.n)
+        return dry, dry
 
     def _accelerations(
         self, M: Matrix, tau: Vector, load: Vector, v: Vector, rotor: Any, b: Vector, efficiency: Any, dt: Any

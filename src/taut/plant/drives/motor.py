@@ -3,23 +3,115 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from taut.base.errors import UsageError
-from taut.base.quantity import Quantity, keep_quantities
-from taut.base.types import ArrayLike, Float64Array, Vector
+from taut.base.fields import Declared, Field
+from taut.base.types import Float64Array, Vector
 from taut.trace import math as tm
 
-__all__ = ["ElectricMotor", "Motor", "TorqueLoop"]
+__all__ = ["IDEAL", "ElectricMotor", "Motor", "MotorModel", "MotorStep", "TorqueLoop", "lagged", "mean_lagged"]
 
 Values = Mapping[str, Any]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Motor:
+def lagged(command: Vector, output: Vector, bandwidth: Any, dt: Any) -> Vector:
+    """(n,) output of a first-order lag after dt, exact for a command that is held."""
+    moved: Vector = output + (1.0 - tm.exp(-bandwidth * dt)) * (command - output)
+    return moved
+
+
+def mean_lagged(command: Vector, state: Vector, bandwidth: Any, dt: Any) -> tuple[Vector, Vector]:
+    """(n,) mean over dt of a first-order lag's output for a command that is held, exact; and the output after dt."""
+    left = tm.exp(-bandwidth * dt)
+    mean: Vector = command + (state - command) * ((1.0 - left) / (bandwidth * dt))
+    after: Vector = command + (state - command) * left
+    return mean, after
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotorStep:
+    """What the motors did in one step."""
+
+    tau: Vector  # (n,) mean torque at the joints
+    memory: dict[str, Any]
+    work: dict[str, Vector] = field(default_factory=dict)  # (n,) [J] what it took, and where that went
+    cut: Any = 0.0  # what its limits kept back, or something of the same sign
+
+
+class MotorModel(Declared):
+    """Base of motors: declared fields, and pure functions of the joint torque that is asked for.
+
+    A subclass writes `step`; one that remembers something writes `start` too. Each `Field` is a parameter of the
+    plant by its path, actuation.motor.NAME.
+    """
+
+    @property
+    def work(self) -> tuple[str, ...]:
+        """Names of `taut.plant.work.WORK` that `step` gives."""
+        return ()
+
+    def start(self, tau: Vector, gear: Float64Array, bandwidth: Any, p: Values) -> dict[str, Any]:  # noqa: ARG002
+        """Memory at the start, when the motors hold the arm with tau: of the lag, where there is a bandwidth."""
+        return {} if bandwidth is None else {"motor": tau}
+
+    def step(
+        self,
+        tau: Vector,
+        v: Vector,
+        gear: Float64Array,
+        ripple: Any,
+        memory: Values,
+        p: Values,
+        bandwidth: Any,
+        dt: Any,
+    ) -> MotorStep:
+        """One step of dt [s].
+
+        Args:
+            tau: (n,) what is asked for, at the joints [N m | N].
+            v: (n,) joint speeds when the step begins.
+            gear: (n,) turns of the motor per turn of the joint.
+            ripple: Factor of the motor's torque at this position.
+            memory: Before the step.
+            p: Current values of the fields by name.
+            bandwidth: Of the amplifier [rad/s]; None for an ideal one.
+            dt: Length of the step [s].
+        """
+        raise NotImplementedError
+
+    def braking(self, gear: Float64Array, p: Values) -> Float64Array:  # noqa: ARG002
+        """(n,) loss of torque at the joint per speed at the limit [N m s/rad], for the check of steps."""
+        return np.zeros(len(gear))
+
+
+class IdealMotor(MotorModel):
+    """A motor without limits, behind the lag of its amplifier."""
+
+    def step(
+        self,
+        tau: Vector,
+        v: Vector,  # noqa: ARG002
+        gear: Float64Array,  # noqa: ARG002
+        ripple: Any,
+        memory: Values,
+        p: Values,  # noqa: ARG002
+        bandwidth: Any,
+        dt: Any,
+    ) -> MotorStep:
+        """The torque that is asked for, after the lag."""
+        if bandwidth is None:
+            return MotorStep(tau=tau * ripple, memory={})
+        mean, after = mean_lagged(tau, memory["motor"], bandwidth, dt)
+        return MotorStep(tau=mean * ripple, memory={"motor": after})
+
+
+IDEAL = IdealMotor()
+
+
+class Motor(MotorModel):
     """The speed-torque curve of motors, at their own shafts; the gear makes of it what the joint sees.
 
     Law:          -min(peak, stall (1 + omega / no_load)) <= tau_motor <= min(peak, stall (1 - omega / no_load))
@@ -36,23 +128,36 @@ class Motor:
         RangeError: A limit that is not above zero.
     """
 
-    title: ClassVar[str] = "actuation.motor"
-    quantities: ClassVar[Mapping[str, Quantity]] = {
-        "peak": Quantity(unit="N m", rule="> 0"),
-        "stall": Quantity(unit="N m", rule="> 0"),
-        "no_load": Quantity(unit="rad/s", rule="> 0"),
-    }
+    peak: Field = Field(unit="N m", shape="n", above=0.0, optional=True)
+    stall: Field = Field(unit="N m", shape="n", above=0.0, optional=True)
+    no_load: Field = Field(unit="rad/s", shape="n", above=0.0, optional=True)
 
-    peak: ArrayLike | None = None
-    stall: ArrayLike | None = None
-    no_load: ArrayLike | None = None
-
-    def __post_init__(self) -> None:
+    def check(self) -> None:
+        """There is a limit, and a curve is whole."""
         if (self.stall is None) != (self.no_load is None):
-            raise UsageError("a motor's curve needs both stall= [N m] and no_load= [rad/s], or neither", name="stall")
+            missing = "no_load" if self.no_load is None else "stall"
+            self.refuse(missing, "is missing: a motor's curve needs both stall [N m] and no_load [rad/s], or neither")
         if self.peak is None and self.stall is None:
-            raise UsageError("Motor needs peak=, or stall= and no_load=, or all three; without limits leave it out")
-        keep_quantities(self)
+            self.refuse("", "needs peak, or stall and no_load, or all three; without limits leave it out")
+
+    def step(
+        self,
+        tau: Vector,
+        v: Vector,
+        gear: Float64Array,
+        ripple: Any,
+        memory: Values,
+        p: Values,
+        bandwidth: Any,
+        dt: Any,
+    ) -> MotorStep:
+        """The torque that is asked for within the curve, and again after the lag."""
+        limited = self.limited(tau, v, gear, p)
+        cut, after = tau - limited, {}
+        if bandwidth is not None:
+            limited, after["motor"] = mean_lagged(limited, memory["motor"], bandwidth, dt)
+            limited = self.limited(limited, v, gear, p)
+        return MotorStep(tau=limited * ripple, memory=after, cut=cut)
 
     def braking(self, gear: Float64Array, p: Values) -> Float64Array:
         """(n,) how much less torque there is at the joint per speed, where the curve is the limit [N m s/rad]."""
@@ -75,8 +180,7 @@ class Motor:
         return tm.clip(tau, low, high)  # type: ignore[no-any-return]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ElectricMotor:
+class ElectricMotor(MotorModel):
     """Direct-current (or field-oriented) motors by their electrical numbers, at their own shafts.
 
     Model:        L di/dt = V - R i - k omega,   tau_motor = k i,   |V| <= voltage, |i| <= current
@@ -95,23 +199,78 @@ class ElectricMotor:
         RangeError: A number that is not above zero.
     """
 
-    title: ClassVar[str] = "actuation.motor"
-    quantities: ClassVar[Mapping[str, Quantity]] = {
-        "torque_constant": Quantity(unit="N m/A", rule="> 0"),
-        "resistance": Quantity(unit="ohm", rule="> 0"),
-        "inductance": Quantity(unit="H", rule="> 0", instead="leave it out where the current is there at once"),
-        "voltage": Quantity(unit="V", rule="> 0"),
-        "current": Quantity(unit="A", rule="> 0"),
-    }
+    torque_constant: Field = Field(unit="N m/A", shape="n", above=0.0)
+    resistance: Field = Field(unit="ohm", shape="n", above=0.0)
+    inductance: Field = Field(
+        unit="H", shape="n", above=0.0, optional=True, hint="leave it out where the current is there at once"
+    )
+    voltage: Field = Field(unit="V", shape="n", above=0.0, optional=True)
+    current: Field = Field(unit="A", shape="n", above=0.0, optional=True)
 
-    torque_constant: ArrayLike
-    resistance: ArrayLike
-    inductance: ArrayLike | None = None
-    voltage: ArrayLike | None = None
-    current: ArrayLike | None = None
+    @property
+    def work(self) -> tuple[str, ...]:
+        """What it takes, and where that goes; windings without inductance store nothing."""
+        stored = () if self.inductance is None else ("magnetic",)
+        return ("electric", "copper", *stored, "conversion")
 
-    def __post_init__(self) -> None:
-        keep_quantities(self)
+    def start(self, tau: Vector, gear: Float64Array, bandwidth: Any, p: Values) -> dict[str, Any]:  # noqa: ARG002
+        """The current that holds the arm, or all that there is."""
+        current = tau / (gear * p["torque_constant"])
+        if self.current is not None:
+            current = tm.clip(current, -p["current"], p["current"])
+        return {"current": current}
+
+    def step(
+        self,
+        tau: Vector,
+        v: Vector,
+        gear: Float64Array,
+        ripple: Any,
+        memory: Values,
+        p: Values,
+        bandwidth: Any,
+        dt: Any,
+    ) -> MotorStep:
+        """What is asked for is a current, and of the torque's ripple the amplifier knows nothing.
+
+        The voltage is held over the step; the current that it drives is exact, and so are its mean and its heat.
+        """
+        constant = gear * p["torque_constant"]  # [N m/A] at the joint
+        asked, i, k = tau / constant, memory["current"], constant * ripple
+        R = p["resistance"]
+        target = asked
+        if self.current is not None:
+            target = tm.clip(target, -p["current"], p["current"])
+        goal = target if bandwidth is None else target + (i - target) * tm.exp(-bandwidth * dt)
+        emf = k * v
+        if self.inductance is None:
+            mean = goal if bandwidth is None else mean_lagged(target, i, bandwidth, dt)[0]
+            after, unlimited = goal, mean
+            if self.voltage is not None:
+                low, high = (-p["voltage"] - emf) / R, (p["voltage"] - emf) / R
+                mean, after = tm.clip(mean, low, high), tm.clip(after, low, high)
+            work = {"electric": (emf + R * mean) * mean * dt, "copper": R * mean * mean * dt}
+            return MotorStep(
+                tau=k * mean, memory={"current": after}, work=work, cut=(asked - target) + (unlimited - mean)
+            )
+        L = p["inductance"]
+        left = tm.exp(-R * dt / L)
+        voltage = wanted = emf + R * (goal - i * left) / (1.0 - left)
+        if self.voltage is not None:
+            voltage = tm.clip(voltage, -p["voltage"], p["voltage"])
+        end = (voltage - emf) / R
+        swing = i - end
+        after = end + swing * left
+        decay = (1.0 - left) * L / R  # integral of exp(-R t / L) over the step [s]
+        charge = end * dt + swing * decay
+        squared = end * end * dt + 2.0 * end * swing * decay + swing * swing * (1.0 - left * left) * (0.5 * L / R)
+        work = {
+            "electric": voltage * charge,
+            "copper": R * squared,
+            "magnetic": 0.5 * L * (after * after - i * i),
+        }
+        cut = (asked - target) + (wanted - voltage) / R
+        return MotorStep(tau=k * charge / dt, memory={"current": after}, work=work, cut=cut)
 
     def braking(self, gear: Float64Array, p: Values) -> Float64Array:
         """(n,) how much less torque there is at the joint per speed, where the voltage is the limit [N m s/rad]."""
@@ -139,8 +298,7 @@ class ElectricMotor:
         return no_load
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TorqueLoop:
+class TorqueLoop(Declared):
     """An inner loop around the drive that makes the torque behind gear and friction what was asked for.
 
     Law:          target = tau + kp (tau - tau_link) + x,   dx/dt = ki (tau - tau_link)
@@ -162,18 +320,10 @@ class TorqueLoop:
         Chapter, figure 10.1 (a): local feedback of motor current or joint torque.
     """
 
-    title: ClassVar[str] = "actuation.torque_loop"
-    quantities: ClassVar[Mapping[str, Quantity]] = {
-        "kp": Quantity(unit="1", rule=">= 0"),
-        "ki": Quantity(unit="1/s", rule=">= 0"),
-    }
+    kp: Field = Field(0.0, unit="1", shape="n", minimum=0.0)
+    ki: Field = Field(0.0, unit="1/s", shape="n", minimum=0.0)
 
-    kp: ArrayLike = 0.0
-    ki: ArrayLike = 0.0
-
-    def __post_init__(self) -> None:
-        keep_quantities(self)
+    def check(self) -> None:
+        """It does something."""
         if not np.any(self.kp) and not np.any(self.ki):
-            raise UsageError(
-                "TorqueLoop needs kp= or ki= above zero; without a loop leave it out", name="torque_loop"
-            )
+            self.refuse("", "needs kp or ki above zero; without a loop leave it out")

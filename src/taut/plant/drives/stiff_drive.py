@@ -14,7 +14,8 @@ from taut.base.types import Float64Array, Vector
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
 from taut.maths.model import Model, PayloadValues
-from taut.plant.drives.actuation import Actuation, lagged
+from taut.plant.drives.actuation import Actuation
+from taut.plant.drives.motor import lagged
 from taut.trace import math as tm
 
 __all__ = ["INNER", "Follower", "aim", "require_drives"]
@@ -33,8 +34,7 @@ def require_drives(takes: CommandKind, actuation: Actuation, adds: Adds) -> None
         return
     if actuation.bandwidth is None:
         raise UsageError(
-            f"a plant that takes {takes} needs the bandwidth of its drives: "
-            "actuation=taut.drives.Actuation(bandwidth=50.0)  # rad/s",
+            f"a plant that takes {takes} needs the bandwidth of its drives: actuation.bandwidth, 50 rad/s say",
             name="actuation",
         )
     only = actuation.for_torque_only

@@ -1,26 +1,24 @@
-"""Transmissions: what lies between a motor and its joint. Losses, play, and elasticity."""
+"""Transmissions: what lies between a motor and its joint. Losses, backlash, and elasticity."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.checks import entry_names, finite_array, read_only, require_at_least, require_positive
-from taut.base.errors import RangeError, UsageError
-from taut.base.types import ArrayLike, Float64Array, Vector
+from taut.base.errors import UsageError
+from taut.base.fields import Declared, Field
+from taut.base.types import Float64Array, Vector
 from taut.trace import math as tm
 
-__all__ = ["Transmission"]
+__all__ = ["Transmission", "require_rotors"]
 
 Values = Mapping[str, Any]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Transmission:
+class Transmission(Declared):
     """Gears that lose power, have play, or give way. The ratio itself and the rotor stand in the Arm.
 
     Model:        power: the motor drives, P_out = efficiency P_in; the load drives, P_in = efficiency P_out back
@@ -49,41 +47,19 @@ class Transmission:
         backlash: a survey, Automatica 38 (2002).
     """
 
-    efficiency: ArrayLike = 1.0
-    stiffness: ArrayLike | None = None
-    damping: ArrayLike = 0.0
-    backlash: ArrayLike = 0.0
+    efficiency: Field = Field(
+        1.0, unit="1", shape="n", above=0.0, maximum=1.0, hint="gears give back no more than they get; 80 % is 0.8"
+    )
+    stiffness: Field = Field(unit="N m/rad | N/m", shape="n", above=0.0, infinite=True, optional=True)
+    damping: Field = Field(0.0, unit="N m s/rad | N s/m", shape="n", minimum=0.0)
+    backlash: Field = Field(0.0, unit="rad | m", shape="n", minimum=0.0)
 
-    def __post_init__(self) -> None:
-        where = "actuation.transmission"
-        efficiency = finite_array(f"{where}.efficiency", self.efficiency)
-        bad = np.argwhere(np.atleast_1d((efficiency <= 0.0) | (efficiency > 1.0)))
-        if len(bad):
-            index = [int(bad[0][0])] if efficiency.ndim else []
-            raise RangeError(
-                f"{entry_names(f'{where}.efficiency', index)} must be above 0 and at most 1: gears give back no more "
-                f"than they get; got {float(efficiency[tuple(index)]):g}; 80 % is 0.8",
-                name="efficiency",
-                value=float(efficiency[tuple(index)]),
-                rule="(0, 1]",
-            )
-        kept = {"efficiency": efficiency}
-        for name, unit in (("damping", "N m s/rad | N s/m"), ("backlash", "rad | m")):
-            kept[name] = finite_array(f"{where}.{name}", getattr(self, name), unit=unit)
-            require_at_least(f"{where}.{name}", kept[name], 0.0, unit=unit)
-        if self.stiffness is not None:
-            kept["stiffness"] = finite_array(f"{where}.stiffness", self.stiffness, allow_infinite=True)
-            require_positive(f"{where}.stiffness", kept["stiffness"], unit="N m/rad | N/m")
+    def check(self) -> None:
+        """Backlash and damping are of something elastic."""
+        rigid = np.inf if self.stiffness is None else self.stiffness
         for name in ("backlash", "damping"):
-            rigid = np.inf if self.stiffness is None else kept["stiffness"]
-            if np.any((kept[name] > 0.0) & np.isinf(rigid)):
-                raise UsageError(
-                    f"{where}.{name} needs a stiffness, that of the teeth or of the elastic part: "
-                    "taut.drives.Transmission(stiffness=1e4, ...)  # N m/rad",
-                    name=name,
-                )
-        for name, values in kept.items():
-            object.__setattr__(self, name, read_only(values))
+            if np.any((getattr(self, name) > 0.0) & np.isinf(rigid)):
+                self.refuse(name, "needs a stiffness, that of the teeth or of the elastic part: 1e4 N m/rad, say")
 
     @property
     def lossy(self) -> bool:
@@ -102,15 +78,10 @@ class Transmission:
         return tuple(int(i) for i in np.flatnonzero(np.isfinite(np.broadcast_to(self.stiffness, (n,)))))
 
     def parameters(self) -> dict[str, Float64Array]:
-        """Run-time parameters by name: those that are there."""
-        out: dict[str, Any] = {}
-        if self.lossy:
-            out["efficiency"] = self.efficiency
-        if self.stiffness is not None:
-            out |= {"stiffness": self.stiffness, "damping": self.damping}
-        if self.has_play:
-            out["backlash"] = self.backlash
-        return out
+        """Run-time parameters by name: those of what it has."""
+        own = Declared.parameters(self)
+        there = {"efficiency": self.lossy, "damping": self.stiffness is not None, "backlash": self.has_play}
+        return {name: x for name, x in own.items() if there.get(name, True)}
 
     # ---------------------------------------------------------------- the pure functions
 
@@ -155,6 +126,6 @@ def require_rotors(arm: Arm, joints: tuple[int, ...], rotor_inertia: Float64Arra
         if rotor[i] <= 0.0:
             raise UsageError(
                 f"joint '{arm.joint_names[i]}' has an elastic transmission or backlash, so its motor moves by itself "
-                "and needs a rotor: arm.with_gears(ratio=, motor_inertia=), or with_joints(rotor_inertia=)",
+                "and needs a rotor: give the arm gears or rotor_inertia",
                 name="stiffness",
             )

@@ -10,18 +10,23 @@ import numpy as np
 
 from taut.base.checks import finite_array, float_array
 from taut.base.errors import ShapeError, UsageError, quoted_list
+from taut.base.fields import Declared
 from taut.base.paths import subtree
 from taut.base.types import Array, ArrayLike, Float64Array, Twist, Vector, Wrench
 from taut.maths import dynamics as dyn
 from taut.maths.model import Model
+from taut.trace import math as tm
 from taut.trace.pose import Pose
 
 __all__ = [
     "Environment",
+    "EnvironmentBase",
     "Environments",
     "ReadyEnvironment",
     "added",
+    "applied",
     "checked_change",
+    "fastest",
     "require_environment",
     "started",
     "touch",
@@ -58,7 +63,7 @@ class Environment(Protocol):
 class ReadyEnvironment(Environment, Protocol):
     """What the environments that come with taut know of themselves beyond that."""
 
-    def changed(self, name: str, value: ArrayLike) -> Environment:
+    def changed(self, path: str, value: ArrayLike) -> Environment:
         """The same with another value of a parameter, checked as when it was made."""
         ...
 
@@ -70,6 +75,47 @@ class ReadyEnvironment(Environment, Protocol):
             parameters: Current values by name.
         """
         ...
+
+
+class EnvironmentBase(Declared):
+    """Base of the environments that come with taut, and of your own: declared fields, and one pure function.
+
+    Each `Field` is a parameter of the plant by its path, environment.stiffness, checked by its declaration whenever
+    it changes. A subclass writes `wrench`; what remembers something writes `start` too, and what oscillates or brakes
+    fast writes `rates`, from which the plant knows whether its steps are short enough.
+
+    Example:
+        >>> from taut.environments import EnvironmentBase, Field
+        >>> class Wind(EnvironmentBase):
+        ...     force: Field = Field(unit="N", shape=3)
+        ...
+        ...     def wrench(self, T_WE, twist, t, memory, parameters, dt):
+        ...         return np.concatenate([parameters["force"], np.zeros(3)]), {}
+        >>> sorted(Wind(force=[1.0, 0.0, 0.0]).parameters())
+        ['force']
+    """
+
+    def start(self, T_WE: Pose) -> dict[str, Any]:  # noqa: ARG002
+        """Memory at the start, from the tool's pose: none."""
+        return {}
+
+    def wrench(
+        self, T_WE: Pose, twist: Twist, t: Any, memory: Values, parameters: Values, dt: Any
+    ) -> tuple[Wrench, dict[str, Any]]:
+        """(6,) [N, N m] on the arm, force first, in world axes at the tool's origin; and the new memory."""
+        raise NotImplementedError
+
+    def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:  # noqa: ARG002
+        """How fast the tool oscillates in it [rad/s], and how fast its damping brakes the tool [1/s]: not at all.
+
+        Args:
+            mobility: (6, 6) acceleration of the tool per wrench, Lambda^-1.
+            parameters: Current values by name.
+        """
+        return NO_RATES
+
+    def __add__(self, other: Environment) -> Environments:
+        return added(self, other)
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -128,13 +174,13 @@ class Environments:
             after |= {f"{name}.{key}": x for key, x in new.items()}
         return total, after
 
-    def changed(self, name: str, value: ArrayLike) -> Environments:
+    def changed(self, path: str, value: ArrayLike) -> Environments:
         """The same with another value of a parameter, checked as when it was made."""
-        head, _, rest = name.partition(".")
+        head, _, rest = path.partition(".")
         part = self.parts[head]
         if isinstance(part, ReadyEnvironment):
             return Environments(**{**self.parts, head: part.changed(rest, value)})
-        finite_array(f"environment.{name}", value)  # one of the user's own, which knows no more of itself
+        finite_array(f"environment.{path}", value)  # one of the user's own, which knows no more of itself
         return self
 
     def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
@@ -178,16 +224,21 @@ def require_environment(name: str, what: object) -> None:
             name=name,
         )
     who = type(what).__name__
-    missing = [method for method in METHODS if getattr(type(what), method, None) is getattr(Environment, method)]
+    missing = [method for method in METHODS if _of_base(type(what), method)]
     if missing:
         raise UsageError(
-            f"{who} takes {quoted_list(missing)} from taut.environments.Environment, which has no more than "
-            f"their names; write "
-            "them in the class",
+            f"{who} takes {quoted_list(missing)} from its base, which has no more than the names; write them in the "
+            "class",
             name=name,
         )
     for key, value in _by_name(f"{who}.parameters()", what.parameters()).items():
         float_array(f"{who}.parameters()['{key}']", value)
+
+
+def _of_base(kind: type, method: str) -> bool:
+    """Whether a class has a method from a base that only names it."""
+    own = getattr(kind, method, None)
+    return own is getattr(Environment, method) or (method == "wrench" and own is EnvironmentBase.wrench)
 
 
 def started(environment: Environment, T_WE: Pose) -> dict[str, Any]:
@@ -218,7 +269,9 @@ def checked_change(environment: Environment, path: str, value: ArrayLike) -> Flo
         owner, name = environment, path
     if isinstance(owner, Environments):
         return checked_change(owner, name, value)
-    if isinstance(owner, ReadyEnvironment):
+    if isinstance(owner, EnvironmentBase):
+        new = np.asarray(owner.changed(name, value, name=f"environment.{path}").parameters()[name])
+    elif isinstance(owner, ReadyEnvironment):
         new = np.asarray(owner.changed(name, value).parameters()[name])
     else:
         new = finite_array(f"environment.{path}", value)
@@ -274,3 +327,19 @@ def _sound(environment: Environment, given: Any, before: Values) -> tuple[Any, d
             name=who,
         )
     return wrench, dict(after)
+
+
+def applied(gain: Array, six: Any) -> Array:
+    """(6,) a stiffness or damping, of the position alone where it is one number, times a displacement or twist."""
+    if np.ndim(gain) == 0:
+        return tm.array([*(gain * six[:3]), 0.0, 0.0, 0.0])
+    return gain @ six if np.ndim(gain) == 2 else gain * six  # type: ignore[no-any-return]
+
+
+def fastest(mobility: Float64Array, gain: ArrayLike) -> float:
+    """The largest eigenvalue of mobility times a stiffness [1/s^2] or a damping [1/s]."""
+    values = np.asarray(gain, dtype=np.float64)
+    if values.ndim == 0:
+        values = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) * values
+    matrix = np.diag(values) if values.ndim == 1 else values
+    return float(np.max(np.linalg.eigvals(mobility @ matrix).real, initial=0.0))

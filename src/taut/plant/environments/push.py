@@ -4,25 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar, Final, Literal
+from typing import Any
 
 import numpy as np
 
-from taut.base.checks import finite_array, one_of, read_only
+from taut.base.checks import finite_array, read_only
 from taut.base.errors import ShapeError
-from taut.base.quantity import Quantity
+from taut.base.fields import Choice, Field
 from taut.base.types import ArrayLike, Float64Array, Twist, Wrench
-from taut.plant.environments.environment import NO_RATES, Environment, Environments, added
-from taut.plant.environments.numbers import keep_axes, replaced
+from taut.plant.environments.environment import EnvironmentBase
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
-__all__ = ["SHAPES", "Push", "wrench_at_peak"]
+__all__ = ["Push", "wrench_at_peak"]
 
 Values = Mapping[str, Any]
-Shape = Literal["half-sine", "rectangular"]
-SHAPES: Final[tuple[Shape, ...]] = ("half-sine", "rectangular")
 
 
 def wrench_at_peak(value: ArrayLike) -> Float64Array:
@@ -40,8 +36,7 @@ def wrench_at_peak(value: ArrayLike) -> Float64Array:
     return peak if peak.shape == (6,) else read_only(np.concatenate([peak, np.zeros(3)]))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Push:
+class Push(EnvironmentBase):
     """A push at the tool's origin: a wrench that comes and goes once.
 
     Law:          F_ext = peak s((t_now - t) / duration), with s(x) = sin(pi x) or 1 for 0 <= x < 1, else 0
@@ -68,35 +63,16 @@ class Push:
         [1.273, 0.0, 0.0, 0.0, 0.0, 0.0]
     """
 
-    title: ClassVar[str] = "push"
-    quantities: ClassVar[Mapping[str, Quantity]] = {
-        "t": Quantity(unit="s", rule=">= 0", infinite=True),
-        "duration": Quantity(unit="s", rule="> 0", instead="for no push leave it out"),
-    }
-
-    peak: ArrayLike = (0.0, 0.0, 0.0)
-    t: ArrayLike = math.inf
-    duration: ArrayLike = 0.1
-    shape: Shape = "half-sine"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "peak", wrench_at_peak(self.peak))
-        one_of("push.shape", self.shape, SHAPES)
-        keep_axes(self)
+    peak: Field = Field((0.0, 0.0, 0.0), unit="N, N m", shape=6, accepts=("force",))
+    t: Field = Field(math.inf, unit="s", minimum=0.0, infinite=True)
+    duration: Field = Field(0.1, unit="s", above=0.0, hint="for no push leave it out")
+    shape: Choice[str] = Choice("half-sine", "rectangular")
 
     @property
     def impulse(self) -> Float64Array:
         """(6,) integral of the wrench over time [N s, N m s]."""
         mean = 1.0 if self.shape == "rectangular" else 2.0 / math.pi
         return np.asarray(self.peak) * float(np.asarray(self.duration)) * mean
-
-    def parameters(self) -> dict[str, Float64Array]:
-        """Run-time parameters by name."""
-        return {name: np.asarray(getattr(self, name)) for name in ("peak", "t", "duration")}
-
-    def start(self, T_WE: Pose) -> dict[str, Any]:  # noqa: ARG002
-        """It remembers nothing."""
-        return {}
 
     def wrench(
         self,
@@ -115,14 +91,3 @@ class Push:
         else:
             share = (tm.cos(math.pi * begin) - tm.cos(math.pi * end)) / math.pi
         return parameters["peak"] * (share * length / dt), {}
-
-    def changed(self, name: str, value: ArrayLike) -> Push:
-        """The same with another value of a parameter, checked as when it was made."""
-        return replaced(self, name, value)
-
-    def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:  # noqa: ARG002
-        """It neither swings nor brakes."""
-        return NO_RATES
-
-    def __add__(self, other: Environment) -> Environments:
-        return added(self, other)

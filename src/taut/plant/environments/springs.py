@@ -1,32 +1,46 @@
-"""Springs and dampers between the tool and the world."""
+"""Springs, dampers and walls between the tool and the world."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Final, Self
 
 import numpy as np
 
-from taut.base.checks import one_of
-from taut.base.errors import UsageError
-from taut.base.quantity import Quantity
+from taut.base.checks import finite_array
+from taut.base.errors import RangeError, UsageError
+from taut.base.fields import Choice, Declared, Field, Part
 from taut.base.types import Array, ArrayLike, Float64Array, Twist, Wrench
 from taut.maths.spatial import left_jacobian_inverse, rotated, rotation_log
-from taut.plant.environments.environment import Environment, Environments, added
-from taut.plant.environments.numbers import Place, applied, fastest, kept_pose, replaced, spatial
+from taut.plant.environments.environment import EnvironmentBase, applied, fastest
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
-__all__ = ["Damper", "Spring"]
+__all__ = ["Damper", "Spring", "StiffWall"]
 
 Values = Mapping[str, Any]
-FRAMES: Final[tuple[Literal["world", "tool"], ...]] = ("world", "tool")
 TINY: Final = 1e-12  # [m] a cord that is shorter has no direction
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Spring:
+def pose_or_point(place: Pose | ArrayLike) -> Pose:
+    """A pose; a point has the axes of the world."""
+    if isinstance(place, str):
+        raise UsageError(f"at must be a taut.Pose or a point (3,) [m]; got {place!r}", name="at")
+    return place if isinstance(place, Pose) else Pose(finite_array("at", place, shape=(3,), unit="m"))
+
+
+def unit_vector(direction: ArrayLike) -> Float64Array:
+    """(3,) a direction of unit length."""
+    normal = finite_array("normal", direction, shape=(3,))
+    length = float(np.linalg.norm(normal))
+    if length < 1e-9:
+        raise RangeError(f"normal must have a length, as [0, 0, 1] for a floor; got {normal.tolist()}", name="normal")
+    out: Float64Array = normal / length
+    return out
+
+
+class Spring(EnvironmentBase):
     """A spring between the tool and a place in the world.
 
     Law:          F_ext = -dU/dx of U = 1/2 e^T stiffness e, with e = (p, phi) the position of the tool's origin and
@@ -54,30 +68,21 @@ class Spring:
         ['at.p', 'at.xyzw', 'stiffness']
     """
 
-    stiffness: ArrayLike
-    at: Place = None
-    slack: ArrayLike | None = None
+    stiffness: Field = Field(unit="N/m | N m/rad", shape=6, accepts=("scalar", "pair", "matrix"), minimum=0.0)
+    at: Part[Pose] = Part(Pose, optional=True, convert=pose_or_point)
+    slack: Field = Field(unit="m", minimum=0.0, optional=True)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "stiffness", spatial("spring.stiffness", self.stiffness, "N/m", "N m/rad"))
-        object.__setattr__(self, "at", kept_pose("spring.at", self.at))
-        if self.slack is None:
-            return
-        slack = Quantity(unit="m", rule=">= 0").checked("spring.slack", self.slack)
-        if np.ndim(self.stiffness) or slack.ndim:
-            raise UsageError(
-                "spring.slack is one number, the free length of a cord of one stiffness [N/m]; leave it out, or give "
-                "stiffness=300.0",
-                name="slack",
+    def check(self) -> None:
+        """A cord has one stiffness."""
+        if self.slack is not None and np.ndim(self.stiffness):
+            self.refuse(
+                "slack", "is the free length of a cord of one stiffness [N/m]; leave it out, or give stiffness 300"
             )
-        object.__setattr__(self, "slack", slack)
 
     def parameters(self) -> dict[str, Float64Array]:
-        """Run-time parameters by name."""
-        out = {"stiffness": np.asarray(self.stiffness)}
-        if isinstance(self.at, Pose):
-            out |= {"at.p": np.asarray(self.at.p), "at.xyzw": self.at.xyzw}
-        return out if self.slack is None else out | {"slack": np.asarray(self.slack)}
+        """Run-time parameters by name, those of the place among them."""
+        own = Declared.parameters(self)
+        return own if self.at is None else own | {"at.p": np.asarray(self.at.p), "at.xyzw": self.at.xyzw}
 
     def start(self, T_WE: Pose) -> dict[str, Any]:
         """Memory at the start: where the tool is, if that is where it is at rest."""
@@ -107,20 +112,16 @@ class Spring:
         moment = left_jacobian_inverse(phi).T @ pull[3:]
         return rotated(R_WA, tm.array([*(-pull[:3]), *(-moment)])), dict(memory)
 
-    def changed(self, name: str, value: ArrayLike) -> Spring:
+    def changed(self, path: str, value: Any, *, name: str = "") -> Self:
         """The same with another value of a parameter, checked as when it was made."""
-        if name == "at.p" and isinstance(self.at, Pose):
-            return replaced(self, "at", Pose(value, R=self.at.R))  # type: ignore[arg-type]
-        if name == "at.xyzw" and isinstance(self.at, Pose):
-            return replaced(self, "at", Pose(self.at.p, xyzw=value))  # type: ignore[arg-type]
-        return replaced(self, name, value)
+        if self.at is not None and path in ("at.p", "at.xyzw"):
+            at = Pose(value, R=self.at.R) if path == "at.p" else Pose(self.at.p, xyzw=value)
+            return dataclasses.replace(self, at=at)
+        return Declared.changed(self, path, value, name=name)
 
     def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
         """How fast the tool swings in it [rad/s]; it has no damping."""
         return float(np.sqrt(fastest(mobility, parameters["stiffness"]))), 0.0
-
-    def __add__(self, other: Environment) -> Environments:
-        return added(self, other)
 
 
 def _rotation(xyzw: Array) -> Array:
@@ -129,8 +130,7 @@ def _rotation(xyzw: Array) -> Array:
     return tm.eye(3) + 2.0 * (xyzw[3] * v + v @ v)  # type: ignore[no-any-return]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Damper:
+class Damper(EnvironmentBase):
     """A damper between the tool and the world, as of a liquid that rests.
 
     Law:          F_ext = -damping V, with V the twist of the tool at its origin
@@ -152,20 +152,8 @@ class Damper:
         [20.0, 20.0, 20.0, 0.5, 0.5, 0.5]
     """
 
-    damping: ArrayLike
-    frame: Literal["world", "tool"] = "world"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "damping", spatial("damper.damping", self.damping, "N s/m", "N m s/rad"))
-        one_of("damper.frame", self.frame, FRAMES)
-
-    def parameters(self) -> dict[str, Float64Array]:
-        """Run-time parameters by name."""
-        return {"damping": np.asarray(self.damping)}
-
-    def start(self, T_WE: Pose) -> dict[str, Any]:  # noqa: ARG002
-        """It remembers nothing."""
-        return {}
+    damping: Field = Field(unit="N s/m | N m s/rad", shape=6, accepts=("scalar", "pair", "matrix"), minimum=0.0)
+    frame: Choice[str] = Choice("world", "tool")
 
     def wrench(
         self,
@@ -181,18 +169,11 @@ class Damper:
             return -applied(parameters["damping"], twist), {}
         return rotated(T_WE.R, -applied(parameters["damping"], rotated(T_WE.R.T, twist))), {}
 
-    def changed(self, name: str, value: ArrayLike) -> Damper:
-        """The same with another value of a parameter, checked as when it was made."""
-        return replaced(self, name, value)
-
     def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
         """How fast it brakes the tool [1/s]."""
         if self.frame == "world":
             return 0.0, fastest(mobility, parameters["damping"])
         return 0.0, fastest(mobility, _bound(parameters["damping"]))
-
-    def __add__(self, other: Environment) -> Environments:
-        return added(self, other)
 
 
 def _bound(gain: ArrayLike) -> Float64Array:
@@ -202,3 +183,89 @@ def _bound(gain: ArrayLike) -> Float64Array:
         return np.repeat([values[:3].max(), values[3:].max()], 3) if values.ndim else values
     blocks = [np.linalg.eigvalsh(values[i : i + 3, i : i + 3]).max() for i in (0, 3)]
     return 2.0 * np.repeat(blocks, 3)  # of a positive matrix, twice its blocks is no less than it
+
+
+class StiffWall(EnvironmentBase):
+    """A half-space that the tool's origin can be pressed into: a stiff surface that pushes and never pulls.
+
+    Law:          N = max(0, stiffness d + s damping d_dot) where the depth d is above 0, else 0
+                  s rises smoothly from 0 to 1 while d goes from 0 to onset, so that N begins without a jump
+                  F_ext = N normal - min(sliding_damping, friction N / |v_t|) v_t, with v_t the speed along it
+    Closed loop:  of mass Lambda pressed in deeper than onset, and nothing else:
+                  d_ddot + (damping / Lambda) d_dot + (stiffness / Lambda) d = 0
+
+    Coulomb friction is one that creeps: below the speed friction N / sliding_damping it is viscous.
+
+    Stable while (stiffness dt^2 + 2 damping dt) / Lambda < 4; steps with more than 2 are refused. A wall that is felt
+    at the beginning of each step only may give back more than it got, at most stiffness (v dt)^2 / 2 in a contact;
+    with damping >= stiffness dt / 2, as for Colgate's sampled wall, it does not.
+
+    Args:
+        point: (3,) [m] any point of its surface, in world axes.
+        normal: (3,) its direction towards free space, of any length, in world axes.
+        stiffness: [N/m].
+        damping: [N s/m].
+        onset: Depth [m] at which damping and friction are all there.
+        friction: Coefficient of Coulomb friction; none if left out.
+        sliding_damping: How steeply friction rises with speed [N s/m].
+
+    Raises:
+        ShapeError, RangeError: Numbers of another shape, negative, not finite; a normal without length.
+
+    Example:
+        >>> wall = StiffWall(point=[0.5, 0.0, 0.0], normal=[-1.0, 0.0, 0.0], stiffness=1e4, damping=100.0)
+        >>> sorted(wall.parameters())
+        ['damping', 'normal', 'onset', 'point', 'stiffness']
+
+    References:
+        Colgate and Schenkel, Passivity of a class of sampled-data systems, Journal of Robotic Systems 14 (1997).
+        Hunt and Crossley, Coefficient of restitution interpreted as damping in vibroimpact, ASME Journal of Applied
+        Mechanics 42 (1975).
+    """
+
+    point: Field = Field(unit="m", shape=3)
+    normal: Field = Field(unit="1", shape=3, convert=unit_vector)
+    stiffness: Field = Field(unit="N/m", above=0.0, hint="for free space leave the wall out")
+    damping: Field = Field(0.0, unit="N s/m", minimum=0.0)
+    onset: Field = Field(1e-4, unit="m", above=0.0, hint="1e-6 is nearly none")
+    friction: Field = Field(unit="1", minimum=0.0, optional=True)
+    sliding_damping: Field = Field(300.0, unit="N s/m", above=0.0, hint="for no friction leave friction out")
+
+    def parameters(self) -> dict[str, Float64Array]:
+        """Run-time parameters by name; without friction none of it."""
+        own = Declared.parameters(self)
+        return own if self.friction is not None else {name: x for name, x in own.items() if name != "sliding_damping"}
+
+    def wrench(
+        self,
+        T_WE: Pose,
+        twist: Twist,
+        t: Any,  # noqa: ARG002
+        memory: Values,  # noqa: ARG002
+        parameters: Values,
+        dt: Any,  # noqa: ARG002
+    ) -> tuple[Wrench, dict[str, Any]]:
+        """(6,) [N, N m] on the arm."""
+        p, n, v = parameters, parameters["normal"], twist[:3]
+        depth, inwards = n @ (p["point"] - T_WE.p), -(n @ v)
+        share = tm.clip(depth / p["onset"], 0.0, 1.0)
+        share = share * share * (3.0 - 2.0 * share)
+        N = tm.where(depth > 0.0, tm.maximum(p["stiffness"] * depth + share * p["damping"] * inwards, 0.0), 0.0)
+        force = N * n
+        if self.friction is not None:
+            along = v + inwards * n
+            speed = tm.maximum(tm.norm(along), 1e-12)
+            force = force - tm.minimum(share * p["sliding_damping"], p["friction"] * N / speed) * along
+        return tm.array([*force, 0.0, 0.0, 0.0]), {}
+
+    def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
+        """How fast the tool swings in it [rad/s], and how fast it brakes the tool [1/s]."""
+        n = np.asarray(parameters["normal"])
+        across, flat = np.zeros((6, 6)), np.zeros((6, 6))
+        across[:3, :3] = np.outer(n, n)
+        damping = parameters["damping"] * across
+        if self.friction is not None:
+            flat[:3, :3] = np.eye(3) - np.outer(n, n)
+            damping = damping + parameters["sliding_damping"] * flat
+        omega = np.sqrt(fastest(mobility, parameters["stiffness"] * across))
+        return float(omega), fastest(mobility, damping)

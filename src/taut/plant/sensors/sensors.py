@@ -170,8 +170,8 @@ class Sensors:
                     _require_within_a_turn(f"sensors.{name}.{word}", values, arm)
         if not touched and not self.weighs and self.wrench is not None and numbers_of(self.wrench):
             raise UsageError(
-                "sensors.wrench is for a plant that something touches, or whose tool it weighs; give environment= or "
-                "tool= too, or leave it out",
+                "sensors.wrench is for a plant that something touches, or whose tool it weighs; give the plant an "
+                "environment or the sensor its tool, or leave it out",
                 name="wrench",
             )
 

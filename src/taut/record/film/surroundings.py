@@ -15,14 +15,14 @@ import numpy as np
 
 from taut.base.errors import UsageError
 from taut.base.types import Float64Array
+from taut.record.info import AROUND
 from taut.trace.pose import Pose
 
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = ["AROUND", "POSES", "Around", "Mesh", "Shape", "ShapeKind", "Thing", "around_of", "pose", "poses_of"]
+__all__ = ["POSES", "Around", "Mesh", "Shape", "ShapeKind", "Thing", "around_of", "pose", "poses_of"]
 
-AROUND: Final = "around"  # in run.info
 POSES: Final = "scene.poses"  # column of a run: (m, 7) position [m] and quaternion wxyz of each thing that moves
 
 ShapeKind: TypeAlias = Literal["plane", "box", "sphere", "ellipsoid", "cylinder", "capsule", "mesh"]

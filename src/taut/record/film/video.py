@@ -1,4 +1,4 @@
-"""Films of a run: pictures by MuJoCo, else schematic ones, as GIF or MP4."""
+"""Films of a run: pictures by MuJoCo, as GIF or MP4."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, get_args
 
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.checks import positive_scalar
-from taut.base.errors import FileError, MatchError, RangeError, UsageError, warn
+from taut.base.checks import finite_array, positive_scalar
+from taut.base.errors import FileError, MatchError, MissingExtraError, RangeError, UsageError, unknown_name, warn
 from taut.base.types import Float64Array
 from taut.control.trajectories.task_reference import TaskMotion
-from taut.record.film import painter, render, scene, sketch
-from taut.record.film.skeleton import Skeleton, View, upright
+from taut.record.film import painter, render, scene
+from taut.record.film.scene import Focus, Skeleton, View, upright
 from taut.record.film.surroundings import Around, around_of, poses_of
 from taut.record.log.files import checked_target, written_aside
 from taut.record.progress import Progress
@@ -51,6 +51,8 @@ def film(
     fps: int,
     size: tuple[int, int],
     speed: float,
+    camera: tuple[float, float] | None,
+    focus: Focus,
     arm: Arm | None,
     progress: bool | None,
 ) -> Path:
@@ -58,6 +60,7 @@ def film(
     target = checked_target("video", path, SUFFIXES)
     size = _checked_size(size, target.suffix.lower())
     _check_rate(fps, target.suffix.lower())
+    _check_camera(camera, focus)
     ffmpeg = _ffmpeg(target)
     shown = _checked_arm(run, arm)
     ticks = _ticks(run, positive_scalar("speed", speed) / fps)
@@ -66,7 +69,14 @@ def film(
     around = around_of(run)
     moving = upright_poses(poses_of(run, around, ticks), shown)
     with ExitStack() as stack, written_aside("video", target) as aside:
-        pictures, remark = _pictures(stack, run.q[ticks], skeleton, wanted, size, around, moving)
+        view = skeleton.view(camera, focus)
+        try:
+            pictures, remark = _pictures(stack, run.q[ticks], skeleton, view, camera, wanted, size, around, moving)
+        except render.NoRendererError as cause:
+            raise MissingExtraError(
+                f"video '{target}' needs OpenGL, and none works here ({cause}); install EGL or OSMesa",
+                name="OpenGL",
+            ) from cause
         if remark:
             warn(f"video '{target}' {remark}")
         bar = stack.enter_context(Progress(len(ticks), progress, "drawing"))
@@ -103,6 +113,13 @@ def _check_rate(fps: int, suffix: str) -> None:
     if not whole or not 1 <= fps <= FASTEST[suffix]:
         words = f"fps must be a whole number from 1 to {FASTEST[suffix]} for {suffix}; got {fps!r}"
         raise RangeError(words, name="fps", value=fps)
+
+
+def _check_camera(camera: tuple[float, float] | None, focus: str) -> None:
+    if camera is not None:
+        finite_array("camera", camera, shape=(2,), unit="deg")
+    if focus not in get_args(Focus):
+        raise unknown_name("a film", "focus", focus, get_args(Focus))
 
 
 def _ffmpeg(target: Path) -> str | None:
@@ -176,28 +193,28 @@ def _pictures(
     stack: ExitStack,
     q: Float64Array,
     skeleton: Skeleton,
+    view: View,
+    camera: tuple[float, float] | None,
     wanted: Float64Array,
     size: tuple[int, int],
     around: Around,
     moving: Float64Array,
 ) -> tuple[Iterator[Picture], str]:
-    """Rendered pictures, else schematic ones, and what there is to say about them."""
-    view = skeleton.view()
+    """Rendered pictures, and what there is to say about them.
+
+    Raises:
+        NoRendererError: None can be drawn here.
+    """
     folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="taut-video-"))
-    try:
-        render.check_mujoco()
-        model, places, problem = scene.scene(skeleton.arm, view, size, around)
-        frames = _frames(q, places, skeleton, wanted, view, size, moving)
-        if around:
-            some = np.linspace(0, len(q) - 1, min(len(q), LOOKS)).astype(int)
-            shown = [(frames.qpos[k], moving[k], skeleton.tool[k]) for k in some]
-            view = scene.unhidden(model, view, size, shown)
-            frames = dataclasses.replace(frames, camera=_camera(view, size))
-        renderer = stack.enter_context(render.opened(Path(folder), model, frames))
-    except render.NoRendererError as cause:
-        alone = " of the arm alone" if around else ""
-        reason = f"is a schematic drawing{alone}, because no OpenGL works here ({cause})"
-        return sketch.sketches(skeleton, wanted, view, size), reason
+    render.check_mujoco()
+    model, places, problem = scene.scene(skeleton.arm, view, size, around)
+    frames = _frames(q, places, skeleton, wanted, view, size, moving)
+    if around and camera is None:
+        some = np.linspace(0, len(q) - 1, min(len(q), LOOKS)).astype(int)
+        shown = [(frames.qpos[k], moving[k], skeleton.tool[k]) for k in some]
+        view = scene.unhidden(model, view, size, shown)
+        frames = dataclasses.replace(frames, camera=_camera(view, size))
+    renderer = stack.enter_context(render.opened(Path(folder), model, frames))
     remarks = [f"shows capsules in place of some visuals: {problem}"] if problem else []
     remarks += [f"does not show {' and '.join(around.missing)}"] if around.missing else []
     return renderer.pictures(), "; it ".join(remarks)
@@ -273,7 +290,7 @@ def _write_mp4(path: Path, images: Iterator[Any], fps: int, size: tuple[int, int
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors)
         assert process.stdin is not None
         try:
-            with suppress(BrokenPipeError):  # ffmpeg has given up; what it says is told below
+            with suppress(BrokenPipeError):  # ffmpeg has given up; its own words follow below
                 for image in images:
                     process.stdin.write(image.tobytes())
         finally:

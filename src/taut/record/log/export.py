@@ -17,7 +17,7 @@ from taut.base.errors import MissingExtraError, UsageError
 from taut.base.paths import unflatten
 from taut.base.types import Float64Array
 from taut.record.log.files import checked_target, written_aside
-from taut.record.log.topics import columns_of
+from taut.record.log.messages import columns_of
 from taut.record.progress import Progress
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Reading a log back: every array exactly, and of a cut or damaged file what is whole."""
+"""Reading a log back: every array exactly, and of a cut or damaged file what comes before."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 import numpy as np
+from mcap.opcode import Opcode
 
 from taut.base.checks import readable_file
 from taut.base.errors import FileError, UsageError, printable
@@ -17,11 +18,9 @@ from taut.base.paths import subtree
 from taut.base.types import Array, Float64Array
 from taut.control.trajectories.compound import TOGETHER, PhaseSample, phase_sample, together_kind
 from taut.control.trajectories.reference import Sample
-from taut.record.description import description_from, outcome_from, unsealed
-from taut.record.log.info import wrong_entry
-from taut.record.log.mcap_reader import Contents, contents_of, messages, read_chunk
-from taut.record.log.mcap_writer import MAGIC
-from taut.record.log.topics import Description, TickLayout
+from taut.record.log.container import MAGIC, MAX_CHUNK, Contents, chunk_data, contents_of, records_in
+from taut.record.log.description import description_from, outcome_from, unsealed, wrong_entry
+from taut.record.log.messages import Description, TickLayout
 from taut.record.outcome import Outcome
 from taut.record.run import Run
 
@@ -43,8 +42,8 @@ def load_run(path: str | os.PathLike[str]) -> Run:
     """Read a log that `run.save` or `taut.run(..., log=)` wrote.
 
     Every array, the outcome and the info are exactly what was recorded, the arms (`run.arms`) among it; only what is
-    drawn of an arm is not in the file. Of a file that was cut off or damaged, all ticks that are whole are returned,
-    and the outcome says what is missing.
+    drawn of an arm is not in the file. Of a file that was cut off or damaged, the ticks before that are returned, and
+    the outcome says so.
 
     Args:
         path: A .mcap file.
@@ -80,27 +79,24 @@ def load_run(path: str | os.PathLike[str]) -> Run:
 def _read(file: IO[bytes], path: Path) -> Run:
     size = path.stat().st_size
     first = file.read(len(MAGIC))
-    file.seek(max(0, size - len(MAGIC)))
     if first.startswith(b"PK") and path.suffix == ".npz":
         raise FileError(
             f"'{path}' is a NumPy archive of a run's arrays, without its settings; give the log that "
             "run.save('run.mcap') writes, or taut.run(..., log=)",
             name=str(path),
         )
-    if first != MAGIC and file.read() != MAGIC:
+    if first != MAGIC:
         raise FileError(f"log '{path}' is no MCAP file: it starts with {first!r}", name=str(path))
     found = contents_of(file, size)
-    if first != MAGIC:
-        found.damage.insert(0, (0, len(MAGIC)))
-    unpacked = sum(chunk.size for chunk in found.chunks)
-    if unpacked > FEW_BYTES + MAX_UNPACKED * size:
+    if found.unpacked > FEW_BYTES + MAX_UNPACKED * size:
         raise FileError(
-            f"log '{path}' has {size} bytes and would unpack to {unpacked}, more than a log does", name=str(path)
+            f"log '{path}' has {size} bytes and would unpack to {found.unpacked}, more than a log does",
+            name=str(path),
         )
     description, info = _description(found, size, path)
     kind = _sample_class(description, path)
-    number, columns = _columns(file, found, TickLayout(description))
-    outcome = _outcome(found, number, columns["t"], size)
+    columns = _columns(file, found, TickLayout(description))
+    outcome = _outcome(found, columns["t"])
     run = Run(
         t=columns["t"],
         q=columns["q"],
@@ -135,17 +131,14 @@ def _named(columns: Mapping[str, Float64Array]) -> dict[str, Float64Array]:
 
 
 def _description(found: Contents, size: int, path: Path) -> tuple[Description, dict[str, Any]]:
-    reason = ""
-    for name, record in found.metadata:
-        if name == "taut.run":
-            try:
-                return description_from(unsealed(record), most=min(max(size, 4096), MAX_NUMBERS))
-            except (ValueError, RecursionError) as cause:
-                reason = str(cause)
-    if reason:
-        raise FileError(f"log '{path}' cannot be read: {reason}", name=str(path))
-    if found.damage or not found.complete:
-        at = found.damage[0][0] if found.damage else size
+    record = found.metadata.get("taut.run")
+    if record is not None:
+        try:
+            return description_from(unsealed(record), most=min(max(size, 4096), MAX_NUMBERS))
+        except (ValueError, RecursionError) as cause:
+            raise FileError(f"log '{path}' cannot be read: {cause}", name=str(path)) from cause
+    if not found.complete:
+        at = size if found.damage is None else found.damage
         raise FileError(
             f"log '{path}' is cut off or damaged before its description ends (byte {at} of {size}); "
             "nothing of the run can be read",
@@ -159,8 +152,11 @@ def _description(found: Contents, size: int, path: Path) -> tuple[Description, d
 
 def _sample_class(description: Description, path: Path) -> type[Sample]:
     """The class of the reference, among those that are known here; a file never makes us import anything."""
-    from taut import laws  # noqa: F401  # so that all of ours are known
+    from taut import laws, trajectories
 
+    for door in (laws, trajectories):  # so that all of ours are known
+        for name in door.__all__:
+            getattr(door, name)
     kind = _fitting(description.reference, description.fields, len(description.joint_names))
     if kind is not None:
         return kind
@@ -215,64 +211,50 @@ def _subclasses(kind: type[Any]) -> Iterator[type[Sample]]:
         yield from _subclasses(child)
 
 
-def _outcome(found: Contents, number: Array, t: Float64Array, size: int) -> Outcome:
-    """How the run ended, as far as the file tells, and what is missing."""
-    end = f"t = {t[-1]:.6g} s (tick {number[-1]})" if len(t) else "the start"
-    outcome = Outcome(
-        kind="stopped",
-        message=f"the log ends at {end} without an outcome: its writer was stopped, or the file was cut off",
-        tick=int(number[-1]) if len(t) else 0,
-    )
-    ticks = int(number[-1]) + 1 if len(t) else 0
-    for name, record in found.metadata:
-        if name == "taut.outcome":
-            try:
-                outcome, ticks = outcome_from(unsealed(record))
-            except (ValueError, RecursionError):
-                found.damage.append((size, size))
-    missing = _gaps(number, ticks)
-    if missing:
-        count = sum(last - first + 1 for first, last in missing)
-        shown = ", ".join(f"{first} to {last}" for first, last in missing[:3]) + (", ..." if missing[3:] else "")
-        words = f"; the file is damaged: {count} of {ticks} ticks are missing ({shown})"
-    elif found.damage and found.complete:
-        words = f"; the file is damaged at byte {found.damage[0][0]}, but no tick is missing"
-    else:
+def _outcome(found: Contents, t: Float64Array) -> Outcome:
+    """How the run ended, as far as the file says."""
+    end = f"t = {t[-1]:.6g} s (tick {len(t) - 1})" if len(t) else "the start"
+    damaged = "" if found.damage is None else f"; the file is damaged at byte {found.damage}"
+    record, ticks = found.metadata.get("taut.outcome"), len(t)
+    if record is not None:
+        try:
+            outcome, ticks = outcome_from(unsealed(record))
+        except (ValueError, RecursionError):
+            record, damaged = None, "; its outcome is damaged"
+    if record is None:
+        message = f"the log ends at {end} without an outcome: its writer was stopped, or the file was cut off"
+        return Outcome(kind="stopped", message=f"{message}{damaged}", tick=max(0, len(t) - 1))
+    if not damaged and len(t) == ticks:
         return outcome
-    return replace(outcome, message=outcome.message + words)
-
-
-def _gaps(number: Array, ticks: int) -> list[tuple[int, int]]:
-    """First and last of each range of ticks that is not there."""
-    edges = np.concatenate([[-1], number.astype(np.int64), [ticks]])
-    holes = np.flatnonzero(np.diff(edges) > 1)
-    return [(int(edges[i]) + 1, int(edges[i + 1]) - 1) for i in holes]
+    if len(t) == ticks:
+        return replace(outcome, message=f"{outcome.message}{damaged}, but no tick is missing")
+    missing = f": {ticks - len(t)} of {ticks} ticks are missing, those after {end}"
+    return replace(outcome, kind="stopped", message=f"{outcome.message}{damaged or '; the file is damaged'}{missing}")
 
 
 # -------------------------------------------------------------------- the ticks
 
 
-def _columns(file: IO[bytes], found: Contents, layout: TickLayout) -> tuple[Array, dict[str, Float64Array]]:
-    """Numbers of the ticks that are whole, in order, and all columns."""
+def _columns(file: IO[bytes], found: Contents, layout: TickLayout) -> dict[str, Float64Array]:
+    """All columns, of the ticks that are whole and follow each other from the first on."""
     shapes = layout.description.shapes()
     blocks = list(_blocks(file, found, layout))
     number = np.concatenate([np.zeros(0, dtype=np.uint32), *(ticks for ticks, _ in blocks)])
-    order = None if (np.diff(number.astype(np.int64)) > 0).all() else np.unique(number, return_index=True)[1]
+    wrong = np.flatnonzero(number != np.arange(len(number)))
+    if wrong.size and found.damage is None:
+        found.damage = found.chunks[0][0]
+    whole = int(wrong[0]) if wrong.size else len(number)
     columns = {}
     for name, shape in shapes.items():  # one after the other, so that at most one is there twice
         parts = [block.pop(name) for _, block in blocks]
-        column = np.concatenate([np.zeros((0, *shape)), *parts])
-        columns[name] = column if order is None else column[order]
-    return (number if order is None else number[order]), columns
+        columns[name] = np.concatenate([np.zeros((0, *shape)), *parts])[:whole]
+    return columns
 
 
 def _blocks(file: IO[bytes], found: Contents, layout: TickLayout) -> Iterator[Block]:
     """The ticks of all whole chunks, some megabytes at a time."""
-    ours = {i: topic.name for i, topic in enumerate(layout.topics, start=1)}
-    # A channel may stand under another name because its record is damaged, but not under one of ours.
-    others = set(found.channels.values()) - set(ours.values())
-    as_written = all(found.channels.get(i, name) in {name, *others} for i, name in ours.items())
-    loose = _Loose(layout, found.channels or ours, sum(chunk.length for chunk in found.chunks))
+    as_written = all(found.channels.get(i) == topic.name for i, topic in enumerate(layout.topics, start=1))
+    loose = _Loose(layout, found.channels, sum(length for _, length in found.chunks))
     for chunks in _gathered(file, found):
         rows = _rows(chunks, layout) if as_written else None
         if rows is not None:
@@ -284,19 +266,20 @@ def _blocks(file: IO[bytes], found: Contents, layout: TickLayout) -> Iterator[Bl
 
 
 def _gathered(file: IO[bytes], found: Contents) -> Iterator[list[bytes]]:
-    """The data of the chunks that are whole, some megabytes at a time."""
+    """The data of the chunks up to the first that is damaged, some megabytes at a time."""
     waiting: list[bytes] = []
-    room = BLOCK_BYTES
-    for chunk in found.chunks:
-        data = read_chunk(file, chunk)
+    size = 0
+    for at, length in found.chunks:
+        file.seek(at)
+        data = chunk_data(file.read(length)) if length <= MAX_CHUNK else None
         if data is None:
-            found.damage.append((chunk.at, chunk.at + chunk.length))
-            continue
+            found.damage = at
+            break
         waiting.append(data)
-        room -= len(data)
-        if room <= 0:
+        size += len(data)
+        if size > BLOCK_BYTES:
             yield waiting
-            waiting, room = [], BLOCK_BYTES
+            waiting, size = [], 0
     yield waiting
 
 
@@ -330,14 +313,14 @@ class _Loose:
 
     def take(self, data: bytes) -> None:
         """The messages of a chunk, by topic and number."""
-        for opcode, _, body in messages(data):
+        for opcode, body in records_in(data):
             self._most -= 1
             if self._most < 0:
                 raise ValueError("it has more messages than its size explains")
-            if opcode == 4 and len(body) >= 8:  # a channel that is declared inside the chunk
+            if opcode == Opcode.CHANNEL and len(body) >= 8:  # declared inside the chunk
                 length = int.from_bytes(body[4:8], "little")
                 self._channels[int.from_bytes(body[:2], "little")] = body[8 : 8 + length].decode(errors="replace")
-            if opcode != 5 or len(body) < 22:
+            if opcode != Opcode.MESSAGE or len(body) < 22:
                 continue
             name = self._channels.get(int.from_bytes(body[:2], "little"), "")
             if name in self._topics and len(body) == 22 + len(self._topics[name].message.data):

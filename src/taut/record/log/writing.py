@@ -1,7 +1,7 @@
 """Logs: runs as MCAP files, written while they go on, read back exactly.
 
-An MCAP file has ROS 2 messages (see `topics`), and what messages cannot say as metadata: a record `taut.run` at the
-start and again at the end, a record `taut.outcome` at the end, each a JSON text with its checksum.
+An MCAP file has ROS 2 messages (see `messages`), and what messages cannot say as metadata: a record `taut.run` at the
+start, a record `taut.outcome` at the end, each a JSON text with its checksum.
 """
 
 from __future__ import annotations
@@ -18,16 +18,15 @@ import numpy as np
 
 from taut.base.errors import FileError, UsageError, count_of
 from taut.base.types import Float64Array
-from taut.record.description import described, sealed
+from taut.record.log.description import described, sealed, wrong_entry
 from taut.record.log.files import cannot_write, checked_target, written_aside
-from taut.record.log.info import wrong_entry
-from taut.record.log.topics import Description, TickLayout, columns_of
+from taut.record.log.messages import Description, TickLayout, columns_of
 from taut.record.outcome import Outcome
 from taut.record.progress import Progress
 from taut.record.run import Run
 
 if TYPE_CHECKING:
-    from taut.record.log.mcap_writer import McapWriter
+    from taut.record.log.container import McapWriter
 
 __all__ = ["Log", "RunLog", "open_log", "save"]
 
@@ -59,7 +58,7 @@ class Log:
 
         Args:
             rows: The piece.
-            advance: Is told how many ticks more are written, block by block.
+            advance: Called with how many more ticks are written, block by block.
 
         Raises:
             FileError: The system refuses a write, or the log is closed.
@@ -80,10 +79,10 @@ class Log:
             raise cannot_write("log", self._path, cause) from cause
 
     def _begin(self, rows: Run) -> McapWriter:
-        from taut.record.log.mcap_writer import McapWriter
+        from taut.record.log.container import McapWriter
 
         self._layout = TickLayout(Description.of(rows))
-        self._sealed = sealed(described(rows, self._layout.description))
+        description = sealed(described(rows, self._layout.description))
         wrong = wrong_entry(rows)
         if wrong is not None:  # nobody could read the log
             raise UsageError(
@@ -93,7 +92,7 @@ class Log:
         self._rows = np.tile(self._layout.template, self._block).view(self._layout.dtype)
         self._file = self._to.open("wb", buffering=0)
         writer = McapWriter(self._file, self._layout, float(rows.info.get("rate", USUAL_RATE)))
-        writer.metadata("taut.run", self._sealed)
+        writer.metadata("taut.run", description)
         return writer
 
     def _append(self, writer: McapWriter, columns: dict[str, Float64Array]) -> None:
@@ -113,7 +112,6 @@ class Log:
             return
         writer, self._writer = self._writer, None
         try:
-            writer.metadata("taut.run", self._sealed)
             writer.metadata("taut.outcome", sealed({**outcome.json(), "ticks": self.ticks}))
             writer.finish()
         except OSError as cause:

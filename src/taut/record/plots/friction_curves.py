@@ -12,9 +12,9 @@ from taut.arm.description import Arm
 from taut.arm.friction import FRICTION_FIELDS, Friction
 from taut.base.checks import finite_array, finite_scalar, require_positive
 from taut.base.errors import ShapeError, UsageError
+from taut.base.plot_style import INK, WIDTH, colour, legend_above, prepared, short_name
 from taut.base.types import ArrayLike, Float64Array
 from taut.maths.friction_law import FrictionValues, dry_limit, friction_torque
-from taut.record.plots.style import INK, WIDTH, colour, legend_above, prepared, short_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,14 +23,13 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_friction"]
 
-MOST: Final = 12  # panels in one figure
-MOST_LOADS: Final = 8
-ACROSS: Final = 3
-POINTS: Final = 400  # of one side of a curve
-DECADES: Final = 6.0  # below the largest speed that they reach down to: a fall at low speed is narrow
+MAX_PANELS: Final = 12
+MAX_LOADS: Final = 8
+ACROSS: Final = 3  # panels side by side
 MARGIN: Final = 1.12  # around the curves
 REST: Final = colour(1)
 FALLS: Final = 6.0  # Stribeck speeds to either side, where nothing else says how far
+SPEEDS: Final = np.concatenate([[1e-6], np.geomspace(1e-3, 1.0, 400)])  # of the largest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,12 +75,12 @@ def plot_friction(
     from matplotlib.figure import Figure as NewFigure
 
     loads = np.unique(finite_array("load", load, unit="N m"))
-    if not 0 < len(loads) <= MOST_LOADS:
-        raise UsageError(f"load must be 1 to {MOST_LOADS} torques for one figure; got {len(loads)}", name="load")
+    if not 0 < len(loads) <= MAX_LOADS:
+        raise UsageError(f"load must be 1 to {MAX_LOADS} torques for one figure; got {len(loads)}", name="load")
     panels = _panels(friction, joints)
-    if not 0 < len(panels) <= MOST:
+    if not 0 < len(panels) <= MAX_PANELS:
         raise UsageError(
-            f"a figure has 1 to {MOST} panels of friction; got {len(panels)}; draw fewer, joints=[...]",
+            f"a figure has 1 to {MAX_PANELS} panels of friction; got {len(panels)}; draw fewer, joints=[...]",
             name="friction",
         )
     if speed is not None:
@@ -90,21 +89,18 @@ def plot_friction(
         panels = [Panel(title=p.title, friction=p.friction, speed=reach, units=p.units) for p in panels]
     across = min(ACROSS, len(panels))
     rows = -(-len(panels) // across)
-    figure = NewFigure(
-        figsize=(WIDTH, 0.4 + (1.95 if across == ACROSS else 2.3) * rows), dpi=150, layout="constrained"
-    )
-    compared = isinstance(friction, Mapping)  # one law beside another
-    tallest = widest = 0.0
-    axes = figure.subplots(rows, across, squeeze=False, sharex=compared, sharey=compared)
-    for k, ax in enumerate(axes.flat):
-        if k < len(panels):
-            most = _draw(panels[k], loads, ax, left=k % across == 0, bottom=k + across >= len(panels))
-            tallest = max(tallest, most) if compared else most
-            widest = max(widest, panels[k].speed) if compared else panels[k].speed
-            ax.set_xlim(-MARGIN * widest, MARGIN * widest)
-            ax.set_ylim(-MARGIN * (tallest or 1.0), MARGIN * (tallest or 1.0))
-        else:
-            ax.set_visible(False)
+    size = (WIDTH, 0.4 + (1.95 if across == ACROSS else 2.3) * rows)
+    figure = NewFigure(figsize=size, dpi=150, layout="constrained")
+    compared = isinstance(friction, Mapping)  # one law beside another, on one scale
+    axes = list(figure.subplots(rows, across, squeeze=False).flat)
+    largest = [_draw(panel, loads, ax) for panel, ax in zip(panels, axes, strict=False)]
+    for k, (panel, ax) in enumerate(zip(panels, axes, strict=False)):
+        tallest = max(largest) if compared else largest[k]
+        widest = max(each.speed for each in panels) if compared else panel.speed
+        ax.set_xlim(-MARGIN * widest, MARGIN * widest)
+        ax.set_ylim(-MARGIN * (tallest or 1.0), MARGIN * (tallest or 1.0))
+    for ax in axes[len(panels) :]:
+        ax.set_visible(False)
     legend_above(figure, _keys(panels, loads))
     return figure
 
@@ -168,40 +164,27 @@ def _entry(friction: Friction, i: int) -> Friction:
 # -------------------------------------------------------------------- drawing
 
 
-def _draw(panel: Panel, loads: Float64Array, ax: Axes, *, left: bool, bottom: bool) -> float:
+def _draw(panel: Panel, loads: Float64Array, ax: Axes) -> float:
     """The curves of one panel; the largest torque of them."""
     v_unit, tau_unit = panel.units
-    first = left or panel.units != ("rad/s", "N m")
-    last = bottom or panel.units != ("rad/s", "N m")
-    prepared(
-        ax, short_name(panel.title, 34), f"friction [{tau_unit}]" if first else "", f"v [{v_unit}]" if last else ""
-    )
+    prepared(ax, short_name(panel.title, 34), f"friction [{tau_unit}]", f"v [{v_unit}]")
     ax.axhline(0.0, color=INK, linewidth=0.6)
     ax.axvline(0.0, color=INK, linewidth=0.6)
     values = FrictionValues.fixed(panel.friction)
-    v = panel.speed * np.concatenate([[10.0**-DECADES], np.geomspace(10.0**-3, 1.0, POINTS)])
-    most, several = 0.0, len(loads) > 1 and values.loaded
+    v = panel.speed * SPEEDS
+    largest, several = 0.0, len(loads) > 1 and values.loaded
     for k, tau in enumerate(loads if several else loads[:1]):
         motor, carried = np.full(len(v), tau), np.full(len(v), -tau)
         opposing = -friction_torque(values, v, motor, carried)
         hold = float(dry_limit(values, np.zeros(1), np.array([True]), motor[:1], carried[:1])[0])
-        x, y = np.concatenate([-v[::-1], v]), np.concatenate([-opposing[::-1], opposing])
-        for side in (slice(0, len(v)), slice(len(v), None)):
-            ax.plot(x[side], y[side], color=colour(k), linewidth=1.8, solid_capstyle="butt", label="motion")
+        for x, y in ((-v, -opposing), (v, opposing)):
+            ax.plot(x, y, color=colour(k), linewidth=1.8, solid_capstyle="butt", label="motion")
         if hold > 0.0:
-            rest = colour(k) if several else REST
-            ax.plot(
-                [0.0, 0.0],
-                [-hold, hold],
-                color=rest,
-                linewidth=1.8,
-                solid_capstyle="butt",
-                zorder=3.0 - 0.1 * k,
-                label="rest",
-            )
+            rest, over = colour(k) if several else REST, 3.0 - 0.1 * k
+            ax.plot([0.0, 0.0], [-hold, hold], color=rest, linewidth=1.8, zorder=over, label="rest")
             ax.plot([0.0, 0.0], [-hold, hold], "o", color=rest, markersize=3.6, zorder=4, label="break-away")
-        most = max(most, hold, float(np.abs(opposing).max()))
-    return most
+        largest = max(largest, hold, float(np.abs(opposing).max()))
+    return largest
 
 
 def _keys(panels: list[Panel], loads: Float64Array) -> list[Line2D]:

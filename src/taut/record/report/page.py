@@ -1,27 +1,23 @@
-"""What a report is made of, as plain values: tables, pictures, settings, and how to do it again."""
+"""Reports of results that do not describe themselves in `content()` yet. It goes when the last of them does."""
 
 from __future__ import annotations
 
-import platform
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass
-from functools import cache
-from importlib import metadata
-from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
+from taut.base import result
+from taut.base.plot_style import short
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["VERSIONS", "Page", "Picture", "Reportable", "Table", "stated", "versions", "without_folders"]
+__all__ = ["Page", "Picture", "Table", "content_of_other"]
 
-VERSIONS: Final = "versions"  # in run.info: of the programs that made it
-PACKAGES: Final = ("numpy", "llvmlite", "mujoco")
-FOLDERS: Final = re.compile(
-    r"(?<![\w.~/\\:])(?:~|[A-Za-z]:)?[/\\](?:[^\s/\\'\"<>:]+[/\\])+|file:///?(?:[^\s/'\"<>]+/)*"
-)
+HEADING: Final = 100  # letters of a title
+CLAUSE: Final = re.compile(r"[,;:] ")  # where a longer one may end
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +27,7 @@ class Table:
     title: str
     heads: Sequence[str]
     rows: Sequence[Sequence[str]]
-    words: int = 1  # columns of words, which stand first; the others are numbers
+    words: int = 1
     note: str = ""
 
 
@@ -45,19 +41,7 @@ class Picture:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Page:
-    """A report before it is a file.
-
-    Args:
-        title: What was run, compared or designed.
-        summary: Sentences that stand first.
-        faults: What went wrong, if anything; they stand above all else.
-        tables: Numbers.
-        pictures: Figures.
-        settings: What it was done with, as text by name.
-        texts: Longer texts by their title, such as a scenario.
-        repeat: How to do it again: a command, or lines of Python.
-        versions: Of the programs that it was done with; those that make the report if left out.
-    """
+    """A report before it is a file."""
 
     title: str
     summary: Sequence[str] = ()
@@ -70,49 +54,38 @@ class Page:
     versions: Mapping[str, str] = field(default_factory=dict)
 
 
-@runtime_checkable
-class Reportable(Protocol):
-    """What says itself what its report holds."""
-
-    def report_page(self) -> Page:
-        """The page."""
-        ...
-
-
-@cache
-def versions() -> Mapping[str, str]:
-    """The versions of taut and of what it computes with, and the kind of machine."""
-    from taut import __version__
-
-    found = {"taut": __version__}
-    for package in PACKAGES:
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            found[package] = "not installed"
-    found["Python"] = platform.python_version()
-    found["platform"] = f"{platform.system()} {platform.machine()}"
-    return found
-
-
-def stated(x: object) -> str:
-    """What a frozen dataclass states, in one line: its fields that are not None."""
-    if not is_dataclass(x) or isinstance(x, type):
-        return str(x.tolist()) if isinstance(x, np.ndarray) else str(x)
-    found = {part.name: getattr(x, part.name) for part in fields(x)}
-    words = [
-        f"{name} = {type(value).__name__}({stated(value)})" if is_dataclass(value) else f"{name} = {stated(value)}"
-        for name, value in found.items()
-        if value is not None
-    ]
-    return ", ".join(words) or "none"
+def content_of_other(x: Any) -> result.Content | None:
+    """The description of what has `report_page()`, `plot()` or `report()`; None of all else."""
+    if isinstance(x, type):
+        return None
+    if hasattr(x, "report_page"):
+        page = x.report_page()
+        values = {name: value for name, value in vars(page).items() if name not in ("tables", "pictures")}
+        return result.Content(
+            **values,
+            tables=[
+                result.Table(title=one.title, columns=one.heads, rows=one.rows, note=one.note) for one in page.tables
+            ],
+            figures={one.title: partial(getattr, one, "figure") for one in page.pictures},
+        )
+    if not (hasattr(x, "report") or hasattr(x, "plot")):
+        return None
+    name = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(x).__name__)
+    kind = name[:1].upper() + name[1:].lower()
+    words = x.report() if hasattr(x, "report") else str(x)
+    return result.Content(
+        title=_heading(kind, words),
+        figures={kind: x.plot} if hasattr(x, "plot") else {},
+        texts={"In words": words},
+    )
 
 
-def without_folders(text: str) -> str:
-    """A text whose files have their names alone: where they lie is nobody's business.
-
-    Example:
-        >>> without_folders("stopped at /home/anna/laws/mine.py:12 after 3 m/s, 1/2 of ~/work/a.toml")
-        'stopped at mine.py:12 after 3 m/s, 1/2 of a.toml'
-    """
-    return FOLDERS.sub("", text)
+def _heading(kind: str, words: str) -> str:
+    """A title: what it is and its first line, of a long one its first clauses; the head of a table is none."""
+    first = words.partition("\n")[0].strip()
+    if not first or "  " in first:
+        return kind
+    title = first[:1].upper() + first[1:] if kind.lower() in first.lower() else f"{kind}: {first}"
+    while len(title) > HEADING and (ends := list(CLAUSE.finditer(title))):
+        title = title[: ends[-1].start()]
+    return short(title, HEADING)

@@ -7,33 +7,28 @@ import json
 import math
 import re
 from collections.abc import Iterator, Mapping
-from functools import cache
 from typing import Any, Final
 
 import numpy as np
 
 from taut import laws
 from taut.base.errors import TautError, UsageError, count_of
+from taut.base.plot_style import short
+from taut.base.result import Content, Table
 from taut.control.law import Law
 from taut.control.sensing.sensing import Sensing
-from taut.record.metrics import LIMITS, MEASURES, Metrics
-from taut.record.phases import PHASES
-from taut.record.plots.style import short
-from taut.record.report.page import VERSIONS, Page, Picture, Table, stated
-from taut.record.report.plant_options import OPTIONS
+from taut.record.info import LIMITS, OPTIONS, PHASES, SCENARIO, VERSIONS, stated
 from taut.record.run import Run
-from taut.record.table import number_text
 
-__all__ = ["SCENARIO", "faults_of", "law_in_python", "law_of_text", "meaning", "page_of_run"]
+__all__ = ["faults_of", "law_in_python", "law_of_text", "content_of_run"]
 
-SCENARIO: Final = "scenario"  # in run.info: name, law, case and text of the scenario that it is a run of
 FEWEST_TICKS: Final = 2
 PLANTS: Final = ("RigidPlant", "MujocoPlant")
 LATE: Final = 1.5  # periods between two ticks that follow each other
 LONGEST: Final = 400  # letters of a value
 
 
-def page_of_run(run: Run, *, log: str = "run.mcap") -> Page:
+def content_of_run(run: Run, *, log: str = "run.mcap") -> Content:
     """What the report of a run holds.
 
     Args:
@@ -55,7 +50,7 @@ def page_of_run(run: Run, *, log: str = "run.mcap") -> Page:
         case = f", case '{scenario['case']}'" if scenario.get("case") else ""
         title = f"{scenario['name']}: {scenario['law']}{case}"
     span = float(run.t[-1] - run.t[0])
-    return Page(
+    return Content(
         title=title,
         summary=(
             f"{len(run)} ticks at {run.rate:g} Hz, {span:g} s, {count_of(run.n, 'joint')}. "
@@ -63,7 +58,7 @@ def page_of_run(run: Run, *, log: str = "run.mcap") -> Page:
         ),
         faults=faults_of(run),
         tables=tuple(_tables(run)),
-        pictures=(Picture(title="The run over time", figure=run.plot()),),
+        figures={"The run over time": run.plot},
         settings=_settings(run),
         texts={"Scenario": str(scenario["text"])} if scenario.get("text") else {},
         repeat=_repeat(run, scenario, log),
@@ -87,43 +82,10 @@ def _faults(run: Run) -> Iterator[str]:
 
 
 def _tables(run: Run) -> Iterator[Table]:
-    metrics = run.metrics
-    rows = []
-    for name, measure in MEASURES.items():
-        for unit, value in metrics.by_unit(name).items():
-            if not math.isnan(value):
-                rows.append((measure.title, meaning(name, joints=run.n), number_text(value), unit))
-    yield Table(title="Figures of the whole arm", heads=("figure", "what it is", "value", "unit"), rows=rows, words=2)
-    names = [name for name, measure in MEASURES.items() if measure.per_joint]
-    names = [name for name in names if not np.isnan(getattr(metrics, name)).all()]
-    if run.n > 1:
-        by_joint = [
-            (MEASURES[name].title, metrics.unit(name), *(number_text(float(x)) for x in getattr(metrics, name)))
-            for name in names
-        ]
-        heads = ("figure", "unit", *run.joint_names)
-        yield Table(title="Figures joint by joint", heads=heads, rows=by_joint, words=2)
+    yield from run.metrics.content().tables
     if PHASES in run.info:
-        windows = [(w.name, f"{w.start:g}", f"{w.end:g}", w.ended or "-") for w in run.phases]
-        yield Table(title="Phases", heads=("phase", "start [s]", "end [s]", "what ended it"), rows=windows, words=4)
-
-
-def meaning(figure: str, joints: int = 1) -> str:
-    """What a metric is, as `taut.Metrics` says it, and how it is put together for all joints."""
-    measure = MEASURES[figure]
-    told = _told().get(figure)
-    if told is None or not measure.per_joint or measure.overall.startswith("time in"):
-        return measure.overall
-    start = {"of": "share ", "after": "time "}.get(told.partition(" ")[0], "")
-    return f"{start}{told}" + (f"; for all joints {measure.overall}" if joints > 1 else "")
-
-
-@cache
-def _told() -> Mapping[str, str]:
-    """The first sentence about each metric, from the docstring that documents them; nothing where there is none."""
-    lines = re.split(r"\n\s+(?=\w+: )", (Metrics.__doc__ or "").partition("Attributes:")[2])
-    found = (re.match(r"\s*(\w+): (?:\(n,\) )?(?:\[[^\]]*\] )?(.*)", line, re.DOTALL) for line in lines)
-    return {pair[1]: " ".join(pair[2].split()).partition(". ")[0].rstrip(".") for pair in found if pair}
+        windows = [(w.name, w.start, w.end, w.ended) for w in run.phases]
+        yield Table(title="Phases", columns=("phase", "start [s]", "end [s]", "what ended it"), rows=windows)
 
 
 def _settings(run: Run) -> dict[str, str]:

@@ -60,7 +60,7 @@ class EnvironmentStage:
             q,
             parameters,
             h,
-            lambda more: f"timestep={dt / math.ceil(more * steps * (1.0 - 1e-9)):.9g}",
+            lambda more: f"a timestep of {dt / math.ceil(more * steps * (1.0 - 1e-9)):.9g}",
         )
         values = self._values(parameters, h)
         memory = started(self._environment, dyn.pose(self._model, q))

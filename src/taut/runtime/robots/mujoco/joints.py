@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from taut.arm.description import CommandKind
+from taut.arm.description import CommandKind, Friction
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.engine import Steps, best_engine
@@ -106,7 +106,7 @@ class JointStage:
         out = {**memory, **after}
         tau = asked + added
         load: Any = np.zeros(self._rig.arm.n)
-        if train.lossy or (train.friction is not None and np.any(train.friction.load_external_static)):
+        if train.lossy or (isinstance(train.friction, Friction) and np.any(train.friction.load_external_static)):
             load = dyn.jacobian(self._model, q).T @ inputs["F_ext"] - dyn.bias(self._model, q, v, payload)
         spring = train.spring(q, v, memory, parameters) if train.compliant else tau
         values = train.values(parameters)
@@ -138,7 +138,7 @@ class JointStage:
         weight = full - compensation(self._model, self._adds, q, np.zeros(arm.n), payload)
 
         def enough(more: float) -> str:
-            return f"timestep={dt / math.ceil(more * steps * (1.0 - 1e-9)):.9g}"
+            return f"a timestep of {dt / math.ceil(more * steps * (1.0 - 1e-9)):.9g}"
 
         memory = {"held": weight, "tau_link": full}
         if self._follower is None:

@@ -176,7 +176,7 @@ class MujocoPlant:
         if environment is not None:
             require_environment("environment", environment)
         require_drives(self._takes, drives, what)
-        drives.check_size(arm)
+        drives.check_size(arm.joint_names, "actuation.")
         seen.check(arm, touched=True)
         left = arm.friction if friction == "arm" and not what.friction else None
         train = Drivetrain(arm=arm, friction=left, transmission=drives.transmission)
@@ -198,7 +198,7 @@ class MujocoPlant:
             what_sticks = "dry friction" if left is not None and left.dry else "gears that lose power"
             raise UsageError(
                 f"rk4 needs smooth forces, and arm '{arm.name}' has {what_sticks}; use integrator='discrete', or "
-                "friction=None",
+                "no friction",
                 name="integrator",
             )
         if integrator == "rk4" and train.compliant:

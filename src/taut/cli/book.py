@@ -1,0 +1,70 @@
+"""The command `taut book`."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import os
+import shutil
+from pathlib import Path
+from typing import Final
+
+from taut.base.errors import FileError
+from taut.cli.command import DONE, FAILED, STATUS, Answer, Command, Say
+
+__all__ = ["BOOK"]
+
+WIDTH: Final = 120  # letters of a line in a file or a pipe
+EXAMPLES: Final = f"""examples:
+  taut book
+  taut book fig-10.6 eq-10.14 --out results
+
+A row that is farther from what is expected than it may be is marked (!), and the exit status is 1.
+
+{STATUS}"""
+
+
+def _arguments(command: argparse.ArgumentParser) -> None:
+    command.add_argument("ids", nargs="*", metavar="ID", help="eq-10.6, fig-10.6, sec-10.2.1.5; all if left out")
+    command.add_argument("--out", type=Path, metavar="DIR", help="folder for pictures and tables (default: out/book)")
+
+
+def _book(arguments: argparse.Namespace, say: Say) -> Answer:
+    from taut.book import contents
+
+    entries = contents.chosen(arguments.ids)
+    folder = contents.prepared_folder(arguments.out or Path("out") / "book")
+    pages = contents.made(entries, say)
+    rows = [pair for page in pages for pair in page.rows]
+    missed = [f"{name}: {each.quantity}" for name, each in rows if not each.ok]
+    text, data = [_table(pages)], [each.json(name) for name, each in rows]
+    try:
+        written = contents.write(pages, folder)
+    except FileError as wrong:
+        return Answer(text=text[0], data=data, status=FAILED, remarks=[str(wrong)])
+    text += [f"{page.entry.id}: {page.page.note}" for page in pages if page.page.note]
+    text += [f"{name:20} {path}" for name, path in written.items()]
+    text += [f"missed: {each}" for each in missed]
+    text.append(f"{len(rows) - len(missed)} of {len(rows)} numbers are what they should be")
+    return Answer(text="\n".join(text), data=data, status=FAILED if missed else DONE)
+
+
+def _table(pages: object) -> str:
+    """The table as wide as the terminal, or as COLUMNS says."""
+    from rich.console import Console
+
+    from taut.book import contents
+
+    width = shutil.get_terminal_size((WIDTH, 0)).columns if "COLUMNS" in os.environ or os.isatty(1) else WIDTH
+    console = Console(file=io.StringIO(), color_system=None, width=width)
+    console.print(contents.table(pages, width))  # type: ignore[arg-type]  # the pages that contents made
+    return str(console.file.getvalue()).rstrip("\n")  # type: ignore[attr-defined]  # a StringIO
+
+
+BOOK: Final = Command(
+    name="book",
+    help="Compute the chapter's equations and figures, beside what they should be.",
+    arguments=_arguments,
+    run=_book,
+    more=EXAMPLES,
+)

@@ -1,0 +1,283 @@
+"""What the tool holds and what holds the tool: handles and hands, masses with a motion of their own in a grip."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from taut.base.errors import RangeError
+from taut.base.fields import Declared, Field, Part, Plain
+from taut.base.types import Float64Array, Twist, Vector, Vector3, Wrench
+from taut.plant.environments.environment import EnvironmentBase
+from taut.trace import math as tm
+from taut.trace.pose import Pose
+
+__all__ = ["BandNoise", "Hand", "Handle", "Oscillation", "PrescribedMotion"]
+
+Values = Mapping[str, Any]
+GRIP: Final = 300.0  # [rad/s]
+PRESCRIBED: Final = ("motion", "force")
+MAX_TONES: Final = 64
+MASS: Final = "without mass it is a taut.environments.Spring and a taut.environments.Damper"
+
+
+# -------------------------------------------------------------------- what a hand wants over time
+
+
+class PrescribedMotion(Declared):
+    """Base of what a hand wants over time: three numbers of phases that go on at rates, so that no change jumps."""
+
+    def start(self) -> Float64Array:
+        """(k,) phases at the start [rad]."""
+        raise NotImplementedError
+
+    def rates(self, parameters: Values) -> Vector:
+        """(k,) rates of the phases [rad/s]."""
+        raise NotImplementedError
+
+    def value(self, phases: Vector, parameters: Values) -> Vector3:
+        """(3,) what is wanted, in world axes."""
+        raise NotImplementedError
+
+
+class Oscillation(PrescribedMotion):
+    """One frequency.
+
+    Law:          wanted = amplitude sin(2 pi frequency t + phase)
+
+    Args:
+        amplitude: (3,) or scalar, in world axes [m] of a motion, [N] of a force.
+        frequency: [Hz]. A change of it makes no jump.
+        phase: [rad].
+    """
+
+    amplitude: Field = Field(unit="m | N", shape=3, accepts=("scalar",))
+    frequency: Field = Field(unit="Hz", minimum=0.0)
+    phase: Field = Field(0.0, unit="rad")
+
+    def start(self) -> Float64Array:
+        """(1,) phase at the start [rad]."""
+        return np.zeros(1)
+
+    def rates(self, parameters: Values) -> Vector:
+        """(1,) [rad/s]."""
+        return tm.array([2.0 * math.pi * parameters["frequency"]])
+
+    def value(self, phases: Vector, parameters: Values) -> Vector3:
+        """(3,) what is wanted, in world axes."""
+        swing = tm.sin(phases[0] + parameters["phase"])
+        return parameters["amplitude"] * swing + np.zeros(3)  # type: ignore[no-any-return]
+
+
+class BandNoise(PrescribedMotion):
+    """A band of frequencies with phases from a seed: smooth, and the same in every run.
+
+    Law:          wanted_j = rms_j sqrt(2 / tones) sum_i sin(2 pi f_i t + phase_ij), one f_i in each of `tones` equal
+                  parts of the band from low to high
+
+    Args:
+        rms: (3,) or scalar, in world axes [m] of a motion, [N] of a force.
+        low: Lowest frequency [Hz].
+        high: Highest frequency [Hz].
+        seed: Of frequencies and phases.
+        tones: How many frequencies.
+    """
+
+    rms: Field = Field(unit="m | N", shape=3, accepts=("scalar",), minimum=0.0)
+    low: Field = Field(unit="Hz", minimum=0.0)
+    high: Field = Field(unit="Hz", above=0.0, hint="it ends the band")
+    seed: Plain[int] = Plain(int, default=0)
+    tones: Plain[int] = Plain(int, default=8)
+
+    def check(self) -> None:
+        """A band that is one, and counts that there are."""
+        if self.low > self.high:
+            self.refuse("low", f"must be <= high, {float(self.high):g} [Hz]; got {float(self.low):g}", RangeError)
+        if self.seed < 0:
+            self.refuse("seed", f"must be >= 0; got {self.seed}", RangeError)
+        if not 1 <= self.tones <= MAX_TONES:
+            self.refuse("tones", f"must be between 1 and {MAX_TONES}; got {self.tones}", RangeError)
+
+    def _drawn(self) -> tuple[Float64Array, Float64Array]:
+        """Places of the frequencies in the band, in [0, 1), and (tones, 3) phases [rad]."""
+        rng = np.random.default_rng(self.seed)
+        places = (np.arange(self.tones) + rng.random(self.tones)) / self.tones
+        return places, rng.uniform(0.0, 2.0 * math.pi, (self.tones, 3))
+
+    def start(self) -> Float64Array:
+        """(tones,) phases at the start [rad]."""
+        return np.zeros(self.tones)
+
+    def rates(self, parameters: Values) -> Vector:
+        """(tones,) [rad/s]."""
+        places, _ = self._drawn()
+        band = parameters["high"] - parameters["low"]
+        return 2.0 * math.pi * (parameters["low"] + band * places)  # type: ignore[no-any-return]
+
+    def value(self, phases: Vector, parameters: Values) -> Vector3:
+        """(3,) what is wanted, in world axes."""
+        _, offsets = self._drawn()
+        total = sum(tm.sin(phases[i] + offsets[i]) for i in range(self.tones))
+        return parameters["rms"] * (math.sqrt(2.0 / self.tones) * total)  # type: ignore[no-any-return]
+
+
+# -------------------------------------------------------------------- what is held
+
+
+def _start(held: Handle | Hand, T_WE: Pose) -> dict[str, Any]:
+    """It starts at rest where the tool is."""
+    memory: dict[str, Any] = {"p": T_WE.p, "v": np.zeros(3)}
+    return memory if held.at is not None else memory | {"at": T_WE.p}
+
+
+def _held(
+    T_WE: Pose, twist: Twist, memory: Values, parameters: Values, dt: Any, wanted: Vector3, force: Vector3
+) -> tuple[Wrench, dict[str, Any]]:
+    """The wrench of a mass in a grip, and its motion after a step: semi-implicit, its damping at the step's end."""
+    m, k, b, omega = (parameters[name] for name in ("mass", "stiffness", "damping", "grip"))
+    p, v = memory["p"], memory["v"]
+    at = parameters["at"] if "at" in parameters else memory["at"]
+    grip = m * omega * (omega * (T_WE.p - p) + (twist[:3] - v))
+    v_new = (m * v + dt * (grip + k * (at + wanted - p) + force)) / (m + dt * b)
+    return tm.array([*(-grip), 0.0, 0.0, 0.0]), {**memory, "p": p + dt * v_new, "v": v_new}
+
+
+def _rates(mobility: Float64Array, parameters: Values) -> tuple[float, float]:
+    """Of the grip between tool and mass, and of the spring behind it."""
+    m, omega = float(parameters["mass"]), float(parameters["grip"])
+    both = float(np.linalg.eigvalsh(mobility[:3, :3]).max()) + 1.0 / m
+    behind = float(np.max(parameters["stiffness"])) / m
+    return float(np.sqrt(m * omega**2 * both + behind)), m * omega * both
+
+
+class Handle(EnvironmentBase):
+    """A handle (m, b, k) that the tool holds by its middle: a mass, with damper and spring to the world.
+
+    Law:          mass a_h + damping v_h + stiffness (p_h - at) = f_grip,  F_ext = -f_grip
+                  f_grip = mass grip^2 (p - p_h) + mass grip (v - v_h)
+    Closed loop:  below the grip's frequency, of an arm without forces: (mass + Lambda) a + damping v + stiffness
+                  (p - at) = 0
+
+    The handle has a motion of its own, p_h and v_h, and the grip is a stiff spring and damper: a mass that answered
+    to the tool's acceleration in the same instant would be an algebraic loop in every engine but one's own. What is
+    felt differs from a rigid grip by (omega / grip)^2, 0.4 % at 20 rad/s. The handle has inertia, and no weight: give
+    that to the arm's payload.
+
+    Stable while omega^2 dt^2 + 2 dt delta < 4, with omega^2 = grip^2 (1 + mass / Lambda) + stiffness / mass and
+    delta = grip (1 + mass / Lambda); steps with more than 2 are refused.
+
+    Args:
+        mass: [kg].
+        damping: (3,) in world axes or scalar [N s/m].
+        stiffness: (3,) in world axes or scalar [N/m].
+        at: (3,) where its spring is at rest [m]; where the tool starts if left out.
+        grip: Natural frequency of the mass in the grip of a tool that rests [rad/s].
+
+    Raises:
+        ShapeError, RangeError: Numbers of another shape, negative, not finite, no mass.
+
+    Example:
+        >>> sorted(Handle(mass=1.0, damping=5.0, stiffness=200.0).parameters())
+        ['damping', 'grip', 'mass', 'stiffness']
+
+    References:
+        Chapter, section 10.5 impedance control.
+    """
+
+    mass: Field = Field(unit="kg", above=0.0, hint=MASS)
+    damping: Field = Field(0.0, unit="N s/m", shape=3, accepts=("scalar",), minimum=0.0)
+    stiffness: Field = Field(0.0, unit="N/m", shape=3, accepts=("scalar",), minimum=0.0)
+    at: Field = Field(unit="m", shape=3, optional=True)
+    grip: Field = Field(GRIP, unit="rad/s", above=0.0, hint="not to hold it leave it out")
+
+    def start(self, T_WE: Pose) -> dict[str, Any]:
+        """Memory at the start: at rest where the tool is."""
+        return _start(self, T_WE)
+
+    def wrench(
+        self,
+        T_WE: Pose,
+        twist: Twist,
+        t: Any,  # noqa: ARG002
+        memory: Values,
+        parameters: Values,
+        dt: Any,
+    ) -> tuple[Wrench, dict[str, Any]]:
+        """(6,) [N, N m] on the arm, and the handle's motion after the step."""
+        return _held(T_WE, twist, memory, parameters, dt, np.zeros(3), np.zeros(3))
+
+    def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
+        """How fast tool and handle oscillate in the grip [rad/s], and how fast it brakes that [1/s]."""
+        return _rates(mobility, parameters)
+
+
+class Hand(EnvironmentBase):
+    """A hand with a will of its own, which holds the tool.
+
+    Law:          mass a_h + damping v_h + stiffness (p_h - at - motion(t)) = f_grip + force(t),  F_ext = -f_grip
+                  f_grip = mass grip^2 (p - p_h) + mass grip (v - v_h)
+    Closed loop:  below the grip's frequency, of an arm without forces, at omega:
+                  (p - at) (stiffness - (mass + Lambda) omega^2 + j omega damping) = stiffness motion + force
+
+    As of `taut.environments.Handle`, the mass moves by itself in a stiff grip.
+
+    Args:
+        mass: [kg].
+        damping: (3,) in world axes or scalar [N s/m].
+        stiffness: (3,) in world axes or scalar [N/m].
+        motion: Where it wants to be, counted from `at` [m]: a taut.environments.Oscillation or a
+        taut.environments.BandNoise.
+        force: What it pushes with besides [N]: the same.
+        at: (3,) where it rests [m]; where the tool starts if left out.
+        grip: Natural frequency of the mass in the grip of a tool that rests [rad/s].
+
+    Raises:
+        ShapeError, RangeError: Numbers of another shape, negative, not finite, no mass.
+        UsageError: A motion or force of another kind.
+
+    Example:
+        >>> wave = Oscillation(amplitude=[0.02, 0.0, 0.0], frequency=1.0)
+        >>> hand = Hand(mass=1.0, damping=20.0, stiffness=300.0, motion=wave)
+        >>> sorted(hand.parameters())[-3:]
+        ['motion.frequency', 'motion.phase', 'stiffness']
+    """
+
+    mass: Field = Field(unit="kg", above=0.0, hint=MASS)
+    damping: Field = Field(unit="N s/m", shape=3, accepts=("scalar",), minimum=0.0)
+    stiffness: Field = Field(unit="N/m", shape=3, accepts=("scalar",), minimum=0.0)
+    motion: Part[PrescribedMotion] = Part(PrescribedMotion, optional=True)
+    force: Part[PrescribedMotion] = Part(PrescribedMotion, optional=True)
+    at: Field = Field(unit="m", shape=3, optional=True)
+    grip: Field = Field(GRIP, unit="rad/s", above=0.0, hint="not to hold it leave it out")
+
+    def start(self, T_WE: Pose) -> dict[str, Any]:
+        """Memory at the start: at rest where the tool is, with the phases of what it wants."""
+        wanted = {name: getattr(self, name) for name in PRESCRIBED if getattr(self, name) is not None}
+        return _start(self, T_WE) | {f"{name}.phases": each.start() for name, each in wanted.items()}
+
+    def wrench(
+        self,
+        T_WE: Pose,
+        twist: Twist,
+        t: Any,  # noqa: ARG002
+        memory: Values,
+        parameters: Values,
+        dt: Any,
+    ) -> tuple[Wrench, dict[str, Any]]:
+        """(6,) [N, N m] on the arm, and the hand's motion after the step."""
+        wants: dict[str, Any] = dict.fromkeys(PRESCRIBED, np.zeros(3))
+        phases: dict[str, Any] = {}
+        for name, will in self.declared_parts().items():
+            assert isinstance(will, PrescribedMotion)
+            p = {key: parameters[f"{name}.{key}"] for key in will.parameters()}
+            wants[name] = will.value(memory[f"{name}.phases"], p)
+            phases[f"{name}.phases"] = memory[f"{name}.phases"] + dt * will.rates(p)
+        wrench, after = _held(T_WE, twist, memory, parameters, dt, wants["motion"], wants["force"])
+        return wrench, after | phases
+
+    def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
+        """How fast tool and hand oscillate in the grip [rad/s], and how fast it brakes that [1/s]."""
+        return _rates(mobility, parameters)

@@ -1,0 +1,8 @@
+"""Metrics: how well a run went, in numbers; each is declared once, by one function."""
+
+from taut.record.metrics import joints as joints  # first: the order in which they are shown
+from taut.record.metrics import tool as tool
+from taut.record.metrics.declaration import METRICS, Metric, Metrics, metric, names_that_need
+from taut.record.metrics.joints import MOVING, RESTING, stuck
+
+__all__ = ["METRICS", "MOVING", "RESTING", "Metric", "Metrics", "metric", "names_that_need", "stuck"]

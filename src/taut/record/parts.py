@@ -1,0 +1,188 @@
+"""Runs of a part: the phases of a task, and the laws side by side."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from taut.base.errors import RangeError, UsageError, unknown_name
+from taut.base.types import Float64Array
+from taut.control.tasks.phase import STOP
+from taut.control.tasks.task import ENDED, NO_CONTACT
+from taut.control.trajectories.compound import PhaseSample
+from taut.record.info import IMPEDANCE, PARTS, PHASES
+from taut.record.outcome import Outcome
+
+if TYPE_CHECKING:
+    from taut.record.run import Run
+
+__all__ = ["PhaseWindow", "part_of", "phase_of", "phases_of", "outcome_with_phases", "windows"]
+
+WELL: Final = "until"
+NONE: Final = ENDED[NO_CONTACT]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhaseWindow:
+    """A stretch of a run in which one phase acted."""
+
+    name: str  # of the phase; "stop" where the task has stopped
+    first: int  # tick
+    last: int  # tick
+    start: float  # [s] time of the first tick
+    end: float  # [s] time of the first tick of what followed; of its last one where nothing did
+    ended: str | None  # "until", "unless", "timeout", "no contact"; None where nothing followed
+
+    def __str__(self) -> str:
+        if self.name == STOP:
+            return f"stopped at {self.start:.6g} s"
+        if self.ended is None:
+            return f"{self.name} still going on"
+        how = {WELL: "", NONE: ": it needs contact and began without"}.get(self.ended, f" ({self.ended})")
+        return f"{self.name} to {self.end:.6g} s{how}"
+
+
+def windows(
+    names: Sequence[str], phase: Float64Array, ended: Float64Array, t: Float64Array
+) -> tuple[PhaseWindow, ...]:
+    """The stretches of a run, in order.
+
+    Args:
+        names: Of the phases by their number, and of what follows where the task has stopped.
+        phase: (k,) number of the phase that acted.
+        ended: (k,) what ended it in that tick, as a code; 0 where it went on.
+        t: (k,) [s].
+    """
+    if not len(t):
+        return ()
+    lasts = [int(k) for k in np.flatnonzero(ended)]
+    if not lasts or lasts[-1] != len(t) - 1:
+        lasts.append(len(t) - 1)
+    out, first = [], 0
+    for last in lasts:
+        followed = last + 1 < len(t)
+        out.append(
+            PhaseWindow(
+                name=names[int(phase[last])],
+                first=first,
+                last=last,
+                start=float(t[first]),
+                end=float(t[last + 1] if followed else t[last]),
+                ended=ENDED.get(int(ended[last])),
+            )
+        )
+        first = last + 1
+    return tuple(out)
+
+
+def outcome_with_phases(
+    found: Sequence[PhaseWindow], outcome: Outcome, contact: Callable[[PhaseWindow], str]
+) -> Outcome:
+    """The outcome of a run with how each phase of its task ended.
+
+    A task that stopped for another reason than its last `until` did not go to its end.
+
+    Args:
+        found: The stretches of the run.
+        outcome: That of the run.
+        contact: What was measured where a phase began without contact, in words.
+    """
+    last = found[-1]
+    before = found[-2] if last.name == STOP and len(found) > 1 else last
+    wrong = outcome.kind == "completed" and before.ended not in (None, WELL)
+    said = [f"{one} ({why})" if one.ended == NONE and (why := contact(one)) else str(one) for one in found]
+    if not outcome.ok and last.ended is None and last.name != STOP:
+        said[-1] = f"{last.name} until then"
+    message = f"{outcome.message}; phases: {', '.join(said)}"
+    if wrong:
+        message = message.replace("completed", "stopped", 1)
+    return dataclasses.replace(outcome, kind="stopped" if wrong else outcome.kind, message=message)
+
+
+def phases_of(run: Run) -> tuple[PhaseWindow, ...]:
+    """The stretches of a run of a task.
+
+    Raises:
+        UsageError: The run is not one of a task.
+    """
+    if PHASES not in run.info:
+        raise UsageError("the run has no phases: its law is not a task, a list of taut.Phase", name="phases")
+    return windows([*run.info[PHASES], STOP], run.extra["phase"], run.extra["phase_ended"], run.t)
+
+
+def phase_of(run: Run, name: str, visit: int) -> Run:
+    """The ticks of one phase as a run of its own, with what it followed as reference.
+
+    Raises:
+        UsageError: The run is not one of a task.
+        UnknownNameError: It has no phase of that name.
+        RangeError: The phase did not act that often.
+    """
+    found, about = phases_of(run), run.info[PHASES]
+    if name not in (*about, STOP):
+        raise unknown_name("the run", "phase", name, [*about, STOP])
+    visits = [window for window in found if window.name == name]
+    if not 0 <= visit < len(visits):
+        acted = ", ".join(dict.fromkeys(window.name for window in found))
+        raise RangeError(
+            f"phase '{name}' acted {len(visits)} times in this run, so that there is no visit {visit}; what acted "
+            f"is {acted}",
+            name="visit",
+            value=float(visit),
+        )
+    window = visits[visit]
+    others = tuple(f"law.{other}." for other in (*about, STOP) if other != name)  # what they remember is old
+    rows = slice(window.first, window.last + 1)
+    own: Mapping[str, Any] = about.get(name, {})
+    reference = run.reference
+    if isinstance(reference, PhaseSample) and own.get("follows"):
+        reference = getattr(reference, str(own["follows"]))
+    fields = {field: getattr(reference, field)[rows] for field in type(reference).fields(run.n)}
+    outcome = Outcome(kind="completed", message=str(window), tick=len(run.t[rows]) - 1)
+    if not run.outcome.ok and window.name != STOP and window.ended is None:  # the run ended in it
+        outcome = dataclasses.replace(run.outcome, tick=outcome.tick)
+    keys = {key: value for key, value in run.info.items() if key not in (PHASES, IMPEDANCE)}
+    return dataclasses.replace(
+        run,
+        **{key: getattr(run, key)[rows] for key in ("t", "q", "v", "tau", "command")},
+        terms={key: values[rows] for key, values in run.terms.items()},
+        extra={key: values[rows] for key, values in run.extra.items() if not key.startswith(others)},
+        reference=type(reference).of(fields),
+        outcome=outcome,
+        info=keys | {key: value for key, value in own.items() if key != "follows"},
+    )
+
+
+# -------------------------------------------------------------------- laws side by side
+
+
+def part_of(run: Run, name: str) -> Run:
+    """The joints, terms and reference of one of the laws side by side.
+
+    Raises:
+        UsageError: The run is not one of laws side by side.
+        UnknownNameError: It has no such part.
+    """
+    parts: Mapping[str, Mapping[str, Any]] = run.info.get(PARTS, {})
+    if not parts:
+        raise UsageError("the run has no parts: its law is not taut.SideBySide", name="part")
+    if name not in parts:
+        raise unknown_name("the run", "part", name, parts)
+    own = [run.joint_names.index(joint) for joint in parts[name]["joints"]]
+    info = {key: value for key, value in run.info.items() if key not in (PARTS, IMPEDANCE)} | dict(parts[name])
+    return dataclasses.replace(
+        run,
+        **{key: getattr(run, key)[:, own] for key in ("q", "v", "tau", "command")},
+        terms={key: values[:, own] for key, values in run.terms.items()},
+        extra={key: values for key, values in run.extra.items() if key == "F_ext" and IMPEDANCE in parts[name]},
+        reference=getattr(run.reference, name),
+        joint_names=tuple(run.joint_names[i] for i in own),
+        units=tuple(run.units[i] for i in own),
+        continuous=tuple(k for k, i in enumerate(own) if i in run.continuous),
+        info=info,
+        arm=None,
+    )

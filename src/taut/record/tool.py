@@ -1,0 +1,230 @@
+"""What the tool did in a run: where it was and should have been, what touched it, and how it gave way."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from taut.base.errors import UsageError
+from taut.base.types import Float64Array
+from taut.control.laws.apparent import FeltImpedance
+from taut.control.trajectories.force_reference import HybridMotion, TaskForce
+from taut.control.trajectories.task_reference import TaskMotion
+from taut.maths.chain import Chain
+from taut.maths.rotation_rows import log_rows
+from taut.record.info import IMPEDANCE, TOOL
+
+if TYPE_CHECKING:
+    from taut.record.run import Run
+
+__all__ = [
+    "Deviation",
+    "TaskSide",
+    "applied_wrench",
+    "estimated_normal",
+    "expected_deviation",
+    "force_error",
+    "task_of",
+    "true_normal",
+    "wanted_press",
+    "wanted_wrench",
+]
+
+NORMAL_FORCE: Final = "contact.normal_force"  # column of a run
+ESTIMATE: Final = ".normal"  # end of the name of a column
+MIN_FORCE: Final = 1e-9  # [N] of a contact
+SAME_MASS: Final = 1e-6  # relative difference of masses that are one
+CHANGES: Final = ("law.", "model.")  # parameters whose change makes another promise
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TaskSide:
+    """What the controlled frame did, from the true joint positions and the kinematics of the controller's arm.
+
+    All arrays have one row per tick. Errors are wanted minus true, in world axes.
+    """
+
+    frame: str  # that the law controls
+    p: Float64Array  # (k, 3) [m] its origin in the world
+    R: Float64Array  # (k, 3, 3) its orientation in the world
+    J: Float64Array  # (k, 6, n) its Jacobian, linear part first, world axes
+    twist: Float64Array  # (k, 6) linear part first, world axes [m/s, rad/s]
+    wanted: TaskMotion | None  # (k, ...) the reference, where it is one of the task
+
+    def __repr__(self) -> str:
+        return f"TaskSide(frame '{self.frame}', {len(self.p)} ticks)"
+
+    @cached_property
+    def position_error(self) -> Float64Array | None:
+        """(k, 3) wanted minus true position [m]; None where the reference is none of the task."""
+        return None if self.wanted is None else np.asarray(self.wanted.p, dtype=np.float64) - self.p
+
+    @cached_property
+    def rotation_error(self) -> Float64Array | None:
+        """(k, 3) rotation vector from the true to the wanted orientation, log(R_des R^T) [rad]; None likewise."""
+        if self.wanted is None:
+            return None
+        return log_rows(np.asarray(self.wanted.R, dtype=np.float64) @ self.R.transpose(0, 2, 1))
+
+    @cached_property
+    def min_singular_value(self) -> Float64Array:
+        """(k,) the smallest of the singular values of J, metres and radians taken as alike: 0 at a singularity."""
+        if not len(self.J):
+            return np.zeros(0)
+        return np.asarray(np.linalg.svd(self.J, compute_uv=False)[:, -1], dtype=np.float64)
+
+
+def task_of(run: Run) -> TaskSide:
+    """The task side of a run.
+
+    Raises:
+        UsageError: The run does not say where its tool is.
+    """
+    if TOOL not in run.info:
+        raise UsageError(
+            "the run does not say which frame its law controls: run.info has no 'tool'; only runs of taut.run and "
+            "their logs have a task side",
+            name="task",
+        )
+    chain = Chain.of_json(run.info[TOOL])
+    R, p = chain.poses(run.q)
+    J = chain.jacobians(run.q)
+    wanted = motion if isinstance(motion := run.reference.motion, TaskMotion) else None
+    twist = np.einsum("kij,kj->ki", J, run.v)
+    return TaskSide(frame=chain.frame, p=p, R=R, J=J, twist=twist, wanted=wanted)
+
+
+# -------------------------------------------------------------------- force
+
+
+def wanted_wrench(run: Run) -> Float64Array | None:
+    """(k, 6) F_app that was asked for, at the tool that the law controls, world axes; None where none was.
+
+    Of a hybrid law it is what was asked for as F_app, with a motion; what its rows do not hold may be anything.
+    """
+    if TOOL not in run.info or not len(run):
+        return None
+    if isinstance(run.reference, HybridMotion):
+        asked = np.asarray(run.reference.F_app, dtype=np.float64)
+        return asked if np.any(asked) else None
+    if not isinstance(run.reference, TaskForce):
+        return None
+    return np.asarray(run.reference.in_world(run.task.R), dtype=np.float64)
+
+
+def applied_wrench(run: Run) -> Float64Array | None:
+    """(k, 6) F_app of the arm on the environment at the arm's tool, world axes; None where nothing could touch it."""
+    return -np.asarray(run.extra["F_ext"], dtype=np.float64) if "F_ext" in run.extra else None
+
+
+def force_error(run: Run) -> Float64Array | None:
+    """(k, 6) wanted less applied wrench [N, N m]; what nothing touches applies nothing."""
+    wanted = wanted_wrench(run)
+    if wanted is None:
+        return None
+    applied = applied_wrench(run)
+    return wanted if applied is None else wanted - applied
+
+
+def true_normal(run: Run) -> tuple[Float64Array, Float64Array] | None:
+    """(k,) the force along the normals of the contacts [N], and (k, 3) their direction, zero where nothing touches.
+
+    None where the run does not tell.
+    """
+    if NORMAL_FORCE not in run.extra:
+        return None
+    force = np.asarray(run.extra[NORMAL_FORCE], dtype=np.float64)
+    N = np.linalg.norm(force, axis=1)
+    return N, force / np.where(N > MIN_FORCE, N, np.inf)[:, np.newaxis]
+
+
+def wanted_press(reference: HybridMotion, n: Float64Array) -> Float64Array | None:
+    """(k,) the force into the surface that was asked for [N]: press, and what of F_app is against the normal.
+
+    None where multipliers were asked for, for a run does not have the rows that they belong to.
+
+    Args:
+        reference: Of k ticks.
+        n: (k, 3) the normal, zero where nothing touches: there that of the tick before counts, or of the first.
+    """
+    if np.any(reference.lam):
+        return None
+    touching = np.linalg.norm(n, axis=1) > 0.0
+    nearest = np.maximum.accumulate(np.where(touching, np.arange(len(n)), int(np.argmax(touching))))
+    press = np.asarray(reference.press, dtype=np.float64)[:, 0]
+    wanted: Float64Array = press - np.sum(np.asarray(reference.F_app)[:, :3] * n[nearest], axis=1)
+    return wanted
+
+
+def estimated_normal(run: Run) -> Float64Array | None:
+    """(k, 3) what the law took for the normal, where it estimates one; NaN where no phase that does acts."""
+    taken = [np.asarray(column) for name, column in run.extra.items() if name.endswith(ESTIMATE)]
+    return functools.reduce(lambda a, b: np.where(np.isnan(a), b, a), taken) if taken else None
+
+
+# -------------------------------------------------------------------- impedance
+
+
+def expected_deviation(run: Run) -> Float64Array | None:
+    """(k, 6) what eq. 10.48 makes of the run's own F_ext: deviation from the reference, world axes [m, rad].
+
+    From the deviation and its rate at the first tick on. None where the law states no impedance, where there is no
+    wrench, or where its gains change in the run.
+    """
+    deviation = Deviation.of(run)
+    return None if deviation is None else deviation.expected()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Deviation:
+    """The tool's deviation from its reference under a wrench."""
+
+    t: Float64Array  # (k,) [s]
+    F_ext: Float64Array  # (k, 6) [N, N m]
+    x: Float64Array  # (k, 6) [m, rad]
+    v: Float64Array  # (k, 6) [m/s, rad/s]
+    impedance: FeltImpedance
+
+    @classmethod
+    def of(cls, run: Run) -> Deviation | None:
+        """None where the law states no impedance, where nothing pushes the tool, or where gains change in the run."""
+        values: Mapping[str, Any] | None = run.info.get(IMPEDANCE)
+        if values is None or len(run) < 3 or not isinstance(run.reference.motion, TaskMotion):
+            return None
+        changed = [path for event in run.info.get("events", ()) for path in event["set"]]
+        if "F_ext" not in run.extra or not run.extra["F_ext"].any() or any(p.startswith(CHANGES) for p in changed):
+            return None
+        task = run.task
+        assert task.position_error is not None
+        assert task.rotation_error is not None
+        return cls(
+            t=run.t,
+            F_ext=np.asarray(run.extra["F_ext"]),
+            x=-np.hstack([task.position_error, task.rotation_error]),
+            v=task.twist - np.asarray(run.reference.motion.twist, dtype=np.float64),
+            impedance=FeltImpedance.of_json(values),
+        )
+
+    def expected(self) -> Float64Array:
+        """(k, 6) eq. 10.48 integrated from the first tick on."""
+        return self.impedance.response(self.t, self.F_ext, self.x[0], self.v[0])[0]
+
+    def mass(self) -> float:
+        """m of F_ext - K x = m a + b v, by least squares over all ticks and the three directions.
+
+        NaN where the law asks for another mass in each direction, or one that couples with rotations.
+        """
+        D = self.impedance.D
+        if np.abs(D[:3] - D[0, 0] * np.eye(3, 6)).max() > SAME_MASS * D[0, 0]:
+            return np.nan
+        net = (self.F_ext - self.x @ self.impedance.K.T)[:, :3]
+        a = np.gradient(self.v[:, :3], self.t, axis=0)
+        rows = np.column_stack([a.ravel(), self.v[:, :3].ravel()])
+        if not np.isfinite(rows).all() or np.linalg.matrix_rank(rows) < 2:
+            return np.nan
+        return float(np.linalg.lstsq(rows, net.ravel(), rcond=None)[0][0])

@@ -1,0 +1,186 @@
+"""Parts of a user's own, each one class that uses public names only: environment, friction law, motor, plant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+import taut
+import taut.math as tm
+from taut.drives import Field, FrictionLaw, MotorModel, MotorStep
+from taut.environments import EnvironmentBase
+
+LINK = taut.load_arm("one_joint").with_joints(viscous=0.0)
+
+
+class HuntCrossley(EnvironmentBase):
+    """A wall without a jump of the force at first contact.
+
+    Law:          N = stiffness d^1.5 max(1 + restitution d_dot, 0) with the depth d >= 0
+    """
+
+    stiffness: Field = Field(unit="N/m^1.5", above=0.0)
+    restitution: Field = Field(0.0, unit="s/m", minimum=0.0)
+    height: Field = Field(unit="m")
+
+    def wrench(
+        self, T_WE: taut.Pose, twist: Any, t: Any, memory: Any, parameters: Mapping[str, Any], dt: Any
+    ) -> tuple[Any, dict[str, Any]]:
+        depth = tm.maximum(parameters["height"] - T_WE.p[2], 0.0)
+        damping = tm.maximum(1.0 - parameters["restitution"] * twist[2], 0.0)
+        N = parameters["stiffness"] * depth * tm.sqrt(depth + 1e-18) * damping
+        return tm.array([0.0, 0.0, N, 0.0, 0.0, 0.0]), {}
+
+
+class Screw(FrictionLaw):
+    """Dry friction that differs by direction, and viscous friction."""
+
+    forward: Field = Field(unit="N m", shape="n", minimum=0.0)
+    backward: Field = Field(unit="N m", shape="n", minimum=0.0)
+    slope: Field = Field(0.0, unit="N m s/rad", shape="n", minimum=0.0)
+
+    def limits(self, v: Any, at_rest: Any, tau_motor: Any, tau_load: Any, p: Mapping[str, Any]) -> tuple[Any, Any]:
+        return p["forward"] + 0.0 * v, p["backward"] + 0.0 * v
+
+    def viscous(self, p: Mapping[str, Any]) -> Any:
+        return p["slope"]
+
+
+class Hot(MotorModel):
+    """A motor whose torque falls as its windings get warm.
+
+    Law:          tau = asked / (1 + loss heat),  heat+ = heat + dt asked^2
+    """
+
+    loss: Field = Field(unit="1/((N m)^2 s)", shape="n", minimum=0.0)
+
+    def start(self, tau: Any, gear: Any, bandwidth: Any, p: Mapping[str, Any]) -> dict[str, Any]:
+        return {"heat": 0.0 * tau}
+
+    def step(
+        self, tau: Any, v: Any, gear: Any, ripple: Any, memory: Any, p: Mapping[str, Any], bandwidth: Any, dt: Any
+    ) -> MotorStep:
+        heat = memory["heat"]
+        return MotorStep(tau=ripple * tau / (1.0 + p["loss"] * heat), memory={"heat": heat + dt * tau * tau})
+
+
+class Push(taut.Law):
+    """The torque that its reference has for an acceleration."""
+
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+        return taut.Torque(push=ref.a + 0.0 * x.q)
+
+
+def pushed(
+    torque: float, *, engine: Any = "auto", duration: float = 0.2, plant: Any = None, **options: Any
+) -> taut.Run:
+    made = plant or taut.RigidPlant(LINK, adds=("gravity",), **options)
+    ctrl = taut.compile(Push(), LINK, adds=("gravity",), engine=engine)
+    run = taut.run(ctrl, made, taut.JointMotion(q=[0.0], a=[torque]), duration=duration, q0=[0.0])
+    assert run.outcome.ok, run.outcome
+    return run
+
+
+@pytest.mark.parametrize("engine", ["native", "float"])
+@pytest.mark.parametrize(("torque", "net"), [(1.0, 0.5), (-1.0, -0.8), (0.4, 0.0), (-0.19, 0.0), (-0.25, -0.05)])
+def test_a_friction_law_of_ones_own_differs_by_direction_and_sticks(torque: float, net: float, engine: str) -> None:
+    run = pushed(torque, engine=engine, friction=Screw(forward=0.5, backward=0.2))
+    M = float(np.asarray(taut.snapshot(LINK, [0.0]).M)[0, 0])
+    assert run.v[-1, 0] == pytest.approx(net / M * run.t[-1], abs=1e-12)
+
+
+def test_its_numbers_are_parameters_by_path_and_are_checked() -> None:
+    plant = taut.RigidPlant(LINK, friction=Screw(forward=0.5, backward=0.2, slope=0.1))
+    assert {path for path in plant.parameters if "friction" in path} == {
+        "plant.friction.forward",
+        "plant.friction.backward",
+        "plant.friction.slope",
+    }
+    with pytest.raises(taut.errors.RangeError) as caught:
+        plant.checked_parameter("plant.friction.backward", -1.0)
+    assert caught.value.name == "plant.friction.backward"
+    with pytest.raises(taut.errors.ShapeError):
+        taut.RigidPlant(LINK, friction=Screw(forward=[0.5, 0.1], backward=0.2))
+    with pytest.raises(taut.errors.UsageError):
+        taut.RigidPlant(LINK, friction=taut.Friction(coulomb=1.0))  # type: ignore[arg-type]  # that is the arm's
+
+
+def test_friction_takes_what_it_takes_in_the_account_of_energy() -> None:
+    run = pushed(1.0, friction=Screw(forward=0.5, backward=0.2, slope=0.3), energy=True)
+    parts = {name: run.extra[f"work.{name}"][-1, 0] for name in ("motor", "dry", "viscous", "link", "integration")}
+    assert parts["dry"] == pytest.approx(0.5 * run.q[-1, 0], rel=1e-6)
+    total = parts["dry"] + parts["viscous"] + parts["link"] + parts["integration"]
+    assert parts["motor"] == pytest.approx(total, rel=1e-9)
+
+
+@pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
+def test_a_motor_of_ones_own_remembers(plant: Any) -> None:
+    made = plant(LINK, adds=("gravity",), friction=None, actuation=taut.drives.Actuation(motor=Hot(loss=2.0)))
+    run = pushed(1.0, plant=made, duration=0.5)
+    M = float(np.asarray(taut.snapshot(LINK, [0.0]).M)[0, 0])
+    expected = np.log1p(2.0 * run.t[-1]) / 2.0 / M  # the integral of 1 / (1 + 2 t)
+    assert run.v[-1, 0] == pytest.approx(expected, rel=2e-3)
+    assert made.parameters["actuation.motor.loss"] == 2.0
+
+
+@pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
+def test_an_environment_of_ones_own_pushes_back_as_its_law_says(plant: Any) -> None:
+    arm = taut.load_arm("gantry3").with_joints(viscous=50.0)
+    law = taut.laws.GravityPID(kp=500.0, kd=100.0)
+    start = np.array([0.0, 0.0, 0.0])
+    height = float(taut.snapshot(arm, start).T().p[2])
+    made = plant(arm, environment=HuntCrossley(stiffness=1e5, restitution=0.5, height=height + 0.01))
+    run = taut.run(taut.compile(law, arm), made, taut.JointMotion(q=start), duration=3.0, q0=start)
+    x = taut.snapshot(arm, run.q[-1])
+    depth = height + 0.01 - float(x.T().p[2])
+    assert run.extra["F_ext"][-1, 2] == pytest.approx(1e5 * depth**1.5, rel=1e-3)
+    with pytest.raises(taut.errors.RangeError) as caught:
+        made.checked_parameter("environment.stiffness", 0.0)
+    assert caught.value.name == "environment.stiffness"
+
+
+class Slider(taut.PlantBase):
+    """A plant of a user's own: one mass on a rail with a motor that gives what it is asked for."""
+
+    def __init__(self, arm: taut.Arm, mass: float) -> None:
+        self.arm, self._mass = arm, np.asarray(mass)
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        return {"plant.mass": self._mass}
+
+    def checked_parameter(self, path: str, value: Any) -> Any:
+        if path != "plant.mass" or not float(value) > 0.0:
+            raise taut.errors.RangeError(f"{path} must be > 0 [kg]; got {value!r}", name=path)
+        return np.asarray(value, dtype=float)
+
+    def set_parameters(self, values: Mapping[str, Any]) -> None:
+        for path, value in values.items():
+            self._mass = self.checked_parameter(path, value)
+
+    def reset(self, q: Any, v: Any, dt: float, seed: int) -> None:
+        self._q, self._v, self._dt = np.array(q), np.array(v), dt
+
+    def state(self) -> tuple[Any, Any]:
+        return self._q.copy(), self._v.copy()
+
+    def advance(self, command: Any) -> Any:
+        self._v = self._v + self._dt * command / self._mass
+        self._q = self._q + self._dt * self._v
+        return command
+
+    def extra(self) -> dict[str, Any]:
+        return {"kinetic": 0.5 * float(self._mass) * float(self._v @ self._v)}
+
+
+def test_a_plant_of_ones_own_runs_with_events_and_columns() -> None:
+    heavier = taut.Event(t=0.1, set={"plant.mass": 4.0})
+    ctrl = taut.compile(Push(), LINK, adds=())
+    plant = Slider(LINK, mass=2.0)
+    run = taut.run(ctrl, plant, taut.JointMotion(q=[0.0], a=[1.0]), duration=0.2, q0=[0.0], events=[heavier])
+    assert run.outcome.ok, run.outcome
+    assert run.v[-1, 0] == pytest.approx(0.1 / 2.0 + 0.1 / 4.0, abs=1e-12)
+    assert run.extra["kinetic"][-1] == pytest.approx(2.0 * run.v[-1, 0] ** 2, rel=0.02)
