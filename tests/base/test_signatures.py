@@ -40,9 +40,9 @@ def test_nearly_every_public_name_is_tried() -> None:
 
 @pytest.mark.parametrize("name", PUBLIC)
 def test_an_argument_that_does_not_exist_is_refused(name: str) -> None:
-    with pytest.raises(taut.errors.UsageError) as caught:
+    with pytest.raises((taut.errors.UsageError, taut.errors.UnknownNameError)) as caught:
         operator.attrgetter(name)(taut)(no_such_argument=1.0)
-    assert caught.value.name == "no_such_argument"
+    assert "no_such_argument" in (caught.value.name, caught.value.value)
 
 
 @pytest.mark.parametrize("name", [name for name in PUBLIC if name.rpartition(".")[2][0].islower()])

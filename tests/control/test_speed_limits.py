@@ -175,7 +175,13 @@ class TestOfAVelocityCommand:
     def test_its_integral_does_not_wind_up(self, engine: Any) -> None:
         integrals = {}
         for scheme in ("none", "clamping", "back-calculation"):
-            law = L.VelocityPI(kp=2.0, ki=5.0, integral=taut.laws.Integral(anti_windup=scheme))
+            law = L.VelocityPI(
+                kp=2.0,
+                ki=5.0,
+                integral=taut.laws.Integral(
+                    anti_windup=scheme, **({"tracking": 10.0} if scheme == "back-calculation" else {})
+                ),
+            )
             ctrl = taut.compile(law, ARM, limits=taut.Limits(v=0.5), engine=engine)
             for _ in range(300):
                 ctrl.step([0.0, 0.0], ref=taut.JointMotion(q=[2.0, 0.0]))

@@ -19,7 +19,7 @@ ONES = taut.JointMotion(q=[1.0, 1.0])
 class Level(taut.Law):
     """A torque that is its gain, so that a run shows the gain of every tick."""
 
-    level: taut.Gain = taut.Gain(0.0)  # [N m]
+    level: taut.Gain = taut.Gain(0.0, unit="N m")
     other: taut.Gain = taut.Gain(0.0)  # [N m]
 
     def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:

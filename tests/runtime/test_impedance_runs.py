@@ -198,6 +198,7 @@ def test_a_new_inertia_that_the_loop_does_not_bear_is_refused_where_the_arm_is()
     ctrl.parameters["law.B"] = np.full(6, 2e4)
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")  # of gains that are refused next
 @pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
 def test_an_event_that_asks_for_it_ends_the_run_before_it_and_keeps_what_was(plant: Any) -> None:
     arm = taut.load_arm("panda")

@@ -221,6 +221,7 @@ EVERYTHING: dict[str, Any] = {
 }  # fmt: skip
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")  # friction is left out of the verdict
 def test_no_parameter_of_any_stage_needs_a_compile_and_each_has_an_effect(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every number of law, sensing, limits, actuation, friction and sensors, changed one by one."""
     arm = taut.load_arm("planar2").with_gravity([0.0, -2.0, 0.0]).with_gears(ratio=[10.0, 20.0], motor_inertia=1e-3)

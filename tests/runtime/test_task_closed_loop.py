@@ -259,7 +259,13 @@ class TestTheIntegral:
         T = pose_at(PANDA, PANDA.home)
         goal = taut.TaskMotion(pose=taut.Pose.of(T.R, T.p + 0.25 * np.eye(3)[2]))
         law = L.TaskComputedTorque(
-            kp=100.0, kd=20.0, ki=150.0, integral=taut.laws.Integral(anti_windup=scheme), singularity="plain"
+            kp=100.0,
+            kd=20.0,
+            ki=150.0,
+            integral=taut.laws.Integral(
+                anti_windup=scheme, **({"tracking": 10.0} if scheme == "back-calculation" else {})
+            ),
+            singularity="plain",
         )
         out = run(law, PANDA, goal, duration=4.0, limits=limits)
         below = errors(out, PANDA, law, goal, 10)[:, 2]
