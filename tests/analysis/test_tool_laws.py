@@ -127,8 +127,8 @@ def test_predicted_is_what_is_measured_and_near_what_is_specified(share: Callabl
     swept, promised = [], []
     for law, name in (pairs[i] for i in chosen):
         tip = taut.analysis.tool_impedance(loop_of(law, taut.load_arm(name)), direction=Z_AXIS, within=2.0)
-        assert all(side.startswith("the loop has a kink near here") for side in tip.lin.sides), (law, name)
-        assert tip.lin.sides == () or law.startswith("via_joint_space"), (law, name)
+        assert all(side.startswith("the loop is non-smooth near here") for side in tip.lin.branches), (law, name)
+        assert tip.lin.branches == () or law.startswith("via_joint_space"), (law, name)
         assert (tip.specified is not None) is (law in SPECIFYING and (law, name) not in OBLIQUE), (law, name)
         Z, measured = tip.Z(OMEGA), tip.measure(OMEGA)
         if law in HARD:
