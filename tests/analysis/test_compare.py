@@ -143,6 +143,7 @@ def test_every_run_starts_where_it_is_told_to(planar: taut.Loop) -> None:
     assert graded.reference_run.v[0].tolist() == graded.run.v[0].tolist() == [0.2, 0.0]
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_a_law_that_fails_has_no_figures_and_comes_last(planar: taut.Loop) -> None:
     told = taut.compare(
         {"wild": "PID(kp=1e9, kd=1e7)", "PD": "PID(kp=200, kd=20)"}, without_limits(planar), by="effort", model=None
@@ -359,6 +360,7 @@ def test_a_text_is_never_run_as_code(text: str) -> None:
 # -------------------------------------------------------------------- what is refused
 
 
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_what_cannot_be_compared_is_one_sentence(table: taut.analysis.Comparison, planar: taut.Loop) -> None:
     run = table.runs["PD"]
     hole = dataclasses.replace(

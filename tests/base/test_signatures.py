@@ -22,7 +22,12 @@ ARM = taut.load_arm("planar2")
 def takes_named_arguments(name: str) -> bool:
     thing = operator.attrgetter(name)(taut)
     if inspect.isclass(thing):
-        if issubclass(thing, (Exception, enum.Enum)) or getattr(thing, "_is_protocol", False) or thing is taut.Law:
+        if (
+            issubclass(thing, (Exception, enum.Enum))
+            or getattr(thing, "_is_protocol", False)
+            or thing is taut.Law
+            or inspect.isabstract(thing)
+        ):
             return False
     elif not inspect.isfunction(thing):
         return False
@@ -40,9 +45,9 @@ def test_nearly_every_public_name_is_tried() -> None:
 
 @pytest.mark.parametrize("name", PUBLIC)
 def test_an_argument_that_does_not_exist_is_refused(name: str) -> None:
-    with pytest.raises(taut.errors.UsageError) as caught:
+    with pytest.raises((taut.errors.UsageError, taut.errors.UnknownNameError)) as caught:
         operator.attrgetter(name)(taut)(no_such_argument=1.0)
-    assert caught.value.name == "no_such_argument"
+    assert "no_such_argument" in str(caught.value)
 
 
 @pytest.mark.parametrize("name", [name for name in PUBLIC if name.rpartition(".")[2][0].islower()])
