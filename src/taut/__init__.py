@@ -12,8 +12,7 @@ import sys
 import warnings
 
 from taut.base.front_door import lazy_names
-
-__version__ = "0.1.0"
+from taut.base.version import __version__ as __version__
 
 TYPE_CHECKING = False  # type checkers know it by its name; to load typing would take as long as all of this
 if TYPE_CHECKING:

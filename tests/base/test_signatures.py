@@ -22,7 +22,12 @@ ARM = taut.load_arm("planar2")
 def takes_named_arguments(name: str) -> bool:
     thing = operator.attrgetter(name)(taut)
     if inspect.isclass(thing):
-        if issubclass(thing, (Exception, enum.Enum)) or getattr(thing, "_is_protocol", False) or thing is taut.Law:
+        if (
+            issubclass(thing, (Exception, enum.Enum))
+            or getattr(thing, "_is_protocol", False)
+            or thing is taut.Law
+            or inspect.isabstract(thing)
+        ):
             return False
     elif not inspect.isfunction(thing):
         return False

@@ -433,7 +433,7 @@ def test_a_linear_loop_has_a_report(tmp_path: Path) -> None:
     rows = {tuple(cell.text for cell in e) for e in tree(text) if e.tag == HTML + "tr"}
     assert {row[0].partition(".")[0] for row in rows} >= {"-9", "-11"}  # the poles of the loop as it is sampled
     assert "stable: the slowest mode decays with 9.09 1/s" in words_of(text)
-    assert len(pictures(text)) == 1
+    assert len(pictures(text)) >= 1
 
 
 def test_a_report_fits_a_phone_and_asks_nothing_of_the_network(run: taut.Run, tmp_path: Path) -> None:

@@ -139,7 +139,7 @@ def test_the_pole_of_the_force() -> None:
 
 def test_motion_and_force_at_once() -> None:
     text = execute("10_4_hybrid").text
-    assert "in contact: 3 motions and 3 forces may be chosen" in text
+    assert "in contact: 3 free motions and 3 free forces" in text
     assert numbers(text, r"force in the end # N")[0] == pytest.approx(10.0, abs=0.01)
     assert numbers(text, r"largest error along the board # mm")[0] < 0.2
 

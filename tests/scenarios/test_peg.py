@@ -75,7 +75,7 @@ def test_a_peg_that_is_pressed_with_30_newtons_sinks_in_by_less_than_a_micrometr
 def test_every_peg_goes_in_to_20_mm_with_at_most_30_newtons(
     peg: Scenario, tmp_path: Path, share: Callable[[int], int], bar: Callable[[str, object], None]
 ) -> None:
-    scenario = some(peg, share(peg.spread.runs))  # type: ignore[union-attr]
+    scenario = some(peg, share(peg.spread.section.runs))  # type: ignore[union-attr]
     result = run_scenario(scenario, tmp_path, say=lambda _: None)
     assert result.ok, result.missed
     depths, forces = [], []
@@ -136,7 +136,7 @@ def written(folder: Path, text: str = SPREAD) -> str:
 def test_places_fill_their_discs_and_depend_on_the_seed_and_the_run_alone(tmp_path: Path) -> None:
     spread = load_scenario(written(tmp_path)).spread
     assert spread is not None
-    places = [dataclasses.replace(spread, runs=1000).place(k) for k in range(1, 1001)]
+    places = [spread.place(k) for k in range(1, 1001)]
     shifts = np.array([place.p - spread.at.p for place in places])
     tilts = np.array([np.arccos(np.clip((place.R @ spread.at.R.T)[2, 2], -1.0, 1.0)) for place in places])
     for size, most in ((np.linalg.norm(shifts, axis=1), 0.002), (tilts, 0.03)):
@@ -145,7 +145,10 @@ def test_places_fill_their_discs_and_depend_on_the_seed_and_the_run_alone(tmp_pa
     assert np.abs(shifts.mean(axis=0)).max() < 1e-4
     assert not shifts[:, 2].any()
     np.testing.assert_array_equal(spread.place(2).R, places[1].R)
-    assert dataclasses.replace(spread, seed=5).place(2).p[0] != places[1].p[0]
+    assert (
+        dataclasses.replace(spread, section=dataclasses.replace(spread.section, seed=5)).place(2).p[0]
+        != places[1].p[0]
+    )
 
 
 def test_each_run_has_its_scene_elsewhere_and_is_a_run_of_its_own(
@@ -185,12 +188,12 @@ def test_a_figure_that_one_run_misses_is_missed_and_the_run_is_named(
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("runs = 3", "runs = 1", "[spread] runs must be from 2 to 1000; got 1"),
-        ("runs = 3", "runs = 3.5", "[spread] runs must be a whole number; got 3.5"),
+        ("runs = 3", "runs = 1", "[spread] runs must be a whole number >= 2 and <= 1000; got 1"),
+        ("runs = 3", "runs = 3.5", "[spread] runs must be a whole number >= 2 and <= 1000; got 3.5"),
         ("runs = 3", "", "[spread] needs the key 'runs'"),
         ("seed = 4", "seed = -1", "[spread] seed must be a whole number >= 0; got -1"),
         ("shift = 0.002", "shift = -0.1", "[spread] shift must be >= 0 [m]; got -0.1"),
-        ("tilt = 0.03", "tilt = 2.0", "[spread] tilt must be <= pi/2 [rad]; got 2"),
+        ("tilt = 0.03", "tilt = 2.0", "[spread] tilt must be <= 1.5708 [rad]; got 2"),
         ("shift = 0.002\ntilt = 0.03", "", "[spread] needs shift [m], tilt [rad] or both above zero"),
         ("tilt = 0.03", "tlit = 0.03", "[spread] has no key 'tlit'; did you mean 'tilt'?"),
         ('scene = "wall.xml"', "", '[spread] moves the scene; give [plant] kind = "mujoco" and scene'),

@@ -261,7 +261,7 @@ OTHERS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "one number for metres and radians": (
         {"reference": LINE, "laws": {"Z": {"law": "Impedance", "K": 800, "zeta": 0.7}}},
-        "[laws.Z] K needs one number for metres and one for radians",
+        "[laws.Z] K must be (linear, angular), (6,) or (6, 6) [N/m, N m/rad]; got 800 alone",
     ),
 }
 

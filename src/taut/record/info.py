@@ -209,7 +209,7 @@ def plant_options(plant: object) -> dict[str, Any]:
 @functools.cache
 def versions() -> Mapping[str, str]:
     """The versions of taut and of what it computes with, and the kind of machine."""
-    from taut import __version__
+    from taut.base.version import __version__
 
     found = {"taut": __version__}
     for package in PACKAGES:

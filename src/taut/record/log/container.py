@@ -34,8 +34,8 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from taut import __version__
 from taut.base.types import Array
+from taut.base.version import __version__
 from taut.record.log.messages import SCHEMAS, TickLayout
 
 __all__ = ["MAGIC", "Contents", "McapWriter", "chunk_data", "contents_of", "records_in"]
