@@ -4,7 +4,7 @@ import importlib
 import inspect
 import tomllib
 from importlib import resources
-from typing import Any
+from typing import Any, ClassVar
 
 from docutils import nodes
 from docutils.statemachine import StringList
@@ -59,6 +59,7 @@ class PublicNames(SphinxDirective):
     """
 
     required_arguments = 1
+    shown: ClassVar[dict[int, str]] = {}
 
     def run(self) -> list[nodes.Node]:
         module = importlib.import_module(self.arguments[0])
@@ -68,9 +69,11 @@ class PublicNames(SphinxDirective):
             elsewhere = module is taut and (name in taut.laws.__all__ or name in taut.errors.__all__)
             if inspect.ismodule(thing) or elsewhere:
                 continue
-            kind = "class" if inspect.isclass(thing) else "function" if callable(thing) else "data"
-            lines.append(f".. auto{kind}:: {module.__name__}.{name}")
-            if kind == "class" and not issubclass(thing, Exception) and module is not taut.laws:
+            if callable(thing) and self.shown.setdefault(id(thing), module.__name__) != module.__name__:
+                continue  # a name of two modules is shown in one of them
+            kind = "autoclass" if inspect.isclass(thing) else "autofunction" if callable(thing) else "py:data"
+            lines.append(f".. {kind}:: {module.__name__}.{name}")
+            if kind == "autoclass" and not issubclass(thing, Exception) and module is not taut.laws:
                 lines.append("   :members:")
             lines.append("")
         node = nodes.section()

@@ -9,7 +9,7 @@ import pytest
 from plant_laws import Seen, run, seen
 
 import taut
-from taut.runtime import fused
+from taut.control.trajectories.feed import ReferenceFeed
 
 ARM = taut.load_arm("planar2")
 STILL = ("gravity",)  # so that the arm stays where it is, and only the sensors speak
@@ -89,7 +89,7 @@ class TestNoise:
         self, block: int, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         whole = measured(noise_q=0.1, noise_v=0.1)
-        monkeypatch.setattr(fused, "BLOCK", block)
+        monkeypatch.setattr(ReferenceFeed, "block", block)
         np.testing.assert_array_equal(seen(measured(noise_q=0.1, noise_v=0.1), "q"), seen(whole, "q"))
 
     def test_does_not_depend_on_events(self) -> None:

@@ -59,7 +59,7 @@ CASES: list[tuple[Callable[[], tuple[taut.Controller, Any]], type[taut.TautError
         lambda: (compiled(), plant(takes="velocity", actuation=DRIVES)),
         taut.errors.MatchError,
         "PID gives a torque and plant 'RigidPlant(planar2)' takes a velocity; choose a law for velocity commands, or a "
-        "plant with takes='torque'",
+        "plant that takes 'torque'",
     ),
     (
         lambda: (compiled(taut.laws.VelocityPI(kp=1.0)), plant()),

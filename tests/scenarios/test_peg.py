@@ -29,7 +29,12 @@ def peg() -> Scenario:
 
 def some(scenario: Scenario, runs: int) -> Scenario:
     """The first runs of a spread, without files."""
-    outputs: Outputs = dataclasses.replace(scenario.outputs, **NOTHING, shown=next(iter(scenario.trials)))
+    outputs: Outputs = dataclasses.replace(
+        scenario.outputs,
+        **NOTHING,
+        shown=next(iter(scenario.trials)).law,
+        shown_case=next(iter(scenario.trials)).case,
+    )
     cases = dict(list(scenario.cases.items())[:runs])
     return dataclasses.replace(scenario, cases=cases, outputs=outputs)
 

@@ -273,7 +273,11 @@ class Field(Declaration[Any]):
     def _refuse(self, rule: str, number: float, index: Sequence[int] = (), joint: str | None = None) -> NoReturn:
         place = entry_names(self.name, index) + (f" (joint '{joint}')" if joint is not None else "")
         raise Refusal(
-            RangeError, place, f"{rule}{f'; {self.hint}' if self.hint and number == 0.0 else ''}", number, joint
+            RangeError,
+            place,
+            f"{rule}{f'; {self.hint}' if self.hint and not 0.0 < abs(number) < math.inf else ''}",
+            number,
+            joint,
         )
 
     def _require_psd(self, array: Float64Array) -> None:

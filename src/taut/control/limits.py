@@ -268,14 +268,14 @@ def terms_of(limits: Limits, command: Command, who: str) -> tuple[str, ...]:
     given = limits.given()
     if not isinstance(command, (Torque, Velocity)):
         raise MatchError(
-            f"limits cut torques and velocities, and {who} gives a {command.kind}; leave limits=None",
+            f"limits cut torques and velocities, and {who} gives a {command.kind}; leave the limits out",
             name="limits",
         )
     wrong = sorted(given & {"tau", "tau_dot", "v_gain"})
     if wrong and not isinstance(command, Torque):
         raise MatchError(
             f"limits.{wrong[0]} is for torques, and {who} gives a {command.kind}; leave it out, or "
-            "give taut.Limits(v=...)",
+            "give limits with v",
             name="limits",
         )
     added = tuple(term for name, term in TERM_OF.items() if name in given)

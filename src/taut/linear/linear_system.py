@@ -187,7 +187,7 @@ class LinearSystem(Result):
 
     @property
     def s_poles(self) -> Complex:
-        """(n,) the poles in s [1/s]: of a sampled system log(z) / dt, minus infinity for z = 0."""
+        """(n,) poles in s [1/s]. Of a sampled system log(z) / dt, minus infinity for z = 0."""
         return self._in_s(self.poles)
 
     def _in_s(self, poles: Complex) -> Complex:

@@ -101,7 +101,10 @@ class TaskFeed:
 
     def follow(self, memory: Mapping[str, Any], tick: int, state: Callable[[], Any]) -> bool:
         """Whether a phase begins with a tick, by the memory before it; then its reference is made."""
-        if tick == 0 or not memory[TICKS] < 0.5:
+        if tick == 0:  # the first phase begins with the run
+            self.prepare(state)
+            return False
+        if not memory[TICKS] < 0.5:
             return False
         self.begin(self._task.names[int(memory[NEXT])], tick)
         self.prepare(state)
