@@ -158,7 +158,7 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
 
 
 def _provided_by(name: str, plant: AnyPlant) -> str:
-    """What would measure it, as a way out."""
+    """What would measure it, to fix that."""
     if name == "F_ext" and isinstance(plant, HasSensors) and plant.sensors.wrench is None:
         return "; give the plant a wrench sensor, sensors.wrench"
     return PROVIDED_BY.get(name, "")
@@ -244,7 +244,7 @@ def _check_adds(law: str, left_out: Adds, used: frozenset[str], plant: AnyPlant)
         )
     if left_out.gravity and added.gravity and "gravity" in used and not _same(left_out.load, added.load):
         raise MatchError(
-            f"plant '{plant.name}' compensates the gravity of another payload than the controller was told; "
+            f"plant '{plant.name}' compensates the gravity of another payload than the controller assumes; "
             "compile with adds=plant.adds",
             name="gravity",
         )
@@ -273,7 +273,9 @@ def _check_start(side: LawSide, plant: AnyPlant) -> None:
             else "acceleration that the controller's speed limit expects"
         )
         raise MatchError(
-            f"plant '{plant.name}' {how}, and the {what} says otherwise; compile with adds=plant.adds", name=name
+            f"plant '{plant.name}' {how}, and the {what} assumes that it does otherwise; compile with "
+            "adds=plant.adds",
+            name=name,
         )
 
 

@@ -368,7 +368,7 @@ def squared(T: Pose) -> Any:
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), F_app=[0, 3.0, -9.0, 0, 0, 0])),
             taut.errors.RangeError,
-            r"of \[0, 3, -9, 0, 0, 0\] it can bear \[0, 0, -9, 0, 0, 0\], and not \[0, 3, 0, 0, 0, 0\]",
+            r"of \[0, 3, -9, 0, 0, 0\] it admits \[0, 0, -9, 0, 0, 0\], and not \[0, 3, 0, 0, 0, 0\]",
         ),
         (  # a millionth of it is nothing to speak of
             lambda: stepped(
@@ -376,7 +376,7 @@ def squared(T: Pose) -> Any:
                 taut.pressing(taut.TaskMotion(pose=floor_pose()), F_app=[0, 3.0, -9.0, 0, 0, 0]),
             ),
             taut.errors.RangeError,
-            r"it can bear \[0, 0, -9, 0, 0, 0\], and not \[0, 3, 0, 0, 0, 0\]",
+            r"it admits \[0, 0, -9, 0, 0, 0\], and not \[0, 3, 0, 0, 0, 0\]",
         ),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), F_app=[0, 0, 9.0, 0, 0, 0])),

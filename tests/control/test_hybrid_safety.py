@@ -270,7 +270,7 @@ def test_a_force_that_turns_round_each_tick_is_told(faded: taut.Controller) -> N
         told = []
         for force in forces:
             faded.step(q, v, ref, F_ext=np.array([0.0, 0.0, force, 0.0, 0.0, 0.0]))
-            told.append(float(faded.memory["law.swings"]))
+            told.append(float(faded.memory["law.oscillates"]))
         assert told[-1] == swings
         assert sum(told[:4]) == 0.0
 

@@ -132,7 +132,7 @@ class TestASpeedLimit:
             taut.run(ctrl, taut.RigidPlant(ARM), duration=0.1)
         assert str(caught.value) == (
             "plant 'RigidPlant(planar2)' does not add gravity, and the acceleration that the controller's speed limit "
-            "expects says otherwise; compile with adds=plant.adds"
+            "expects assumes that it does otherwise; compile with adds=plant.adds"
         )
         with pytest.raises(
             taut.errors.MatchError, match=r"does not add coriolis, and the acceleration .* says otherwise"

@@ -252,7 +252,7 @@ class TestRaisedBackCalculation:
             self.compiled(4.0, 500.0)
         assert str(caught.value) == (
             "tracking of a law whose gains are raised must be at most the rate over the factor, 250 [1/s], or its "
-            "integral would swing near rest; got 500"
+            "integral would oscillate near rest; got 500"
         )
         ctrl = self.compiled(2.0, 500.0)
         with pytest.raises(taut.errors.RangeError, match="at most the rate over the factor"):

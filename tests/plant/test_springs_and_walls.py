@@ -233,7 +233,7 @@ class TestStepsThatAreTooLong:
         with pytest.raises(taut.errors.RangeError) as caught:
             free(rigid(wall))
         assert str(caught.value) == (
-            "environment: what touches the tool swings at 1.41e+03 rad/s and is braked at 667 1/s, too fast for "
+            "environment: what touches the tool oscillates at 1.41e+03 rad/s and is braked at 667 1/s, too fast for "
             "steps of 0.001 s; give the plant 2 substeps, or a softer environment"
         )
         out = free(rigid(wall, substeps=2), v0=[0, 0, -0.3])

@@ -209,7 +209,7 @@ class TestElasticity:
         with pytest.raises(taut.errors.RangeError) as caught:
             taut.run(idle(GEARED), plant, duration=0.1)
         assert str(caught.value) == (
-            "the transmission of joint 'joint1' swings at 2.45e+03 rad/s, too fast for steps of 0.001 s; give the plant "
+            "the transmission of joint 'joint1' oscillates at 2.45e+03 rad/s, too fast for steps of 0.001 s; give the plant "
             "3 substeps, a softer spring or less damping"
         )
         plenty = taut.RigidPlant(GEARED, actuation=taut.drives.Actuation(transmission=spring), substeps=3)

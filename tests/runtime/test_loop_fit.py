@@ -106,13 +106,13 @@ CASES: list[tuple[Callable[[], tuple[taut.Controller, Any]], type[taut.TautError
     (
         lambda: (compiled(GRAVITY, adds=LOAD), plant(adds={"gravity": taut.Payload(mass=1.5)})),
         taut.errors.MatchError,
-        "plant 'RigidPlant(planar2)' compensates the gravity of another payload than the controller was told; compile "
+        "plant 'RigidPlant(planar2)' compensates the gravity of another payload than the controller assumes; compile "
         "with adds=plant.adds",
     ),
     (
         lambda: (compiled(GRAVITY, adds=("gravity",)), plant(adds=LOAD)),
         taut.errors.MatchError,
-        "plant 'RigidPlant(planar2)' compensates the gravity of another payload than the controller was told; compile "
+        "plant 'RigidPlant(planar2)' compensates the gravity of another payload than the controller assumes; compile "
         "with adds=plant.adds",
     ),
     (

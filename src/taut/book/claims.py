@@ -94,7 +94,7 @@ def delayed() -> Page:
         )  # fmt: skip
         late, early = (float(np.abs(run.between(*ends).q).max()) for ends in ((18.0, 24.0), (10.0, 16.0)))
         rows.append(
-            row(f"swing grows with a delay of {taps / RATE:g} s", "0 or 1", late > early, factor > 1.0, "that border")
+            row(f"it grows with a delay of {taps / RATE:g} s", "0 or 1", late > early, factor > 1.0, "that limit")
         )
     note = (
         "The chapter: delayed feedback can cause instability. Gains of figure 10.6, which are critically damped "
@@ -137,7 +137,7 @@ def bounded() -> Page:
             substeps=4,
         )  # fmt: skip
         got = float(np.exp(max(two_poles(run.q[60:, 0], 1.0).real)))
-        name = f"growth of a swing in a tick, omega_n = {factor:g} of that"
+        name = f"growth of an oscillation in a tick, omega_n = {factor:g} of that"
         rows.append(row(name, "", got, radius(omega_n), "poles of the held link", rel=1e-4, states=claim))
     note = (
         "According to the simple model Kp and Kd could grow without bound. With a servo of 100 Hz and differenced "

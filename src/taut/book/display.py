@@ -58,7 +58,7 @@ def fig_10_17() -> Page:
         out = simulated(ctrl, slide, rest, duration=0.4, q0=[1e-3], friction="arm", integrator="rk4")
         got = float(np.exp(max(two_poles(out.q[100:, 0], 1.0).real)))
         states = "oscillatory in stiff virtual environments" if factor > 1.0 else ""
-        name = f"growth of a swing in a tick, K = {factor:g} of the limit"
+        name = f"growth of an oscillation in a tick, K = {factor:g} of the limit"
         rows.append(row(name, "", got, radius(K, RATE), POLES, rel=1e-5, states=states))
     figure, (left, right) = panels(2, 2.5, width_ratios=[1.0, 1.1])
     _display(left)

@@ -154,7 +154,7 @@ def fig_10_4() -> Page:
         PID(kp=d.kp, kd=d.kd), plant=slide, ref=JointMotion(q=[start + step]), duration=2.0, q0=[start]
     )  # fmt: skip
     e = (start + step - run.q[:, 0]) / step
-    sag = mass * 9.81 / (mass * omega_n**2) / step
+    droop = mass * 9.81 / (mass * omega_n**2) / step
     wanted = 100.0 * math.exp(-math.pi * zeta / math.sqrt(1.0 - zeta**2))
     rows = (
         row("overshoot", "%", run.metrics.overshoot[0], wanted, "exp(-pi zeta / sqrt(1 - zeta^2))", rel=2e-3),
@@ -171,7 +171,7 @@ def fig_10_4() -> Page:
             "steady-state error",
             "% of the step",
             run.metrics.steady_state_error[0],
-            100.0 * sag,
+            100.0 * droop,
             "m g / Kp",
             rel=2e-3,
         ),
@@ -180,13 +180,13 @@ def fig_10_4() -> Page:
     prepared(ax, "error after a step", "error / step", "t [s]")
     ax.plot(run.t, e, color=colour(0), linewidth=1.5)
     T = settling(zeta) / omega_n
-    band = 0.02 * (1.0 - sag)
-    ax.axhspan(sag - band, sag + band, color=colour(2), alpha=0.25, linewidth=0.0, label="2 % band")
-    ax.axhline(sag, color=INK, linewidth=0.9, linestyle=DASHED, label="steady-state error")
+    band = 0.02 * (1.0 - droop)
+    ax.axhspan(droop - band, droop + band, color=colour(2), alpha=0.25, linewidth=0.0, label="2 % band")
+    ax.axhline(droop, color=INK, linewidth=0.9, linestyle=DASHED, label="steady-state error")
     ax.axvline(T, color=colour(1), linewidth=1.0, linestyle=DOTTED, label=f"settled, {T:.3g} s")
     k = int(np.argmin(e))
     ax.annotate(
-        "", (run.t[k], e[k]), (run.t[k], sag), arrowprops={"arrowstyle": "<->", "color": INK, "linewidth": 0.9}
+        "", (run.t[k], e[k]), (run.t[k], droop), arrowprops={"arrowstyle": "<->", "color": INK, "linewidth": 0.9}
     )
     ax.text(run.t[k] + 0.085, e[k] + 0.1, "overshoot", fontsize=SMALL, color=INK, va="center")
     legend(ax)

@@ -53,9 +53,9 @@ def kinds() -> Page:
     every = np.geomspace(0.2, 20.0, 100)
     for k, (name, (law, ref, wanted, claim)) in enumerate(laws.items()):
         tool = along_x(law, ref)
-        for f, told, want in zip(HERTZ, tool.Z(s.imag), wanted, strict=True):
+        for f, got, want in zip(HERTZ, tool.Z(s.imag), wanted, strict=True):
             source = "the law and m x-ddot = F, written out"
-            rows.append(row(f"{name}: |Z| at {f:g} Hz", "N/m", abs(told), abs(want), source, rel=3e-3, states=claim))
+            rows.append(row(f"{name}: |Z| at {f:g} Hz", "N/m", abs(got), abs(want), source, rel=3e-3, states=claim))
         ax.loglog(every, np.abs(tool.Z(2.0 * math.pi * every)), color=colour(k), linewidth=1.4, label=name)
     legend(ax)
     out = simulated(motion, slides(), rest, rate=FAST, duration=1.0, environment=Pushed())
@@ -88,7 +88,7 @@ def sides() -> Page:
             rows.append(
                 row(
                     f"{kind} control shows a {name} impedance: stable", "0 or 1",
-                    lin.stable, x[-100:].max() < x[:100].max(), "whether a swing of a run dies away",
+                    lin.stable, x[-100:].max() < x[:100].max(), "whether the oscillation of a run decays",
                     states="good" if name == good else "not as good",
                 )
             )  # fmt: skip

@@ -127,17 +127,17 @@ def eq_10_47() -> Page:
     measured, wanted = tool.measure(ws), asked(ws)
     claims = {0: "dominated by the spring", 4: "dominated by the mass"}
     rows: list[Row] = []
-    for way, told in (("linearised", tool.Z(ws)), ("by a sweep of runs", measured.Z)):
+    for way, got in (("linearised", tool.Z(ws)), ("by a sweep of runs", measured.Z)):
         for k in (0, 2, 4):
             name = f"Z at {ws[k]:.3g} rad/s, {way}"
-            size, turn = (abs(told[k]), abs(wanted[k])), (np.angle(told[k]), np.angle(wanted[k]))
+            size, turn = (abs(got[k]), abs(wanted[k])), (np.angle(got[k]), np.angle(wanted[k]))
             rows += [
                 row(f"|{name.replace(' at', '| at')}", "N/m", *size, POLYNOMIAL, rel=0.01, states=claims.get(k, "")),
                 row(f"phase of {name}", "rad", *turn, POLYNOMIAL, rel=0.01),
             ]
     for name, k, part in (("|Z| at 1.5 rad/s over k", 0, K), ("|Z| at 90 rad/s over m w^2", 4, D * ws[4] ** 2)):
-        told, want = abs(measured.Z[k]) / part, abs(wanted[k]) / part
-        rows.append(row(name, "", told, want, POLYNOMIAL, rel=0.01, states="near 1"))
+        got, want = abs(measured.Z[k]) / part, abs(wanted[k]) / part
+        rows.append(row(name, "", got, want, POLYNOMIAL, rel=0.01, states="near 1"))
     figure, (ax,) = panels(1, 2.5)
     prepared(ax, "impedance at the tool", "|F / X| [N/m]", "w [rad/s]")
     fine = np.geomspace(1.0, 120.0, 200)
@@ -187,12 +187,12 @@ def eq_10_49() -> Page:
     m = engine().at(Q, V)
     ref = TaskMotion(pose=Pose(m.p + np.array([0.02, -0.01, 0.03]), R=m.R), twist=[0.1, 0.2, -0.1, 0.0, 0.0, 0.0])
     ctrl = ticked(Impedance(B=(B, ANGULAR[1]), K=(K, ANGULAR[2]), null=None), panda(), Q, V, ref)
-    told = total(ctrl.terms)
+    got = total(ctrl.terms)
     X = np.array([0.02, -0.01, 0.03, 0.0, 0.0, 0.0])
     gains = [np.array([each[0]] * 3 + [each[1]] * 3) for each in ((K, ANGULAR[2]), (B, ANGULAR[1]))]
     spring = gains[0] * X + gains[1] * (ref.twist - m.J @ V)
     wanted = m.J.T @ (spring - m.Lambda @ m.Jdot_v) + m.h
-    rows = compared(told, wanted, "N m", MUJOCO, "torque of the Panda, D left out", 1e-6)
+    rows = compared(got, wanted, "N m", MUJOCO, "torque of the Panda, D left out", 1e-6)
     for factor in (0.1, 1.9, 2.1):
         rows.append(
             row(

@@ -127,7 +127,7 @@ def eq_10_14() -> Page:
         got = max(two_poles(run.between(6.0, 30.0).q[::100, 0], 0.01).real)
         rows.append(
             row(
-                f"growth of a swing, Ki = {factor:g} of the bound",
+                f"growth of an oscillation, Ki = {factor:g} of the bound",
                 "1/s",
                 got,
                 pole.real,

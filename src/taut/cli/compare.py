@@ -134,9 +134,9 @@ def _compared(arguments: argparse.Namespace, say: Say) -> Comparison | Grade:
     _refuse_beside_grade(arguments, given)
     tolerance = TOLERANCE if arguments.tolerance is None else arguments.tolerance
     law = next(iter(given.values()))
-    told = grade(law, arguments.reference, arguments.scenario, tolerance=tolerance, **common)
-    _write(told, arguments, say)
-    return told
+    graded = grade(law, arguments.reference, arguments.scenario, tolerance=tolerance, **common)
+    _write(graded, arguments, say)
+    return graded
 
 
 def _write(done: Comparison | Grade, arguments: argparse.Namespace, say: Say) -> None:

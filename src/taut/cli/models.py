@@ -71,8 +71,8 @@ class LawRow:
 
 def _equation_first(lines: Sequence[str]) -> list[str]:
     """The lines of a docstring as paragraphs: the equation with its source in brackets, then the rest."""
-    told = [re.sub(r"   (.+)$", r" (\1)", line) for line in lines]
-    return [told[0], *(["; ".join(told[1:])] if told[1:] else [])]
+    texts = [re.sub(r"   (.+)$", r" (\1)", line) for line in lines]
+    return [texts[0], *(["; ".join(texts[1:])] if texts[1:] else [])]
 
 
 def law_rows() -> list[LawRow]:

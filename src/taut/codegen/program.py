@@ -114,7 +114,7 @@ def trace(function: Function, inputs: Block, parameters: Block, memory: Block) -
 
 
 def failure(cause: Exception, way_out: str = "") -> str:
-    """What went wrong in law code, where, and a way out: a better one than the given where it is known."""
+    """What went wrong in law code, where, and how to fix it."""
     text, place = f"{type(cause).__name__}: {cause}", raised_location(cause)
     if isinstance(cause, ZeroDivisionError):
         return f"it divides by a constant zero at {place}"

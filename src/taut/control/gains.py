@@ -149,7 +149,7 @@ class Gain(Field):
     """A run-time parameter of a law that acts by `@`: a scalar as k I, a vector as diag(k), or a matrix.
 
     A `taut.base.fields.Field` that takes a scalar, one number per joint, or a symmetric positive semidefinite matrix,
-    each entry >= 0, unless it says otherwise.
+    each entry >= 0, unless it states another range.
 
     Args:
         default: Value where none is given; without it the gain must be given, or may be None if `optional`.

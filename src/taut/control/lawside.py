@@ -33,9 +33,9 @@ from taut.trace.graph import LARGEST
 if TYPE_CHECKING:
     from taut.control.tasks.task import Task
 
-__all__ = ["HELD", "TOLD", "LawSide", "Probe", "Tick"]
+__all__ = ["HELD", "KNOWN", "LawSide", "Probe", "Tick"]
 
-TOLD: Final = "held.told"  # inputs of the first tick: whether the torque that the plant holds was told, and it
+KNOWN: Final = "held.known"  # inputs of the first tick: whether the torque that the plant holds is known, and it
 HELD: Final = "held.tau_applied"
 ROUNDING: Final = 1e-9  # of torques, and relative to them
 Memory = Mapping[str, Any]
@@ -399,7 +399,7 @@ class LawSide:
     def start(self, measured: Mapping[str, Any], ref: Sample, parameters: Mapping[str, Any]) -> dict[str, Any]:
         """Memory by path in the first tick, from what is measured then.
 
-        The command of the last tick is what the plant holds: `measured[HELD]` where `measured[TOLD]` is 1, else the
+        The command of the last tick is what the plant holds: `measured[HELD]` where `measured[KNOWN]` is 1, else the
         torque that holds the model's weight; of velocities, none. A blend begins with it.
         """
         shapes, sensing = self.probe.shapes, self.sensing_at_start(measured, parameters)
@@ -408,7 +408,7 @@ class LawSide:
         held = {}
         if "limits.tau_applied" in shapes:
             rest = x.g if self.probe.kind == Torque.kind else tm.zeros(self.arm.n)
-            tau = tm.where(measured[TOLD] > 0.5, measured[HELD], rest) if TOLD in measured else rest
+            tau = tm.where(measured[KNOWN] > 0.5, measured[HELD], rest) if KNOWN in measured else rest
             held = {"tau_applied": tau}
             x = self._snapshot(seen, seen["v"], parameters, held)
         law = self.law.bound(subtree(parameters, "law"))

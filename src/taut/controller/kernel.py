@@ -17,7 +17,7 @@ from taut.codegen.kernel import Blocks, Call, Kernel
 from taut.codegen.layout import Block
 from taut.codegen.program import Values, failure
 from taut.control.command import WildTerm, wild_term
-from taut.control.lawside import HELD, TOLD, LawSide, Probe
+from taut.control.lawside import HELD, KNOWN, LawSide, Probe
 from taut.control.trajectories.reference import Sample
 from taut.maths.snapshot import measurement_shapes
 
@@ -109,7 +109,7 @@ def kernel_of(
     """
     n, probe, sizes = side.arm.n, _probed(side), measurement_shapes(side.arm.n)
     ref_shapes = reference_shapes(side)
-    held = {TOLD: (), HELD: (n,)} if "limits.tau_applied" in probe.shapes else {}
+    held = {KNOWN: (), HELD: (n,)} if "limits.tau_applied" in probe.shapes else {}
     inputs = Block.of({"t": (), "q": (n,), **{name: sizes[name] for name in side.takes}, **ref_shapes, **held})
     outputs: dict[str, tuple[int, ...]] = {"command": (n,)}
     outputs |= {f"terms.{name}": (n,) for name in probe.terms} if record else {}

@@ -14,7 +14,7 @@ from taut.base.errors import UsageError, unknown_name
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.kernel import Kernel
-from taut.control.lawside import HELD, TOLD, LawSide
+from taut.control.lawside import HELD, KNOWN, LawSide
 from taut.controller.kernel import not_finite
 
 __all__ = ["Parameters", "State", "StateMachine", "take_up_change"]
@@ -123,9 +123,9 @@ class StateMachine:
                 require_radians(path, inputs[path], side.arm)
         ref = side.law.reference.of(subtree({path: np.array(value) for path, value in inputs.items()}, "ref"))
         side.check_start(inputs["q"].copy(), self.kernel.blocks.views("parameters"), ref)
-        if TOLD in inputs:
+        if KNOWN in inputs:
             known = self._torque_at_start
-            inputs[TOLD][...] = known is not None
+            inputs[KNOWN][...] = known is not None
             inputs[HELD][...] = 0.0 if known is None else known
         self.kernel.start()
         self._last = None

@@ -332,7 +332,7 @@ class Snapshot:
         )
 
     def turned(self, R: Rotation, frame: str | None = None) -> Snapshot:
-        """The same state, with the motion of a frame told in axes that are turned by R about its origin.
+        """The same state, with the motion of a frame in axes that are rotated by R about its origin.
 
         Its pose is the same, its twist and Jacobian are those of here times R^T: what a constraint sees that is
         turned by R.

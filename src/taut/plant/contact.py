@@ -246,8 +246,8 @@ class Contacts:
                 yield place.contact, touch
 
     @property
-    def felt(self) -> bool:
-        """Whether a sensor at the wrist feels any of it."""
+    def measured(self) -> bool:
+        """Whether a sensor at the wrist measures any of it."""
         return any(self.at_tool(place) for place in self.places)
 
     def at_tool(self, place: Place) -> bool:

@@ -16,10 +16,10 @@ from taut.plant.contact import CLOSED, Contacts
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL
 
-__all__ = ["TOLD", "ContactStep", "contact_start", "contact_step"]
+__all__ = ["REPORTED", "ContactStep", "contact_start", "contact_step"]
 
 Values = Mapping[str, Any]
-TOLD: Final = ("lam", "on", "drift", "correction", "slip")
+REPORTED: Final = ("lam", "on", "drift", "correction", "slip")
 """What a run records of contacts, by name below "contact"."""
 SHUT: Final = 1e-12  # [m | rad] a gap below this is none
 LIES_DOWN: Final = 0.02  # [s] in which the tilt that a face lands with is gone to 1/e
@@ -59,12 +59,12 @@ class _Here:
         tangents: list[Matrix] = []
         for place in contacts.places:
             rows = place.piece.at(x)
-            felt = contacts.at_tool(place)
-            away = x.T(place.frame[0]).p - x.T().p if felt and place.frame[0] is not None else None
+            measured = contacts.at_tool(place)
+            away = x.T(place.frame[0]).p - x.T().p if measured and place.frame[0] is not None else None
             for j, i in enumerate(place.rows):
                 phi[i], moves[i], bias[i] = rows.phi[j], rows.phi_t[j], rows.bias[j]
                 B[i] = rows.A_q[j]
-                if felt and rows.A is not None:
+                if measured and rows.A is not None:
                     A[i] = _about_tool(rows.A[j], away)
             for touch in place.touch:
                 if not touch.tangents:
@@ -79,7 +79,7 @@ class _Here:
                     B[i], bias[i] = e @ J[:3], e @ falling[:3]
                 if touch.spin is not None:
                     B[touch.spin], bias[touch.spin] = (gradient / size) @ J[3:], (gradient / size) @ falling[3:]
-                if felt:
+                if measured:
                     arms[len(scale)] = np.zeros(3) if away is None else away
                 scale.append(size)
                 tangents.append(across)
@@ -185,7 +185,7 @@ def contact_step(
         W_end, final, there.scale, [acts[touch.normal] for touch in touches], list(so_far), rub=True
     )
     v_new = v_base + sol_end @ total
-    # What is told of it. A gap that closes in the step shows its impulse.
+    # What is reported of it. A gap that closes in the step shows its impulse.
     closes = [both(opposite(on[i]), acts[i]) for i in range(k)]
     for _, touch in contacts.rubbing:
         closes += [closes[touch.normal]] * len(touch.rubs)

@@ -104,8 +104,8 @@ class Motion:
         wrench: Array | None = parameters.get(WRENCH)
         touched: dict[str, Any] = {}
         if self.environment is not None:
-            felt, touched = self.touch(q, v, memory, parameters, t, dt)
-            wrench = felt if wrench is None else felt + wrench
+            contact_wrench, touched = self.touch(q, v, memory, parameters, t, dt)
+            wrench = contact_wrench if wrench is None else contact_wrench + wrench
         return wrench, joint_forces(self.model, q, wrench, parameters), touched
 
     @staticmethod
@@ -162,8 +162,8 @@ class Motion:
                 done = done + 0.5 * (moved.contact.impulse @ (v + moved.v))
                 out["t"] = t + dt
                 if "F_ext" in memory:
-                    felt = moved.contact.wrench
-                    out["F_ext"] = felt if wrench is None else wrench + felt
+                    contact_wrench = moved.contact.wrench
+                    out["F_ext"] = contact_wrench if wrench is None else wrench + contact_wrench
         if WORK_OF_IT in memory:
             out[WORK_OF_IT] = memory[WORK_OF_IT] + done
         out |= {**moved.memory, "q": moved.q, "v": moved.v}
@@ -206,7 +206,7 @@ class Motion:
         after: dict[str, Any] = {}
         f, at_rest = np.zeros(self.arm.n), np.zeros(self.arm.n)
         if limits is not None and train.rigid:
-            # What rigid contacts bear, friction takes as of the last step; these then act with what it is.
+            # The forces of rigid contacts, friction takes as of the last step; these then act with what it is.
             slowed = v_new
             if borne is not None:
                 slowed = v_new + dt * factors.solve(borne)

@@ -26,7 +26,7 @@ from taut.maths.friction import SWEEPS
 from taut.maths.model import Model, model_of
 from taut.maths.snapshot import Snapshot
 from taut.plant.contact import Contacts, RigidContact, each_contact
-from taut.plant.contact_step import TOLD, contact_start
+from taut.plant.contact_step import REPORTED, contact_start
 from taut.plant.drives import drive
 from taut.plant.drives.actuation import Actuation, delayed
 from taut.plant.drives.drivetrain import Drivetrain, FrictionLaw
@@ -211,7 +211,7 @@ class RigidPlant:
     @property
     def touched(self) -> bool:
         """Whether a sensor at the wrist has anything to feel."""
-        return self.environment is not None or (self.contacts is not None and self.contacts.felt)
+        return self.environment is not None or (self.contacts is not None and self.contacts.measured)
 
     @cached_property
     def _work_parts(self) -> tuple[str, ...]:
@@ -355,7 +355,7 @@ class RigidPlant:
         return out
 
     def _more_steps(self, more: float) -> str:
-        """The way out of steps that are so many times too long."""
+        """How to fix steps that are so many times too long."""
         return f"{math.ceil(more * self.substeps * (1.0 - 1e-9))} substeps"
 
     def measure(self, memory: Values, noise: Values, parameters: Values) -> dict[str, Any]:
@@ -368,8 +368,8 @@ class RigidPlant:
 
         F_ext, friction_residual and contact.* are those of that step, work.* what was done until the tick.
         """
-        told = ("F_ext", "friction_residual", *(f"contact.{name}" for name in TOLD))
-        out = {name: after[name] for name in told if name in after}
+        reported = ("F_ext", "friction_residual", *(f"contact.{name}" for name in REPORTED))
+        out = {name: after[name] for name in reported if name in after}
         return out | {name: value for name, value in before.items() if name.startswith("work.")}
 
     def command(self, command: Vector, memory: Values, t: Any) -> dict[str, Any]:

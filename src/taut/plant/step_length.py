@@ -75,8 +75,8 @@ def require_short_contact(
 ) -> None:
     """Refuse steps that are too long for a ready-made environment, at the start of a run.
 
-    A swing of omega with a damping delta, both felt at the beginning of a step, is stable in semi-implicit Euler
-    while omega^2 dt^2 + 2 delta dt < 4. Half of that is let through, since the tool's inertia changes on its way.
+    An oscillation of omega with damping delta, both taken at the beginning of a step, is stable in semi-implicit
+    Euler while omega^2 dt^2 + 2 delta dt < 4. Half of that is let through, since the tool's inertia changes.
 
     Args:
         environment: What touches the tool.
@@ -99,7 +99,7 @@ def require_short_contact(
     if fast <= 1.0 + 1e-9:
         return
     raise RangeError(
-        f"environment: what touches the tool swings at {omega:.3g} rad/s and is braked at {damping:.3g} 1/s, too "
+        f"environment: what touches the tool oscillates at {omega:.3g} rad/s and is braked at {damping:.3g} 1/s, too "
         f"fast for steps of {dt:g} s; give the plant {way_out(fast)}, or a softer environment",
         name="environment",
     )
@@ -154,7 +154,7 @@ def _check_torque_loop(arm: Arm, p: Values, share: Float64Array, dt: float, way_
 
 
 def _check_springs(arm: Arm, joints: list[int], p: Values, both: Float64Array, dt: float, way_out: WayOut) -> None:
-    """The swing of motor against link, whose accelerations per torque are `both` together."""
+    """The oscillation of motor against link, whose accelerations per torque are `both` together."""
     K, D = p["stiffness"][joints], p["damping"][joints]
     omega = np.sqrt(K * both)
     fast = np.maximum(omega, 2.0 * D * both) * dt
@@ -162,7 +162,7 @@ def _check_springs(arm: Arm, joints: list[int], p: Values, both: Float64Array, d
     if fast[i] <= 1.0:
         return
     raise RangeError(
-        f"the transmission of joint '{arm.joint_names[joints[i]]}' swings at {omega[i]:.3g} rad/s, too fast "
+        f"the transmission of joint '{arm.joint_names[joints[i]]}' oscillates at {omega[i]:.3g} rad/s, too fast "
         f"for steps of {dt:g} s; give the plant {way_out(fast[i])}, a softer spring or less damping",
         name="stiffness",
     )

@@ -95,7 +95,7 @@ class FusedRun:
         before = self._values.copy() if side.blends(new) else None
         for path, value in new.items():
             views[path][...] = value
-            if before is not None and path not in side.parameters:  # what happens to the plant is felt at once
+            if before is not None and path not in side.parameters:  # what happens to the plant acts at once
                 self._parameters.views(before)[path][...] = value
         return before
 

@@ -59,7 +59,7 @@ def _limits(arm: Arm) -> dict[str, dict[str, float]]:
 def _of_law(law: Law | Task, model: Model, x: Snapshot) -> dict[str, Any]:
     frame = law.controlled_frame
     out: dict[str, Any] = {TOOL: Chain.of(model, frame).json()}
-    felt = None
+    impedance = None
     if isinstance(law, Law) and frame in (None, model.arm.tool):  # F_ext is taken at the arm's tool
-        felt = felt_impedance(law, x)
-    return out if felt is None else out | {IMPEDANCE: felt.json()}
+        impedance = felt_impedance(law, x)
+    return out if impedance is None else out | {IMPEDANCE: impedance.json()}

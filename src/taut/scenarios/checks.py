@@ -285,8 +285,8 @@ def _check_event(scenario: Scenario, event: Event, side: LawSide, table: Table, 
                 plant.checked_parameter(path, value)
             else:
                 whose = "the loop" if len(scenario.laws) == 1 else f"the loop of the law '{label}'"
-                told = unknown_name(whose, "parameter", path, [*side.parameters, *plant.parameters])
-                raise table.error(f": {told}", "set")
+                refusal = unknown_name(whose, "parameter", path, [*side.parameters, *plant.parameters])
+                raise table.error(f": {refusal}", "set")
 
 
 def _parts(law: Law | Task | None) -> int:

@@ -160,7 +160,7 @@ def grade(
 
     Both run on the experiment. A figure passes within the tolerance of the reference's, above or below. Then both
     get the states of the reference's own run, tick by tick: the largest difference of their commands there passes
-    within the tolerance of the reference's largest command, and is told with joint, time, and the terms that differ.
+    within the tolerance of the reference's largest command, and is reported with joint, time and terms that differ.
 
     Args:
         law: A law, or its text.
@@ -181,8 +181,8 @@ def grade(
         TautError: As of `taut.compare`.
 
     Example:
-        >>> told = grade("PID(kp=3, kd=2)", "PID(kp=2.205, kd=2)", "one_joint_pid")
-        >>> told.ok, told.wrong_term, round(told.terms[0].size / told.terms[0].reference - 3 / 2.205 + 1, 9)
+        >>> graded = grade("PID(kp=3, kd=2)", "PID(kp=2.205, kd=2)", "one_joint_pid")
+        >>> graded.ok, graded.wrong_term, round(graded.terms[0].size / graded.terms[0].reference - 3 / 2.205 + 1, 9)
         (False, 'P', 0.0)
     """
     _check_options(None, {"parameters": parameters})

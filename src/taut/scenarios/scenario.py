@@ -287,7 +287,7 @@ def scenario_file(name: str) -> Path:
 
 
 def _refuse_other_files(path: Path) -> None:
-    """A file of another kind is told what it is, not that no scenario has its name."""
+    """A file of another kind is refused by its kind, not that no scenario has its name."""
     if os.path.isdir(path):  # noqa: PTH112  (long names)
         raise FileError(f"'{path}' is a folder; name a scenario in it, a .toml file", name=str(path))
     if path.suffix.lower() == ".toml" or not os.path.isfile(path):  # noqa: PTH113

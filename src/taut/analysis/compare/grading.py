@@ -326,7 +326,7 @@ def _commands(name: str, law: Law, setting: Setting, run: Run) -> dict[str, Floa
         if bad.size:
             raise UsageError(
                 "its command is not finite in the states of the reference's run, from "
-                f"t = {run.t[bad[0]]:g} s on; let it bear them",
+                f"t = {run.t[bad[0]]:g} s on; it must be finite there",
                 name=name,
             )
     return {"command": rows["command"], **subtree(rows, "terms")}

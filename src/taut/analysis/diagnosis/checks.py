@@ -553,7 +553,7 @@ CHECKS: Final = (
         test=partial(load, name="gravity compensated twice"),
         needs=("length", "torque", "model"),
         thresholds=(
-            _t("smallest load", 0.05, "of gravity", "a smaller load is not told from the errors of a model"),
+            _t("smallest load", 0.05, "of gravity", "a smaller load cannot be distinguished from model errors"),
         ),
         cause="the plant compensates gravity itself, and the law does so again: the feedback holds the difference",
         remedy="compile with adds=plant.adds (or adds={{'gravity'}}), or take a law without gravity, such as PID",

@@ -85,16 +85,16 @@ def _native_torques(arm: Arm) -> Callable[..., Float64Array]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ArmModel:
-    """The arm that the controller believed in, with the payload that it was told, along a run."""
+    """The arm that the controller believed in, with the payload that was declared to it, along a run."""
 
     run: Run
     arm: Arm
 
     @cached_property
     def payloads(self) -> Float64Array:
-        """(k, 10) mass [kg], centre [m] and inertia [kg m^2] that the law was told, at every tick.
+        """(k, 10) mass [kg], centre [m] and inertia [kg m^2] declared to the law, at every tick.
 
-        The log has what it was told at the start, and when that was changed.
+        The log has the declared payload at the start, and when it was changed.
         """
         out = np.zeros((len(self.run), 10))
         sets: list[tuple[float, Mapping[str, Any]]] = [(-np.inf, self.run.info.get("parameters", {}))]
@@ -106,7 +106,7 @@ class ArmModel:
         return out
 
     def payload(self, tick: int = -1) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """Mass [kg], centre (3,) [m] and inertia (6,) [kg m^2] that the law was told."""
+        """Mass [kg], centre (3,) [m] and inertia (6,) [kg m^2] declared to the law."""
         row = self.payloads[tick]
         return np.array(row[0]), row[1:4].copy(), row[4:].copy()
 

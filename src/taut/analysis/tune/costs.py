@@ -174,7 +174,7 @@ def traced(cost: Callable[[Any], Any]) -> Callable[[Any], Any]:
         UsageError: It raises what is no error of taut's.
     """
 
-    def told(tick: Any) -> Any:
+    def checked(tick: Any) -> Any:
         try:
             return cost(tick)
         except TautError:
@@ -186,7 +186,7 @@ def traced(cost: Callable[[Any], Any]) -> Callable[[Any], Any]:
                 name="cost",
             ) from wrong
 
-    return told
+    return checked
 
 
 def largest(rows: Float64Array, limits: Float64Array) -> float:

@@ -44,7 +44,7 @@ class TangentLoop:
     """A loop with the derivative of its cost and torques by parameters, compiled once.
 
     Exact, as automatic differentiation is: through law, sensing, limits, drives and arm, with the noise of a seed as
-    it is. A kink has the derivative of the side that it is on.
+    it is. A non-smooth point has the derivative of the branch that it is on.
 
     Args:
         loop: The loop.

@@ -118,15 +118,17 @@ class Space:
 
     def at_bounds(self, values: Mapping[str, Float64Array]) -> list[str]:
         """A sentence for each parameter that a bound holds."""
-        x, k, told = self.inside(np.concatenate([np.ravel(values[path]) for path in self.paths])), 0, []
+        x, k, sentences = self.inside(np.concatenate([np.ravel(values[path]) for path in self.paths])), 0, []
         for path, shape in self.shapes.items():
             here = x[k : k + int(np.prod(shape))]
             k += len(here)
             for which, there in (("low", here <= AT_BOUND), ("high", here >= 1.0 - AT_BOUND)):
                 some = "" if there.all() else f"[{', '.join(str(i) for i in np.flatnonzero(there))}]"
                 if there.any():
-                    told.append(f"{path}{some} ends at the {which} bound; bounds={{'{path}': (low, high)}} moves it")
-        return told
+                    sentences.append(
+                        f"{path}{some} ends at the {which} bound; bounds={{'{path}': (low, high)}} moves it"
+                    )
+        return sentences
 
     def slopes(self, x: Float64Array) -> Float64Array:
         """(m,) how fast the values grow with x."""

@@ -49,7 +49,7 @@ class Admittance(Law):
                   model="measured", the chapter's form: they are those measured in this tick
     Closed loop:  D V-dot + B V + K X = F_ext                                                       eq. 10.48
                   model="own": of the model exactly, at any rate; of the tool as far as the inner law follows it. Its
-                    lag t turns the impedance Z(j w) by w t: a mass is felt as D cos(w t) with damping -w D sin(w t)
+                    lag t turns the impedance Z(j w) by w t: the apparent mass is D cos(w t), damped by -w D sin(w t)
                   model="measured": of the tool, where the inner law gives torques and its model is exact. What that
                     model and friction do not know adds to F_ext, and nothing draws the tool back: with K = 0 it
                     drifts. Held over a tick it needs B above K dt / 2
@@ -343,7 +343,7 @@ def integrated(model: Model, frame: GainFrame, body: Body, ref: TaskMotion, F: W
 
     Where D or K differ between directions that turn, the midpoint rule is off by the third order of dt. What would be
     energy out of nothing is taken from the velocity; if that is not enough, as it may be where a tick is longer than
-    the swing, the body stays where it is.
+    the oscillation, the body stays where it is.
 
     Args:
         model: Mass, damper and spring.

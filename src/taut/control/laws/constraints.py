@@ -120,7 +120,7 @@ def check_place(constraint: Constraint, x: Snapshot, tolerance: float) -> None:
 
 
 def check_forces(constraint: Constraint, x: Snapshot, ref: Reference, *, later: bool = False) -> None:
-    """The forces of a reference are such as the constraint can bear.
+    """The forces of a reference are admissible.
 
     Args:
         constraint: The constraint.
@@ -190,8 +190,8 @@ def _check_range(A: Float64Array, F: Float64Array, one_sided: Sequence[bool], wh
     rest = F - A.T @ lam
     if np.linalg.norm(rest) > OUT_OF_RANGE * size:
         raise RangeError(
-            f"F_app must lie in the range of A^T, for the constraint bears nothing else; of {_shown(F, size)} it can "
-            f"bear {_shown(F - rest, size)}{when}, and not {_shown(rest, size)}",
+            f"F_app must lie in the range of A^T, for the constraint admits nothing else; of {_shown(F, size)} it "
+            f"admits {_shown(F - rest, size)}{when}, and not {_shown(rest, size)}",
             name="F_app",
         )
     _check_pressed(
@@ -221,10 +221,10 @@ def _shown(F: Float64Array, size: float) -> str:
 def check_motion(
     constraint: Constraint, x: Snapshot, ref: Reference, tool: str | None, tolerance: float, *, later: bool = False
 ) -> None:
-    """A motion that is known before it is followed keeps to the constraint, which bears F_app all the way.
+    """A motion that is known before it is followed keeps to the constraint, which admits F_app all along.
 
     It is a motion of the link that is constrained: of a chunk its samples are looked at, of a trajectory 64 instants.
-    Against a row of velocities, such as that of a wheel, what counts is how far it goes: the integral of A V.
+    Against a row of velocities, such as that of a wheel, its distance matters: the integral of A V.
 
     Args:
         constraint: The constraint.
@@ -386,7 +386,7 @@ def asked_pose(x: Snapshot, frame: str | None, ref: TaskMotion, tool: str | None
 
 
 def felt_along(x: Snapshot, rows: ConstraintRows, frame: str | None) -> Snapshot:
-    """The same snapshot, whose F_ext is without what the constraint bears: friction along it, and a hand that pushes.
+    """The same snapshot, whose F_ext is without the constraint's reaction: friction along it, and a hand that pushes.
 
     A law that answers F_ext with an acceleration, such as an `Impedance` with an inertia D, would answer the force of
     the contact as well, and P would make of that a motion along the contact.

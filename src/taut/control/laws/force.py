@@ -69,7 +69,7 @@ class ForceControl(Law):
                     damper that a torque held over a tick can be
     Closed loop:  (I + kfp) F_e + kfi int(F_e) = D V + what g does not know: at rest F_e decays with the pole
                     -kfi / (1 + kfp), to nothing whatever is wrong with g              eq. 10.36, 10.37 corrected
-                  on a contact of stiffness k and damping b the arm swings as m s^2 + c s + (1 + kfp) k with
+                  on a contact of stiffness k and damping b the arm oscillates as m s^2 + c s + (1 + kfp) k with
                     c = D + (1 + kfp) b - kfp k lag, which needs c > 0 and kfi < (1 + kfp) c / m; the lag is
                     dt / 2 of the hold and the age of the measured force
                   on a rigid contact, with a force that is a tick old, stable where kfp + kfi dt / 2 < 1
@@ -312,7 +312,7 @@ def misses(asked: Any, along: Any, least: Any) -> Any:
     Args:
         asked: The size of what is asked for [N, N m].
         along: What is there times what is asked for, as a dot product.
-        least: What counts as contact.
+        least: Threshold of contact.
     """
     return tm.where(asked > least, tm.where(along < least * asked, 1.0, 0.0), 0.0)
 
@@ -329,11 +329,11 @@ def taken_back(share: Any, missing: Any, patience: Any, dt: Any) -> Any:
     return tm.clip(share + tm.where(missing > 0.5, -step, step), 0.0, 1.0)
 
 
-UNBORNE: Final = 0.01  # of a wrench, outside the range of A^T, is told
+UNBORNE: Final = 0.01  # of a wrench, outside the range of A^T, is reported
 PULL: Final = 1e-6  # [N, N m] of a multiplier that is no rounding
-GENTLE: Final = 2.0  # times what counts as contact, with which a surface that was lost is still pressed for
+GENTLE: Final = 2.0  # times the threshold of contact, with which a surface that was lost is still pressed for
 BRAKING: Final = 0.02  # [s] in which motion against a surface that was lost is braked
-SWINGS: Final = 4  # ticks in which the error of a force turns round, one after the other, before that is told
+MAX_REVERSALS: Final = 4  # ticks in which the error of a force reverses, one after the other, before that is reported
 
 
 def per_row(constraint: Constraint, pair: tuple[float, float]) -> Float64Array:
@@ -352,7 +352,7 @@ def asked_multipliers(constraint: Constraint, rows: ConstraintRows, ref: HybridM
     """(k,) the multipliers that are asked for, and 1 where some of it cannot be borne, else 0.
 
     What cannot be borne is not in them: press where the first row is no surface, a part of F_app outside the range of
-    A^T. A pull at a contact is told too.
+    A^T. A pull at a contact is reported too.
     """
     k, F = rows.count, ref.F_app
     lam: Vector = ref.lam[:k]
@@ -375,7 +375,7 @@ def asked_multipliers(constraint: Constraint, rows: ConstraintRows, ref: HybridM
 
 
 def missed(rows: ConstraintRows, wanted: Vector, measured: Vector, least: Vector) -> list[Any]:
-    """(k,) of each row, 1 where a contact is pressed and does not bear it, else 0: what holds both ways is there."""
+    """(k,) of each row, 1 where a contact is pressed and gives way, else 0: a two-sided one is there."""
     out: list[Any] = [0.0] * rows.count
     for row in _contacts(rows):
         out[row] = misses(-wanted[row], measured[row] * wanted[row], least[row])
@@ -400,12 +400,12 @@ def braking(rows: ConstraintRows, rate: Vector, share: Vector, dt: Any) -> Vecto
 
 
 def swung(e: Vector, last: Vector, turned: Any, least: Vector) -> dict[str, object]:
-    """Memory: the error, in how many ticks it has turned round one after the other, and 1 where those are many."""
+    """Memory: the error, in how many ticks it has reversed one after the other, and 1 where those are many."""
     round_: Any = -np.inf
     for old, new, size in zip(last, e, least, strict=True):
         round_ = tm.maximum(round_, -old * new - size * size)
     turned = tm.where(round_ > 0.0, turned + 1.0, 0.0)
-    return {"e_last": e, "reversals": turned, "swings": tm.where(turned > SWINGS - 0.5, 1.0, 0.0)}
+    return {"e_last": e, "reversals": turned, "oscillates": tm.where(turned > MAX_REVERSALS - 0.5, 1.0, 0.0)}
 
 
 def _contacts(rows: ConstraintRows) -> list[int]:

@@ -167,7 +167,7 @@ class RaisedGains(Law):
         if factor * largest > rate:
             raise RangeError(
                 f"tracking of a law whose gains are raised must be at most the rate over the factor, "
-                f"{rate / factor:g} [1/s], or its integral would swing near rest; got {largest:g}",
+                f"{rate / factor:g} [1/s], or its integral would oscillate near rest; got {largest:g}",
                 name="inner.tracking",
                 value=largest,
             )

@@ -84,7 +84,7 @@ class HybridMotionForce(Law):
                     of a tool in a closed chain, in the directions that the chain leaves to it: the term `chain`
                   against them lam = F_force's, in a rigid contact: (1 + kfp) lam_e + kfi int(lam_e) = const, with the
                     pole -kfi / (1 + kfp), not the -kfi / kfp of eq. 10.36; the measured force is a tick old, so that
-                    kfp + kfi dt / 2 < 1, or the loop swings up; a RigidPlant refuses it, elsewhere a run tells
+                    kfp + kfi dt / 2 < 1, or the loop is unstable; a RigidPlant refuses it, elsewhere a run reports
                   with curvature=False lam is off by S A-dot V: m v^2 / r on a surface of radius r
 
     lam_meas is (A A^T)^-1 A F_app of the wrist sensor: friction along a surface at the tool's origin does not count
@@ -104,7 +104,7 @@ class HybridMotionForce(Law):
     and contact that is there again is taken up within the patience.
 
     The outcome of a run tells too where a motion was asked for that is off the constraint by more than the tolerance,
-    which is followed along it only, and a force that it does not bear, of which only the rest is applied.
+    which is followed along it only, and an inadmissible force, of which only the rest is applied.
 
     Frames:
         The constraint is in world axes; what it says of the tool is said at the tool's origin.
@@ -165,7 +165,7 @@ class HybridMotionForce(Law):
     bounded = Memory(notice="the integral of the force error was at its bound e_int_max")
     e_last = Memory(unit="N, N m", doc="error of the force a tick ago")
     reversals = Memory(doc="ticks in which it changed its sign, one after the other")
-    swings = Memory(
+    oscillates = Memory(
         notice="the force error changed its sign in every tick, as it does where kfp + kfi dt / 2 is not under 1 "
         "at a rigid contact,"
     )
@@ -174,7 +174,7 @@ class HybridMotionForce(Law):
         notice="the motion asked for, off the constraint by more than the tolerance, was followed only along it"
     )
     dependent = Memory(notice="rows of the constraint said the same as later ones, and were left out")
-    unborne = Memory(notice="a part of the force asked for, which the constraint does not bear, was left out")
+    unborne = Memory(notice="a part of the force asked for, which the constraint does not admit, was left out")
 
     def check(self) -> None:
         motion = self.motion
@@ -237,7 +237,7 @@ class HybridMotionForce(Law):
         """The run starts on the constraint, forces can be applied against it, and the motion keeps to it.
 
         Raises:
-            RangeError: A start or a motion off the constraint, a force that no contact can bear.
+            RangeError: A start or a motion off the constraint, a force that no contact admits.
         """
         self.check_contact(x, ref)
         check_motion(self.constraint, x, ref, self.motion.controlled_frame, self.tolerance)
@@ -246,7 +246,7 @@ class HybridMotionForce(Law):
         """The same of a phase that begins elsewhere, as far as it is known: the motion keeps to the constraint.
 
         Raises:
-            RangeError: A motion off the constraint, a force that the contact cannot bear at any place.
+            RangeError: A motion off the constraint, a force that the contact admits at no place.
         """
         self.check_contact(x, ref, later=True)
         check_motion(self.constraint, x, ref, self.motion.controlled_frame, self.tolerance, later=True)
@@ -307,7 +307,7 @@ class HybridMotionForce(Law):
                 name="motion",
             )
         lam, of_force = self._multipliers(x, rows, held, ref, memory, dt)
-        falling, curved = held.felt(rows.bias - rows.curvature), held.felt(rows.curvature)
+        falling, curved = held.of_bias(rows.bias - rows.curvature), held.of_bias(rows.curvature)
         force = lam + Terms(force_nonlinear=-falling)
         if self.curvature:
             force = force + Terms(curvature=-curved)
@@ -316,8 +316,8 @@ class HybridMotionForce(Law):
             tau = tau + Terms(
                 chain=held.along(held.brought_along(x, self.motion.controlled_frame, command.terms.total))
             )
-        told = lam.total if self.curvature else lam.total + curved
-        after: dict[str, object] = {"motion": motion, "lam": told, "phi": rows.phi, **of_force}
+        multipliers = lam.total if self.curvature else lam.total + curved
+        after: dict[str, object] = {"motion": motion, "lam": multipliers, "phi": rows.phi, **of_force}
         after |= self._astray(x, ref.motion, memory.slipped + tm.zeros(rows.count), dt, estimated=estimated)
         after["dependent"] = tm.array([tm.where(gone, 1.0, 0.0) for gone in held.mobility.dropped])
         return Torque(tau), after
@@ -329,8 +329,8 @@ class HybridMotionForce(Law):
             return x, motion
         assert self.constraint.frame is not None
         (frame,) = self.constraint.frame
-        felt = felt_along(x, rows, frame) if of_one_body(self.constraint, x, None) else x
-        return felt, along_constraint(x, rows, frame, motion, tool)
+        seen = felt_along(x, rows, frame) if of_one_body(self.constraint, x, None) else x
+        return seen, along_constraint(x, rows, frame, motion, tool)
 
     def _astray(self, x: Snapshot, motion: Sample, slipped: Vector, dt: Any, *, estimated: bool) -> dict[str, object]:
         """1 where the motion asks for what is off the constraint by more than the tolerance, else 0.
@@ -353,7 +353,9 @@ class HybridMotionForce(Law):
     ) -> tuple[Terms, dict[str, object]]:
         """(k,) the multipliers to apply, as terms; and the memory of the force after this tick."""
         zero = tm.zeros(rows.count)
-        after: dict[str, object] = {name: getattr(memory, name) for name in ("alone", "lost", "reversals", "swings")}
+        after: dict[str, object] = {
+            name: getattr(memory, name) for name in ("alone", "lost", "reversals", "oscillates")
+        }
         after |= {name: getattr(memory, name) + zero for name in ("e_int", "e_last", "fraction")}
         wanted, unborne = asked_multipliers(self.constraint, rows, ref)
         after |= {"bounded": memory.bounded, "unborne": unborne}
@@ -385,7 +387,7 @@ class HybridMotionForce(Law):
             )
             lam = lam.up_to(total, "one_sided")
         if self.fades:
-            lam = lam + Terms(lost=held.felt(braking(rows, rows.rate(x.v), memory.fraction + zero, dt)))
+            lam = lam + Terms(lost=held.of_bias(braking(rows, rows.rate(x.v), memory.fraction + zero, dt)))
         return lam, after
 
     def _integral(
@@ -402,9 +404,9 @@ class HybridMotionForce(Law):
         """(k,) the integral after this tick, and 1 where its bound cut it.
 
         It rests where limits cut the force, or a contact would be pulled at, and the error pushes further that way;
-        and where a contact misses that nothing but the integral's rest keeps from being pressed for ever more.
+        and where a contact misses that nothing but the integral's rest keeps from being pressed ever more.
         """
-        cut = held.felt(held.Minv_AT.T @ x.tau_cut)
+        cut = held.of_bias(held.Minv_AT.T @ x.tau_cut)
         grown: Vector = tm.where(cut * e > 0.0, e_int, e_int + e * dt)
         if any(rows.one_sided):
             rests = [

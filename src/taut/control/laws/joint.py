@@ -70,7 +70,7 @@ class FeedForward(Law):
     Closed loop:  M(q) e_ddot = (M(q) - M(q_des)) a_des + h(q, v) - h(q_des, v_des) + f(v), with an exact model
                   near the motion M e_ddot + (dh/dv) e_dot + d(M a_des + h)/dq e = f(v)
                   from an exact start it follows exactly, but for friction
-                  an error swings where the arm hangs, and grows where it stands upright
+                  an error oscillates where the arm hangs, and grows where it stands upright
 
     References:
         Section 10.2.1.2 feedforward control.

@@ -52,8 +52,8 @@ class ViaJointSpace(Law):
                   q_des itself is off by c |q_pred - q*|^2 after one step, c about 1 [1/rad], with q_pred the last
                   solution carried on by v_des and a_des: dt^3/6 times the joints' jerk from what is wanted
 
-    J^-1 is the inverse, with joints to spare the pseudo-inverse, with too few least squares (a radian counts as much
-    as a third of the reach). Joints to spare go to `posture`, where they started if it is left out, at the rate
+    J^-1 is the inverse, for redundant joints the pseudo-inverse, with too few least squares (a radian counts as much
+    as a third of the reach). Redundant joints go to `posture`, where they started if it is left out, at the rate
     `pull`: closed paths of the tool then end as closed paths of the joints.
 
     Limits: a joint goes towards its limit no faster than the way that is left over `rise`; one that would is held to
@@ -293,7 +293,7 @@ def via_joint_space(
         steps: Newton steps in a tick. One is enough where the reference has twist and acceleration.
         tool: The frame that is to follow; the arm's tool if left out.
         directions: "all" six; "position"; "pointing", for tools that may spin: position, and where z points.
-        posture: (n,) where joints to spare go [rad | m]; where they started if left out.
+        posture: (n,) where redundant joints go [rad | m]; where they started if left out.
         pull: How fast they go there [1/s]; 0 leaves them alone.
         damping: Of J J^T at a singularity, as the singular value that it is the square of, without dimension.
         speed: Scalar or (n,), of joints that catch up with a target which jumped [rad/s | m/s].

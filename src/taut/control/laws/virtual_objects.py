@@ -1,6 +1,6 @@
 """Virtual objects: walls, grooves and balls in the air, as laws that add to others.
 
-Each is a spring, whose force is the gradient of its energy and begins from zero at the border, with a damper that
+Each is a spring, whose force is the gradient of its energy and begins from zero at the surface, with a damper that
 acts inside only. What it adds to a law is J^T f, the torque of a force at the tool's origin.
 """
 

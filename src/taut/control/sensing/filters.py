@@ -29,7 +29,7 @@ class Filter(Protocol):
     """What sensing needs of a filter of one measurement."""
 
     def start(self, u: Array) -> dict[str, Any]:
-        """Memory at the first tick, as if u had stood for ever."""
+        """Memory at the first tick, as if u had always been constant."""
         ...
 
     def filtered(self, u: Array, memory: Values, parameters: Values, dt: Any) -> tuple[Array, dict[str, Any]]:
@@ -65,7 +65,7 @@ class LowPass(Declared):
     order: Choice[Literal[1, 2]] = Choice(1, 2)
 
     def start(self, u: Array) -> dict[str, Any]:
-        """Memory at the first tick, as if u had stood for ever."""
+        """Memory at the first tick, as if u had always been constant."""
         return low_pass_start(u, u, self.order)
 
     def filtered(self, u: Array, memory: Values, parameters: Values, dt: Any) -> tuple[Array, dict[str, Any]]:
@@ -101,7 +101,7 @@ class Notch(Declared):
     depth: Field = Field(40.0, unit="dB", shape="n", above=0.0, hint="leave the notch out for none")
 
     def start(self, u: Array) -> dict[str, Any]:
-        """Memory at the first tick, as if u had stood for ever: the last input and its last change, two outputs."""
+        """Memory at the first tick, as if u had always been constant: last input, its change, two outputs."""
         rest = tm.zeros(len(u))
         return {"u": u, "du": rest, "y": rest, "y_prev": rest}
 
@@ -142,7 +142,7 @@ class Notch(Declared):
 
 
 def low_pass_start(u: Array, y: Array, order: int) -> dict[str, Any]:
-    """Memory: the last inputs and outputs, as if u and y had stood for ever."""
+    """Memory: the last inputs and outputs, as if u and y had always been constant."""
     first = {"u": u, "y": y}
     return first if order == 1 else {**first, "u_prev": u, "y_prev": y}
 

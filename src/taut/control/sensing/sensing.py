@@ -141,7 +141,7 @@ class Sensing(Declared):
     # ---------------------------------------------------------------- the pure functions
 
     def start(self, arm: Arm, measured: Values, parameters: Values, payload: PayloadValues) -> dict[str, Any]:
-        """Memory by path at the first tick: as if what is measured then had stood for ever.
+        """Memory by path at the first tick: as if what is measured then had always been constant.
 
         Args:
             arm: The arm.

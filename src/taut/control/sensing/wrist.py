@@ -45,7 +45,7 @@ class Wrist(Declared):
             no weight in them, neither the tool's nor the payload's.
         com: (3,) centre of mass of that tool [m].
         range: (6,) or (force, moment), where the sensor ends [N, N m], infinity for no end. A tick at the end of it
-            is told: column saturated.F_ext of a run and its outcome, `ctrl.sensed`. The law then sees what the
+            is reported: column saturated.F_ext of a run and its outcome, `ctrl.sensed`. The law then sees what the
             sensor gives, which is less than what is there.
         repeats: A reading that is the same in so many ticks in a row is a fault, like NaN: no command leaves the
             tick. For a sensor with noise; None for not to look.

@@ -72,7 +72,7 @@ class Phase:
         otherwise: Where `unless` and `timeout` lead: "stop", or the name or number of a phase.
         then: Where `until` leads: the next phase, and from the last one "stop", if left out.
         name: What it is called, as in the path of a gain: law.approach.kp; phase1, phase2, ... if left out.
-        contact: What counts as contact for a law that needs it: a force [N], or a guard; 1.0 N if left out, and for
+        contact: Threshold of contact for a law that needs it: a force [N], or a guard; 1.0 N if left out, and for
             a law that knows its surface, such as HybridMotionForce, to be on it.
 
     Raises:

@@ -49,7 +49,7 @@ class Constrained:
         out: Vector = self.rows.A_q.T @ lam
         return out
 
-    def felt(self, bias: Vector) -> Vector:
+    def of_bias(self, bias: Vector) -> Vector:
         """(k,) the multipliers that a second rate of phi makes, (A Lambda^-1 A^T)^-1 bias."""
         out: Vector = self.mobility.solve(bias)
         return out
@@ -70,7 +70,7 @@ class Constrained:
 
     def lam(self, tau: Vector) -> Vector:
         """(k,) the multipliers under torques less h, eq. 10.42."""
-        return self.felt(self.Minv_AT.T @ tau + self.rows.bias)
+        return self.of_bias(self.Minv_AT.T @ tau + self.rows.bias)
 
 
 def force_projector(A: Matrix, mobility: Matrix) -> Matrix:

@@ -59,11 +59,11 @@ def driven(
         tau = tau + p["torque_loop.kp"] * error + memory["torque_loop"]
     if actuation.resolution is not None:
         tau = p["resolution"] * tm.floor(tau / p["resolution"] + 0.5)
-    swing: Any = 1.0
+    ripple: Any = 1.0
     if actuation.ripple is not None:
-        swing = 1.0 + p["ripple.amplitude"] * tm.sin(p["ripple.periods"] * arm.gear * q)
+        ripple = 1.0 + p["ripple.amplitude"] * tm.sin(p["ripple.periods"] * arm.gear * q)
     motor = actuation.motor or IDEAL
-    given = motor.step(tau, v, arm.gear, swing, memory, subtree(p, "motor"), p.get("bandwidth"), dt)
+    given = motor.step(tau, v, arm.gear, ripple, memory, subtree(p, "motor"), p.get("bandwidth"), dt)
     after |= given.memory
     if actuation.torque_loop is not None:
         grown = memory["torque_loop"] + p["torque_loop.ki"] * dt * error

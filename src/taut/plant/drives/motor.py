@@ -259,11 +259,15 @@ class ElectricMotor(MotorModel):
         if self.voltage is not None:
             voltage = tm.clip(voltage, -p["voltage"], p["voltage"])
         end = (voltage - emf) / R
-        swing = i - end
-        after = end + swing * left
+        deviation = i - end
+        after = end + deviation * left
         decay = (1.0 - left) * L / R  # integral of exp(-R t / L) over the step [s]
-        charge = end * dt + swing * decay
-        squared = end * end * dt + 2.0 * end * swing * decay + swing * swing * (1.0 - left * left) * (0.5 * L / R)
+        charge = end * dt + deviation * decay
+        squared = (
+            end * end * dt
+            + 2.0 * end * deviation * decay
+            + deviation * deviation * (1.0 - left * left) * (0.5 * L / R)
+        )
         work = {
             "electric": voltage * charge,
             "copper": R * squared,

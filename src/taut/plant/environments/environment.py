@@ -68,7 +68,7 @@ class ReadyEnvironment(Environment, Protocol):
         ...
 
     def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
-        """How fast the tool swings in it [rad/s], and how fast its damping alone brakes the tool [1/s].
+        """Natural frequency of the tool in it [rad/s], and how fast its damping alone brakes the tool [1/s].
 
         Args:
             mobility: (6, 6) acceleration of the tool per wrench, Lambda^-1; zero for a tool that nothing moves.

@@ -68,8 +68,8 @@ class Oscillation(PrescribedMotion):
 
     def value(self, phases: Vector, parameters: Values) -> Vector3:
         """(3,) what is wanted, in world axes."""
-        swing = tm.sin(phases[0] + parameters["phase"])
-        return parameters["amplitude"] * swing + np.zeros(3)  # type: ignore[no-any-return]
+        sine = tm.sin(phases[0] + parameters["phase"])
+        return parameters["amplitude"] * sine + np.zeros(3)  # type: ignore[no-any-return]
 
 
 class BandNoise(PrescribedMotion):
@@ -163,8 +163,8 @@ class Handle(EnvironmentBase):
 
     The handle has a motion of its own, p_h and v_h, and the grip is a stiff spring and damper: a mass that answered
     to the tool's acceleration in the same instant would be an algebraic loop in every engine but one's own. What is
-    felt differs from a rigid grip by (omega / grip)^2, 0.4 % at 20 rad/s. The handle has inertia, and no weight: give
-    that to the arm's payload.
+    measured differs from a rigid grip by (omega / grip)^2, 0.4 % at 20 rad/s. The handle has inertia, and no weight:
+    give that to the arm's payload.
 
     Stable while omega^2 dt^2 + 2 dt delta < 4, with omega^2 = grip^2 (1 + mass / Lambda) + stiffness / mass and
     delta = grip (1 + mass / Lambda); steps with more than 2 are refused.

@@ -48,7 +48,7 @@ class Spring(EnvironmentBase):
                   got, for any stiffness and any way
     Closed loop:  of mass Lambda at the tool, and nothing else: omega^2 = eig(Lambda^-1 stiffness)
 
-    In semi-implicit steps it neither loses nor gains in the long run, but for a swing of its energy by the share
+    In semi-implicit steps it neither loses nor gains in the long run, but its energy oscillates by the fraction
     omega dt / 2; it is stable while omega^2 dt^2 < 4, and steps with more than 2 are refused.
 
     Args:
@@ -120,7 +120,7 @@ class Spring(EnvironmentBase):
         return Declared.changed(self, path, value, name=name)
 
     def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
-        """How fast the tool swings in it [rad/s]; it has no damping."""
+        """Natural frequency of the tool in it [rad/s]; it has no damping."""
         return float(np.sqrt(fastest(mobility, parameters["stiffness"]))), 0.0
 
 
@@ -196,9 +196,9 @@ class StiffWall(EnvironmentBase):
 
     Coulomb friction is one that creeps: below the speed friction N / sliding_damping it is viscous.
 
-    Stable while (stiffness dt^2 + 2 damping dt) / Lambda < 4; steps with more than 2 are refused. A wall that is felt
-    at the beginning of each step only may give back more than it got, at most stiffness (v dt)^2 / 2 in a contact;
-    with damping >= stiffness dt / 2, as for Colgate's sampled wall, it does not.
+    Stable while (stiffness dt^2 + 2 damping dt) / Lambda < 4; steps with more than 2 are refused. A wall that takes
+    the state at the beginning of each step may give back more than it got, at most stiffness (v dt)^2 / 2 in a
+    contact; with damping >= stiffness dt / 2, as for Colgate's sampled wall, it does not.
 
     Args:
         point: (3,) [m] any point of its surface, in world axes.
@@ -259,7 +259,7 @@ class StiffWall(EnvironmentBase):
         return tm.array([*force, 0.0, 0.0, 0.0]), {}
 
     def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
-        """How fast the tool swings in it [rad/s], and how fast it brakes the tool [1/s]."""
+        """Natural frequency of the tool in it [rad/s], and how fast it brakes the tool [1/s]."""
         n = np.asarray(parameters["normal"])
         across, flat = np.zeros((6, 6)), np.zeros((6, 6))
         across[:3, :3] = np.outer(n, n)
