@@ -273,8 +273,7 @@ def _check_start(side: LawSide, plant: AnyPlant) -> None:
             else "acceleration that the controller's speed limit expects"
         )
         raise MatchError(
-            f"plant '{plant.name}' {how}, and the {what} assumes that it does otherwise; compile with "
-            "adds=plant.adds",
+            f"plant '{plant.name}' {how}, contrary to the {what}; compile with adds=plant.adds",
             name=name,
         )
 

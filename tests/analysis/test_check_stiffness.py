@@ -140,7 +140,7 @@ def test_a_damper_of_the_law_helps_in_a_band_and_an_unstable_loop_is_passive_in_
 class WorldSpring(taut.Law):
     """A spring of the tool in world axes: a law of a user's own."""
 
-    K: taut.Gain = taut.Gain(size=3)
+    K: taut.Gain = taut.Gain(shape=3)
 
     def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
         away = x.T().p - x.at(ref.q, ref.v).T().p

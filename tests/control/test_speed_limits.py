@@ -131,11 +131,11 @@ class TestASpeedLimit:
         with pytest.raises(taut.errors.MatchError) as caught:
             taut.run(ctrl, taut.RigidPlant(ARM), duration=0.1)
         assert str(caught.value) == (
-            "plant 'RigidPlant(planar2)' does not add gravity, and the acceleration that the controller's speed limit "
-            "expects assumes that it does otherwise; compile with adds=plant.adds"
+            "plant 'RigidPlant(planar2)' does not add gravity, contrary to the acceleration that the controller's speed "
+            "limit expects; compile with adds=plant.adds"
         )
         with pytest.raises(
-            taut.errors.MatchError, match=r"does not add coriolis, and the acceleration .* says otherwise"
+            taut.errors.MatchError, match=r"does not add coriolis, contrary to the acceleration .* expects"
         ):
             taut.run(ctrl, taut.RigidPlant(ARM, adds=("gravity",)), duration=0.1)
 

@@ -118,14 +118,14 @@ CASES: list[tuple[Callable[[], tuple[taut.Controller, Any]], type[taut.TautError
     (
         lambda: (compiled(PID, limits=RATE), plant(adds=("gravity",))),
         taut.errors.MatchError,
-        "plant 'RigidPlant(planar2)' adds gravity itself, and the torque that the controller starts from says "
-        "otherwise; compile with adds=plant.adds",
+        "plant 'RigidPlant(planar2)' adds gravity itself, contrary to the torque that the controller starts "
+        "from; compile with adds=plant.adds",
     ),
     (
         lambda: (compiled(PID, limits=RATE, adds=("gravity",)), plant()),
         taut.errors.MatchError,
-        "plant 'RigidPlant(planar2)' does not add gravity, and the torque that the controller starts from says "
-        "otherwise; compile with adds=plant.adds",
+        "plant 'RigidPlant(planar2)' does not add gravity, contrary to the torque that the controller starts "
+        "from; compile with adds=plant.adds",
     ),
 ]
 

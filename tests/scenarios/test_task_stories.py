@@ -36,7 +36,7 @@ def at_its_ends(scenario: Scenario) -> Scenario:
     names = list(scenario.cases)
     kept = {name: scenario.cases[name] for name in (names[0], names[-1])}
     figures = tuple(figure for figure in scenario.figures if figure.case is None or figure.case in kept)
-    outputs = dataclasses.replace(scenario.outputs, shown=Trial(names[0], scenario.outputs.shown.law))
+    outputs = dataclasses.replace(scenario.outputs, shown_case=names[0])
     return dataclasses.replace(scenario, cases=kept, figures=figures, outputs=outputs)
 
 

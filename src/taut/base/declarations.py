@@ -275,7 +275,7 @@ class Field(Declaration[Any]):
         raise Refusal(
             RangeError,
             place,
-            f"{rule}{f'; {self.hint}' if self.hint and not 0.0 < abs(number) < math.inf else ''}",
+            f"{rule}{f'; {self.hint}' if self.hint and number in (0.0, math.inf) else ''}",
             number,
             joint,
         )
