@@ -11,8 +11,8 @@ from scipy.optimize import fsolve
 import taut
 from taut.base.types import Float64Array
 from taut.codegen.engine import Steps
-from taut.codegen.layout import Block
 from taut.codegen.loop import StepLoop
+from taut.codegen.program import Block
 from taut.linear.linearise import rest_of
 from taut.linear.loop_map import loop_map
 from taut.linear.margins import scaled_norm

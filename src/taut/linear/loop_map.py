@@ -12,7 +12,7 @@ import numpy as np
 from taut.base.errors import RangeError, UsageError, unknown_name
 from taut.base.types import Float64Array, Vector
 from taut.codegen.engine import Steps
-from taut.codegen.layout import Block
+from taut.codegen.program import Block
 from taut.codegen.tangent import TANGENT, StepTangent, tangent_block
 from taut.linear.period import (
     RESOLUTION,

@@ -18,8 +18,8 @@ import numpy as np
 from taut.arm.description import CommandKind
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
-from taut.codegen.layout import Block
 from taut.codegen.loop import compiled_loop
+from taut.codegen.program import Block
 from taut.control.lawside import LawSide
 from taut.control.trajectories.feed import ReferenceFeed
 from taut.control.trajectories.reference import Hold, Reference

@@ -11,7 +11,7 @@ import numpy as np
 from taut.base.errors import RangeError, UsageError
 from taut.base.types import Float64Array
 from taut.codegen.engine import Steps
-from taut.codegen.layout import Block
+from taut.codegen.program import Block
 from taut.codegen.tangent import TANGENT, StepTangent, tangent_block
 from taut.loop import DT, Loop
 from taut.runtime.fused import FusedRun

@@ -12,8 +12,8 @@ from taut.arm.description import CommandKind, Friction
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.engine import Steps, best_engine
-from taut.codegen.layout import Block
 from taut.codegen.loop import StepLoop
+from taut.codegen.program import Block
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
 from taut.maths.compensation import compensation

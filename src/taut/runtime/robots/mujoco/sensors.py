@@ -11,8 +11,8 @@ from taut.arm.description import Arm
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.engine import Steps, best_engine
-from taut.codegen.layout import Block
 from taut.codegen.loop import StepLoop
+from taut.codegen.program import Block
 from taut.maths.model import model_of
 from taut.plant.sensors.sensors import Sensors
 
