@@ -62,7 +62,7 @@ def tune(
             searched on a logarithmic scale.
         limits: To keep within: `taut.Limits.of(arm)`; None for none.
         chatter: Largest chatter in parts of that at the start: 1.0 for no more; None for any.
-        margin: Least size alpha of the disk margin at the start of the run, 0 to 2 (see `Linearisation.margins`).
+        margin: Least size alpha of the disk margin at the start of the run, 0 to 2 (see `LinearSystem.margins`).
         q0: (n,) where runs start [rad | m]; home, or where a reference of joints starts, if left out.
         seeds: Of the noise in the runs.
         seed: Of the search.
