@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from taut.base.checks import finite_array, finite_scalar, positive_scalar, read_only, require_at_least
+from taut.base.checks import finite_array, non_negative_scalar, positive_scalar, read_only
 from taut.base.errors import RangeError, ShapeError, UsageError, missing_extra, unknown_name
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
@@ -27,7 +27,7 @@ from taut.linear.step_response import StepInfo, step_response
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["LinearSystem", "Mode", "OperatingPoint", "names"]
+__all__ = ["Complex", "LinearSystem", "Mode", "OperatingPoint", "balancing", "names"]
 
 Complex = NDArray[np.complex128]
 BALANCING: Final = 12  # sweeps
@@ -204,7 +204,8 @@ class LinearSystem(Result):
         A position that nothing moves is a vector of the null space of A - I (of A in continuous time). Without that
         space, a pole that still is at z = 1 is one that drifts, so that a multiple pole needs no tolerance.
         """
-        A = _balanced(self.A)
+        scale = balancing(self.A)
+        A = self.A * scale / scale[:, np.newaxis]
         change = A - np.eye(len(A)) if self.dt else A
         _, sizes, rows = np.linalg.svd(change)
         free = int((sizes <= SINGULAR * max(float(sizes.max(initial=0.0)), float(self.dt is not None))).sum())
@@ -352,8 +353,7 @@ class LinearSystem(Result):
         if self.dt is not None:
             raise UsageError(f"the system is sampled already, with the period {self.dt:g} s", name="dt")
         dt = positive_scalar("dt", dt, unit="s")
-        delay = finite_scalar("delay", delay, unit="s")
-        require_at_least("delay", np.array(delay), 0.0, unit="s")
+        delay = non_negative_scalar("delay", delay, unit="s")
         n, m = self.B.shape
         whole = int(np.floor(delay / dt + WHOLE))
         fraction = delay / dt - whole if delay / dt - whole > WHOLE else 0.0
@@ -704,8 +704,8 @@ def _eigenvalues(A: Float64Array) -> Complex:
     return np.array([far, float(a * d - b * c) / far], dtype=np.complex128)
 
 
-def _balanced(A: Float64Array) -> Float64Array:
-    """A in units of its states in which rows and columns have one size (Osborne): rounding is of all alike."""
+def balancing(A: Float64Array) -> Float64Array:
+    """(n,) units of the states in which rows and columns of A have one size (Osborne): rounding is of all alike."""
     scale = np.ones(len(A))
     for _ in range(BALANCING):
         sizes = np.abs(A * scale / scale[:, np.newaxis])
@@ -713,7 +713,7 @@ def _balanced(A: Float64Array) -> Float64Array:
         rows, columns = sizes.sum(axis=1), sizes.sum(axis=0)
         both = (rows > 0.0) & (columns > 0.0)
         scale[both] *= np.exp2(np.round(0.5 * np.log2(rows[both] / columns[both])))
-    return A * scale / scale[:, np.newaxis]
+    return scale
 
 
 def _places(kind: str, name: str, known: Sequence[str]) -> list[int]:
