@@ -17,8 +17,8 @@ from taut.book.link import controller, on_link
 from taut.book.page import Entry, Page, row
 from taut.book.single_joint import ConstantTorque
 from taut.control.trajectories.reference import JointMotion
-from taut.maths.gearing import rotor_share
 from taut.maths.snapshot import snapshot
+from taut.maths.task_inertia import rotor_share
 
 __all__ = ["ENTRIES"]
 
