@@ -30,6 +30,8 @@ from taut.maths.snapshot import snapshot
 from taut.plant.environments.hands import Handle
 from taut.runtime.simulate import run
 
+__all__: list[str] = []
+
 HERTZ: Final = 0.5, 5.0
 KP, KD = 400.0, 40.0  # [1/s^2], [1/s] of motion control
 KFP, KDAMP = 2.0, 50.0  # [1], [N s/m] of force control

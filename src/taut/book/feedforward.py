@@ -41,6 +41,8 @@ from taut.control.trajectories.reference import JointMotion
 from taut.maths.snapshot import snapshot
 from taut.record.run import Run
 
+__all__: list[str] = []
+
 LINE_BY_LINE: Final = "the pseudocode, line by line"
 STATE: Final = JointMotion(q=[0.9], v=[0.5], a=[-1.2])  # desired, chosen
 THETA, V = 0.7, 1.3  # [rad], [rad/s] actual, chosen

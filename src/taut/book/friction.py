@@ -29,6 +29,8 @@ from taut.record.run import Run
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+__all__: list[str] = []
+
 
 STATIC, KINETIC, VISCOUS, STRIBECK = 0.5, 0.3, 0.2, 0.1  # [N m], [N m], [N m s/rad], [rad/s] chosen
 LAWS: Final = {

@@ -26,6 +26,8 @@ from taut.plant.contact import RigidContact
 from taut.record.run import Run
 from taut.trace.pose import Pose
 
+__all__: list[str] = []
+
 HEIGHT: Final = 0.4  # [m] of the board
 BY_HAND: Final = "the equation in NumPy, with MuJoCo's M, h and J"
 # -------------------------------------------------------------------- the Panda on a board

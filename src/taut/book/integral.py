@@ -39,6 +39,8 @@ from taut.linear.linearise import linearise
 from taut.plant.drives.actuation import Actuation
 from taut.record.run import Run
 
+__all__: list[str] = []
+
 HOME: Final = -math.pi / 2.0  # [rad] where figure 10.6 starts
 LONG: Final = 12.0  # [s]
 BOUND: Final = (B + KD) * KP / M  # [N m/(rad s)] of Ki

@@ -12,6 +12,8 @@ from taut.linear.linearise import linearise
 from taut.plant.drives.actuation import Actuation
 from taut.plant.drives.transmission import Transmission
 
+__all__: list[str] = []
+
 STIFFNESS, DAMPING = 2000.0, 5.0  # [N m/rad], [N m s/rad] between motor and link, chosen
 GEAR, ROTOR = 100.0, 1e-4  # ratio, [kg m^2]
 
