@@ -6,9 +6,8 @@ from taut.base.front_door import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from taut.analysis.compare.compare import Comparison as Comparison
-    from taut.analysis.compare.grading import Grade as Grade
-    from taut.analysis.compare.truth import WrongModel as WrongModel
+    from taut.analysis.comparison import Comparison as Comparison
+    from taut.analysis.comparison import WrongModel as WrongModel
     from taut.analysis.constraints.natural_constraints import ConstraintRow as ConstraintRow
     from taut.analysis.constraints.natural_constraints import ConstraintTable as ConstraintTable
     from taut.analysis.constraints.natural_constraints import ForceMotionCheck as ForceMotionCheck
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     from taut.analysis.diagnosis.checks import CHECKS as CHECKS
     from taut.analysis.diagnosis.diagnosis import Diagnosis as Diagnosis
     from taut.analysis.diagnosis.examined_run import ExaminedRun as ExaminedRun
+    from taut.analysis.grading import Grade as Grade
     from taut.analysis.impedance_at_tool import ToolImpedance as ToolImpedance
     from taut.analysis.impedance_at_tool import ToolMeasurement as ToolMeasurement
     from taut.analysis.impedance_at_tool import tool_impedance as tool_impedance

@@ -274,6 +274,12 @@ class MujocoPlant:
         plant._view = SceneView(rig, tool=False)
         return plant
 
+    def like(self, *, arm: Arm | None = None, sensors: Sensors | None = None) -> MujocoPlant | None:
+        """A plant of the same arguments but these; None of an attached one, which drives a simulation of yours."""
+        if self._settings is None:
+            return None
+        return MujocoPlant(arm or self.arm, **{**self.given, "sensors": sensors or self._sensors})
+
     def __reduce__(self) -> tuple[Any, ...]:
         """A copy is built anew, of the same arguments and with the same parameters, and has a scene of its own."""
         if self._settings is None:
