@@ -19,7 +19,8 @@ from taut.control.law import Law
 from taut.control.limits import Limits
 from taut.control.sensing.sensing import Sensing
 from taut.control.tasks.task import Task
-from taut.control.trajectories.reference import Chunk, Hold, JointMotion, Reference, Sample, Stream, Trajectory
+from taut.control.trajectories.reference import Hold, JointMotion, Reference, Sample, Stream, Trajectory
+from taut.control.trajectories.samples import Chunk
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.controller import Controller, compile
 from taut.loop import Loop, ModelPlant, check_fit
