@@ -53,7 +53,7 @@ class TaskForce(Sample):
         Section 10.3 force control.
     """
 
-    shapes: ClassVar[Shapes] = {"F_world": (6,), "F_tool": (6,)}
+    _shapes: ClassVar[Shapes] = {"F_world": (6,), "F_tool": (6,)}
 
     F_world: Array  # (6,) the part in world axes
     F_tool: Array  # (6,) the part in the tool's axes

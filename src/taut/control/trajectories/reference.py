@@ -44,7 +44,7 @@ class Sample(ABC):
     """One sample of a reference, as a law sees it. Final subclasses state their fields."""
 
     __slots__ = ()
-    shapes: ClassVar[Shapes] = {}
+    _shapes: ClassVar[Shapes] = {}
     """Shape of each field by name; "n" stands for the number of joints."""
 
     if not TYPE_CHECKING:  # type checkers know the fields
@@ -59,13 +59,13 @@ class Sample(ABC):
     @classmethod
     def fields(cls, n: int) -> dict[str, tuple[int, ...]]:
         """Shape of each field, for an arm of n joints."""
-        return {name: tuple(n if k == "n" else int(k) for k in shape) for name, shape in cls.shapes.items()}
+        return {name: tuple(n if k == "n" else int(k) for k in shape) for name, shape in cls._shapes.items()}
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Self:
         """A sample from values that are known to fit; symbols too."""
         made = object.__new__(cls)
-        for name in cls.shapes:
+        for name in cls._shapes:
             object.__setattr__(made, name, values[name])
         return made
 
@@ -119,7 +119,7 @@ class JointMotion(Sample):
         [0.0, 0.0]
     """
 
-    shapes: ClassVar[Shapes] = {"q": ("n",), "v": ("n",), "a": ("n",)}
+    _shapes: ClassVar[Shapes] = {"q": ("n",), "v": ("n",), "a": ("n",)}
 
     q: Array
     v: Array

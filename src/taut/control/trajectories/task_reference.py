@@ -62,7 +62,7 @@ class TaskMotion(Sample):
         Section 10.2.3 task space motion control.
     """
 
-    shapes: ClassVar[Shapes] = {"p": (3,), "R": (3, 3), "twist": (6,), "acceleration": (6,)}
+    _shapes: ClassVar[Shapes] = {"p": (3,), "R": (3, 3), "twist": (6,), "acceleration": (6,)}
 
     p: Array  # (3,) [m]
     R: Array  # (3, 3)

@@ -105,8 +105,9 @@ class Timing:
         p1, p2 = p.deriv()(GRID), p.deriv(2)(GRID)
         linear = float(np.max(np.hypot(p2 * size.length, p1**2 * size.bend)))
         angular = float(np.max(np.abs(p2))) * size.turn
-        by_speed = float(np.max(p1)) * max(size.length / velocity[0], size.turn / velocity[1])
-        by_acceleration = (1.0 + GRID_ERROR) * max(linear / acceleration[0], angular / acceleration[1])
+        with np.errstate(over="ignore"):  # of limits that are refused then
+            by_speed = float(np.max(p1)) * max(size.length / velocity[0], size.turn / velocity[1])
+            by_acceleration = (1.0 + GRID_ERROR) * max(linear / acceleration[0], angular / acceleration[1])
         return cls(kind=kind, duration=max(by_speed, math.sqrt(by_acceleration)), distance=distance)
 
     def stretched(self, duration: float) -> Timing:
@@ -159,7 +160,7 @@ def _trapezoid_limits(size: Size, velocity: Float64Array, acceleration: Float64A
     """Largest rate and acceleration of s; on a curve the speed leaves room for the acceleration along the path."""
     if size.length == size.turn == 0.0:
         return math.inf, math.inf
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         length, bend, turn = np.array([size.length]), np.array([size.bend]), np.array([size.turn])
         rate = float(min(velocity[0] / length, velocity[1] / turn, np.sqrt(MAX_ACROSS * acceleration[0] / bend))[0])
         across = rate * rate * size.bend
