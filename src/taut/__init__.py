@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from taut import trajectories as trajectories
     from taut.analysis.design.design import design as design
     from taut.analysis.diagnosis.diagnosis import doctor as doctor
-    from taut.analysis.tune.tune import tune as tune
+    from taut.analysis.tuning import tune as tune
     from taut.arm.description import Arm as Arm
     from taut.arm.description import Friction as Friction
     from taut.arm.description import Payload as Payload

@@ -6,8 +6,7 @@ import os
 from collections.abc import Iterable, Sequence
 from typing import Any, TypeAlias
 
-import numpy as np
-
+from taut.base.checks import whole_number
 from taut.base.errors import RangeError, StabilityWarning, UsageError, warn
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike
@@ -85,8 +84,7 @@ def run(
         >>> out.outcome.ok, bool(abs(out.q[-1, 0] - 0.5) < 1e-3)
         (True, True)
     """
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise RangeError(f"seed must be a whole number >= 0; got {seed!r}", name="seed")
+    seed = whole_number("seed", seed)
     if not isinstance(ctrl, (Controller, Loop)):
         ctrl = _of_task(ctrl, plant)
     target, reference, length = _what_to_run(ctrl, plant, ref, duration)
@@ -97,7 +95,7 @@ def run(
     info: dict[str, Any] = {
         "rate": ctrl.side.rate,
         "duration": length,
-        "seed": int(seed),
+        "seed": seed,
         "law": repr(law),
         "arm": ctrl.side.arm.name,
         DYNAMICS: {"controller": arm_json(ctrl.side.arm), "plant": arm_json(target.arm)},
@@ -119,7 +117,7 @@ def run(
             else Loop(ctrl, target, None if ref is None else reference, duration=length)
         )
         info["parameters"] = {path: value.tolist() for path, value in loop.parameters.items()}
-        going = FusedRun(loop, q, v, int(seed), due, info)
+        going = FusedRun(loop, q, v, seed, due, info)
         unstable = _judged(judge_start(loop, target, q, at_once), target, info)
     else:
         assert isinstance(ctrl, Controller)
