@@ -18,7 +18,6 @@ from taut.base.types import ArrayLike
 from taut.control.law import Law
 from taut.controller import Controller
 from taut.plant.sensors.sensors import SENSORS
-from taut.record.info import PHASES, stated
 from taut.record.run import Run
 
 if TYPE_CHECKING:
@@ -184,9 +183,7 @@ def compare_laws(
     of_law = dict.fromkeys(laws, settings) if settings is None or isinstance(settings, Setting) else dict(settings)
     ready = {name: _Ready(name, law, _given(of_law[name]), noise, model) for name, law in laws.items()}
     entries = [one.entry(say) for one in ready.values()]
-    entries += [
-        Entry(name=name, law=str(one.info.get("law", "")), run=one, numbers=of_run(one)) for name, one in runs.items()
-    ]
+    entries += [Entry(name=name, law=one.info.law, run=one, numbers=of_run(one)) for name, one in runs.items()]
     if by:
         entries.sort(key=lambda entry: (entry.failed, [entry.number(figure) for figure in by]))
     first = next(iter(ready.values()), None)
@@ -292,8 +289,8 @@ def settings_of(setting: Setting) -> dict[str, str]:
         "rate": f"{setting.rate:g} Hz",
         "duration": f"{setting.duration:g} s",
         "reference": type(setting.reference).__name__,
-        "limits": "none" if setting.limits is None else stated(setting.limits),
-        "sensing": stated(setting.sensing),
+        "limits": "none" if setting.limits is None else str(setting.limits),
+        "sensing": str(setting.sensing),
         "noise of": ", ".join(noisy) or "nothing",
         "seed": str(setting.seed),
         "events": "; ".join(f"at {event.t:g} s {dict(event.set)}" for event in setting.events) or "none",
@@ -309,7 +306,7 @@ def require_runs(name: str, run: object) -> None:
     """
     if not isinstance(run, Run):
         raise UsageError(f"'{name}' must be a law or a taut.Run; got {type(run).__name__}", name=name)
-    if PHASES in run.info:
+    if run.info.phases:
         phases = ", ".join(dict.fromkeys(window.name for window in run.phases))
         raise UsageError(
             f"run '{name}' is one of a task, whose phases ({phases}) follow each its own; compare one of them, "

@@ -9,7 +9,6 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from taut.record.info import PARTS
 from taut.record.metrics import METRICS, Metric
 from taut.record.run import Run
 
@@ -76,7 +75,7 @@ def of_run(run: Run) -> dict[str, dict[str, float]]:
 def _worst(run: Run, name: str) -> dict[str, float]:
     """A metric by unit; of laws side by side, which have their own references, the largest of theirs."""
     out: dict[str, float] = {}
-    for one in [run.part(part) for part in run.info.get(PARTS, ())] or [run]:
+    for one in [run.part(part) for part in run.info.parts] or [run]:
         for unit, value in one.metrics.by_unit(name).items():
             out[unit] = float(np.fmax(out.get(unit, math.nan), value))
     return out

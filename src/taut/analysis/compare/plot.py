@@ -12,7 +12,6 @@ from taut.analysis.compare.numbers import FIGURES, main_error, of_run
 from taut.base.errors import UsageError
 from taut.base.plot_style import INK, SMALL, WIDTH, colour, legend_above, prepared, short_name, wrapped
 from taut.base.types import Array, Float64Array
-from taut.record.info import PARTS
 from taut.record.plots.comparison import draw_bars, draw_norms, error_norms
 from taut.record.plots.run_plot import is_task_run
 from taut.record.run import Run
@@ -87,7 +86,7 @@ def _figure(runs: Mapping[str, Run], entries: Mapping[str, Entry], title: str) -
 def _error_norms(run: Run) -> dict[Head, Float64Array]:
     """(k,) norms of the errors that a run has; of laws side by side those of all of them together."""
     out: dict[Head, Float64Array] = {}
-    parts = [run.part(part) for part in run.info.get(PARTS, ())]
+    parts = [run.part(part) for part in run.info.parts]
     for one in parts or [run]:
         if one.error is not None or is_task_run(one) or force_error(one) is not None:
             for head, norm in error_norms(one, signed=not parts).items():

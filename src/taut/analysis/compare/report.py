@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 from taut.analysis.compare.numbers import FIGURES
 from taut.analysis.compare.words import comparison_rows
 from taut.base.result import cell_text
-from taut.record.info import VERSIONS
 from taut.record.report.page import Page, Picture, Table
 
 if TYPE_CHECKING:
@@ -45,7 +44,7 @@ def page_of_comparison(comparison: Comparison) -> Page:
         settings={**{f"law '{name}'": entry.law for name, entry in entries.items()}, **comparison.settings},
         texts=dict(comparison.texts),
         repeat=comparison.repeat,
-        versions=dict(first.get(VERSIONS, {})),
+        versions=dict(first.versions),
     )
 
 
@@ -96,11 +95,11 @@ def page_of_grade(grade: Grade) -> Page:
         ),
         pictures=(Picture(title="Errors and torques of both", figure=grade.plot()),),
         settings={
-            f"law '{grade.name}'": str(grade.run.info["law"]),
-            f"law '{grade.reference}'": str(grade.reference_run.info["law"]),
+            f"law '{grade.name}'": grade.run.info.law,
+            f"law '{grade.reference}'": grade.reference_run.info.law,
             **grade.settings,
         },
         texts=dict(grade.texts),
         repeat=grade.repeat,
-        versions=dict(grade.run.info.get(VERSIONS, {})),
+        versions=dict(grade.run.info.versions),
     )

@@ -22,7 +22,6 @@ from taut.base.plot_style import (
     wrapped,
 )
 from taut.base.types import Float64Array
-from taut.record.info import TOOL
 from taut.record.metrics import METRICS
 from taut.record.plots.run_plot import is_task_run
 from taut.record.run import Run
@@ -279,7 +278,7 @@ def spread_figure(runs: Mapping[str, Run]) -> Figure:
     from matplotlib.figure import Figure
 
     for name, run in runs.items():
-        if TOOL not in run.info:
+        if run.info.tool is None:
             raise UsageError(f"run '{name}' does not say where its tool is", name="runs")
     figure = Figure(figsize=(WIDTH, SPREAD_HEIGHT), dpi=150, layout="constrained")
     grid = figure.add_gridspec(2, 2, width_ratios=[1.0, 1.35])
