@@ -14,7 +14,7 @@ from taut.base.types import Float64Array
 from taut.control.laws.apparent import FeltImpedance
 from taut.control.trajectories.force_reference import HybridMotion, TaskForce
 from taut.control.trajectories.task_reference import TaskMotion
-from taut.maths.rotation_rows import log_rows
+from taut.maths.spatial import log_rows
 
 if TYPE_CHECKING:
     from taut.record.run import Run

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
 
-from taut import laws
 from taut.base.errors import UsageError, count_of
 from taut.base.plot_style import short
 from taut.base.result import Content, Table
@@ -17,7 +15,7 @@ from taut.record.info import ScenarioInfo
 from taut.record.plain import plain
 from taut.record.run import Run
 
-__all__ = ["content_of_run", "faults_of", "law_in_python"]
+__all__ = ["content_of_run", "faults_of"]
 
 MIN_TICKS_OF_REPORT: Final = 2
 LATE: Final = 1.5  # periods between two ticks that follow each other
@@ -113,8 +111,3 @@ def _value(value: Any) -> str:
     """A value in one line, with six digits."""
     rounded = json.loads(json.dumps(plain(value)), parse_float=lambda digits: float(f"{float(digits):.6g}"))
     return short(value if isinstance(value, str) else json.dumps(rounded, ensure_ascii=False), MAX_LETTERS)
-
-
-def law_in_python(law: str) -> str:
-    """The text of a law with the package before the names that are ours."""
-    return re.sub(r"\b([A-Z]\w*)(?=\()", lambda m: f"taut.laws.{m[1]}" if m[1] in laws.__all__ else m[1], law)
