@@ -357,7 +357,7 @@ def test_comparisons_and_grades_have_reports(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    plain = ["--model", "trials=1", "--report", "table.html"]
+    plain = ["--model", "mass=0.1,trials=1", "--report", "table.html"]
     assert main(["compare", "feedforward_error", "--laws", "feedback", "feedforward", "--by", "effort", *plain]) == 0
     text = (tmp_path / "table.html").read_text(encoding="utf-8")
     check_alone(text)
@@ -377,14 +377,7 @@ def test_comparisons_and_grades_have_reports(
     assert main(words) == 1
     text = (tmp_path / "grade.html").read_text(encoding="utf-8")
     check_alone(text)
-    assert "Failed, with a tolerance of 5 %." in words_of(text)
-    told = taut.compare({"a": "PID(kp=2, kd=2)"}, "one_joint_pid", model=None, noise={})
-    assert "law_1 = taut.laws.PID(kp=2.0, kd=2.0)" in told.repeat
-    assert told.repeat.endswith("print(taut.compare({'a': law_1}, 'one_joint_pid', noise={}, model=None))")
-    known: dict[str, object] = {}
-    capsys.readouterr()
-    exec(told.repeat, known)  # what a reader would do with it
-    assert capsys.readouterr().out.strip() == told.report()
+    assert "failed, with a tolerance of 5 %" in words_of(text)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -241,21 +241,6 @@ class TestDrawn:
         assert titles[:2] == ["norm of the tool's position error", "angle of the tool's rotation error"]
         assert "task RMS [m]" in titles
         assert "rotation RMS [rad]" in titles
-        assert (
-            compare({"stiff": run, "soft": soft}, joint="joint1").subfigs[0].axes[1].get_title(loc="left")
-            == "velocity"
-        )
-        joints = taut.run(
-            taut.compile(taut.laws.PID(kp=1.0), ARM),
-            taut.RigidPlant(ARM),
-            taut.JointMotion(q=np.zeros(6)),
-            duration=0.01,
-        )
-        with pytest.raises(
-            taut.errors.UsageError,
-            match=r"^run 'stiff' has errors of the task and run 'joints' of joints; compare them apart$",
-        ):
-            compare({"stiff": run, "joints": joints})
 
 
 def test_a_run_that_was_touched_shows_force_and_moment() -> None:

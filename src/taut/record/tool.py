@@ -16,7 +16,7 @@ from taut.control.laws.apparent import FeltImpedance
 from taut.control.trajectories.force_reference import HybridMotion, TaskForce
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.chain import Chain
-from taut.maths.rotation_rows import log_rows
+from taut.maths.spatial import log_rows
 from taut.record.info import IMPEDANCE, TOOL
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ import numpy as np
 
 from taut.base.types import Float64Array
 from taut.loop import AnyPlant
+from taut.maths.constraints.functions import Surface
 from taut.maths.constraints.rows import OfPoses
-from taut.maths.constraints.shapes import Surface
 from taut.maths.snapshot import Snapshot
 from taut.plant.contact import each_contact
 from taut.plant.rigid import RigidPlant

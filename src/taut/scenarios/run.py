@@ -375,10 +375,9 @@ def _make_folder(folder: Path) -> None:
 
 
 def _save_plot(scenario: Scenario, runs: Mapping[Trial, Run], path: Path) -> None:
-    # A law is called after its section, whatever is in its name; matplotlib takes a pair of $ for mathematics.
     runs = _by_part(runs)
     labels = {trial: _plot_label(trial, list(scenario.laws)) for trial in runs}
-    drawn = {labels[trial].replace("$", r"\$"): one for trial, one in runs.items() if len(one)}
+    drawn = {labels[trial]: one for trial, one in runs.items() if len(one)}
     if not drawn:
         raise UsageError("there is nothing to plot: no law got through its first tick", name="plot")
     wanted, joints = scenario.outputs, None if scenario.outputs.joint is None else [scenario.outputs.joint]

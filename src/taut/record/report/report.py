@@ -16,7 +16,6 @@ from taut.base.errors import UsageError
 from taut.base.result import Content, Result, Table, cell_text
 from taut.record.info import versions
 from taut.record.log.files import checked_target, written_aside
-from taut.record.report.page import content_of_other
 from taut.record.run import Run
 
 if TYPE_CHECKING:
@@ -125,13 +124,10 @@ def content_of(x: object, *, title: str = "", repeat: str = "", log: str = "run.
     Raises:
         UsageError: Nothing that can be reported.
     """
-    if isinstance(x, Run):
-        content: Content | None = x.content(log=log)
-    else:
-        content = x.content() if isinstance(x, Result) else content_of_other(x)
-    if content is None:
+    if not isinstance(x, (Run, Result)):
         got = x.__name__ if isinstance(x, type) else type(x).__name__
         raise UsageError(f"a report is of a taut.Run or of a result, which has content(); got {got}", name="x")
+    content = x.content(log=log) if isinstance(x, Run) else x.content()
     return dataclasses.replace(content, title=title or content.title, repeat=repeat or content.repeat)
 
 
