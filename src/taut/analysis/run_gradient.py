@@ -222,7 +222,7 @@ class RunGradient:
             UsageError: The state of the loop at the start depends on a parameter.
         """
         loop = self._loop
-        fused = FusedRun(loop, q, v, seed, (), {"rate": loop.side.rate})
+        fused = FusedRun(loop, q, v, seed, ())
         kept, outcome = fused.go(lambda _: None, None)
         if not outcome.ok:
             raise RangeError(outcome.message, name="cost")

@@ -21,8 +21,8 @@ from taut.control.law import Law
 from taut.control.laws.friction import Dither, RaisedGains
 from taut.control.laws.joint import PID
 from taut.control.trajectories.reference import JointMotion
-from taut.maths.gearing import rotor_share
 from taut.maths.snapshot import snapshot
+from taut.maths.task_inertia import rotor_share
 from taut.record.plots.friction_curves import plot_friction
 from taut.record.run import Run
 

@@ -19,8 +19,7 @@ from taut.control.trajectories.force_reference import pressing
 from taut.control.trajectories.task import Line
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.constraints.constraint import Constraint
-from taut.maths.constraints.multipliers import force_projector
-from taut.maths.constraints.projection import onto
+from taut.maths.constraints.multipliers import force_projector, onto
 from taut.maths.snapshot import snapshot
 from taut.plant.contact import RigidContact
 from taut.record.run import Run

@@ -17,8 +17,7 @@ from taut.base.front_door import public_name
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.maths import dynamics as dyn
-from taut.maths.adds import Adds
-from taut.maths.compensation import compensation
+from taut.maths.adds import Adds, compensation
 from taut.maths.model import PayloadValues, model_of
 from taut.plant.drives.actuation import Actuation, delayed
 from taut.plant.drives.drivetrain import Drivetrain
