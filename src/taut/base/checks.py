@@ -29,6 +29,7 @@ __all__ = [
     "require_positive",
     "symmetric_psd",
     "vector",
+    "whole_number",
 ]
 
 T = TypeVar("T", bound=str)
@@ -181,6 +182,14 @@ def positive_scalar(name: str, value: object, *, unit: str = "") -> float:
     if number <= 0.0:
         raise RangeError(f"{name} must be > 0{_unit(unit)}; got {number!r}", name=name, value=number, rule="> 0")
     return number
+
+
+def whole_number(name: str, value: object, *, minimum: int = 0) -> int:
+    """A whole number, at least a minimum; True and False are none."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < minimum:
+        rule = f">= {minimum}"
+        raise RangeError(f"{name} must be a whole number {rule}; got {value!r}", name=name, value=value, rule=rule)
+    return int(value)
 
 
 def rate_in_hertz(value: object) -> float:

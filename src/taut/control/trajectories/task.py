@@ -16,8 +16,7 @@ from taut.base.types import Float64Array, Rotation, Vector3
 from taut.control.trajectories.reference import Rows
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.control.trajectories.timing import Motion, ScalingKind, Size, Timing
-from taut.maths.rotation_rows import exp_rows, to_body_rates
-from taut.maths.spatial import left_jacobian_inverse, rotation_log
+from taut.maths.spatial import exp_rows, left_jacobian_inverse, rotation_log, to_body_rates
 from taut.trace.pose import Pose
 
 __all__ = ["Circle", "Line", "Screw", "Steady"]

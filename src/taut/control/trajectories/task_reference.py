@@ -11,9 +11,8 @@ from taut.base.checks import one_of, read_only, vector
 from taut.base.errors import UsageError
 from taut.base.types import Array, ArrayLike, Float64Array
 from taut.control.trajectories.reference import Rows, Sample, Shapes
-from taut.maths.rotation_rows import exp_rows, from_body_rates, log_rows, to_body_rates
 from taut.maths.snapshot import Snapshot
-from taut.maths.spatial import rotated
+from taut.maths.spatial import exp_rows, from_body_rates, log_rows, rotated, to_body_rates
 from taut.trace.pose import Pose
 
 __all__ = [

@@ -13,7 +13,7 @@ from taut.arm.description import Arm, Friction
 from taut.base.fields import Declared
 from taut.base.paths import subtree
 from taut.base.types import Float64Array, Matrix, Vector
-from taut.maths.friction_law import FrictionValues, dry_limit
+from taut.maths.friction import FrictionValues, dry_limit
 from taut.plant.drives.transmission import Transmission
 from taut.trace import math as tm
 
