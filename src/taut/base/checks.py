@@ -29,6 +29,7 @@ __all__ = [
     "require_positive",
     "symmetric_psd",
     "vector",
+    "whole_number",
 ]
 
 T = TypeVar("T", bound=str)
@@ -181,6 +182,16 @@ def positive_scalar(name: str, value: object, *, unit: str = "") -> float:
     if number <= 0.0:
         raise RangeError(f"{name} must be > 0{_unit(unit)}; got {number!r}", name=name, value=number, rule="> 0")
     return number
+
+
+def whole_number(name: str, value: object, minimum: int, maximum: int | None = None) -> int:
+    """A whole number in a range."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        raise UsageError(f"{name} must be a whole number; got {value!r}", name=name, value=value)
+    if value < minimum or (maximum is not None and value > maximum):
+        rule = f">= {minimum}" if maximum is None else f"between {minimum} and {maximum}"
+        raise RangeError(f"{name} must be {rule}; got {value}", name=name, value=float(value), rule=rule)
+    return int(value)
 
 
 def rate_in_hertz(value: object) -> float:

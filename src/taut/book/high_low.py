@@ -22,7 +22,7 @@ from taut.control.trajectories.force_reference import TaskForce
 from taut.control.trajectories.reference import Sample
 from taut.linear.linearise import linearise
 from taut.maths.snapshot import snapshot
-from taut.plant.environments.hands import Handle
+from taut.plant.environments.hands import Hand
 from taut.runtime.simulate import run
 
 __all__ = ["ENTRIES"]
@@ -73,7 +73,7 @@ def kinds() -> Page:
 
 def sides() -> Page:
     """A hand holds the tool by a handle: which of the two laws stands a low impedance, and which a stiff one."""
-    hand = Handle(mass=1.0, damping=5.0, stiffness=300.0)
+    hand = Hand(mass=1.0, damping=5.0, stiffness=300.0)
     inner = TaskComputedTorque(kp=2500.0, kd=100.0, error="coordinates", coordinates=PLACE)
     rows = []
     for name, D, damping, stiffness in (("low", 0.1, 2.0, 20.0), ("stiff", 20.0, 200.0, 1e6)):

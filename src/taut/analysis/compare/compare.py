@@ -17,7 +17,7 @@ from taut.base.errors import RangeError, UsageError, count_of, unknown_name
 from taut.base.types import ArrayLike
 from taut.control.law import Law
 from taut.controller import Controller
-from taut.plant.sensors.sensors import SENSORS
+from taut.plant.sensors.sensors import Sensors
 from taut.record.info import PHASES, stated
 from taut.record.run import Run
 
@@ -285,7 +285,7 @@ def _has(setting: Setting, sensor: str) -> bool:
 
 def settings_of(setting: Setting) -> dict[str, str]:
     """What is known of an experiment, as text by name."""
-    noisy = [name for name in SENSORS if is_noisy(setting.sensors, name)]
+    noisy = [name for name in Sensors.declared if is_noisy(setting.sensors, name)]
     return {
         "arm of the controllers": setting.arm.name,
         "plant": setting.plant.name,

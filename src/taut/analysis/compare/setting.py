@@ -24,7 +24,7 @@ from taut.control.trajectories.task_reference import TaskMotion
 from taut.controller import Controller, compile
 from taut.loop import Loop, ModelPlant, check_fit
 from taut.plant.rigid import RigidPlant
-from taut.plant.sensors.sensors import SENSORS, Sensors
+from taut.plant.sensors.sensors import Sensors
 from taut.record.run import Run
 from taut.runtime.events import Event
 from taut.runtime.host import HostPlant
@@ -78,7 +78,7 @@ class Setting:
     @property
     def noisy(self) -> bool:
         """Whether the plant's sensors have noise."""
-        return any(is_noisy(self.sensors, name) for name in SENSORS)
+        return any(is_noisy(self.sensors, name) for name in Sensors.declared)
 
     @property
     def sensors(self) -> Sensors:

@@ -13,8 +13,7 @@ from taut.arm.description import Arm
 from taut.base.checks import finite_scalar
 from taut.base.errors import RangeError, UsageError, unknown_name
 from taut.base.types import ArrayLike
-from taut.plant.sensors.readings import numbers_of
-from taut.plant.sensors.sensors import SENSORS, Sensors
+from taut.plant.sensors.sensors import Sensors
 
 __all__ = ["WrongModel", "PlantChange", "is_noisy"]
 
@@ -116,11 +115,11 @@ class PlantChange:
         """
         if self.noise is None:
             return sensors
-        noise = dict(self.noise) or {name: 0.0 for name in SENSORS if is_noisy(sensors, name)}
+        noise = dict(self.noise) or {name: 0.0 for name in Sensors.declared if is_noisy(sensors, name)}
         new = {}
         for name, value in noise.items():
-            if name not in SENSORS:
-                raise unknown_name("a plant", "sensor", name, SENSORS)
+            if name not in Sensors.declared:
+                raise unknown_name("a plant", "sensor", name, Sensors.declared)
             sensor = getattr(sensors, name)
             if sensor is None:
                 raise UsageError(
@@ -133,4 +132,4 @@ class PlantChange:
 def is_noisy(sensors: Sensors, name: str) -> bool:
     """Whether a sensor is there and has noise."""
     sensor = getattr(sensors, name)
-    return sensor is not None and "noise" in numbers_of(sensor)
+    return sensor is not None and "noise" in sensor.parameters()
