@@ -63,10 +63,14 @@ class PlantParts:
 
     def __post_init__(self) -> None:
         one_of("takes", self.takes, COMMANDS)
-        for name, kind in {"arm": Arm, "actuation": Actuation, "sensors": Sensors}.items():
+        kinds: dict[str, tuple[type, str]] = {
+            "arm": (Arm, "an Arm from taut.load_arm"),
+            "actuation": (Actuation, "taut.drives.Actuation(...)"),
+            "sensors": (Sensors, "taut.sensors.Sensors(...)"),
+        }
+        for name, (kind, words) in kinds.items():
             if not isinstance(getattr(self, name), kind):
-                got = type(getattr(self, name)).__name__
-                raise UsageError(f"{name} must be of class {kind.__name__}; got {got}", name=name)
+                raise UsageError(f"{name} must be {words}; got {type(getattr(self, name)).__name__}", name=name)
         if not isinstance(self.friction, FrictionLaw) and self.friction not in ("arm", None):
             raise UsageError(
                 f"friction must be 'arm', None or a taut.drives.FrictionLaw; got {self.friction!r}; another friction "
@@ -127,8 +131,8 @@ class PlantParts:
         for what, there in rough.items():
             if there:
                 raise UsageError(
-                    f"rk4 moves the arm alone, under smooth forces, and this plant has {what}; use the integrator "
-                    "that is the default",
+                    f"rk4 moves the arm alone, under smooth forces, and this plant has {what}; use "
+                    "semi-implicit-euler, in MuJoCo discrete",
                     name="integrator",
                 )
 

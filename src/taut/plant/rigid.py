@@ -108,6 +108,8 @@ class RigidPlant:
         one_of("integrator", self.integrator, INTEGRATORS)
         for name in ("substeps", "sweeps"):
             whole_number(name, getattr(self, name), 1, MAX_SUBSTEPS)
+        if not isinstance(self.energy, bool):
+            raise UsageError(f"energy must be True or False; got {self.energy!r}", name="energy")
         object.__setattr__(self, "adds", Adds.of(self.adds))
         self.parts  # noqa: B018  (checked when they are put together)
         if self.energy and (self.integrator == "rk4" or self.takes != "torque"):

@@ -28,19 +28,17 @@ class Steps(NamedTuple):
     """The steps of an integrator in a control period."""
 
     period: float  # [s]
-    count: int
+    number: int
 
     @property
     def dt(self) -> float:
         """Length of a step [s]."""
-        return self.period / self.count
+        return self.period / self.number
 
     def shorter(self, factor: float) -> str:
         """How to take so many times as many steps."""
-        count = math.ceil(factor * self.count * (1.0 - ROUNDING))
-        return (
-            f"{count} steps in a control period (substeps={count}, or in MuJoCo timestep={self.period / count:.9g})"
-        )
+        count = math.ceil(factor * self.number * (1.0 - ROUNDING))
+        return f"steps of {self.period / count:.9g} s (substeps={count}, or the timestep of MuJoCo)"
 
     def require(self, fast: float, name: str, what: str, instead: str) -> None:
         """Refuse steps in which something moves by more than its own time.

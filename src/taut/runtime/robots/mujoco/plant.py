@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from taut.arm.description import Arm, CommandKind, Payload
+from taut.arm.description import Arm, CommandKind, Friction, Payload
 from taut.base.checks import one_of, positive_scalar
 from taut.base.errors import MatchError, UsageError, unknown_name
 from taut.base.paths import subtree
@@ -192,7 +192,12 @@ class MujocoPlant:
         self._settings: Settings | None = Settings(rig, numbers)
         self._friction, self._actuation, self._sensors = friction, drives, seen
         self._stage = None
-        if drives.acts or train.compliant or train.lossy or (left is not None and (left.falls or left.loaded)):
+        if (
+            drives.acts
+            or train.compliant
+            or train.lossy
+            or (isinstance(left, Friction) and (left.falls or left.loaded))
+        ):
             self._stage = JointStage(rig, drives, train, what, self._takes)
         self._touching = None if environment is None else EnvironmentStage(rig, environment, train)
         adds_torque = (what.gravity or what.coriolis) and self._stage is None
