@@ -46,6 +46,7 @@ class PlantParts:
         environment: What touches the tool.
         contacts: What holds the arm rigidly.
         smooth: Whether the integrator needs smooth forces.
+        scene: Whether an engine knows of more that may touch the tool.
 
     Raises:
         UsageError, ShapeError: What does not go together, or is of another kind or size.
@@ -60,6 +61,7 @@ class PlantParts:
     environment: Environment | None
     contacts: Contacts | None = None
     smooth: bool = False
+    scene: bool = False
 
     def __post_init__(self) -> None:
         one_of("takes", self.takes, COMMANDS)
@@ -147,7 +149,8 @@ class PlantParts:
     @property
     def touched(self) -> bool:
         """Whether a sensor at the wrist has anything to measure."""
-        return self.environment is not None or (self.contacts is not None and self.contacts.measured)
+        held = self.contacts is not None and self.contacts.measured
+        return self.scene or held or self.environment is not None
 
     # ---------------------------------------------------------------- parameters
 

@@ -155,8 +155,9 @@ class MujocoPlant:
     ) -> None:
         adds = Adds.of(adds)
         self.given = {name: value for name, value in locals().items() if name not in ("self", "arm")}
-        if friction not in ("arm", None) or limits not in ("arm", None):
-            raise UsageError(f"friction and limits must be 'arm' or None; got {friction!r} and {limits!r}")
+        for name, value in (("friction", friction), ("limits", limits)):
+            if value not in ("arm", None):
+                raise UsageError(f"{name} must be 'arm' or None; got {value!r}", name=name)
         what = adds
         if tip is not None and not isinstance(tip, SpringTip):
             raise UsageError(f"tip must be taut.environments.SpringTip(...); got {type(tip).__name__}", name="tip")
@@ -170,6 +171,7 @@ class MujocoPlant:
             sensors=seen,
             environment=environment,
             smooth=integrator == "rk4",
+            scene=True,
         )
         self._takes = takes
         train = numbers.drivetrain
