@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from taut.arm.loaders.write_friction import to_urdf_dynamics as to_urdf_dynamics
     from taut.base.fields import Choice as Choice
     from taut.base.fields import Field as Field
-    from taut.maths.gearing import rotor_share as rotor_share
+    from taut.maths.task_inertia import rotor_share as rotor_share
     from taut.plant.drives.actuation import Actuation as Actuation
     from taut.plant.drives.actuation import Ripple as Ripple
     from taut.plant.drives.drivetrain import FrictionLaw as FrictionLaw

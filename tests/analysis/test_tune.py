@@ -183,7 +183,7 @@ def test_a_margin_is_kept() -> None:
 
 def test_a_cost_of_nan_is_told_with_its_parameters_and_the_best_is_kept(loop: taut.Loop) -> None:
     def cost(run: Run) -> float:
-        kd = run.info["parameters"]["law.kd"]
+        kd = run.info.parameters["law.kd"]
         return math.nan if kd > 6.0 else float(np.mean(run.error**2))  # type: ignore[operator]
 
     tuned = taut.tune(loop, ("law.kd",), cost=cost, q0=[0.0], evaluations=40)
@@ -199,7 +199,7 @@ def raising(at: Callable[[int], bool], seen: list[float]) -> Callable[[Run], flo
     """A cost that raises in some of its calls, and keeps the gain of each."""
 
     def cost(run: Run) -> float:
-        seen.append(float(run.info["parameters"]["law.kd"]))
+        seen.append(float(run.info.parameters["law.kd"]))
         if at(len(seen)):
             raise KeyError(f"no column {len(seen)}")
         return float(np.mean(run.error**2))  # type: ignore[operator]

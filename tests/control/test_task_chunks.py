@@ -14,7 +14,7 @@ from taut.base.types import Float64Array
 from taut.control.trajectories.fade import Fade, can_fade
 from taut.control.trajectories.reference import Sample, sample_rows
 from taut.control.trajectories.task_reference import TaskMotion
-from taut.maths.rotation_rows import exp_rows, from_body_rates, log_rows, to_body_rates
+from taut.maths.spatial import exp_rows, from_body_rates, log_rows, to_body_rates
 
 ARM = taut.load_arm("planar2")
 TIMES = np.array([0.0, 0.6, 1.1, 2.0])

@@ -325,7 +325,7 @@ def test_a_metric_of_a_user_is_one_function(panda_run: taut.Run, make_run: Any, 
     @taut.analysis.metric(unit="m")
     def tool_travel(run: taut.Run) -> float | None:
         """Length of the path of the tool's origin."""
-        if "tool" not in run.info:
+        if run.info.tool is None:
             return None
         return float(np.linalg.norm(np.diff(run.task.p, axis=0), axis=1).sum())
 

@@ -199,7 +199,7 @@ def test_a_loop_can_be_run_again_and_runs_the_same() -> None:
     np.testing.assert_array_equal(first.q, again.q)
     loop.parameters["law.kp"] = 1.0
     assert np.abs(taut.run(loop).q - first.q).max() > 1e-6
-    np.testing.assert_array_equal(first.info["parameters"]["law.kp"], [200.0, 100.0])
+    np.testing.assert_array_equal(first.info.parameters["law.kp"], [200.0, 100.0])
 
 
 EVERYTHING: dict[str, Any] = {

@@ -77,7 +77,7 @@ def _report(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
 
     checked_target("report", arguments.out, (".html", ".htm"))
     run = load_run(arguments.run)
-    report(run, arguments.out, title=arguments.title, log=Path(arguments.run).name)
+    report(run, arguments.out, title=arguments.title)
     faults = faults_of(run)
     return Answer(
         text=f"report   {arguments.out}",

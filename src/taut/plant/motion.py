@@ -13,9 +13,8 @@ from taut.arm.description import CommandKind
 from taut.base.paths import subtree
 from taut.base.types import Array, Vector
 from taut.maths import dynamics as dyn
-from taut.maths.compensation import compensation
-from taut.maths.friction import dry_friction
-from taut.maths.friction_law import friction_torque
+from taut.maths.adds import compensation
+from taut.maths.friction import dry_friction, friction_torque
 from taut.maths.model import Model, PayloadValues, model_of
 from taut.plant.contact_step import ContactStep, contact_step
 from taut.plant.drives.drivetrain import FrictionLaw, FrictionLimits

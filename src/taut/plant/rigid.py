@@ -5,6 +5,7 @@ Written like a law, so that it runs on floats, is fused with a controller into o
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -139,6 +140,10 @@ class RigidPlant:
     @cached_property
     def _work_parts(self) -> tuple[str, ...]:
         return work_parts(self.parts.drivetrain, self.actuation.motor) if self.energy else ()
+
+    def like(self, *, arm: Arm | None = None, sensors: Sensors | None = None) -> RigidPlant:
+        """A plant of the same arguments but these."""
+        return dataclasses.replace(self, arm=arm or self.arm, sensors=sensors or self.sensors)
 
     # ---------------------------------------------------------------- what it declares
 

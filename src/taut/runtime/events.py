@@ -6,7 +6,6 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from taut.base.checks import finite_scalar
 from taut.base.errors import RangeError, UsageError
@@ -66,14 +65,6 @@ class Event:
         if duration is not None:
             new[f"{of}.duration"] = duration
         return cls(t=t, set=new)
-
-    def json(self) -> dict[str, Any]:
-        """As plain values."""
-        return {"t": self.t, "set": {path: _plain(value) for path, value in self.set.items()}}
-
-
-def _plain(value: ArrayLike) -> Any:
-    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def sorted_events(events: Iterable[Event] | None, rate: float, ticks: int) -> list[tuple[int, Event]]:

@@ -9,7 +9,6 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from taut.analysis.compare.truth import PlantChange
 from taut.arm.description import Arm
 from taut.base.errors import quoted_list
 from taut.base.fields import Declared, Field
@@ -30,7 +29,7 @@ from taut.scenarios.sections import Whole
 from taut.scenarios.toml import Table, file_beside
 from taut.trace.pose import Pose
 
-__all__ = ["Plant", "Spread", "plants_of", "read_plant", "read_spread"]
+__all__ = ["Plant", "Spread", "read_plant", "read_spread"]
 
 Plant: TypeAlias = RigidPlant | HostPlant
 
@@ -90,16 +89,7 @@ def _sensors(table: Table, key: str) -> Sensors:
     return read(Sensors, below, elsewhere=elsewhere)  # type: ignore[no-any-return]
 
 
-def plants_of(table: Table, arm: Arm, rate: float, folder: Path) -> dict[str, Any]:
-    """The plant of a scenario, and what makes others like it: the fields that [plant] states."""
-
-    def another(change: PlantChange) -> Plant:
-        return read_plant(table, arm, rate, folder, change=change)
-
-    return {"plant": read_plant(table, arm, rate, folder), "another_plant": another}
-
-
-def read_plant(table: Table, believed: Arm, rate: float, folder: Path, *, change: PlantChange | None = None) -> Plant:
+def read_plant(table: Table, believed: Arm, rate: float, folder: Path) -> Plant:
     """A rigid plant or one in MuJoCo.
 
     Args:
@@ -107,9 +97,7 @@ def read_plant(table: Table, believed: Arm, rate: float, folder: Path, *, change
         believed: The controllers' arm, from which the true one is made.
         rate: Commands per second [Hz].
         folder: Where a scene and a model lie.
-        change: What is different in it.
     """
-    change = change or PlantChange()
     make: Callable[..., Plant] = RigidPlant
     kind = table.choice("kind", ("rigid", "mujoco"), "rigid")
     if kind == "mujoco":
@@ -117,7 +105,7 @@ def read_plant(table: Table, believed: Arm, rate: float, folder: Path, *, change
 
         make = MujocoPlant
         _require_slow_steps(table, rate)
-    arm = change.arm(read_true_arm(table, believed, folder))
+    arm = read_true_arm(table, believed, folder)
     if arm.n != believed.n:
         raise table.error(
             f"must have as many joints as that of [arm], the {believed.n} of '{believed.name}'; got the {arm.n} of "
@@ -125,9 +113,7 @@ def read_plant(table: Table, believed: Arm, rate: float, folder: Path, *, change
             "model",
         )
     given: dict[str, Any] = {"friction": None if friction_word(table, "arm", "none") == "none" else "arm"}
-    sensors = _sensors(table, "sensors")
-    with table.blamed("sensors"):
-        given["sensors"] = change.sensors(sensors)
+    given["sensors"] = _sensors(table, "sensors")
     with table.blamed("adds"):
         given["adds"] = Adds.of(table.texts("adds", example='["gravity"]') or [])
     if kind == "mujoco" and "scene" in table:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from taut.analysis.compare.truth import PlantChange
 from taut.arm.description import Arm
 from taut.base.errors import MODEL_FILES, FileError, quoted_list, unknown_name
 from taut.base.types import ArrayLike
@@ -23,7 +22,7 @@ from taut.scenarios.arms import read_arm
 from taut.scenarios.checks import Places, refuse_misfits, refuse_unfit_results
 from taut.scenarios.laws import read_control, read_law
 from taut.scenarios.phases import TASK, read_phases
-from taut.scenarios.plants import Plant, Spread, plants_of, read_plant, read_spread
+from taut.scenarios.plants import Plant, Spread, read_plant, read_spread
 from taut.scenarios.reading import read
 from taut.scenarios.references import read_reference
 from taut.scenarios.sections import Outputs, PassFigure, RunSection, read_event, require_case, require_one
@@ -70,7 +69,6 @@ class Scenario:
     sensing: Sensing
     limits: Limits | None
     plant: Plant
-    another_plant: Callable[[PlantChange], Plant]  # like it, and different in what is stated
     reference: Reference
     duration: float  # [s]
     q0: ArrayLike | None
@@ -149,8 +147,8 @@ def load_scenario(
         require_case(table, "case", figure.case, names)
     cases = {case: Scenario(**fields, **common, cases={}) for case, (fields, _) in others.items()}
     for case, table in chances:
-        plants = plants_of(table, parts["arm"], parts["rate"], path.parent)
-        cases[case] = Scenario(**{**parts, **plants}, **common, cases={})
+        plant = read_plant(table, parts["arm"], parts["rate"], path.parent)
+        cases[case] = Scenario(**{**parts, "plant": plant}, **common, cases={})
     scenario = Scenario(**parts, **common, cases=cases, spread=spread)
     refuse_misfits(scenario, places)
     for case, (_, places_of_case) in others.items():
@@ -209,8 +207,7 @@ def _experiment(root: Table, folder: Path, own_laws: Mapping[str, Law] | None) -
         law_places = {label: Table(f"--law {label}:", "", {}) for label in own_laws}
     control, run, events = root.table("control"), root.table("run", required=True), root.tables("event")
     rate, sensing, limits = read_control(control, arm)
-    plants = plants_of(root.table("plant", required=True), arm, rate, folder)
-    plant: Plant = plants["plant"]
+    plant = read_plant(root.table("plant", required=True), arm, rate, folder)
     if task:
         task_law = {TASK: read_phases(root, task, arm, plant.arm.home, folder)}
     reference = root.table("reference")
@@ -221,7 +218,7 @@ def _experiment(root: Table, folder: Path, own_laws: Mapping[str, Law] | None) -
         "rate": rate,
         "sensing": sensing,
         "limits": limits,
-        **plants,
+        "plant": plant,
         "reference": read_reference(reference, arm, plant.arm.home, folder, laws),
         "events": tuple(read_event(table) for table in events),
         **read(RunSection, run).values(plant.arm),

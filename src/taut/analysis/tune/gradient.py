@@ -88,7 +88,7 @@ class TangentLoop:
             RangeError: The run diverges.
         """
         loop = self.loop
-        fused = FusedRun(loop, q, v, seed, (), {"rate": loop.side.rate})
+        fused = FusedRun(loop, q, v, seed, ())
         kept, outcome = fused.go(lambda _: None, None)
         if not outcome.ok:
             raise RangeError(f"the run has no gradient: {outcome}", name="gradient")

@@ -16,8 +16,7 @@ from taut.base.errors import RangeError, UsageError
 from taut.base.types import ArrayLike, Float64Array, Rotation, Vector3
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.control.trajectories.timing import Scaling, ScalingKind, Size, Timing, timed
-from taut.maths.rotation_rows import exp_rows, to_body_rates
-from taut.maths.spatial import left_jacobian_inverse, rotation_log
+from taut.maths.spatial import exp_rows, left_jacobian_inverse, rotation_log, to_body_rates
 from taut.trace.pose import Pose
 
 __all__ = ["Circle", "Line", "Screw", "Steady", "checked_pose", "task_rows", "turn_between"]

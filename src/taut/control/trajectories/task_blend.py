@@ -8,7 +8,7 @@ import numpy as np
 
 from taut.base.types import Float64Array
 from taut.control.trajectories.timing import quintic_between
-from taut.maths.rotation_rows import exp_rows, from_body_rates, log_rows, to_body_rates
+from taut.maths.spatial import exp_rows, from_body_rates, log_rows, to_body_rates
 
 __all__ = ["TaskRows", "between", "differences", "faded", "offset"]
 

@@ -15,9 +15,8 @@ from taut.base.types import Array, ArrayLike, Float64Array
 from taut.control.tables import read_rows, require_moderate, sample_times
 from taut.control.trajectories.reference import Sample
 from taut.control.trajectories.task_blend import between
-from taut.maths.rotation_rows import exp_rows, log_rows
 from taut.maths.snapshot import Snapshot
-from taut.maths.spatial import rotated
+from taut.maths.spatial import exp_rows, log_rows, rotated
 from taut.trace.pose import Pose
 
 __all__ = ["TaskMotion", "TaskSamples"]

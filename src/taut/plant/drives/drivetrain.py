@@ -14,7 +14,7 @@ from taut.base.errors import UsageError
 from taut.base.fields import Declared, Field
 from taut.base.paths import subtree
 from taut.base.types import Float64Array, Matrix, Vector
-from taut.maths.friction_law import FrictionValues, dry_limit
+from taut.maths.friction import FrictionValues, dry_limit
 from taut.trace import math as tm
 
 __all__ = ["Drivetrain", "FrictionLaw", "FrictionLimits", "Transmission", "require_rotors"]

@@ -18,7 +18,6 @@ import numpy as np
 from taut.arm.angles import short_way
 from taut.base.types import Array, Float64Array
 from taut.control.limits import LIMIT_TERMS
-from taut.record.info import LIMITS
 from taut.record.metrics.declaration import metric
 from taut.record.step import step_response
 
@@ -233,7 +232,7 @@ def torque_jump(run: Run) -> Float64Array | None:
 
 
 def _fraction_of_limit(run: Run, rows: Float64Array, limit: str) -> Float64Array:
-    limits: Mapping[str, float] = run.info.get(LIMITS, {}).get(limit, {})
+    limits = run.info.limits.get(limit, {})
     return np.asarray(100.0 * _peak(rows) / np.array([limits.get(joint, np.nan) for joint in run.joint_names]))
 
 

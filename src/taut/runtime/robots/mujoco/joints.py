@@ -14,8 +14,7 @@ from taut.codegen.engine import Steps, best_engine
 from taut.codegen.layout import Block
 from taut.codegen.loop import StepLoop
 from taut.maths import dynamics as dyn
-from taut.maths.adds import Adds
-from taut.maths.compensation import compensation
+from taut.maths.adds import Adds, compensation
 from taut.maths.model import PayloadValues, model_of
 from taut.plant.drives.actuation import Actuation
 from taut.plant.drives.drivetrain import Drivetrain

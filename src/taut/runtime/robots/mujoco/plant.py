@@ -16,8 +16,7 @@ from taut.base.errors import MatchError, UsageError, unknown_name
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.maths import dynamics as dyn
-from taut.maths.adds import Adds
-from taut.maths.compensation import compensation
+from taut.maths.adds import Adds, compensation
 from taut.maths.model import PayloadValues, model_of
 from taut.plant.drives.actuation import Actuation, delayed
 from taut.plant.environments.environment import Environment
@@ -259,6 +258,12 @@ class MujocoPlant:
         plant._take(rig, drives)
         plant._view = SceneView(rig, tool=False)
         return plant
+
+    def like(self, *, arm: Arm | None = None, sensors: Sensors | None = None) -> MujocoPlant | None:
+        """A plant of the same arguments but these; None of an attached one, which drives a simulation of yours."""
+        if self._settings is None:
+            return None
+        return MujocoPlant(arm or self.arm, **{**self.given, "sensors": sensors or self._sensors})
 
     def __reduce__(self) -> tuple[Any, ...]:
         """A copy is built anew, of the same arguments and with the same parameters, and has a scene of its own."""
