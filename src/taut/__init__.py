@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from taut import trajectories as trajectories
     from taut.analysis.design.design import design as design
     from taut.analysis.diagnosis.diagnosis import doctor as doctor
-    from taut.analysis.tune.tune import tune as tune
+    from taut.analysis.tuning import tune as tune
     from taut.arm.description import Arm as Arm
     from taut.arm.description import Friction as Friction
     from taut.arm.description import Payload as Payload
@@ -78,7 +78,7 @@ if TYPE_CHECKING:
     from taut.record.log.reading import load_run as load_run
     from taut.record.metrics import Metrics as Metrics
     from taut.record.outcome import Outcome as Outcome
-    from taut.record.report.report import report as report
+    from taut.record.report import report as report
     from taut.record.run import Run as Run
     from taut.runtime.events import Event as Event
     from taut.runtime.host import PlantBase as PlantBase

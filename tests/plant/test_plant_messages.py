@@ -51,12 +51,12 @@ CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
     ),
     (
         lambda: taut.RigidPlant(ARM, substeps=2.0),  # type: ignore[arg-type]
-        taut.errors.UsageError,
+        taut.errors.RangeError,
         "substeps",
     ),
     (
         lambda: taut.RigidPlant(ARM, substeps=True),
-        taut.errors.UsageError,
+        taut.errors.RangeError,
         "substeps",
     ),
     (

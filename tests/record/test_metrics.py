@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 import taut
 from taut.base.errors import ShapeError, UsageError
 from taut.record.metrics import METRICS, Metric
-from taut.record.step import step_response
+from taut.record.metrics.joints import step_response
 
 STEP = 1e-4  # of the step: what MATHS.md, section 5, asks of exact second-order responses
 ZETAS = [0.1, 0.3, 0.5, 0.78, 1.0, 1.5, 3.0]
@@ -286,8 +286,8 @@ def test_a_run_of_few_ticks_has_metrics(make_run: Any, ticks: int) -> None:
 
 
 def test_a_response_with_a_nan_gives_no_numbers() -> None:
-    response = step_response(np.arange(3.0), np.array([1.0, math.nan, 0.0]))
-    assert math.isnan(response.overshoot)
+    overshoot, _, _ = step_response(np.arange(3.0), np.array([1.0, math.nan, 0.0]))
+    assert math.isnan(overshoot)
 
 
 # -------------------------------------------------------------------- how they read

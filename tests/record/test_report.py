@@ -21,7 +21,7 @@ import taut
 from taut.analysis import Content, Result, Table
 from taut.base.errors import FileError, UsageError
 from taut.cli.main import main
-from taut.record.report.report import content_of, html_of, without_folders
+from taut.record.report import content_of, html_of, without_folders
 
 HTML = "{http://www.w3.org/1999/xhtml}"
 MOST_BYTES = 3_000_000

@@ -184,14 +184,13 @@ def positive_scalar(name: str, value: object, *, unit: str = "") -> float:
     return number
 
 
-def whole_number(name: str, value: object, minimum: int, maximum: int | None = None) -> int:
-    """A whole number in a range."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-        raise UsageError(f"{name} must be a whole number; got {value!r}", name=name, value=value)
-    if value < minimum or (maximum is not None and value > maximum):
-        rule = f">= {minimum}" if maximum is None else f"between {minimum} and {maximum}"
-        raise RangeError(f"{name} must be {rule}; got {value}", name=name, value=float(value), rule=rule)
-    return int(value)
+def whole_number(name: str, value: object, *, minimum: int = 0, maximum: int | None = None) -> int:
+    """A whole number in a range; True and False are none."""
+    rule = f">= {minimum}" if maximum is None else f"from {minimum} to {maximum}"
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not whole or value < minimum or (maximum is not None and value > maximum):  # type: ignore[operator]
+        raise RangeError(f"{name} must be a whole number {rule}; got {value!r}", name=name, value=value, rule=rule)
+    return int(value)  # type: ignore[call-overload,no-any-return]
 
 
 def rate_in_hertz(value: object) -> float:

@@ -108,7 +108,7 @@ class RigidPlant:
     def __post_init__(self) -> None:
         one_of("integrator", self.integrator, INTEGRATORS)
         for name in ("substeps", "sweeps"):
-            whole_number(name, getattr(self, name), 1, MAX_SUBSTEPS)
+            whole_number(name, getattr(self, name), minimum=1, maximum=MAX_SUBSTEPS)
         if not isinstance(self.energy, bool):
             raise UsageError(f"energy must be True or False; got {self.energy!r}", name="energy")
         object.__setattr__(self, "adds", Adds.of(self.adds))

@@ -153,7 +153,7 @@ class Run:
         Raises:
             UsageError: It has no two ticks.
         """
-        from taut.record.report.run_report import content_of_run
+        from taut.record.run_report import content_of_run
 
         return content_of_run(self)
 

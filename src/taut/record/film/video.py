@@ -21,7 +21,7 @@ from taut.base.checks import finite_array, positive_scalar
 from taut.base.errors import FileError, MatchError, MissingExtraError, RangeError, UsageError, unknown_name, warn
 from taut.base.types import Float64Array
 from taut.control.trajectories.task_reference import TaskMotion
-from taut.record.film import painter, render, scene
+from taut.record.film import render, scene
 from taut.record.film.scene import Focus, Skeleton, View, upright
 from taut.record.film.surroundings import Around, poses_of
 from taut.record.log.files import checked_target, written_aside
@@ -272,7 +272,7 @@ def _palette(first: Any) -> Any:
 
     most = 256 - SHADES
     own = first.quantize(colors=most, method=Image.Quantize.MEDIANCUT).getpalette()[: 3 * most]
-    trail = 255.0 * np.array(painter.TRAIL[:3])
+    trail = 255.0 * np.array(render.TRAIL[:3])
     shades = [
         trail + (to - trail) * x for to, x in zip([0.0, 255.0] * SHADES, np.linspace(0.0, 0.7, SHADES), strict=False)
     ]

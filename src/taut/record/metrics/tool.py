@@ -123,7 +123,9 @@ _MOMENT: Final = slice(3, 6)
 
 
 def _external(run: Run, part: slice) -> Float64Array | None:
-    return _sizes(run.extra["F_ext"], part) if "F_ext" in run.extra else None
+    """(k,) of the environment's wrench; None where nothing touched the arm."""
+    F_ext = run.extra.get("F_ext")
+    return _sizes(F_ext, part) if F_ext is not None and F_ext.any() else None
 
 
 def _error(run: Run, part: slice) -> Float64Array | None:
