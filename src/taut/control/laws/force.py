@@ -29,7 +29,7 @@ from taut.maths.task_inertia import TaskInertia
 from taut.trace import math as tm
 
 if TYPE_CHECKING:
-    from taut.plant.force_feedback import RigidTouch
+    from taut.plant.contact import RigidTouch
 
 __all__ = [
     "CONTACT",
