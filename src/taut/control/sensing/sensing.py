@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Set
-from typing import Any, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 import numpy as np
 
@@ -15,8 +15,10 @@ from taut.base.types import Array, Vector, Wrench
 from taut.control.sensing.filters import Difference, Kalman, LowPass, Measured, Notch, VelocitySource, check_filter
 from taut.maths import dynamics as dyn
 from taut.maths.model import PayloadValues, model_of
-from taut.maths.wrist import load_wrench, sensor_place
 from taut.trace import math as tm
+
+if TYPE_CHECKING:
+    from taut.maths.wrist import SensorPlace
 
 __all__ = ["FILTERED", "VELOCITIES", "Sensing", "SATURATED", "Wrist"]
 
@@ -107,7 +109,7 @@ class Wrist(Declared):
         Raises:
             UnknownNameError, UsageError: A frame that does not exist, or that does not move with the tool.
         """
-        sensor_place(arm, self.frame, "sensing.wrist")
+        self._place(arm)
 
     # ---------------------------------------------------------------- the pure functions
 
@@ -129,8 +131,10 @@ class Wrist(Declared):
             parameters: Its numbers by name.
             payload: What the tool carries, by the controller's model.
         """
+        from taut.maths.wrist import load_wrench
+
         R_WE = dyn.pose(model_of(arm), q).R
-        place = sensor_place(arm, self.frame, "sensing.wrist")
+        place = self._place(arm)
         cut = None
         if "range" in parameters:
             beyond = tm.abs(place.in_sensor(F_W, R_WE)) - AT_END * parameters["range"]
@@ -174,9 +178,15 @@ class Wrist(Declared):
                 rule="changes",
             )
 
+    def _place(self, arm: Arm) -> SensorPlace:
+        """Where the sensor stands, from the tool."""
+        from taut.maths.wrist import sensor_place
+
+        return sensor_place(arm, self.frame, "sensing.wrist")
+
     def _reading(self, arm: Arm, q: Vector, F_W: Wrench) -> Array:
         """(6,) in the sensor's own axes, where a frozen one stands still while the arm moves."""
-        return sensor_place(arm, self.frame, "sensing.wrist").in_sensor(F_W, dyn.pose(model_of(arm), q).R)
+        return self._place(arm).in_sensor(F_W, dyn.pose(model_of(arm), q).R)
 
     @staticmethod
     def _again(reading: Array, memory: Values) -> Any:
