@@ -25,8 +25,8 @@ __all__ = ["plot_friction"]
 
 MAX_PANELS: Final = 12
 MAX_LOADS: Final = 8
-ACROSS: Final = 3  # panels side by side
-MARGIN: Final = 1.12  # around the curves
+FRICTION_PANELS_ACROSS: Final = 3  # panels side by side
+AXIS_MARGIN: Final = 1.12  # around the curves
 REST: Final = colour(1)
 FALLS: Final = 6.0  # Stribeck speeds to either side, where nothing else says how far
 SPEEDS: Final = np.concatenate([[1e-6], np.geomspace(1e-3, 1.0, 400)])  # of the largest
@@ -81,9 +81,9 @@ def plot_friction(
         reach = finite_scalar("speed", speed, unit="rad/s")
         require_positive("speed", np.asarray(reach), unit="rad/s")
         panels = [Panel(title=p.title, friction=p.friction, speed=reach, units=p.units) for p in panels]
-    across = min(ACROSS, len(panels))
+    across = min(FRICTION_PANELS_ACROSS, len(panels))
     rows = -(-len(panels) // across)
-    size = (WIDTH, 0.4 + (1.95 if across == ACROSS else 2.3) * rows)
+    size = (WIDTH, 0.4 + (1.95 if across == FRICTION_PANELS_ACROSS else 2.3) * rows)
     figure = NewFigure(figsize=size, dpi=150, layout="constrained")
     compared = isinstance(friction, Mapping)  # one law beside another, on one scale
     axes = list(figure.subplots(rows, across, squeeze=False).flat)
@@ -91,8 +91,8 @@ def plot_friction(
     for k, (panel, ax) in enumerate(zip(panels, axes, strict=False)):
         tallest = max(largest) if compared else largest[k]
         widest = max(each.speed for each in panels) if compared else panel.speed
-        ax.set_xlim(-MARGIN * widest, MARGIN * widest)
-        ax.set_ylim(-MARGIN * (tallest or 1.0), MARGIN * (tallest or 1.0))
+        ax.set_xlim(-AXIS_MARGIN * widest, AXIS_MARGIN * widest)
+        ax.set_ylim(-AXIS_MARGIN * (tallest or 1.0), AXIS_MARGIN * (tallest or 1.0))
     for ax in axes[len(panels) :]:
         ax.set_visible(False)
     legend_above(figure, _keys(panels, loads))
