@@ -10,6 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from taut.arm.description import Arm
+from taut.base.checks import whole_number
 from taut.base.errors import RangeError, StabilityWarning, UsageError, warn
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
@@ -87,8 +88,7 @@ def run(
         >>> out.outcome.ok, bool(abs(out.q[-1, 0] - 0.5) < 1e-3)
         (True, True)
     """
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise RangeError(f"seed must be a whole number >= 0; got {seed!r}", name="seed")
+    seed = whole_number("seed", seed)
     if not isinstance(ctrl, (Controller, Loop)):
         ctrl = _of_task(ctrl, plant)
     target, reference, length = _what_to_run(ctrl, plant, ref, duration)
@@ -105,18 +105,18 @@ def run(
             else Loop(ctrl, target, None if ref is None else reference, duration=length)
         )
         parameters = _arrays(loop.parameters)
-        going = FusedRun(loop, q, v, int(seed), due)
+        going = FusedRun(loop, q, v, seed, due)
         stability = _judged(judge_start(loop, target, q, at_once), target)
     else:
         assert isinstance(ctrl, Controller)
         parameters = _arrays({**ctrl.parameters, **target.parameters})
         stability = _judged(judge_start(ctrl, target, q, at_once), target)
-        going = HostedRun(ctrl, target, reference, ticks, q, v, int(seed), due)
+        going = HostedRun(ctrl, target, reference, ticks, q, v, seed, due)
     going.tape.unstable = stability.message if stability.stable is False else ""
     going.tape.info = RunInfo(
         rate=ctrl.side.rate,
         duration=length,
-        seed=int(seed),
+        seed=seed,
         law=repr(law),
         arm=ctrl.side.arm.name,
         controller_arm=_undrawn(ctrl.side.arm),
