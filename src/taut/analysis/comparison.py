@@ -23,8 +23,7 @@ from taut.control.sensing.sensing import Sensing
 from taut.control.trajectories.reference import Reference
 from taut.controller import Controller, compile
 from taut.loop import Loop
-from taut.plant.sensors.readings import numbers_of
-from taut.plant.sensors.sensors import SENSORS, Sensors
+from taut.plant.sensors.sensors import Sensors
 from taut.record.metrics import METRICS
 from taut.record.plots.comparison import compare as compare_runs
 from taut.record.run import Run
@@ -483,8 +482,8 @@ def with_noise(sensors: Sensors, noise: Mapping[str, ArrayLike]) -> Sensors:
     """
     changed = {}
     for name, value in noise.items():
-        if name not in SENSORS:
-            raise unknown_name("a plant", "sensor", name, SENSORS)
+        if name not in Sensors.declared:
+            raise unknown_name("a plant", "sensor", name, Sensors.declared)
         sensor = getattr(sensors, name)
         if sensor is None:
             raise UsageError(f"the plant has no sensor '{name}', which noise is given for; leave it out", name=name)
@@ -494,7 +493,8 @@ def with_noise(sensors: Sensors, noise: Mapping[str, ArrayLike]) -> Sensors:
 
 def _noisy(sensors: Sensors) -> list[str]:
     """Names of the sensors that have noise."""
-    return [name for name in SENSORS if (one := getattr(sensors, name)) is not None and "noise" in numbers_of(one)]
+    there = ((name, getattr(sensors, name)) for name in Sensors.declared)
+    return [name for name, sensor in there if sensor is not None and "noise" in sensor.parameters()]
 
 
 def _check_recorded(name: str, run: object) -> None:

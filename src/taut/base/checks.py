@@ -184,12 +184,13 @@ def positive_scalar(name: str, value: object, *, unit: str = "") -> float:
     return number
 
 
-def whole_number(name: str, value: object, *, minimum: int = 0) -> int:
-    """A whole number, at least a minimum; True and False are none."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < minimum:
-        rule = f">= {minimum}"
+def whole_number(name: str, value: object, *, minimum: int = 0, maximum: int | None = None) -> int:
+    """A whole number in a range; True and False are none."""
+    rule = f">= {minimum}" if maximum is None else f"from {minimum} to {maximum}"
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not whole or value < minimum or (maximum is not None and value > maximum):  # type: ignore[operator]
         raise RangeError(f"{name} must be a whole number {rule}; got {value!r}", name=name, value=value, rule=rule)
-    return int(value)
+    return int(value)  # type: ignore[call-overload,no-any-return]
 
 
 def rate_in_hertz(value: object) -> float:

@@ -12,7 +12,7 @@ from taut.base.errors import RangeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.lawside import LawSide
 from taut.loop import AnyPlant, LoopParameters
-from taut.plant.environments.push import wrench_at_peak
+from taut.plant.environments.hands import Push
 
 __all__ = ["Event", "Schedule", "sorted_events"]
 
@@ -61,7 +61,7 @@ class Event:
         """
         new: dict[str, ArrayLike] = {f"{of}.t": t}
         if peak is not None:
-            new[f"{of}.peak"] = wrench_at_peak(peak)
+            new[f"{of}.peak"] = Push(peak=peak).peak
         if duration is not None:
             new[f"{of}.duration"] = duration
         return cls(t=t, set=new)

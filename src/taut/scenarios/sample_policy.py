@@ -10,8 +10,7 @@ import numpy as np
 from taut.base.checks import finite_array, positive_scalar, whole_number
 from taut.base.errors import RangeError
 from taut.base.types import Array, Float64Array
-from taut.control.trajectories.chunk import chunk
-from taut.control.trajectories.reference import Chunk
+from taut.control.trajectories.samples import Chunk, chunk
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotation_exp
 from taut.trace.pose import Pose
