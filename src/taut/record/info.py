@@ -170,7 +170,7 @@ def _different(one: Any, other: Any, name: str = "") -> Iterator[str]:
 @functools.cache
 def versions() -> Mapping[str, str]:
     """The versions of taut and of what it computes with, and the kind of machine."""
-    from taut.base.version import __version__
+    from taut.base import __version__
 
     found = {"taut": __version__}
     for package in PACKAGES:
