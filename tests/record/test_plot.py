@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 from io import BytesIO
@@ -16,6 +17,7 @@ from matplotlib.text import Text
 
 import taut
 from taut.base.plot_style import thinned
+from taut.record.info import RunInfo
 from taut.record.plots.comparison import compare
 
 
@@ -71,7 +73,7 @@ def many(make_run: Any) -> Any:
             "tau": parts["P"] + parts["gravity"],
             "terms": parts,
             "joint_names": tuple(f"a_rather_long_joint_name_{i}" for i in range(n)),
-            "info": {"rate": 200.0, "law": f"GravityPID(kp={[1.0 / 3.0] * n}, kd=2.0)", "arm": "a", "plant": "plant"},
+            "info": RunInfo(rate=200.0, law=f"GravityPID(kp={[1.0 / 3.0] * n}, kd=2.0)", arm="a", plant="plant"),
         }
         return make_run(t, q, **(values | others))
 
@@ -136,13 +138,13 @@ def test_chosen_joints_are_shown_by_name_or_index(many: Any) -> None:
 
 
 def test_a_limit_is_drawn_where_the_torque_comes_near_it(many: Any) -> None:
-    info = {"rate": 1.0, "law": "PID()", "parameters": {"limits.tau": [6.0, 1000.0]}}
+    info = RunInfo(rate=1.0, law="PID()", parameters={"limits.tau": np.array([6.0, 1000.0])})
     figure = many(2, info=info).plot()
     levels = {
         float(line.get_ydata()[0]) for line in axes_titled(figure, "torque").lines if line.get_label() == "limit"
     }
     assert levels == {-6.0, 6.0}
-    info["parameters"] = {"limits.tau": 1000.0}
+    info = dataclasses.replace(info, parameters={"limits.tau": np.array(1000.0)})
     assert axes_titled(many(2, info=info).plot(), "torque (below half of limits)")
 
 
@@ -168,12 +170,13 @@ def test_a_run_that_diverged_can_be_plotted(many: Any) -> None:
 def test_plotting_leaves_pyplot_and_the_global_settings_alone() -> None:
     code = """
 import sys, numpy as np, matplotlib, taut
+from taut.record.info import RunInfo
 settings = lambda: {name: matplotlib.rcParams[name] for name in matplotlib.rcParams if name != "backend"}
 before = settings()
 t = np.arange(50) * 0.01
 q = np.sin(t)[:, None]
 run = taut.Run(t=t, q=q, v=q, tau=q, command=q, terms={"P": q}, reference=taut.JointMotion.of({"q": q, "v": q, "a": q}),
-    outcome=taut.Outcome(kind="completed", message="", tick=49), joint_names=("a",), units=("rad",), info={"rate": 100.0})
+    outcome=taut.Outcome(kind="completed", message="", tick=49), joint_names=("a",), units=("rad",), info=RunInfo(rate=100.0))
 run.plot().savefig(sys.stdout.buffer, format="png")
 assert "matplotlib.pyplot" not in sys.modules
 assert settings() == before

@@ -36,12 +36,12 @@ if TYPE_CHECKING:
     from taut.analysis.loci import stability_map as stability_map
     from taut.analysis.lyapunov_function import Lyapunov as Lyapunov
     from taut.analysis.lyapunov_function import lyapunov as lyapunov
+    from taut.analysis.run_gradient import Tick as Tick
     from taut.analysis.stiffness import StiffnessCheck as StiffnessCheck
     from taut.analysis.stiffness import check_stiffness as check_stiffness
     from taut.analysis.stiffness import check_virtual_wall as check_virtual_wall
-    from taut.analysis.tune.tune import Tick as Tick
-    from taut.analysis.tune.tune import Trial as Trial
-    from taut.analysis.tune.tune import Tuned as Tuned
+    from taut.analysis.tuning import Trial as Trial
+    from taut.analysis.tuning import Tuned as Tuned
     from taut.analysis.wrist_calibration import WristCalibration as WristCalibration
     from taut.analysis.wrist_calibration import calibrate_wrist as calibrate_wrist
     from taut.analysis.wrist_calibration import calibration_poses as calibration_poses

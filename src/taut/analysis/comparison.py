@@ -23,9 +23,7 @@ from taut.control.sensing.sensing import Sensing
 from taut.control.trajectories.reference import Reference
 from taut.controller import Controller, compile
 from taut.loop import Loop
-from taut.plant.sensors.readings import numbers_of
-from taut.plant.sensors.sensors import SENSORS, Sensors
-from taut.record.info import PARTS, PHASES, stated
+from taut.plant.sensors.sensors import Sensors
 from taut.record.metrics import METRICS
 from taut.record.plots.comparison import compare as compare_runs
 from taut.record.run import Run
@@ -211,8 +209,8 @@ class Experiment:
             "rate": f"{self.rate:g} Hz",
             "duration": f"{self.duration:g} s",
             "reference": type(self.reference).__name__,
-            "limits": "none" if self.limits is None else stated(self.limits),
-            "sensing": stated(self.sensing),
+            "limits": "none" if self.limits is None else str(self.limits),
+            "sensing": str(self.sensing),
             "noise of": ", ".join(_noisy(self.sensors)) or "no sensor",
             "seed": str(self.seed),
             "events": "; ".join(f"at {event.t:g} s {dict(event.set)}" for event in self.events) or "none",
@@ -366,8 +364,7 @@ def compare_laws(
                 done, numbers = variants.figures(experiment, controllers[name], by)
             entries.append(Entry(name=name, law=repr(law), run=done, numbers=numbers))
     entries += [
-        Entry(name=name, law=str(one.info.get("law", "")), run=one, numbers=figures_of(one, by))
-        for name, one in runs.items()
+        Entry(name=name, law=one.info.law, run=one, numbers=figures_of(one, by)) for name, one in runs.items()
     ]
     if by:
         entries.sort(key=lambda entry: (not entry.run.outcome.ok, [entry.number(figure) for figure in by]))
@@ -459,7 +456,7 @@ def figures_of(run: Run, more: Sequence[str] = ()) -> Numbers:
 def _by_unit(run: Run, name: str, *, parts: bool) -> dict[str, float]:
     """A metric by unit, where it has a meaning; the largest of the parts of a run of laws side by side."""
     found: dict[str, float] = {}
-    for part in ([run.part(part) for part in run.info.get(PARTS, ())] if parts else []) or [run]:
+    for part in ([run.part(part) for part in run.info.parts] if parts else []) or [run]:
         for unit, value in part.metrics.by_unit(name).items():
             if not math.isnan(value):
                 found[unit] = max(found.get(unit, value), value)
@@ -485,8 +482,8 @@ def with_noise(sensors: Sensors, noise: Mapping[str, ArrayLike]) -> Sensors:
     """
     changed = {}
     for name, value in noise.items():
-        if name not in SENSORS:
-            raise unknown_name("a plant", "sensor", name, SENSORS)
+        if name not in Sensors.declared:
+            raise unknown_name("a plant", "sensor", name, Sensors.declared)
         sensor = getattr(sensors, name)
         if sensor is None:
             raise UsageError(f"the plant has no sensor '{name}', which noise is given for; leave it out", name=name)
@@ -496,13 +493,14 @@ def with_noise(sensors: Sensors, noise: Mapping[str, ArrayLike]) -> Sensors:
 
 def _noisy(sensors: Sensors) -> list[str]:
     """Names of the sensors that have noise."""
-    return [name for name in SENSORS if (one := getattr(sensors, name)) is not None and "noise" in numbers_of(one)]
+    there = ((name, getattr(sensors, name)) for name in Sensors.declared)
+    return [name for name, sensor in there if sensor is not None and "noise" in sensor.parameters()]
 
 
 def _check_recorded(name: str, run: object) -> None:
     if not isinstance(run, Run):
         raise UsageError(f"'{name}' must be a law or a taut.Run; got {type(run).__name__}", name=name)
-    if PHASES in run.info:
+    if run.info.phases:
         raise UsageError(
             f"run '{name}' is one of a task, whose phases have their own references; compare one of them, "
             f"run.phase('{run.phases[0].name}')",

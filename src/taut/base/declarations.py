@@ -17,7 +17,7 @@ __all__ = ["REQUIRED", "Choice", "Declaration", "Field", "Part", "Parts", "Plain
 
 T = TypeVar("T")
 REQUIRED: Final = object()
-Shape = str | int | tuple[int, ...]
+Shape = str | int | tuple[int | str, ...]
 Joints = Sequence[str] | int | None
 IN_WORDS: Final[Mapping[Any, str]] = {
     bool: "True or False",
@@ -140,7 +140,7 @@ class Field(Declaration[Any]):
         unit: Shown in messages and tables.
         shape: "scalar"; "n" for one entry per joint, of which one number alone stands for all; a length (3, 6); the
             name of an attribute of the object with the length, such as "dimensions"; any other name for a length
-            that only the owner of the part knows; or the whole shape, (6, 6).
+            that only the owner of the part knows; or the whole shape, (6, 6), with names for lengths of any size.
         accepts: Short forms: "scalar" for all entries (of "n" always), "pair" (linear, angular) for six or
             as two, "force" for six with a moment of zero, "matrix" for a symmetric positive semidefinite matrix.
         minimum: Smallest allowed entry.
@@ -185,6 +185,10 @@ class Field(Declaration[Any]):
     if TYPE_CHECKING:
 
         def __set__(self, obj: object, value: ArrayLike | None) -> None: ...
+
+    def stored(self, value: Any) -> Any:
+        """An array; a plain number of a scalar that never changes."""
+        return value if self.run_time or self.shape != "scalar" else float(value)
 
     @property
     def unit_words(self) -> str:
@@ -242,14 +246,18 @@ class Field(Declaration[Any]):
             return np.concatenate([array, np.zeros(3)])
         k = size or self.shape
         fits = array.size > 0 and array.ndim > 0 and size in (None, len(array))
-        whole, pair = isinstance(self.shape, tuple), "pair" in self.accepts
+        whole, pair = self.shape if isinstance(self.shape, tuple) else (), "pair" in self.accepts
         forms = {  # in words: (taken by this field, true of the array)
             "a number": (self.shape == "scalar" or "scalar" in self.accepts, array.ndim == 0),
             "(linear, angular)": (pair and size in (2, 6, None), size != 6 and array.shape == (2,)),
             "a force (3,)": ("force" in self.accepts, False),
             f"({k},)": (self.shape != "scalar" and not whole and not (pair and size == 2), array.ndim == 1 and fits),
             f"({k}, {k})": ("matrix" in self.accepts, array.ndim == 2 and len(set(array.shape)) == 1 and fits),
-            f"{self.shape}": (whole, array.shape == self.shape),
+            f"({', '.join(map(str, whole))})": (
+                bool(whole),
+                len(whole) == array.ndim
+                and all(isinstance(a, str) or a == b for a, b in zip(whole, array.shape, strict=True)),
+            ),
         }
         taken = {words: true for words, (takes, true) in forms.items() if takes}
         if not any(taken.values()):

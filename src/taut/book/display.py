@@ -27,7 +27,7 @@ from taut.control.trajectories.reference import JointMotion, Sample
 from taut.controller import compile
 from taut.linear.linearise import linearise
 from taut.maths.snapshot import snapshot
-from taut.plant.environments.hands import Handle
+from taut.plant.environments.hands import Hand
 from taut.runtime.simulate import run
 
 __all__: list[str] = []
@@ -80,7 +80,7 @@ def kinds() -> Shown:
 @entry("sec-10.5", "what impedance and admittance control are good at", part="sides")
 def sides() -> Shown:
     """A hand holds the tool by a handle: which of the two laws stands a low impedance, and which a stiff one."""
-    hand = Handle(mass=1.0, damping=5.0, stiffness=300.0)
+    hand = Hand(mass=1.0, damping=5.0, stiffness=300.0)
     inner = TaskComputedTorque(kp=2500.0, kd=100.0, error="coordinates", coordinates=PLACE)
     for name, D, damping, stiffness in (("low", 0.1, 2.0, 20.0), ("stiff", 20.0, 200.0, 1e6)):
         b, k = (damping, 0.5), (stiffness, 10.0)

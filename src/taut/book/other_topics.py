@@ -10,7 +10,7 @@ from taut.control.laws.joint import PID
 from taut.control.trajectories.reference import JointMotion
 from taut.linear.linearise import linearise
 from taut.plant.drives.actuation import Actuation
-from taut.plant.drives.transmission import Transmission
+from taut.plant.drives.drivetrain import Transmission
 
 __all__: list[str] = []
 

@@ -80,7 +80,7 @@ def _compare(arguments: argparse.Namespace, say: Say) -> Answer:
         TautError: A request that is wrong; nothing has run then.
     """
     from taut.record.log.files import checked_target, written_aside
-    from taut.record.report.report import report
+    from taut.record.report import report
 
     targets = {"plot": (".png", ".pdf", ".svg"), "report": (".html", ".htm")}
     files = {kind: path for kind in targets if (path := getattr(arguments, kind)) is not None}

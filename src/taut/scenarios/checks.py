@@ -19,7 +19,6 @@ from taut.control.side_by_side import SideBySide
 from taut.control.tasks.task import Task
 from taut.control.trajectories.force_reference import HybridMotion, Pressing, TaskForce, hybrid_kind
 from taut.control.trajectories.reference import (
-    Chunk,
     Hold,
     JointMotion,
     Reference,
@@ -28,8 +27,9 @@ from taut.control.trajectories.reference import (
     Trajectory,
     sample_rows,
 )
+from taut.control.trajectories.samples import Chunk, TaskSamples
 from taut.control.trajectories.task import Circle, Line, Screw
-from taut.control.trajectories.task_reference import TaskMotion, TaskSamples
+from taut.control.trajectories.task_reference import TaskMotion
 from taut.controller import compile
 from taut.loop import check_fit, duration_of_ticks, state_at_start
 from taut.plant.rigid import RigidPlant

@@ -17,11 +17,11 @@ from taut.maths.adds import Adds
 from taut.maths.spatial import rotation_exp
 from taut.plant.drives.motor import ElectricMotor, Motor, MotorModel
 from taut.plant.environments.environment import Environment, Environments
-from taut.plant.environments.hands import BandNoise, Hand, Handle, Oscillation, PrescribedMotion
-from taut.plant.environments.push import Push
+from taut.plant.environments.hands import BandNoise, Hand, Oscillation, PrescribedMotion, Push
 from taut.plant.environments.springs import Damper, Spring, StiffWall
 from taut.plant.rigid import RigidPlant
-from taut.plant.sensors.sensors import SENSORS, Sensors
+from taut.plant.sensors.kinds import Accelerometer, Encoder, Tachometer, TorqueSensor, WrenchSensor
+from taut.plant.sensors.sensors import Sensors
 from taut.runtime.host import HostPlant
 from taut.scenarios.arms import OF_TRUE_ARM, friction_word, pose_of, read_true_arm
 from taut.scenarios.reading import arguments, of_keys, of_kind, read, reads
@@ -38,7 +38,6 @@ ENVIRONMENTS: Final[Mapping[str, Callable[..., Any]]] = {
     "spring": Spring,
     "damper": Damper,
     "wall": StiffWall,
-    "handle": Handle,
     "hand": Hand,
     "push": Push,
 }
@@ -84,7 +83,8 @@ def _motor(table: Table, key: str) -> MotorModel:
 def _sensors(table: Table, key: str) -> Sensors:
     """A table for each sensor, or "none" for one that is not there."""
     below = table.table(key)
-    numbers = (name for _, kind in SENSORS.values() for name in arguments(kind))
+    kinds = Encoder, Tachometer, TorqueSensor, WrenchSensor, Accelerometer
+    numbers = (name for kind in kinds for name in arguments(kind))
     elsewhere = dict.fromkeys(numbers, f", which a sensor has, as in [{below.below('position')}]")
     return read(Sensors, below, elsewhere=elsewhere)  # type: ignore[no-any-return]
 

@@ -15,12 +15,12 @@ from taut.base.checks import finite_array
 from taut.base.errors import quoted_list
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.law import Law
-from taut.control.trajectories.chunk import chunk
-from taut.control.trajectories.force_reference import ForceFrame, TaskForce, pressing
-from taut.control.trajectories.joint import Cubic, JerkLimited, Quintic, Samples, Sine, Spline, Trapezoidal
-from taut.control.trajectories.reference import Chunk, Hold, JointMotion, Reference, Stream
+from taut.control.trajectories.force_reference import TaskForce, pressing
+from taut.control.trajectories.joint import Cubic, JerkLimited, Quintic, Sine, Spline, Trapezoidal
+from taut.control.trajectories.reference import Hold, JointMotion, Reference, Stream
+from taut.control.trajectories.samples import Chunk, Samples, TaskSamples, chunk
 from taut.control.trajectories.task import Circle, Line, Screw
-from taut.control.trajectories.task_reference import TaskMotion, TaskSamples
+from taut.control.trajectories.task_reference import Axes, TaskMotion
 from taut.maths.snapshot import snapshot
 from taut.scenarios.arms import below_pose
 from taut.scenarios.reading import arguments, read
@@ -214,13 +214,7 @@ def _screw(task: _Task) -> Any:
 
 
 def _circle(task: _Task) -> Any:
-    """About an axis, or through two points more."""
-    through, about = (
-        [key for key in keys if key in task.table] for keys in (("via", "end"), ("centre", "axis", "angle"))
-    )
-    if through and about:
-        raise task.table.error("takes via and end, or centre, axis and angle, and not some of both")
-    return task.made(Circle.through if through else Circle, T0=task.pose("T0", required=False), **task.points())
+    return task.made(Circle, T0=task.pose("T0", required=False), **task.points())
 
 
 def _task_samples(task: _Task) -> Any:
@@ -228,10 +222,9 @@ def _task_samples(task: _Task) -> Any:
     if "file" not in table:
         table.need("poses")
         return task.made(TaskSamples, poses=[task.placed(each) for each in table.tables("poses")])
-    table.only(("kind", "relative_to_home", "file", "interpolation"))
-    how = {"interpolation": table.get("interpolation")} if "interpolation" in table else {}
+    table.only(("kind", "relative_to_home", "file"))
     with table.blamed("file"):
-        samples = TaskSamples.from_csv(file_beside("CSV file", table.text("file"), task.folder), **how)
+        samples = TaskSamples.from_csv(file_beside("CSV file", table.text("file"), task.folder))
         return dataclasses.replace(samples, poses=[task.moved(pose) for pose in samples.poses])
 
 
@@ -256,7 +249,7 @@ TASK_KINDS: Final[Mapping[str, Callable[[_Task], Any]]] = {
 # -------------------------------------------------------------------- of a force
 
 
-def _force_samples(*, times: ArrayLike, F_app: ArrayLike, frame: ForceFrame = "world") -> Chunk:
+def _force_samples(*, times: ArrayLike, F_app: ArrayLike, frame: Axes = "world") -> Chunk:
     """Wrenches at stated times with straight lines in between."""
     rows = finite_array("F_app", F_app, shape=(np.size(np.asarray(times, dtype=object)), 6))
     return chunk(times, [TaskForce(F_app=row, frame=frame) for row in rows])

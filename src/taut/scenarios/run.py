@@ -20,7 +20,7 @@ from taut.control.combine import bare
 from taut.control.laws.hybrid import HybridMotionForce
 from taut.controller import Controller, compile
 from taut.maths.snapshot import Snapshot, snapshot
-from taut.record.info import PARTS, PHASES, SCENARIO
+from taut.record.info import ScenarioInfo
 from taut.record.log.files import cannot_write, checked_target, written_aside
 from taut.record.metrics import METRICS, Metrics
 from taut.record.plots.comparison import compare, spread_figure
@@ -90,7 +90,7 @@ class ScenarioResult(Result):
         outcomes = [
             f"{trial.label}: {one.outcome}"
             for trial, one in self.runs.items()
-            if not one.outcome.ok or PHASES in one.info or "; " in one.outcome.message
+            if not one.outcome.ok or one.info.phases or "; " in one.outcome.message
         ]
         reached = f"reached: {self.figures - len(self.missed)} of {self.figures} pass figures"
         return Content(
@@ -168,7 +168,7 @@ def _by_part(runs: Mapping[Trial, Run]) -> dict[Trial, Run]:
     """Runs of laws side by side by their parts, which have the metrics, and all others as they are."""
     out: dict[Trial, Run] = {}
     for trial, one in runs.items():
-        parts = {Trial(trial.case, f"{trial.law}: {name}"): one.part(name) for name in one.info.get(PARTS, ())}
+        parts = {Trial(trial.case, f"{trial.law}: {name}"): one.part(name) for name in one.info.parts}
         out |= parts or {trial: one}
     return out
 
@@ -176,7 +176,7 @@ def _by_part(runs: Mapping[Trial, Run]) -> dict[Trial, Run]:
 def _by_phase(trial: Trial, one: Run) -> dict[Trial, Run]:
     """The runs of the phases of a task; a phase that acted again has a number."""
     out: dict[Trial, Run] = {}
-    for window in one.phases if PHASES in one.info else ():
+    for window in one.phases if one.info.phases else ():
         visit = sum(label.law.partition(" ")[0] == window.name for label in out)
         label = window.name if visit == 0 else f"{window.name} {visit + 1}"
         out[Trial(trial.case, label)] = one.phase(window.name, visit)
@@ -262,8 +262,8 @@ def _one_run(scenario: Scenario, ctrl: Controller, trial: Trial, say: Callable[[
             log=None if log is None else _partial(log),
         )
     built_in = scenario.source.partition(":")[0] == f"scenario '{scenario.name}'"
-    made_by = {"name": scenario.name, **trial._asdict(), "text": scenario.text, "built_in": built_in}
-    return dataclasses.replace(done, info={**done.info, SCENARIO: made_by})
+    made_by = ScenarioInfo(name=scenario.name, **trial._asdict(), text=scenario.text, built_in=built_in)
+    return dataclasses.replace(done, info=dataclasses.replace(done.info, scenario=made_by))
 
 
 @contextmanager
@@ -436,7 +436,7 @@ def _missed(figure: PassFigure, runs: Mapping[Trial, Run]) -> Iterator[str]:
 def _shortfall_of_part(figure: PassFigure, one: Run) -> str | None:
     """In words, if what a pass figure is about does not reach it: the run, a law beside others, or a phase."""
     measured = one
-    if figure.part is not None and PHASES not in one.info:
+    if figure.part is not None and not one.info.phases:
         measured = one.part(figure.part)
     elif figure.part is not None:
         if figure.part not in (window.name for window in one.phases):

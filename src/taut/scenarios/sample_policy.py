@@ -7,11 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from taut.base.checks import finite_array, positive_scalar
+from taut.base.checks import finite_array, positive_scalar, whole_number
 from taut.base.errors import RangeError
 from taut.base.types import Array, Float64Array
-from taut.control.trajectories.chunk import chunk
-from taut.control.trajectories.reference import Chunk
+from taut.control.trajectories.samples import Chunk, chunk
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotation_exp
 from taut.trace.pose import Pose
@@ -53,9 +52,7 @@ class SamplePolicy:
             if pair.min() < 0.0:
                 raise RangeError(f"{name} must be >= 0 [m, rad]; got {pair.tolist()}", name=name)
         for name, least in (("ahead", 1), ("seed", 0)):
-            number = getattr(self, name)
-            if isinstance(number, bool) or not isinstance(number, int) or number < least:
-                raise RangeError(f"{name} must be a whole number >= {least}; got {getattr(self, name)}", name=name)
+            whole_number(name, getattr(self, name), minimum=least)
 
     def __call__(self, x: Snapshot) -> Chunk:
         """The chunk of the period in which the snapshot is taken."""

@@ -22,7 +22,6 @@ from taut.base.plot_style import (
     wrapped,
 )
 from taut.base.types import Float64Array
-from taut.record.info import PARTS, TOOL
 from taut.record.metrics import METRICS
 from taut.record.plots.run_plot import is_task_run
 from taut.record.run import Run
@@ -145,10 +144,10 @@ def _panels(found: Sequence[Curves], runs: Sequence[Run]) -> Iterator[Panel]:
 
 def _errors(run: Run) -> Curves:
     """(k,) norms of a run's errors; of an arm of one joint the error with its sign."""
-    if not run.info.get(PARTS):
+    if not run.info.parts:
         return _errors_of_one(run)
     out: Curves = {}  # of laws side by side, the norms of all together
-    for part in run.info[PARTS]:
+    for part in run.info.parts:
         for head, norm in _errors_of_one(run.part(part)).items():
             out[head] = np.hypot(out.get(head, 0.0), norm)
     return out
@@ -279,7 +278,7 @@ def spread_figure(runs: Mapping[str, Run]) -> Figure:
     from matplotlib.figure import Figure
 
     for name, run in runs.items():
-        if TOOL not in run.info:
+        if run.info.tool is None:
             raise UsageError(f"run '{name}' does not say where its tool is", name="runs")
     figure = Figure(figsize=(WIDTH, SPREAD_HEIGHT), dpi=150, layout="constrained")
     grid = figure.add_gridspec(2, 2, width_ratios=[1.0, 1.35])

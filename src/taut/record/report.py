@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["content_of", "html_of", "report", "without_folders"]
 
-MAX_BYTES: Final = 3_000_000
+MAX_REPORT_BYTES: Final = 3_000_000
 RESOLUTIONS: Final = (160, 120, 90, 60)  # [dots per inch], the first one that fits
 STYLE: Final = """
 :root { color-scheme: light dark; --ink: #1c1c1c; --paper: #fff; --line: #d0d0d0; --soft: #f4f4f4; --bad: #a40000;
@@ -80,9 +80,7 @@ FOLDERS: Final = re.compile(
 )
 
 
-def report(
-    x: object, path: str | os.PathLike[str], *, title: str = "", repeat: str = "", log: str = "run.mcap"
-) -> Path:
+def report(x: object, path: str | os.PathLike[str], *, title: str = "", repeat: str = "") -> Path:
     """Write a report: numbers, pictures, settings, versions, and how to do it again, in one HTML file.
 
     The file needs no other file, no network and no script; it prints, and it reads on a phone. It names files without
@@ -93,8 +91,7 @@ def report(
             `taut.linearise` give: anything that describes itself in `content()`.
         path: Where to, ending in .html, in a folder that exists. What is there stays until the new file is whole.
         title: A title, instead of the usual one.
-        repeat: How to do it again, instead of what is known.
-        log: Of a run, the name of its log, which the lines that repeat it read.
+        repeat: How to do it again, instead of what is known: a run of a scenario knows its command.
 
     Returns:
         The path.
@@ -112,13 +109,13 @@ def report(
         True
     """
     target = checked_target("report", path, (".html", ".htm"))
-    content = content_of(x, title=title, repeat=repeat, log=log)
+    content = content_of(x, title=title, repeat=repeat)
     with written_aside("report", target) as aside:
         aside.write_text(html_of(content), encoding="utf-8", errors="replace")
     return target
 
 
-def content_of(x: object, *, title: str = "", repeat: str = "", log: str = "run.mcap") -> Content:
+def content_of(x: object, *, title: str = "", repeat: str = "") -> Content:
     """What a report holds, before it is a file.
 
     Raises:
@@ -127,7 +124,7 @@ def content_of(x: object, *, title: str = "", repeat: str = "", log: str = "run.
     if not isinstance(x, (Run, Result)):
         got = x.__name__ if isinstance(x, type) else type(x).__name__
         raise UsageError(f"a report is of a taut.Run or of a result, which has content(); got {got}", name="x")
-    content = x.content(log=log) if isinstance(x, Run) else x.content()
+    content = x.content()
     return dataclasses.replace(content, title=title or content.title, repeat=repeat or content.repeat)
 
 
@@ -139,7 +136,7 @@ def html_of(content: Content) -> str:
     figures = {title: draw() for title, draw in content.figures.items()}
     for dpi in RESOLUTIONS:
         text = "\n".join(_lines(content, figures, dpi))
-        if len(text.encode()) < MAX_BYTES:
+        if len(text.encode()) < MAX_REPORT_BYTES:
             break
     return text
 
