@@ -15,8 +15,8 @@ import taut
 from taut.cli.main import main
 from taut.scenarios.laws import read_control
 from taut.scenarios.plants import read_plant
+from taut.scenarios.reading import read_toml
 from taut.scenarios.scenario import built_in_scenarios, load_scenario
-from taut.scenarios.toml import read_toml
 
 GOOD = """
 title = "a test"
@@ -495,7 +495,7 @@ def test_a_wrist_sensor_that_weighs_and_what_the_controller_knows_of_it_can_be_w
     file.write_text(TEXT_OF_WRIST)
     root = read_toml(file)
     arm = taut.load_arm("planar2")
-    plant = read_plant(root.table("plant"), arm, 500.0, tmp_path)
+    plant = read_plant(root.table("plant"), arm, 500.0)
     assert plant.parameters["sensors.wrench.tool.mass"] == 0.7
     assert plant.parameters["sensors.wrench.tool.com"].tolist() == [0.0, 0.0, 0.05]
     assert plant.parameters["sensors.wrench.noise"].tolist() == [0.1] * 3 + [0.01] * 3

@@ -51,6 +51,7 @@ if TYPE_CHECKING:
 __all__ = ["MujocoPlant"]
 
 LONGEST: Final = 1e-3  # [s] of a time step that nobody asked for
+MAX_STEPS: Final = 1000  # in a control period
 PAYLOAD: Final = ("payload.mass", "payload.com", "payload.inertia")  # what a sensor that weighs asks for
 
 
@@ -456,8 +457,8 @@ class MujocoPlant:
             return max(1, math.ceil(dt / LONGEST * (1.0 - 1e-9)))
         h = float(self._rig.model.opt.timestep) if self._timestep is None else self._timestep
         steps = dt / h
-        if round(steps) < 1 or abs(steps - round(steps)) > 1e-9 * steps:
-            near = dt / max(1, math.ceil(steps))
+        if not 1 <= round(steps) <= MAX_STEPS or abs(steps - round(steps)) > 1e-9 * steps:
+            near = dt / min(max(1, math.ceil(steps)), MAX_STEPS)
             change = "model.opt.timestep" if self._settings is None else "timestep"
             raise MatchError(
                 f"plant '{self.name}': the control period must be a whole number of time steps; {dt:g} s is "
