@@ -67,14 +67,13 @@ def test_options_are_checked(options: dict[str, object], kind: type[taut.TautErr
 
 
 def test_a_plant_takes_an_arm() -> None:
-    words = "a plant takes an Arm from taut.load_arm; got str"
+    words = "arm must be an Arm from taut.load_arm; got str"
     assert said(lambda: taut.MujocoPlant("panda"), taut.errors.UsageError) == words
 
 
 def test_rk4_refuses_dry_friction_and_takes_an_arm_without() -> None:
     arm = ARM.with_joints(coulomb=[0.1, 0.0])
-    words = "rk4 needs smooth forces, and arm 'planar2' has dry friction; use integrator='discrete', or no friction"
-    assert said(lambda: taut.MujocoPlant(arm, integrator="rk4"), taut.errors.UsageError) == words
+    assert "dry friction" in said(lambda: taut.MujocoPlant(arm, integrator="rk4"), taut.errors.UsageError)
     taut.MujocoPlant(arm, integrator="rk4", adds=("friction",))
 
 

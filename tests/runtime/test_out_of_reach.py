@@ -15,7 +15,7 @@ from taut.control.trajectories.compound import together
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.chain import Chain
 from taut.maths.model import model_of
-from taut.maths.out_of_reach import Beyond, distance_beyond, spheres
+from taut.maths.singularity import Beyond, distance_beyond, spheres
 
 Array = Float64Array
 ARMS = ("panda", "ur10", "xarm7", "kinova")  # on the last nothing was tuned

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.control.trajectories.reference import Chunk
+from taut.control.trajectories.samples import Chunk
 from taut.scenarios.run import run_scenario
 from taut.scenarios.scenario import load_scenario
 

@@ -77,7 +77,6 @@ REFERENCES: dict[str, dict[str, Any]] = {
         "kind": "task-samples",
         "relative_to_home": True,
         "file": "way.csv",
-        "interpolation": "linear",
     },
     "hold": {"kind": "hold"},
 }
@@ -200,11 +199,11 @@ BROKEN: dict[str, tuple[dict[str, Any], str]] = {
     "a key of a circle": ({**LINE, "angle": 1.0}, "[reference] has no key 'angle'"),
     "a circle about and through": (
         {**REFERENCES["circle"], "via": [0, 0, 0], "end": [1, 0, 0]},
-        "[reference] takes via and end, or centre, axis and angle, and not some of both",
+        "[reference] kind: takes centre and axis",
     ),
     "a circle through one point": (
         {"kind": "circle", "via": [0, 0, 0], "duration": 1.0},
-        "[reference] needs the key 'end'",
+        "[reference] kind: takes centre and axis",
     ),
     "a centre in words": (
         {**REFERENCES["circle"], "centre": "here"},

@@ -114,7 +114,7 @@ def lyapunov(run: Run) -> Lyapunov:
     """
     if not isinstance(run, Run):  # callers without a type checker
         raise UsageError(f"lyapunov takes a taut.Run; got {type(run).__name__}", name="run")
-    law, values = str(run.info.get("law", "")).partition("(")[0], run.info.get("parameters", {})
+    law, values = run.info.law.partition("(")[0], run.info.parameters
     _check(run, law, values)
     n = run.n
     assert run.arm is not None
@@ -206,14 +206,14 @@ def _check(run: Run, law: str, values: Any) -> None:
     if law not in LAWS or "law.kd" not in values:
         raise UsageError(
             f"eq. 10.24 is for PD control with gravity compensation, {' or '.join(LAWS)} alone; this run is of "
-            f"{run.info.get('law', '?')}",
+            f"{run.info.law or '?'}",
             name="run",
         )
     if np.any(np.asarray(values.get("law.ki", 0.0))):
         raise UsageError(f"eq. 10.24 is for ki = 0; this run has law.ki = {values['law.ki']}", name="law.ki")
     if run.arm is None:
         raise UsageError("this run was loaded from a file and has no arm; make it anew with taut.run", name="run")
-    if run.info.get("events"):
+    if run.info.events:
         raise UsageError("eq. 10.24 is for gains that stay, and this run has events; run it without", name="run")
     wanted, rate = getattr(run.reference, "q", None), getattr(run.reference, "v", None)
     moves = wanted is not None and np.ptp(wanted, axis=0).max() > 0.0

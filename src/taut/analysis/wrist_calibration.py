@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from taut.arm.description import STANDARD_GRAVITY, Arm
-from taut.base.checks import finite_array, finite_scalar, one_of, read_only, vector
+from taut.base.checks import finite_array, one_of, positive_scalar, read_only, vector, whole_number
 from taut.base.errors import NumericalError, RangeError, ShapeError, UsageError
 from taut.base.quantity import FORCE_AND_MOMENT, Quantity, six_of
 from taut.base.result import Content, Result, Table
@@ -356,14 +356,8 @@ def calibration_poses(
         >>> calibration_poses(taut.load_arm("planar3"), count=4).shape
         (4, 3)
     """
-    if isinstance(count, bool) or not isinstance(count, int):
-        raise UsageError(f"count must be a whole number; got {count!r}", name="count")
-    if count < 3:
-        raise RangeError(
-            f"count must be >= 3: three directions of gravity determine all numbers; got {count}", name="count"
-        )
-    if finite_scalar("travel", travel, unit="rad | m") <= 0.0:
-        raise RangeError(f"travel must be > 0 [rad | m]; got {travel!r}", name="travel")
+    count = whole_number("count", count, minimum=3)  # directions of gravity that determine all numbers
+    travel = positive_scalar("travel", travel, unit="rad | m")
     start = arm.home if q is None else finite_array("q", q, shape=(arm.n,), joints=arm.joint_names, unit="rad | m")
     place, model = sensor_place(arm, frame, "calibration_poses"), model_of(arm)
     near = _candidates(arm, start, travel)

@@ -29,6 +29,7 @@ __all__ = [
     "require_positive",
     "symmetric_psd",
     "vector",
+    "whole_number",
 ]
 
 T = TypeVar("T", bound=str)
@@ -181,6 +182,15 @@ def positive_scalar(name: str, value: object, *, unit: str = "") -> float:
     if number <= 0.0:
         raise RangeError(f"{name} must be > 0{_unit(unit)}; got {number!r}", name=name, value=number, rule="> 0")
     return number
+
+
+def whole_number(name: str, value: object, *, minimum: int = 0, maximum: int | None = None) -> int:
+    """A whole number in a range; True and False are none."""
+    rule = f">= {minimum}" if maximum is None else f"from {minimum} to {maximum}"
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not whole or value < minimum or (maximum is not None and value > maximum):  # type: ignore[operator]
+        raise RangeError(f"{name} must be a whole number {rule}; got {value!r}", name=name, value=value, rule=rule)
+    return int(value)  # type: ignore[call-overload,no-any-return]
 
 
 def rate_in_hertz(value: object) -> float:

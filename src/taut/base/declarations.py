@@ -19,6 +19,7 @@ __all__ = [
     "Declaration",
     "Field",
     "Part",
+    "Parts",
     "Plain",
     "Refusal",
     "Whole",
@@ -27,7 +28,7 @@ __all__ = [
 
 T = TypeVar("T")
 REQUIRED: Final = object()
-Shape = str | int | tuple[int, ...]
+Shape = str | int | tuple[int | str, ...]
 Joints = Sequence[str] | int | None
 IN_WORDS: Final[Mapping[Any, str]] = {
     bool: "True or False",
@@ -147,7 +148,7 @@ class Field(Declaration[Any]):
         unit: Shown in messages and tables.
         shape: "scalar"; "n" for one entry per joint, of which one number alone stands for all; a length (3, 6); the
             name of an attribute of the object with the length, such as "dimensions"; any other name for a length
-            that only the owner of the part knows; or the whole shape, (6, 6).
+            that only the owner of the part knows; or the whole shape, (6, 6), with names for lengths of any size.
         accepts: Short forms: "scalar" for all entries (of "n" always), "pair" (linear, angular) for six or
             as two, "force" for six with a moment of zero, "matrix" for a symmetric positive semidefinite matrix.
         minimum: Smallest allowed entry.
@@ -190,6 +191,10 @@ class Field(Declaration[Any]):
     if TYPE_CHECKING:
 
         def __set__(self, obj: object, value: ArrayLike | None) -> None: ...
+
+    def stored(self, value: Any) -> Any:
+        """An array; a plain number of a scalar that never changes."""
+        return value if self.run_time or self.shape != "scalar" else float(value)
 
     @property
     def unit_words(self) -> str:
@@ -247,14 +252,18 @@ class Field(Declaration[Any]):
             return np.concatenate([array, np.zeros(3)])
         k = size or self.shape
         fits = array.size > 0 and array.ndim > 0 and size in (None, len(array))
-        whole, pair = isinstance(self.shape, tuple), "pair" in self.accepts
+        whole, pair = self.shape if isinstance(self.shape, tuple) else (), "pair" in self.accepts
         forms = {  # in words: (taken by this field, true of the array)
             "a number": (self.shape == "scalar" or "scalar" in self.accepts, array.ndim == 0),
             "(linear, angular)": (pair and size in (2, 6, None), size != 6 and array.shape == (2,)),
             "a force (3,)": ("force" in self.accepts, False),
             f"({k},)": (self.shape != "scalar" and not whole and not (pair and size == 2), array.ndim == 1 and fits),
             f"({k}, {k})": ("matrix" in self.accepts, array.ndim == 2 and len(set(array.shape)) == 1 and fits),
-            f"{self.shape}": (whole, array.shape == self.shape),
+            f"({', '.join(map(str, whole))})": (
+                bool(whole),
+                len(whole) == array.ndim
+                and all(isinstance(a, str) or a == b for a, b in zip(whole, array.shape, strict=True)),
+            ),
         }
         taken = {words: true for words, (takes, true) in forms.items() if takes}
         if not any(taken.values()):
@@ -393,6 +402,16 @@ class Plain(Part[T]):
     def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> Any:
         own = super().checked(value, owner, joints)
         return read_only(own) if isinstance(own, np.ndarray) and own.dtype.kind in "fiu" else own
+
+
+class Parts(Part[T]):
+    """Several objects as a field, kept as a tuple: an array of tables in a file. They have no run-time parameters."""
+
+    def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> Any:
+        many = (value,) if isinstance(value, self.of) else value
+        if not isinstance(many, (list, tuple)):
+            raise Refusal(UsageError, self.name, f"must be several of {self.rule()}; got {value!r}", value)
+        return tuple(super(Parts, self).checked(one, owner, joints) for one in many)
 
 
 def unknown_field(name: str, known: Iterable[str], kind: str = "field") -> Refusal:

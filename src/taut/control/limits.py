@@ -106,6 +106,9 @@ class Limits:
         """The names of those that are there."""
         return {field.name for field in fields(self) if getattr(self, field.name) is not None}
 
+    def __str__(self) -> str:
+        return ", ".join(f"{name} = {np.asarray(getattr(self, name)).tolist()}" for name in sorted(self.given()))
+
     @staticmethod
     def checked(name: str, value: ArrayLike, rate: float | None = None) -> Float64Array:
         """A value of one of the limits, for a controller of that rate [Hz] if one is given.

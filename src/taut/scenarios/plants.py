@@ -17,7 +17,6 @@ from taut.environments import (
     Environment,
     Environments,
     Hand,
-    Handle,
     Oscillation,
     PrescribedMotion,
     Push,
@@ -40,7 +39,6 @@ ENVIRONMENTS: Final[Mapping[str, Callable[..., Any]]] = {
     "spring": Spring,
     "damper": Damper,
     "wall": StiffWall,
-    "handle": Handle,
     "hand": Hand,
     "push": Push,
 }

@@ -19,9 +19,10 @@ from taut.control.law import Law
 from taut.control.tasks.guards import Guard, GuardView, contact, lasting, moved, no_contact, settled
 from taut.control.tasks.phase import Phase, PhaseReference
 from taut.control.tasks.task import Task
-from taut.control.trajectories.force_reference import ForceFrame, TaskForce, hybrid_kind, pressing
-from taut.control.trajectories.reference import Chunk, Hold, JointMotion, Reference, Stream
-from taut.control.trajectories.task_reference import TaskMotion
+from taut.control.trajectories.force_reference import TaskForce, hybrid_kind, pressing
+from taut.control.trajectories.reference import Hold, JointMotion, Reference, Stream
+from taut.control.trajectories.samples import Chunk
+from taut.control.trajectories.task_reference import Axes, TaskMotion
 from taut.maths.snapshot import Snapshot, snapshot
 from taut.maths.spatial import rotation_exp
 from taut.scenarios.laws import read_law
@@ -61,7 +62,7 @@ def _hold() -> Hold:
     return Hold()
 
 
-def _force_samples(*, times: ArrayLike, F_app: ArrayLike, frame: ForceFrame = "world") -> Chunk:
+def _force_samples(*, times: ArrayLike, F_app: ArrayLike, frame: Axes = "world") -> Chunk:
     """Wrenches at stated times with straight lines in between."""
     rows = finite_array("F_app", F_app, shape=(np.size(np.asarray(times, dtype=object)), 6))
     return taut.chunk(times, [TaskForce(F_app=row, frame=frame) for row in rows])
@@ -153,8 +154,9 @@ def read_reference(table: Table, arm: Arm, home: Float64Array, laws: Mapping[str
         return Hold()
     table.need("kind")
     word = table.choice("kind", KINDS)
-    kind = Circle.through if word == "circle" and ("via" in table or "end" in table) else KINDS[word]
+    kind = KINDS[word]
     forces = {} if word in FORCE_KINDS else _forces(table)
+    motion: Any
     own, start = table.without(*forces), _Home(table, arm, home, laws)
     others = ["kind", *(["relative_to_home"] if arguments(kind).keys() & _OF_HOME.keys() else [])]
     if "file" in table and kind in (Samples, TaskSamples):
@@ -294,7 +296,7 @@ def read_phases(root: Table, arm: Arm, home: Float64Array) -> Task:
 
 def _phase(table: Table, arm: Arm, home: Float64Array) -> Phase:
     law = read_law(table.table("law", required=True))
-    made = {
+    made: dict[str, Any] = {
         "law": law,
         "reference": _phase_reference(table.table("reference"), law, arm, home),
         **{word: _guard(table.table(word)) for word in ("until", "unless") if word in table},
@@ -320,7 +322,7 @@ def _phase_reference(table: Table, law: Law, arm: Arm, home: Float64Array) -> Ph
     def motion(T0: Pose) -> Reference:
         begun = read(kind, own, others=["kind"], T0=T0)
         with table.blamed():
-            return pressing(begun, **forces) if law.reference is HYBRID_MOTION else begun  # type: ignore[no-any-return]
+            return pressing(begun, **forces) if law.reference is HYBRID_MOTION else begun
 
     motion(Pose(np.zeros(3)))  # tried at once, so that an error names its key
     return lambda x: motion(x.T(law.controlled_frame))

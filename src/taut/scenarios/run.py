@@ -15,7 +15,7 @@ from typing import Any, Final
 from taut.base.errors import FileError, MissingExtraError, ScenarioError, TautError, UsageError, warn
 from taut.base.result import Cell, Content, Result, Table
 from taut.controller import Controller, compile
-from taut.record.info import PARTS, PHASES, SCENARIO
+from taut.record.info import ScenarioInfo
 from taut.record.log.files import checked_target, written_aside
 from taut.record.metrics import METRICS, Metrics
 from taut.record.plots.comparison import compare, spread_figure
@@ -92,7 +92,7 @@ class ScenarioResult(Result):
         outcomes = [
             f"{trial.label}: {one.outcome}"
             for trial, one in self.runs.items()
-            if not one.outcome.ok or PHASES in one.info or "; " in one.outcome.message
+            if not one.outcome.ok or one.info.phases or "; " in one.outcome.message
         ]
         reached = f"reached: {len(verdicts) - len(missed)} of {len(verdicts)} pass figures"
         return Content(
@@ -110,7 +110,7 @@ class ScenarioResult(Result):
     def _rows(self, runs: Mapping[Trial, Run]) -> Iterator[tuple[str, list[float]]]:
         """Each metric by its title and unit, with its value in each run; those without any are left out."""
         outputs = self.scenario.outputs
-        metrics = [_within(one, outputs.window) for one in runs.values()]
+        metrics = [_within(one, outputs.span) for one in runs.values()]
         for name in outputs.columns or COLUMNS:
             values = [one.by_unit(name, outputs.joint) for one in metrics]
             for unit in dict.fromkeys(unit for of_run in values for unit in of_run):
@@ -120,7 +120,7 @@ class ScenarioResult(Result):
 
     def _of_runs(self) -> Table:
         """A row for each metric and a column for each run; the other way round where there are more runs."""
-        joint, window = self.scenario.outputs.joint, self.scenario.outputs.window
+        joint, window = self.scenario.outputs.joint, self.scenario.outputs.span
         runs = _apart(self.runs)
         rows: list[list[Cell]] = [["", *(trial.label for trial in runs)]]
         rows += [[title, *numbers] for title, numbers in self._rows(runs)]
@@ -148,11 +148,11 @@ class ScenarioResult(Result):
 # -------------------------------------------------------------------- runs and their parts
 
 
-def _within(one: Run, window: Sequence[float] | None) -> Metrics:
+def _within(one: Run, window: tuple[float, float] | None) -> Metrics:
     """The metrics of a run in a window of it; of all of it where it ended before."""
     if window is None or not len(one) or one.t[-1] < window[0]:
         return one.metrics
-    return one.between(float(window[0]), float(window[1])).metrics
+    return one.between(*window).metrics
 
 
 def _apart(runs: Mapping[Trial, Run]) -> dict[Trial, Run]:
@@ -160,7 +160,7 @@ def _apart(runs: Mapping[Trial, Run]) -> dict[Trial, Run]:
     out: dict[Trial, Run] = {}
     for trial, one in _by_part(runs).items():
         visits: dict[str, int] = {}
-        for window in one.phases if PHASES in one.info else ():
+        for window in one.phases if one.info.phases else ():
             visits[window.name] = visit = visits.get(window.name, -1) + 1
             label = f"{window.name} {visit + 1}" if visit else window.name
             out[Trial(trial.case, label)] = one.phase(window.name, visit)
@@ -173,7 +173,7 @@ def _by_part(runs: Mapping[Trial, Run]) -> dict[Trial, Run]:
     """Runs of laws side by side by their parts, which have the metrics, and all others as they are."""
     out: dict[Trial, Run] = {}
     for trial, one in runs.items():
-        parts = {Trial(trial.case, f"{trial.law}: {name}"): one.part(name) for name in one.info.get(PARTS, ())}
+        parts = {Trial(trial.case, f"{trial.law}: {name}"): one.part(name) for name in one.info.parts}
         out |= parts or {trial: one}
     return out
 
@@ -192,14 +192,14 @@ def _metrics_by_case(runs: Mapping[Trial, Run]) -> dict[str, Any]:
 
 def _shortfall(figure: PassFigure, one: Run) -> str:
     """How a run misses a pass figure: the run, a law beside others, or a phase; empty if it reaches it."""
-    if figure.part is not None and PHASES in one.info:
+    if figure.part is not None and one.info.phases:
         if figure.part not in (window.name for window in one.phases):
             return "the phase did not act"
         one = one.phase(figure.part)
     elif figure.part is not None:
         one = one.part(figure.part)
     what = figure.metric if figure.joint is None else f"{figure.metric} of joint '{figure.joint}'"
-    values = list(_within(one, figure.window).by_unit(figure.metric, figure.joint).values())
+    values = list(_within(one, figure.span).by_unit(figure.metric, figure.joint).values())
     if len(values) > 1:
         return f"{what} has no one number for joints in rad and joints in m together; add joint"
     low, high = figure.bounds
@@ -271,8 +271,8 @@ def _run(scenario: Scenario, ctrl: Controller, trial: Trial, log: Path | None) -
         log=None if log is None else _partial(log),
     )
     built_in = scenario.source.partition(":")[0] == f"scenario '{scenario.name}'"
-    made_by = {"name": scenario.name, **trial._asdict(), "text": scenario.text, "built_in": built_in}
-    return dataclasses.replace(done, info={**done.info, SCENARIO: made_by})
+    made_by = ScenarioInfo(name=scenario.name, **trial._asdict(), text=scenario.text, built_in=built_in)
+    return dataclasses.replace(done, info=dataclasses.replace(done.info, scenario=made_by))
 
 
 @contextmanager
@@ -343,16 +343,15 @@ def _save_log(shown: Run, path: Path) -> None:
 
 
 def _save_plot(scenario: Scenario, runs: Mapping[Trial, Run], path: Path) -> None:
-    # A law is called after its section, whatever is in its name; matplotlib takes a pair of $ for mathematics.
     outputs, parts, laws = scenario.outputs, _by_part(runs), list(scenario.laws)
-    drawn = {_plot_label(trial, laws).replace("$", r"\$"): one for trial, one in parts.items() if len(one)}
+    drawn = {_plot_label(trial, laws): one for trial, one in parts.items() if len(one)}
     if not drawn:
         raise UsageError("there is nothing to plot: no law got through its first tick", name="plot")
     if scenario.spread is not None:
         figure = spread_figure(drawn)
     elif len(runs) > 1:
-        whole = outputs.window is None or all(one.t[-1] >= outputs.window[1] for one in drawn.values())
-        window = outputs.window if whole else None
+        whole = outputs.span is None or all(one.t[-1] >= outputs.span[1] for one in drawn.values())
+        window = outputs.span if whole else None
         figure = compare(drawn, measures=outputs.columns, joint=outputs.joint, window=window)
     else:
         figure = next(iter(drawn.values())).plot(joints=None if outputs.joint is None else [outputs.joint])

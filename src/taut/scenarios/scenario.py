@@ -10,6 +10,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import numpy as np
+
 from taut.arm.description import Arm
 from taut.base.errors import MODEL_FILES, FileError, RangeError, UnknownNameError, quoted_list, unknown_name
 from taut.base.fields import Declared, Field, Plain
@@ -60,6 +62,14 @@ class OfRuns(Declared):
             self.refuse(
                 "window", f"must be [start, end] with start < end [s]; got {self.window.tolist()}", RangeError
             )
+
+    @property
+    def span(self) -> tuple[float, float] | None:
+        """Start and end of the window [s]."""
+        if self.window is None:
+            return None
+        start, end = np.asarray(self.window).tolist()
+        return start, end
 
     def check_metrics(self, field: str, names: Any) -> None:
         """Names of metrics, each once."""
@@ -263,7 +273,7 @@ def load_scenario(
     for section, table in zip((scenario.outputs, *scenario.figures), (outputs, *figures), strict=True):
         _require_one(table, {"shown": labels, "law": labels, "shown_case": list(cases), "case": list(cases)})
         case_of = getattr(section, "case", None)
-        for case, one in (cases or {None: scenario}).items():
+        for case, one in (cases or {"": scenario}).items():
             if case_of in (None, case):
                 section.check_fit(table, one)
     return scenario

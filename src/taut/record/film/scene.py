@@ -240,7 +240,9 @@ def _put_around(spec: mujoco.MjSpec, around: Around, world: Pose, tool: tuple[An
     import mujoco
 
     for i, mesh in enumerate(around.meshes):
-        made = spec.add_mesh(name=f"around {i}", uservert=mesh.vertices.ravel(), userface=mesh.faces.ravel())
+        made = spec.add_mesh(
+            name=f"around {i}", uservert=mesh.vertices.ravel(), userface=mesh.faces.astype(np.int32).ravel()
+        )
         made.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # a surface has no volume
     for thing in around.things:
         holder, T = tool if thing.on_tool else (spec.worldbody, world @ pose(thing))

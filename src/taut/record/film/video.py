@@ -21,9 +21,9 @@ from taut.base.checks import finite_array, positive_scalar
 from taut.base.errors import FileError, MatchError, MissingExtraError, RangeError, UsageError, unknown_name, warn
 from taut.base.types import Float64Array
 from taut.control.trajectories.task_reference import TaskMotion
-from taut.record.film import painter, render, scene
+from taut.record.film import render, scene
 from taut.record.film.scene import Focus, Skeleton, View, upright
-from taut.record.film.surroundings import Around, around_of, poses_of
+from taut.record.film.surroundings import Around, poses_of
 from taut.record.log.files import checked_target, written_aside
 from taut.record.progress import Progress
 from taut.trace.pose import Pose
@@ -66,7 +66,7 @@ def film(
     ticks = _ticks(run, positive_scalar("speed", speed) / fps)
     skeleton = Skeleton.of(shown, run.q[ticks])
     wanted = _wanted(run, shown, ticks)
-    around = around_of(run)
+    around = run.info.around
     moving = upright_poses(poses_of(run, around, ticks), shown)
     with ExitStack() as stack, written_aside("video", target) as aside:
         view = skeleton.view(camera, focus)
@@ -138,7 +138,7 @@ def _ffmpeg(target: Path) -> str | None:
 def _checked_arm(run: Run, arm: Arm | None) -> Arm:
     shown = run.arm if arm is None else arm
     if shown is None:
-        name = run.info.get("arm", "")
+        name = run.info.arm
         example = f"taut.load_arm({name!r})" if name else "taut.load_arm(...)"
         raise UsageError(f"the run does not know its arm, as a log keeps none; pass arm={example}", name="arm")
     if not isinstance(shown, Arm):
@@ -272,7 +272,7 @@ def _palette(first: Any) -> Any:
 
     most = 256 - SHADES
     own = first.quantize(colors=most, method=Image.Quantize.MEDIANCUT).getpalette()[: 3 * most]
-    trail = 255.0 * np.array(painter.TRAIL[:3])
+    trail = 255.0 * np.array(render.TRAIL[:3])
     shades = [
         trail + (to - trail) * x for to, x in zip([0.0, 255.0] * SHADES, np.linspace(0.0, 0.7, SHADES), strict=False)
     ]

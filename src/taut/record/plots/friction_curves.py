@@ -14,7 +14,7 @@ from taut.base.checks import finite_array, finite_scalar, require_positive
 from taut.base.errors import ShapeError, UsageError
 from taut.base.plot_style import INK, WIDTH, colour, legend_above, prepared, short_name
 from taut.base.types import ArrayLike, Float64Array
-from taut.maths.friction_law import FrictionValues, dry_limit, friction_torque
+from taut.maths.friction import FrictionValues, dry_limit, friction_torque
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -33,7 +33,6 @@ from taut.base.types import Float64Array
 from taut.control.trajectories.compound import PhaseSample
 from taut.control.trajectories.force_reference import HybridMotion
 from taut.control.trajectories.task_reference import TaskMotion
-from taut.record.info import PHASES, TOOL
 from taut.record.tool import true_normal, wanted_wrench
 
 if TYPE_CHECKING:
@@ -104,7 +103,7 @@ def plot(run: Run, *, joints: Iterable[str | int] | None = None) -> Figure:
         _overview(run, shown, units, parts[0])
     if term_rows:
         _small_pictures(run, shown, parts[1], term_rows)
-    if PHASES in run.info:
+    if run.info.phases:
         mark_phases(run, figure)
     return figure
 
@@ -137,11 +136,11 @@ def _chosen(run: Run, joints: Iterable[str | int] | None) -> list[int]:
 
 
 def _title(run: Run, shown: Sequence[int]) -> str:
-    arm, plant = str(run.info.get("arm", "")), str(run.info.get("plant", ""))
+    arm, plant = run.info.arm, run.info.plant
     place = plant if arm and arm in plant else f"{arm}, {plant}".strip(", ")
-    law = _NUMBER.sub(lambda number: f"{float(number[0]):.4g}", str(run.info.get("law", "run")))
-    if PHASES in run.info:  # the laws of all phases have no room
-        law = ", ".join(run.info[PHASES])
+    law = _NUMBER.sub(lambda number: f"{float(number[0]):.4g}", run.info.law or "run")
+    if run.info.phases:  # the laws of all phases have no room
+        law = ", ".join(run.info.phases)
     law = short(law, LETTERS - len(place) - 4)
     which = f"{len(shown)} of {run.n} joints; " if len(shown) < run.n else ""
     ended = textwrap.wrap(which + str(run.outcome), LETTERS, max_lines=MAX_LINES, placeholder="...")
@@ -235,10 +234,9 @@ def _commands(run: Run, joints: Sequence[int], unit: str, ax: Axes, places: Sequ
 
 def _limits(run: Run) -> Float64Array:
     """(n,) largest torque that the controller lets through, else that the arm can give; inf where none is known."""
-    parameters: Any = run.info.get("parameters", {})
     known: Any = np.inf
     if run.kind == "torque":
-        known = parameters.get("limits.tau", np.inf if run.arm is None else run.arm.effort)
+        known = run.info.parameters.get("limits.tau", np.inf if run.arm is None else run.arm.effort)
     return np.broadcast_to(np.asarray(known, dtype=np.float64), (run.n,))
 
 
@@ -294,7 +292,7 @@ AXES: Final = ("x", "y", "z")
 
 def is_task_run(run: Run) -> bool:
     """Whether a run has errors of the task."""
-    return isinstance(run.reference.motion, TaskMotion) and TOOL in run.info
+    return isinstance(run.reference.motion, TaskMotion) and run.info.tool is not None
 
 
 def shows_tool(run: Run) -> bool:
@@ -368,7 +366,7 @@ def plot_task(run: Run, figure: SubFigure) -> None:
         ax.axhline(0.0, color=INK, linewidth=0.6)
     frames: dict[str, None] = {}
     for piece in _pieces(run):
-        if TOOL in piece.info:
+        if piece.info.tool is not None:
             frames[piece.task.frame] = None
             _piece_of_task(piece, ax_p, ax_e, ax_r)
     keys = _axis_keys(f"{short_name(', '.join(frames), 30)}, world axes:")

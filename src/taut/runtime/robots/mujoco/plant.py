@@ -10,23 +10,18 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from taut.arm.description import COMMANDS, Arm, CommandKind, Payload
+from taut.arm.description import Arm, CommandKind, Friction, Payload
 from taut.base.checks import one_of, positive_scalar
 from taut.base.errors import MatchError, UsageError, unknown_name
-from taut.base.front_door import public_name
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.maths import dynamics as dyn
-from taut.maths.adds import Adds
-from taut.maths.compensation import compensation
+from taut.maths.adds import Adds, compensation
 from taut.maths.model import PayloadValues, model_of
 from taut.plant.drives.actuation import Actuation, delayed
-from taut.plant.drives.drivetrain import Drivetrain
-from taut.plant.drives.stiff_drive import require_drives
-from taut.plant.drives.transmission import require_rotors
-from taut.plant.environments.environment import Environment, require_environment
+from taut.plant.environments.environment import Environment
 from taut.plant.motion import WORK_OF_IT
-from taut.plant.numbers import PlantNumbers, require_torque_sensor
+from taut.plant.parts import PlantParts
 from taut.plant.sensors.sensors import Sensors
 from taut.record.film.surroundings import POSES, Around
 from taut.runtime.robots.mujoco.attach import Inertias, attached
@@ -160,29 +155,27 @@ class MujocoPlant:
     ) -> None:
         adds = Adds.of(adds)
         self.given = {name: value for name, value in locals().items() if name not in ("self", "arm")}
-        if not isinstance(arm, Arm):  # callers without a type checker
-            raise UsageError(f"a plant takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
         for name, value in (("friction", friction), ("limits", limits)):
             if value not in ("arm", None):
                 raise UsageError(f"{name} must be 'arm' or None; got {value!r}", name=name)
         what = adds
-        self._takes = one_of("takes", takes, COMMANDS)
-        drives, seen = actuation or Actuation(), sensors or Sensors()
-        for name, given, part in (("actuation", drives, Actuation), ("sensors", seen, Sensors)):
-            if not isinstance(given, part):
-                got = type(given).__name__
-                raise UsageError(f"{name} must be {public_name(part)}(...); got {got}", name=name)
         if tip is not None and not isinstance(tip, SpringTip):
             raise UsageError(f"tip must be taut.environments.SpringTip(...); got {type(tip).__name__}", name="tip")
-        if environment is not None:
-            require_environment("environment", environment)
-        require_drives(self._takes, drives, what)
-        drives.check_size(arm.joint_names, "actuation.")
-        seen.check(arm, touched=True)
-        left = arm.friction if friction == "arm" and not what.friction else None
-        train = Drivetrain(arm=arm, friction=left, transmission=drives.transmission)
-        require_rotors(arm, train.compliant)
-        require_torque_sensor(drives, seen)
+        drives, seen = actuation or Actuation(), sensors or Sensors()
+        numbers = PlantParts(
+            arm=arm,
+            friction=friction,
+            takes=takes,
+            adds=adds,
+            actuation=drives,
+            sensors=seen,
+            environment=environment,
+            smooth=integrator == "rk4",
+            scene=True,
+        )
+        self._takes = takes
+        train = numbers.drivetrain
+        left = train.friction
         options = ModelOptions(
             drivetrain=train,
             limits=limits,
@@ -195,27 +188,18 @@ class MujocoPlant:
             looks=one_of("looks", looks, LOOKS),
             tip=tip,
         )
-        if integrator == "rk4" and train.dry:
-            what_sticks = "dry friction" if left is not None and left.dry else "gears that lose power"
-            raise UsageError(
-                f"rk4 needs smooth forces, and arm '{arm.name}' has {what_sticks}; use integrator='discrete', or "
-                "no friction",
-                name="integrator",
-            )
-        if integrator == "rk4" and train.compliant:
-            raise UsageError(
-                "rk4 moves the arm alone, and an elastic transmission or backlash moves the motors too; use "
-                "integrator='discrete'",
-                name="integrator",
-            )
         self._timestep = None if timestep is None else positive_scalar("timestep", timestep, unit="s")
         rig = built(arm, None if scene is None else read_scene(scene), options, what)
         self._name = f"MujocoPlant({arm.name})"
-        numbers = PlantNumbers(arm=arm, drivetrain=train, actuation=drives, sensors=seen, environment=environment)
         self._settings: Settings | None = Settings(rig, numbers)
         self._friction, self._actuation, self._sensors = friction, drives, seen
         self._stage = None
-        if drives.acts or train.compliant or train.lossy or (left is not None and (left.falls or left.loaded)):
+        if (
+            drives.acts
+            or train.compliant
+            or train.lossy
+            or (isinstance(left, Friction) and (left.falls or left.loaded))
+        ):
             self._stage = JointStage(rig, drives, train, what, self._takes)
         self._touching = None if environment is None else EnvironmentStage(rig, environment, train)
         adds_torque = (what.gravity or what.coriolis) and self._stage is None
@@ -275,6 +259,12 @@ class MujocoPlant:
         plant._take(rig, drives)
         plant._view = SceneView(rig, tool=False)
         return plant
+
+    def like(self, *, arm: Arm | None = None, sensors: Sensors | None = None) -> MujocoPlant | None:
+        """A plant of the same arguments but these; None of an attached one, which drives a simulation of yours."""
+        if self._settings is None:
+            return None
+        return MujocoPlant(arm or self.arm, **{**self.given, "sensors": sensors or self._sensors})
 
     def __reduce__(self) -> tuple[Any, ...]:
         """A copy is built anew, of the same arguments and with the same parameters, and has a scene of its own."""

@@ -16,7 +16,6 @@ from taut.base.errors import UsageError
 from taut.base.result import Content, Result, Table, cell_text
 from taut.record.info import versions
 from taut.record.log.files import checked_target, written_aside
-from taut.record.report.page import content_of_other
 from taut.record.run import Run
 
 if TYPE_CHECKING:
@@ -81,9 +80,7 @@ FOLDERS: Final = re.compile(
 )
 
 
-def report(
-    x: object, path: str | os.PathLike[str], *, title: str = "", repeat: str = "", log: str = "run.mcap"
-) -> Path:
+def report(x: object, path: str | os.PathLike[str], *, title: str = "", repeat: str = "") -> Path:
     """Write a report: numbers, pictures, settings, versions, and how to do it again, in one HTML file.
 
     The file needs no other file, no network and no script; it prints, and it reads on a phone. It names files without
@@ -94,8 +91,7 @@ def report(
             `taut.linearise` give: anything that describes itself in `content()`.
         path: Where to, ending in .html, in a folder that exists. What is there stays until the new file is whole.
         title: A title, instead of the usual one.
-        repeat: How to do it again, instead of what is known.
-        log: Of a run, the name of its log, which the lines that repeat it read.
+        repeat: How to do it again, instead of what is known: a run of a scenario knows its command.
 
     Returns:
         The path.
@@ -113,25 +109,22 @@ def report(
         True
     """
     target = checked_target("report", path, (".html", ".htm"))
-    content = content_of(x, title=title, repeat=repeat, log=log)
+    content = content_of(x, title=title, repeat=repeat)
     with written_aside("report", target) as aside:
         aside.write_text(html_of(content), encoding="utf-8", errors="replace")
     return target
 
 
-def content_of(x: object, *, title: str = "", repeat: str = "", log: str = "run.mcap") -> Content:
+def content_of(x: object, *, title: str = "", repeat: str = "") -> Content:
     """What a report holds, before it is a file.
 
     Raises:
         UsageError: Nothing that can be reported.
     """
-    if isinstance(x, Run):
-        content: Content | None = x.content(log=log)
-    else:
-        content = x.content() if isinstance(x, Result) else content_of_other(x)
-    if content is None:
+    if not isinstance(x, (Run, Result)):
         got = x.__name__ if isinstance(x, type) else type(x).__name__
         raise UsageError(f"a report is of a taut.Run or of a result, which has content(); got {got}", name="x")
+    content = x.content()
     return dataclasses.replace(content, title=title or content.title, repeat=repeat or content.repeat)
 
 

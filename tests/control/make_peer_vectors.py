@@ -2,10 +2,10 @@
 
 Each step reads the file and writes its own part, so that each runs where its library is:
 
-    python tools/peer_vectors.py states       # an environment with taut
-    python tools/peer_vectors.py robosuite    # one with robosuite
-    python tools/peer_vectors.py newton       # one with newton, on the CPU: what Isaac Lab's controller calls
-    python tools/peer_vectors.py franky       # one with franky-control: its defaults, which is what it says offline
+    python tests/control/make_peer_vectors.py states       # an environment with taut
+    python tests/control/make_peer_vectors.py robosuite    # one with robosuite
+    python tests/control/make_peer_vectors.py newton       # one with newton, on the CPU: what Isaac Lab's controller calls
+    python tests/control/make_peer_vectors.py franky       # one with franky-control: its defaults, which is what it says offline
 """
 
 import importlib
@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-FILE = Path(__file__).parents[1] / "tests" / "control" / "peer_vectors.json"
+FILE = Path(__file__).with_name("peer_vectors.json")
 SPREAD = 0.4  # [rad] of the joints about home
 ARRAYS = ("q", "v", "q_rest", "p", "R", "p_des", "R_des", "M", "J", "h", "g")
 
