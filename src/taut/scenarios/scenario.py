@@ -254,8 +254,8 @@ def load_scenario(
     path = scenario_file(name)
     root = with_values(read_toml(path, f"scenario '{name}'"), values or {})
     root.only([*OF_A_CASE, *OF_ALL_CASES, "cases", "spread"])
-    whole = read_experiment(root, own_laws)
     spread = read_spread(root)
+    whole = read_experiment(root, own_laws)
     experiments = {case: read_experiment(table, own_laws) for case, table in _cases_of(root).items()}
     for case, plant in () if spread is None else spread.plants(root.table("plant")):
         experiments[case] = {**whole, "plant": read_plant(plant, whole["arm"], whole["rate"])}
