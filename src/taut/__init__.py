@@ -11,8 +11,8 @@ import os
 import sys
 import warnings
 
+from taut.base import __version__ as __version__
 from taut.base.front_door import lazy_names
-from taut.base.version import __version__ as __version__
 
 TYPE_CHECKING = False  # type checkers know it by its name; to load typing would take as long as all of this
 if TYPE_CHECKING:

@@ -8,11 +8,11 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from taut.base.fields import Choice as Choice
     from taut.base.fields import Field as Field
+    from taut.control.sensing.filters import Difference as Difference
+    from taut.control.sensing.filters import Kalman as Kalman
     from taut.control.sensing.filters import LowPass as LowPass
     from taut.control.sensing.filters import Notch as Notch
-    from taut.control.sensing.velocity import Difference as Difference
-    from taut.control.sensing.velocity import Kalman as Kalman
-    from taut.control.sensing.wrist import Wrist as Wrist
+    from taut.control.sensing.sensing import Wrist as Wrist
     from taut.plant.sensors.kinds import Accelerometer as Accelerometer
     from taut.plant.sensors.kinds import Encoder as Encoder
     from taut.plant.sensors.kinds import Tachometer as Tachometer

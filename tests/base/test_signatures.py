@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 import taut
-from taut.base.signatures import checked_arguments
+from taut.base.front_door import checked_arguments
 
 ARM = taut.load_arm("planar2")
 

@@ -464,12 +464,8 @@ def test_gravcomp_on_a_part_of_the_arm_is_refused(arm: taut.Arm) -> None:
 
 
 def test_an_attached_arm_has_no_parameters(arm: taut.Arm) -> None:
-    words = (
-        "plant 'MujocoPlant.attach(left_pair)' has no parameter 'plant.payload.mass'; it has none (an attached arm has "
-        "none: change the model)"
-    )
     plant = attach(cell(), arm)
-    assert said(lambda: plant.set_parameter("plant.payload.mass", 1.0), taut.errors.UnknownNameError) == words
+    assert not plant.parameters
     events = [taut.Event(t=0.0, set={"plant.payload.mass": 1.0})]
     assert "no parameter 'plant.payload.mass'" in said(
         lambda: taut.run(idle(arm), plant, duration=0.1, events=events), taut.errors.UnknownNameError

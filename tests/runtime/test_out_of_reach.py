@@ -62,6 +62,7 @@ CASES.sort(key=lambda case: case != ("kinova", "designed"))  # first the one tha
 
 
 @pytest.mark.bars
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")  # "light" is too stiff for an xArm7 without friction
 def test_a_target_far_out_of_reach_asks_no_more_than_the_arm_can_do(
     share: Callable[[int], int], bar: Callable[[str, object], None]
 ) -> None:

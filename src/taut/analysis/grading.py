@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["GRADE_TOLERANCE", "Difference", "Grade", "Mark", "grade_law"]
 
 GRADE_TOLERANCE: Final = 0.05
-ROUNDING: Final = 1e-9  # in the unit of a command: what arithmetic alone may leave
+COMMAND_ROUNDING: Final = 1e-9  # in the unit of a command: what arithmetic alone may leave
 EQUAL: Final = 1e-6  # of the largest figure of a unit: figures that differ by less are equal
 
 
@@ -186,7 +186,7 @@ def grade_law(
         on=experiment.name,
         marks=tuple(_marks(figures_of(run), figures_of(other), tolerance)),
         command=command,
-        terms=tuple(sorted((d for d in differences.values() if d.size > ROUNDING), key=lambda d: -d.size)),
+        terms=tuple(sorted((d for d in differences.values() if d.size > COMMAND_ROUNDING), key=lambda d: -d.size)),
         only_law=tuple(name for name in ours if name not in theirs and np.any(ours[name])),
         only_reference=tuple(name for name in theirs if name not in ours and np.any(theirs[name])),
         run=run,
@@ -250,5 +250,5 @@ def _difference(what: str, law: Float64Array, reference: Float64Array, run: Run,
         law=float(law[k, i]),
         reference=float(reference[k, i]),
         scale=scale,
-        ok=size <= tolerance * scale + ROUNDING,
+        ok=size <= tolerance * scale + COMMAND_ROUNDING,
     )

@@ -36,7 +36,7 @@ AT_BOUND: Final = 1e-6  # of the distance of the bounds
 CONSTRAINT_TOLERANCE: Final = 1e-6  # relative; what the optimiser leaves
 COST_TOLERANCE: Final = 1e-7  # relative; where the optimiser stops
 NO_COST: Final = 1e6  # stands for the cost of a run that diverges
-STEP: Final = 1e-5  # of the distance of the bounds, for the derivative of a margin
+MARGIN_STEP: Final = 1e-5  # of the distance of the bounds, for the derivative of a margin
 MAX_MARGIN: Final = 2.0  # disk margin of a loop that any gain and 90 degrees leave stable
 WORST_SHOWN: Final = 100.0  # times the cost at the start, in a plot
 
@@ -592,7 +592,7 @@ class _Problem:
             out.append(("chatter", _remaining(_scaled(mean, 1.0 / (self._chatter * first.chatter)))))
         if self._margin is not None:
             alpha = self._margin_at(loop, x)
-            steps = np.where(x > 0.5, -STEP, STEP)  # away from the bound
+            steps = np.where(x > 0.5, -MARGIN_STEP, MARGIN_STEP)  # away from the bound
             slopes = approx_fprime(x, lambda moved: self._margin_at(loop, moved), steps)
             out.append(("disk margin", (alpha - self._margin, slopes)))
         return out

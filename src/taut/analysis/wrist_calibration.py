@@ -15,7 +15,7 @@ from taut.base.errors import NumericalError, RangeError, ShapeError, UsageError
 from taut.base.quantity import FORCE_AND_MOMENT, Quantity, six_of
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.sensing.wrist import Wrist
+from taut.control.sensing.sensing import Wrist
 from taut.maths import dynamics as dyn
 from taut.maths.model import PayloadValues, model_of
 from taut.maths.wrist import sensor_place
@@ -33,7 +33,7 @@ RANGE: Final = Quantity(unit=FORCE_AND_MOMENT, rule="> 0", infinite=True)
 # Of suggested poses.
 CANDIDATES: Final = 400
 SEED: Final = 0
-MARGIN: Final = 0.05  # of a joint's range, to its limits
+JOINT_LIMIT_MARGIN: Final = 0.05  # of a joint's range, to its limits
 MAX_LOAD: Final = 0.9  # of a joint's torque limit, under the weight of the arm in a pose
 TRAVEL_WEIGHT: Final = 0.5  # of the displacement from the start, against the logarithm of the information
 MIN_SUGGESTED_SPREAD: Final = 0.1  # [rad] RMS
@@ -389,8 +389,8 @@ def _candidates(arm: Arm, start: Float64Array, travel: float) -> Float64Array:
     """The start, and positions around it in which the torque limits hold the weight."""
     rng = np.random.default_rng(SEED)
     span = np.where(np.isfinite(arm.upper - arm.lower), arm.upper - arm.lower, 0.0)
-    low = np.maximum(arm.lower + MARGIN * span, start - travel)
-    high = np.minimum(arm.upper - MARGIN * span, start + travel)
+    low = np.maximum(arm.lower + JOINT_LIMIT_MARGIN * span, start - travel)
+    high = np.minimum(arm.upper - JOINT_LIMIT_MARGIN * span, start + travel)
     low, high = np.minimum(low, start), np.maximum(high, start)  # for a start that is closer to a limit
     drawn = rng.uniform(low, high, size=(CANDIDATES, arm.n))
     drawn[: CANDIDATES // 2, : max(arm.n - 3, 0)] = start[: max(arm.n - 3, 0)]  # half of them move the wrist alone

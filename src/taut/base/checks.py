@@ -25,7 +25,6 @@ __all__ = [
     "read_only",
     "readable_file",
     "require_at_least",
-    "require_at_most",
     "require_positive",
     "symmetric_psd",
     "vector",
@@ -237,11 +236,6 @@ def require_at_least(
 ) -> None:
     """Every entry is at least `minimum`."""
     _require(name, array, lambda a: a >= minimum, f">= {minimum:g}", unit, joints)
-
-
-def require_at_most(name: str, array: Float64Array, maximum: float, *, unit: str = "") -> None:
-    """No entry is above `maximum`."""
-    _require(name, array, lambda a: a <= maximum, f"<= {maximum:g}", unit, None)
 
 
 def require_positive(name: str, array: Float64Array, *, unit: str = "", joints: Sequence[str] | None = None) -> None:

@@ -37,6 +37,7 @@ class PlantParts:
     """A true arm, its drives and sensors, and what touches it.
 
     Args:
+        name: What messages call the plant.
         arm: The arm.
         friction: "arm" for its own, None for none, or a law of the user's.
         takes: The command.
@@ -52,6 +53,7 @@ class PlantParts:
         UsageError, ShapeError: What does not go together, or is of another kind or size.
     """
 
+    name: str
     arm: Arm
     friction: Literal["arm"] | FrictionLaw | None
     takes: CommandKind
@@ -182,7 +184,7 @@ class PlantParts:
             RangeError: NaN, infinite, or against its rule.
         """
         if path not in self.values:
-            raise unknown_name(f"the plant of arm '{self.arm.name}'", "parameter", path, self.values)
+            raise unknown_name(f"plant '{self.name}'", "parameter", path, self.values)
         shape, new = self.values[path].shape, self._checked(path, value)
         one_for_all = new.ndim == 0 and not (path.startswith("environment.") and shape in OF_WRENCHES)
         if new.shape == shape or one_for_all:

@@ -121,6 +121,7 @@ class RigidPlant:
         """What it is made of."""
         contact = None if self.contact is None else Contacts(arm=self.arm, parts=each_contact(self.contact))
         return PlantParts(
+            name=f"RigidPlant({getattr(self.arm, 'name', '')})",
             arm=self.arm,
             friction=self.friction,
             takes=self.takes,
@@ -150,7 +151,7 @@ class RigidPlant:
     @property
     def name(self) -> str:
         """What it is called in messages."""
-        return f"RigidPlant({self.arm.name})"
+        return self.parts.name
 
     @property
     def measures(self) -> frozenset[str]:

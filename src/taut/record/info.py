@@ -145,7 +145,10 @@ def _is_possible(arm: Arm | None, n: int) -> bool:
         return True
     fits = arm.n == n == len(arm.bodies) and arm.home.shape == (n,) and arm.tool in arm.frame_names
     tree = all(BASE <= joint.parent < i for i, joint in enumerate(arm.joints))
-    return fits and tree and all(BASE <= frame.body < n for frame in arm.frames) and indefinite(arm) is None
+    if not (fits and tree and all(BASE <= frame.body < n for frame in arm.frames)):
+        return False
+    with np.errstate(invalid="ignore", over="ignore"):  # a mass may be negative or huge
+        return indefinite(arm) is None
 
 
 def differences(one: Arm, other: Arm) -> tuple[str, ...]:
@@ -167,7 +170,7 @@ def _different(one: Any, other: Any, name: str = "") -> Iterator[str]:
 @functools.cache
 def versions() -> Mapping[str, str]:
     """The versions of taut and of what it computes with, and the kind of machine."""
-    from taut.base.version import __version__
+    from taut.base import __version__
 
     found = {"taut": __version__}
     for package in PACKAGES:

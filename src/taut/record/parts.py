@@ -135,26 +135,18 @@ def phase_of(run: Run, name: str, visit: int) -> Run:
         )
     window = visits[visit]
     others = tuple(f"law.{other}." for other in (*about, STOP) if other != name)  # what they remember is old
-    rows = slice(window.first, window.last + 1)
+    part = run.ticks(slice(window.first, window.last + 1))
     own = about.get(name)
-    reference, info = run.reference, dataclasses.replace(run.info, phases={}, impedance=None)
+    reference, info = part.reference, dataclasses.replace(run.info, phases={}, impedance=None)
     if own is not None:
         info = dataclasses.replace(info, tool=own.tool, impedance=own.impedance)
         if isinstance(reference, PhaseSample) and own.follows:
             reference = getattr(reference, own.follows)
-    fields = {field: getattr(reference, field)[rows] for field in type(reference).fields(run.n)}
-    outcome = Outcome(kind="completed", message=str(window), tick=len(run.t[rows]) - 1)
+    outcome = Outcome(kind="completed", message=str(window), tick=len(part) - 1)
     if not run.outcome.ok and window.name != STOP and window.ended is None:  # the run ended in it
         outcome = dataclasses.replace(run.outcome, tick=outcome.tick)
-    return dataclasses.replace(
-        run,
-        **{key: getattr(run, key)[rows] for key in ("t", "q", "v", "tau", "command")},
-        terms={key: values[rows] for key, values in run.terms.items()},
-        extra={key: values[rows] for key, values in run.extra.items() if not key.startswith(others)},
-        reference=type(reference).of(fields),
-        outcome=outcome,
-        info=info,
-    )
+    extra = {key: values for key, values in part.extra.items() if not key.startswith(others)}
+    return dataclasses.replace(part, extra=extra, reference=reference, outcome=outcome, info=info)
 
 
 # -------------------------------------------------------------------- laws side by side

@@ -88,7 +88,7 @@ def _restored(kind: Any, value: Any, name: str) -> Any:
     if origin is Mapping and isinstance(value, dict):
         return {key: _restored(args[1], x, f"{name}.{key}") for key, x in value.items()}
     if kind is Pose and isinstance(value, dict):
-        return Pose.of(_rotation(value["R"], f"{name}.R"), _array(value["p"], f"{name}.p", (3,)))
+        return Pose.of(_rotation(value.get("R"), f"{name}.R"), _array(value.get("p"), f"{name}.p", (3,)))
     if dataclasses.is_dataclass(kind) and isinstance(kind, type) and isinstance(value, dict):
         return _dataclass(kind, value, name)
     if kind is float and type(value) in (int, float):

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["content_of", "html_of", "report", "without_folders"]
 
-MAX_BYTES: Final = 3_000_000
+MAX_REPORT_BYTES: Final = 3_000_000
 RESOLUTIONS: Final = (160, 120, 90, 60)  # [dots per inch], the first one that fits
 STYLE: Final = """
 :root { color-scheme: light dark; --ink: #1c1c1c; --paper: #fff; --line: #d0d0d0; --soft: #f4f4f4; --bad: #a40000;
@@ -136,7 +136,7 @@ def html_of(content: Content) -> str:
     figures = {title: draw() for title, draw in content.figures.items()}
     for dpi in RESOLUTIONS:
         text = "\n".join(_lines(content, figures, dpi))
-        if len(text.encode()) < MAX_BYTES:
+        if len(text.encode()) < MAX_REPORT_BYTES:
             break
     return text
 

@@ -209,12 +209,16 @@ class Run:
         if not start < end or first == last:
             span = f"{self.t[0]:g} to {self.t[-1]:g}" if len(self) else "no ticks"
             raise RangeError(f"the run has no ticks from {start:g} to {end:g} s; it has {span}", name="start")
-        fields = {name: getattr(self.reference, name)[first:last] for name in type(self.reference).fields(self.n)}
+        return self.ticks(slice(int(first), int(last)))
+
+    def ticks(self, rows: slice) -> Run:
+        """The ticks of a slice as a run."""
+        fields = {name: getattr(self.reference, name)[rows] for name in type(self.reference).fields(self.n)}
         return dataclasses.replace(
             self,
-            **{name: getattr(self, name)[first:last] for name in ("t", "q", "v", "tau", "command")},
-            terms={name: values[first:last] for name, values in self.terms.items()},
-            extra={name: values[first:last] for name, values in self.extra.items()},
+            **{name: getattr(self, name)[rows] for name in ("t", "q", "v", "tau", "command")},
+            terms={name: values[rows] for name, values in self.terms.items()},
+            extra={name: values[rows] for name, values in self.extra.items()},
             reference=type(self.reference).of(fields),
         )
 

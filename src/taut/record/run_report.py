@@ -19,7 +19,7 @@ __all__ = ["content_of_run", "faults_of"]
 
 MIN_TICKS_OF_REPORT: Final = 2
 LATE: Final = 1.5  # periods between two ticks that follow each other
-MAX_LETTERS: Final = 400  # of a value
+MAX_VALUE_LETTERS: Final = 400  # of a value
 
 
 def content_of_run(run: Run) -> Content:
@@ -110,4 +110,4 @@ def _command(scenario: ScenarioInfo) -> str:
 def _value(value: Any) -> str:
     """A value in one line, with six digits."""
     rounded = json.loads(json.dumps(plain(value)), parse_float=lambda digits: float(f"{float(digits):.6g}"))
-    return short(value if isinstance(value, str) else json.dumps(rounded, ensure_ascii=False), MAX_LETTERS)
+    return short(value if isinstance(value, str) else json.dumps(rounded, ensure_ascii=False), MAX_VALUE_LETTERS)

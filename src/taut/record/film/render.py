@@ -25,7 +25,7 @@ import numpy as np
 
 __all__ = ["TRAIL", "Frames", "NoRendererError", "Renderer", "backends", "check_mujoco", "opened"]
 
-PATIENCE: Final = 120.0  # [s] until the first picture can be drawn
+START_TIMEOUT: Final = 120.0  # [s] until the first picture can be drawn
 READY: Final = b"ready\n"
 TRAIL: Final = (0.84, 0.37, 0.0, 0.9)
 REFERENCE: Final = (0.2, 0.2, 0.2, 0.55)
@@ -123,7 +123,7 @@ class Renderer:
 
     def start(self) -> str | None:
         """Wait until it can draw; None if it can, else why not."""
-        timer = threading.Timer(PATIENCE, self._process.kill)
+        timer = threading.Timer(START_TIMEOUT, self._process.kill)
         timer.start()
         try:
             answer = self._read(len(READY))

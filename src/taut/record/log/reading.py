@@ -81,7 +81,13 @@ def load_run(path: str | os.PathLike[str]) -> Run:
             return _read(file, target.stat().st_size)
     except FileError:
         raise
-    except (OSError, ValueError, RecursionError, TautError) as cause:  # a disk that fails, what no run has written
+    except (
+        OSError,
+        ValueError,
+        ArithmeticError,
+        RecursionError,
+        TautError,
+    ) as cause:  # a bad disk, or no log of ours
         raise FileError(f"log {str(path)!r} cannot be read: {printable(str(cause))}", name=str(path)) from cause
 
 
@@ -319,7 +325,7 @@ def _outcome(found: Contents, t: Array) -> Outcome:
     damaged = "" if found.damage is None else f"; the file is damaged at byte {found.damage}"
     try:
         ending = restored(Ending, _unsealed(found.metadata["taut.outcome"]), "outcome")
-    except (LookupError, ValueError, RecursionError) as cause:
+    except (LookupError, ValueError, ArithmeticError, RecursionError) as cause:
         damaged = damaged if isinstance(cause, LookupError) else "; its outcome is damaged"
         message = f"the log ends at {end} without an outcome: its writer was stopped, or the file was cut off"
         return Outcome(kind="stopped", message=f"{message}{damaged}", tick=max(0, len(t) - 1))

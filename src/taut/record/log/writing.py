@@ -18,8 +18,8 @@ from typing import IO, TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
+from taut.base import __version__
 from taut.base.errors import FileError, count_of
-from taut.base.version import __version__
 from taut.record.log.files import cannot_write, checked_target, written_aside
 from taut.record.log.layout import JOINT_STATE, Header, JointStates, TickLayout, columns_of
 from taut.record.outcome import Outcome
