@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 from story_names import STORIES
-from taut.scenarios.sample_policy import SamplePolicy
 
 import taut
 from taut.base.errors import TautError
+from taut.scenarios.references import SamplePolicy
 from taut.scenarios.run import ScenarioResult, run_scenario
 from taut.scenarios.scenario import Scenario, Trial, built_in_scenarios, load_scenario
 
