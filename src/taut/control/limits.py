@@ -101,7 +101,7 @@ class Limits(Declared):
         return cls(tau=arm.effort, tau_dot=tau_dot, v=v, blend=blend)
 
     def check_fit(self, arm: Arm, rate: float) -> None:
-        """Limits have one entry, or one per joint, and no joint comes up to its speed limit faster than the rate [Hz].
+        """Limits have one entry or one per joint, and v_gain is no faster than the rate [Hz].
 
         Raises:
             ShapeError, RangeError: They do not fit.
@@ -110,8 +110,8 @@ class Limits(Declared):
         fastest = 0.0 if self.v_gain is None else float(np.max(self.v_gain))
         if fastest > rate:
             raise RangeError(
-                f"limits.v_gain must be at most the rate, {rate:g} [1/s], or a joint would overshoot its speed limit; "
-                f"got {fastest:g}",
+                f"limits.v_gain must be at most the rate, {rate:g} [1/s], or a joint would overshoot its speed "
+                f"limit; got {fastest:g}",
                 name="limits.v_gain",
                 value=fastest,
             )
