@@ -252,14 +252,8 @@ def test_directions_are_those_of_the_world_however_the_arm_is_mounted(law: str) 
 class Wave(taut.environments.Environment):
     """A force that swings along one axis for ever: written here, so that nothing of a sweep is used."""
 
-    def __init__(self, force: Float64Array, omega: float) -> None:
-        self.force, self.omega = force, omega
-
-    def parameters(self) -> dict[str, Float64Array]:
-        return {}
-
-    def start(self, T_WE: Any) -> dict[str, Any]:
-        return {}
+    force: Any
+    omega: float
 
     def wrench(
         self,
@@ -272,12 +266,6 @@ class Wave(taut.environments.Environment):
     ) -> tuple[Any, dict[str, Any]]:
         return self.force * tm.sin(self.omega * t), {}
 
-    def changed(self, name: str, value: Any) -> Any:
-        return self
-
-    def rates(self, mobility: Any, parameters: Any) -> tuple[float, float]:
-        return 0.0, 0.0
-
 
 @pytest.mark.parametrize("law", ["GravityPID", "Impedance", "Admittance"])
 def test_a_run_against_a_swinging_force_has_the_predicted_admittance(law: str) -> None:
@@ -287,7 +275,7 @@ def test_a_run_against_a_swinging_force_has_the_predicted_admittance(law: str) -
     ctrl = taut.compile(LAWS[law][0](arm), arm)
     tip = taut.analysis.tool_impedance(taut.Loop(ctrl, plant_of(arm, TOUCHED, True), duration=0.5), direction=way)
     force = 1e-4 * abs(tip.Z(omega)[0])
-    plant = Plant(arm, friction=None, environment=Wave(force * way, omega))
+    plant = Plant(arm, friction=None, environment=Wave(force=force * way, omega=omega))
     run = taut.run(ctrl, plant, duration=4.0)
     late = run.t > 4.0 - 3.0 * 2.0 * np.pi / omega
     home = taut.snapshot(arm, run.q[0]).T().p

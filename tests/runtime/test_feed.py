@@ -325,9 +325,7 @@ def test_a_chunk_of_samples_of_different_sizes_is_refused_when_it_is_made() -> N
     samples = [taut.JointMotion(q=[0.0, 0.0]), taut.JointMotion(q=[0.0])]
     with pytest.raises(taut.errors.ShapeError) as caught:
         taut.chunk([0.0, 1.0], samples)
-    assert str(caught.value) == (
-        "targets must be samples of one kind and size; targets[1].q has shape (1,) and targets[0].q (2,)"
-    )
+    assert caught.value.name == "targets"
 
 
 def test_an_error_of_the_source_comes_through_as_it_is() -> None:

@@ -37,7 +37,7 @@ from taut.linear.period import small_rotations
 from taut.loop import Loop
 from taut.maths.model import PayloadValues
 from taut.maths.snapshot import Snapshot
-from taut.plant.disturbance import WRENCH
+from taut.plant.environments.environment import WRENCH
 from taut.trace.derivative import jacobian
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from taut.maths.snapshot import Snapshot
 
 __all__ = ["Coupling", "coupling"]
 
-ROUNDING: Final = 1e-12  # [rad | m] of a droop
+MIN_DROOP: Final = 1e-12  # [rad | m] of a droop
 MAX_CROSSTALK: Final = 0.1  # [-] of decentralised control
 
 
@@ -68,7 +68,7 @@ class Coupling(Result):
                 f"limit is {100.0 * self.max_crosstalk:g} %"
             )
         apart = self.crosstalk - np.diag(np.diag(self.crosstalk))
-        droop = np.where(np.abs(self.droop) > ROUNDING, self.droop, 0.0)
+        droop = np.where(np.abs(self.droop) > MIN_DROOP, self.droop, 0.0)
         rows = list(zip(self.joints, (100.0 * apart.max(axis=1)).tolist(), droop.tolist(), strict=True))
         return Content(
             title="coupling of the joints",

@@ -46,7 +46,7 @@ SHOWN: Final = 0.2  # [-] smallest fraction of a mode that a sentence names
 POINTS: Final = 256  # frequencies of a grid, for each period of delay
 LOWEST: Final = 1e-4  # [rad] omega T: below it the condition has reached its limit for slow motion
 ZOOMS: Final = 3  # each is 64 times finer
-ROUNDING: Final = 1e-9  # of the largest damping
+ROUNDING: Final = 1e-9  # of the largest damping, physical or of the law: a redundant arm has directions without any
 MIN_FACTOR: Final = 2.0**-14
 MAX_FACTOR: Final = 2.0**40
 INTEGRATOR: Final = 1e-9  # [-] distance in z of a pole to 1
@@ -184,7 +184,11 @@ class StiffnessCheck(Result):
 
     @property
     def _rounding(self) -> float:
-        return ROUNDING * float(np.abs(self.damping).max())
+        sampled = np.abs(self.law.D[self.law.rows("command")])
+        of_law = max(
+            (sampled[:, self.law.columns(name)].max(initial=0.0) * T for name, T in (("q", self._dt), ("v", 1.0)))
+        )
+        return ROUNDING * max(float(np.abs(self.damping).max()), float(of_law))
 
     @cached_property
     def _plant(self) -> LinearSystem:

@@ -25,10 +25,10 @@ __all__ = [
     "read_only",
     "readable_file",
     "require_at_least",
-    "require_at_most",
     "require_positive",
     "symmetric_psd",
     "vector",
+    "whole_number",
 ]
 
 T = TypeVar("T", bound=str)
@@ -183,6 +183,15 @@ def positive_scalar(name: str, value: object, *, unit: str = "") -> float:
     return number
 
 
+def whole_number(name: str, value: object, *, minimum: int = 0, maximum: int | None = None) -> int:
+    """A whole number in a range; True and False are none."""
+    rule = f">= {minimum}" if maximum is None else f"from {minimum} to {maximum}"
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not whole or value < minimum or (maximum is not None and value > maximum):  # type: ignore[operator]
+        raise RangeError(f"{name} must be a whole number {rule}; got {value!r}", name=name, value=value, rule=rule)
+    return int(value)  # type: ignore[call-overload,no-any-return]
+
+
 def rate_in_hertz(value: object) -> float:
     """A rate of ticks [Hz]; a number below 1 is a period in seconds that was taken for one."""
     rate = positive_scalar("rate", value, unit="Hz")
@@ -227,11 +236,6 @@ def require_at_least(
 ) -> None:
     """Every entry is at least `minimum`."""
     _require(name, array, lambda a: a >= minimum, f">= {minimum:g}", unit, joints)
-
-
-def require_at_most(name: str, array: Float64Array, maximum: float, *, unit: str = "") -> None:
-    """No entry is above `maximum`."""
-    _require(name, array, lambda a: a <= maximum, f"<= {maximum:g}", unit, None)
 
 
 def require_positive(name: str, array: Float64Array, *, unit: str = "", joints: Sequence[str] | None = None) -> None:

@@ -16,8 +16,7 @@ from taut.base.errors import RangeError, UsageError, count_of
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.function import NativeFunction, native
 from taut.maths import dynamics as dyn
-from taut.maths.ik import DIRECTIONS, Directions, IkOutcome, Task, task_of
-from taut.maths.ik_search import posture_step, search_step
+from taut.maths.ik import DIRECTIONS, Directions, IkOutcome, Task, posture_step, search_step, task_of
 from taut.maths.model import model_of
 from taut.trace.pose import Pose
 

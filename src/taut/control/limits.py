@@ -78,6 +78,9 @@ class Limits(Declared):
     def _stated(self) -> set[str]:
         return {name for name in self.declared if self.__dict__[name] is not None}
 
+    def __str__(self) -> str:
+        return ", ".join(f"{name} = {np.asarray(getattr(self, name)).tolist()}" for name in sorted(self._stated()))
+
     @classmethod
     def of(cls, arm: Arm, *, rate: bool = False, speed: bool = False, blend: float | None = None) -> Limits:
         """The arm's own effort limits.

@@ -16,8 +16,7 @@ from taut.base.checks import finite_array, finite_scalar, positive_scalar, rate_
 from taut.base.checks import symmetric_psd as require_symmetric_psd
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.sensing.filters import LowPass, check_filter
-from taut.control.sensing.velocity import Difference
+from taut.control.sensing.filters import Difference, LowPass, check_filter
 from taut.linear.linear_system import LinearSystem, names
 from taut.linear.step_response import BAND
 

@@ -134,14 +134,14 @@ class Judgement(Result):
         )
 
     def record(self) -> dict[str, Any]:
-        """As plain values, for the record of a run."""
+        """The entries of `Stability` in the info of a run."""
         return {
             "stable": self.stable,
             "radius": float(f"{self.radius:.9g}"),
             "joints": {name: round(part, 3) for name, part in self.joints.items() if part >= PART},
             "tool": {name: round(part, 3) for name, part in self.tool.items() if part >= PART},
             "largest": dict(self.largest),
-            "relies_on": list(self.relies_on),
+            "relies_on": self.relies_on,
             "plant": self.plant,
             "message": self.message,
         }

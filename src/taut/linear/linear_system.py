@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from taut.base.checks import finite_array, finite_scalar, positive_scalar, read_only, require_at_least
+from taut.base.checks import finite_array, finite_scalar, positive_scalar, read_only, require_at_least, whole_number
 from taut.base.errors import RangeError, ShapeError, UsageError, missing_extra, unknown_name
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
@@ -517,8 +517,7 @@ class LinearSystem(Result):
             UsageError: Not a number of samples, or no dt where one is needed.
             ShapeError: Not one number for each state.
         """
-        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
-            raise UsageError(f"count must be a whole number of at least 1; got {count!r}", name="count")
+        count = whole_number("count", count, minimum=1)
         if (dt is None) == (self.dt is None):
             raise UsageError("dt= is the time between samples of a continuous system, and of no other", name="dt")
         import scipy.linalg

@@ -314,7 +314,7 @@ def _along(loop: Loop, map_: LoopMap, run: Run, times: ArrayLike) -> tuple[Linea
             "linearise a loop and a run whose plant has none",
             name="along",
         )
-    if run.info.get("events"):
+    if run.info.events:
         raise UsageError("along= takes a run without events; a change of parameters is another loop", name="along")
     # A run keeps no memory of filters and integrals: its ticks are taken once more.
     rows, values = _inputs_of(loop, map_, run), map_.values(loop.parameters)
@@ -345,7 +345,7 @@ def _inputs_of(loop: Loop, map_: LoopMap, run: Run) -> Float64Array:
     views = map_.inputs.views(rows)
     views["t"][...] = run.t
     for name, column in subtree(views, "noise").items():
-        column[...] = np.random.default_rng([int(run.info["seed"]), *name.encode()]).standard_normal(column.shape)
+        column[...] = np.random.default_rng([run.info.seed or 0, *name.encode()]).standard_normal(column.shape)
     feed = ReferenceFeed(loop.ref, side.law.reference, side.arm, loop.dt, side.at_rest(run.q[0]))
     if feed.next_question(0) is not None:
         raise UsageError(

@@ -27,7 +27,7 @@ from taut.linear.period import (
 from taut.loop import DT, Loop, Values
 from taut.maths import dynamics as dyn
 from taut.maths.model import model_of
-from taut.plant.disturbance import COMMAND, disturbance_shapes
+from taut.plant.environments.environment import COMMAND, disturbance_shapes
 from taut.plant.rigid import RigidPlant
 
 __all__ = ["LoopMap", "beside", "finite_derivative", "loop_map", "starting"]

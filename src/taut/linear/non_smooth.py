@@ -131,7 +131,7 @@ def _limits(map_: LoopMap, record: Mapping[str, Any]) -> list[str]:
 
 def _sticking(map_: LoopMap, memory: Mapping[str, Any], numbers: Mapping[str, Any]) -> list[str]:
     plant = map_.plant
-    if not isinstance(plant, RigidPlant) or not plant.drivetrain.dry or "plant.friction" not in memory:
+    if not isinstance(plant, RigidPlant) or not plant.parts.drivetrain.dry or "plant.friction" not in memory:
         return []
     v = memory.get("plant.v_motor", memory["plant.v"])
     names = plant.arm.joint_names

@@ -26,7 +26,7 @@ from taut.control.trajectories.reference import Hold, Reference
 from taut.loop import DT, AnyPlant, Loop, ModelPlant
 from taut.maths.spatial import rotation_exp
 from taut.plant.drives.actuation import Actuation
-from taut.plant.environments.push import Push
+from taut.plant.environments.hands import Push
 from taut.plant.rigid import RigidPlant
 from taut.plant.sensors.sensors import Sensors
 from taut.trace import math as tm

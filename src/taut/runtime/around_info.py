@@ -9,13 +9,12 @@ import numpy as np
 
 from taut.base.types import Float64Array
 from taut.loop import AnyPlant
+from taut.maths.constraints.functions import Surface
 from taut.maths.constraints.rows import OfPoses
-from taut.maths.constraints.shapes import Surface
 from taut.maths.snapshot import Snapshot
 from taut.plant.contact import each_contact
 from taut.plant.rigid import RigidPlant
 from taut.record.film.surroundings import Around, Shape, Thing
-from taut.record.info import AROUND
 from taut.trace.pose import Pose
 
 __all__ = ["around_info"]
@@ -34,20 +33,17 @@ class HasAround(Protocol):
     def around(self) -> Around: ...
 
 
-def around_info(plant: AnyPlant, q: Float64Array, duration: float) -> dict[str, Any]:
-    """The entry of run.info about what stands around the arm, where there is anything.
+def around_info(plant: AnyPlant, q: Float64Array, duration: float) -> Around:
+    """What stands around the arm.
 
     Args:
         plant: The plant.
         q: (n,) positions at the start [rad | m].
         duration: [s] of the run.
     """
-    found = Around()
     if isinstance(plant, HasAround):
-        found = plant.around()
-    elif isinstance(plant, RigidPlant):
-        found = _of_model(plant, q, duration)
-    return {AROUND: found.json()} if found else {}
+        return plant.around()
+    return _of_model(plant, q, duration) if isinstance(plant, RigidPlant) else Around()
 
 
 def _of_model(plant: RigidPlant, q: Float64Array, duration: float) -> Around:

@@ -17,7 +17,7 @@ from taut.control.limits import take_up
 from taut.control.tasks.feed import feed_of
 from taut.loop import DT, Loop
 from taut.maths.snapshot import Snapshot
-from taut.plant.force_feedback import check_force_feedback
+from taut.plant.contact import check_force_feedback
 from taut.record.outcome import Outcome
 from taut.runtime.events import Event, Schedule
 from taut.runtime.tape import LOG_PERIOD, RowLog, Tape
@@ -36,7 +36,6 @@ class FusedRun:
         v: (n,) true velocity at the start.
         seed: Seed of the noise.
         events: Events with the tick at which they act, in order.
-        info: What is known of the run beforehand.
     """
 
     def __init__(
@@ -46,7 +45,6 @@ class FusedRun:
         v: Float64Array,
         seed: int,
         events: Iterable[tuple[int, Event]],
-        info: dict[str, Any],
     ) -> None:
         self._loop, self._q, self._v = loop, q, v
         side = loop.side
@@ -71,7 +69,7 @@ class FusedRun:
         # A sensor that fails at once is no state to compare engines at.
         blocks, example = (self._inputs, self._parameters, self._memory), (first[0], self._values, self._state)
         self._run = compiled_loop(loop, blocks, example, sound=self._sound(memory, first[0]))
-        self.tape = Tape(side, loop.plant, loop.ticks, self._inputs, self._run.outputs, info)
+        self.tape = Tape(side, loop.plant, loop.ticks, self._inputs, self._run.outputs)
         self.tape.input_rows[0] = first[0]
 
     def _started(self, q: Float64Array, v: Float64Array, first: Float64Array) -> dict[str, Any]:

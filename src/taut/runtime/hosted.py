@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from time import monotonic
-from typing import Any
 
 import numpy as np
 
@@ -37,8 +36,8 @@ class HostedRun:
         ticks: Number of control ticks.
         q: (n,) true position at the start.
         v: (n,) true velocity at the start.
+        seed: Seed of the noise.
         events: Events with the tick at which they act, in order.
-        info: What is known of the run beforehand.
     """
 
     def __init__(
@@ -49,22 +48,22 @@ class HostedRun:
         ticks: int,
         q: Float64Array,
         v: Float64Array,
+        seed: int,
         events: Iterable[tuple[int, Event]],
-        info: dict[str, Any],
     ) -> None:
         side = ctrl.side
         self._plant, self._ticks, self._side = plant, ticks, side
         self._events = Schedule(side, plant, {**ctrl.parameters, **plant.parameters}, events)
         self._before = dict(plant.parameters)  # events last as long as the run
         self._kernel = ctrl.recording_kernel(sensed_of(side, plant), ticks)
-        plant.reset(q, v, side.dt, info["seed"])
+        plant.reset(q, v, side.dt, seed)
         n = side.arm.n
         shapes: dict[str, tuple[int, ...]] = {"q": (n,), "v": (n,), "tau": (n,)}
         shapes |= self._kernel.blocks.layout["outputs"].shapes
         shapes |= {name: np.shape(value) for name, value in plant.extra().items()}
         wanted = self._kernel.blocks.layout["inputs"].shapes
         kept = {path: shape for path, shape in wanted.items() if path.startswith("ref.")}
-        self.tape = Tape(side, plant, ticks, Block.of({"t": (), **kept}), Block.of(shapes), info)
+        self.tape = Tape(side, plant, ticks, Block.of({"t": (), **kept}), Block.of(shapes))
         side.check_start(q, {**ctrl.parameters, **self._events.at(0)}, ref)
         blocks = self._kernel.blocks  # the feed holds these, and not the run, which holds the feed
         self._feed = feed_of(side, ref, q, lambda: blocks.views("parameters"))

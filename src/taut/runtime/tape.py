@@ -20,6 +20,7 @@ from taut.control.lawside import LawSide
 from taut.control.tasks.task import NO_CONTACT
 from taut.loop import AnyPlant
 from taut.maths.snapshot import Snapshot
+from taut.record.info import RunInfo
 from taut.record.outcome import Outcome
 from taut.record.parts import PhaseWindow, outcome_with_phases, windows
 from taut.record.run import Run
@@ -52,15 +53,12 @@ class Tape:
         ticks: Number of rows.
         inputs: Layout of the first table: t, ref.*, ...
         outputs: Layout of the second: q, v, tau, command, terms.*, and further columns.
-        info: What is known of the run beforehand, as plain values.
 
     Raises:
         RangeError: More rows than memory has room for.
     """
 
-    def __init__(
-        self, side: LawSide, plant: AnyPlant, ticks: int, inputs: Block, outputs: Block, info: Mapping[str, Any]
-    ) -> None:
+    def __init__(self, side: LawSide, plant: AnyPlant, ticks: int, inputs: Block, outputs: Block) -> None:
         self._side = side
         self._plant = plant
         try:
@@ -76,7 +74,7 @@ class Tape:
         self.inputs = inputs.views(self.input_rows)
         self.outputs = outputs.views(self.output_rows)
         self.inputs["t"][...] = np.arange(ticks) * side.dt
-        self.info = info
+        self.info = RunInfo()
         self._phases = () if side.task is None else side.task.names
         self.unstable = ""  # why the loop is, where the run starts
 

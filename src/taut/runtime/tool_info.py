@@ -1,4 +1,4 @@
-"""What a run keeps of its arm, as plain values: the tool's kinematics, what the law makes it feel like, limits."""
+"""What a run keeps of its arm: the tool's kinematics, the impedance of the law, limits."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from taut.control.tasks.task import Task
 from taut.maths.chain import Chain
 from taut.maths.model import Model, PayloadValues
 from taut.maths.snapshot import Snapshot
-from taut.record.info import IMPEDANCE, LIMITS, PARTS, PHASES, TOOL
+from taut.record.info import PartInfo
 
 __all__ = ["tool_info"]
 
 
 def tool_info(law: Law | Task, side: LawSide, q: Float64Array, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """The entries of run.info about tool and limits.
+    """The entries of RunInfo about tool and limits, by name.
 
     Args:
         law: The law with the gains of the run.
@@ -34,16 +34,17 @@ def tool_info(law: Law | Task, side: LawSide, q: Float64Array, parameters: Mappi
     """
     payload = {name: np.array(value) for name, value in subtree(parameters, "model.payload").items()}
     x = Snapshot(side.model, q=q, v=np.zeros(len(q)), payload=PayloadValues.of(payload))
-    out = _of_law(law, side.model, x) | {LIMITS: _limits(side.arm)}
+    own = _of_law(law, side.model, x)
+    out: dict[str, Any] = {"tool": own.tool, "impedance": own.impedance, "limits": _limits(side.arm)}
     if isinstance(law, SideBySide):
         seen = law.seen(x)
-        out[PARTS] = {
-            name: {"joints": list(seen[name].arm.joint_names), **_of_law(part, seen[name].model, seen[name])}
+        out["parts"] = {
+            name: _of_law(part, seen[name].model, seen[name], joints=seen[name].arm.joint_names)
             for name, part in law.parts.items()
         }
     if isinstance(law, Task):
-        out[PHASES] = {
-            name: {"follows": law.follows(name), **_of_law(law.laws[name], side.model, x)} for name in law.phases
+        out["phases"] = {
+            name: _of_law(law.laws[name], side.model, x, follows=law.follows(name)) for name in law.phases
         }
     return out
 
@@ -56,10 +57,11 @@ def _limits(arm: Arm) -> dict[str, dict[str, float]]:
     }
 
 
-def _of_law(law: Law | Task, model: Model, x: Snapshot) -> dict[str, Any]:
+def _of_law(
+    law: Law | Task, model: Model, x: Snapshot, *, joints: tuple[str, ...] = (), follows: str | None = None
+) -> PartInfo:
     frame = law.controlled_frame
-    out: dict[str, Any] = {TOOL: Chain.of(model, frame).json()}
     impedance = None
     if isinstance(law, Law) and frame in (None, model.arm.tool):  # F_ext is taken at the arm's tool
         impedance = felt_impedance(law, x)
-    return out if impedance is None else out | {IMPEDANCE: impedance.json()}
+    return PartInfo(tool=Chain.of(model, frame), impedance=impedance, joints=joints, follows=follows)

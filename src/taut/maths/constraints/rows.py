@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
 from taut.base.errors import ShapeError
 from taut.base.types import Array, Matrix, Twist, Vector
-from taut.maths.constraints.shapes import Surface
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import moved
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL, factor_spd
 from taut.trace.pose import Pose
+
+if TYPE_CHECKING:
+    from taut.maths.constraints.functions import Surface
 
 __all__ = [
     "DEPENDENT",

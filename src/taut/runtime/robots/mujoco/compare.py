@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 __all__ = ["compare", "compare_rotors", "owners", "tool_in_body"]
 
-NEAR: Final = 1e-3  # [m] of an axis or a centre of mass; files round their numbers
-TURNED: Final = 1e-3  # [rad] of an axis
-HEAVIER: Final = 1e-3  # relative, of masses, moments of inertia and rotor inertia
-GRAVITY: Final = 1e-3  # [m/s^2]
+MAX_DISTANCE: Final = 1e-3  # [m] of an axis or a centre of mass; files round their numbers
+MAX_ROTATION: Final = 1e-3  # [rad] of an axis
+MAX_RELATIVE: Final = 1e-3  # relative, of masses, moments of inertia and rotor inertia
+MAX_GRAVITY_DIFFERENCE: Final = 1e-3  # [m/s^2]
 
 
 def owners(model: mujoco.MjModel, joints: list[int]) -> list[int | None]:
@@ -69,7 +69,7 @@ def compare(rig: Rig, owner: list[int | None], *, inertias: bool) -> None:
     scratch = _at_home(model, rig.data, arm, list(rig.joints))
     off = int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
     gravity = np.zeros(3) if off else np.asarray(model.opt.gravity)
-    if np.abs(gravity - arm.gravity).max() > GRAVITY:
+    if np.abs(gravity - arm.gravity).max() > MAX_GRAVITY_DIFFERENCE:
         raise MatchError(
             f"gravity is {_numbers(gravity)} in the model and {_numbers(arm.gravity)} m/s^2 for arm '{arm.name}'; "
             "use arm.with_gravity(model.opt.gravity)",
@@ -91,7 +91,7 @@ def _compare_axes(rig: Rig, scratch: mujoco.MjData) -> None:
         turned = float(np.linalg.norm(np.cross(axes[i], ours[i]))) if axes[i] @ ours[i] > 0.0 else 2.0
         apart = points[i] - anchors[i]
         distance = float(np.linalg.norm(apart - ours[i] * (apart @ ours[i])))
-        if turned <= TURNED and (joint.kind == "prismatic" or distance <= NEAR):
+        if turned <= MAX_ROTATION and (joint.kind == "prismatic" or distance <= MAX_DISTANCE):
             continue
         mount = _mount(arm, np.vstack([anchors, anchors + axes]), np.vstack([points, points + ours]))
         if mount is not None:
@@ -117,7 +117,7 @@ def _mount(arm: Arm, there: Float64Array, here: Float64Array) -> Pose | None:
     U, _, Vt = np.linalg.svd(b.T @ a)
     mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))])
     R = Vt.T @ mirror @ U.T
-    if np.abs(a - b @ R.T).max() > NEAR:
+    if np.abs(a - b @ R.T).max() > MAX_DISTANCE:
         return None
     T = Pose.of(R, there.mean(axis=0) - R @ here.mean(axis=0)) @ arm.T_WB
     return Pose.of(np.round(T.R, 9), np.round(T.p, 9))
@@ -161,11 +161,11 @@ def _about_com(body: RigidBody) -> tuple[Float64Array, Float64Array]:
 def _compare_body(arm: Arm, i: int, names: list[str], found: RigidBody, expected: RigidBody) -> None:
     who = f"body '{names[0]}'" + (f" with {quoted_list(names[1:], 3)}" if len(names) > 1 else "")
     (com, I), (com_arm, I_arm) = _about_com(found), _about_com(expected)
-    if abs(found.m - expected.m) > HEAVIER * expected.m:
+    if abs(found.m - expected.m) > MAX_RELATIVE * expected.m:
         what, there, here = "mass", f"{found.m:.6g} kg", f"{expected.m:.6g} kg"
-    elif np.linalg.norm(com - com_arm) > NEAR:
+    elif np.linalg.norm(com - com_arm) > MAX_DISTANCE:
         what, there, here = "centre of mass (world, home pose)", f"{_numbers(com)} m", f"{_numbers(com_arm)} m"
-    elif np.abs(I - I_arm).max() > HEAVIER * np.trace(I_arm) + 1e-9:
+    elif np.abs(I - I_arm).max() > MAX_RELATIVE * np.trace(I_arm) + 1e-9:
         what = "inertia (xx, yy, zz, xy, xz, yz; world axes, home pose)"
         there, here = (f"{_numbers(inertia_entries(J))} kg m^2" for J in (I, I_arm))
     else:
@@ -185,7 +185,7 @@ def compare_rotors(rig: Rig, actuators: list[Actuator]) -> None:
         total[a.joint] += a.rotor
     for i, name in enumerate(arm.joint_names):
         ours = float(arm.rotor_inertia[i])
-        if abs(total[i] - ours) > HEAVIER * max(ours, 1e-6):
+        if abs(total[i] - ours) > MAX_RELATIVE * max(ours, 1e-6):
             raise MatchError(
                 f"joint '{name}' has armature {total[i]:g} in the model and rotor inertia {ours:g} in arm "
                 f"'{arm.name}'; use arm.with_joints(rotor_inertia=...), or accept the difference with inertias='any'",

@@ -12,8 +12,7 @@ from taut.base.errors import MatchError
 from taut.base.types import Array, Float64Array
 from taut.codegen import native as native_code
 from taut.codegen.function import native
-from taut.maths.adds import Adds
-from taut.maths.compensation import compensation
+from taut.maths.adds import Adds, compensation
 from taut.maths.model import PayloadValues, model_of
 from taut.runtime.robots.mujoco.rig import Rig, index
 

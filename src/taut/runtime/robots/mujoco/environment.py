@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,7 +15,8 @@ from taut.codegen.loop import StepLoop
 from taut.maths import dynamics as dyn
 from taut.maths.model import model_of
 from taut.plant.drives.drivetrain import Drivetrain
-from taut.plant.environments.environment import Environment, started, touch
+from taut.plant.environments.environment import Environment, touch
+from taut.plant.step_length import Steps as Division
 from taut.plant.step_length import require_short_contact
 from taut.runtime.robots.mujoco.rig import Rig
 
@@ -59,11 +59,10 @@ class EnvironmentStage:
             self._train,
             q,
             parameters,
-            h,
-            lambda more: f"a timestep of {dt / math.ceil(more * steps * (1.0 - 1e-9)):.9g}",
+            Division(dt, steps),
         )
         values = self._values(parameters, h)
-        memory = started(self._environment, dyn.pose(self._model, q))
+        memory = self._environment.start(dyn.pose(self._model, q))
         if self._loop is None:
             self._inputs = Block.of({"q": (n,), "v": (n,), "t": ()})
             self._parameters = Block.of({path: np.shape(value) for path, value in values.items()})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -15,13 +14,12 @@ from taut.codegen.engine import Steps, best_engine
 from taut.codegen.layout import Block
 from taut.codegen.loop import StepLoop
 from taut.maths import dynamics as dyn
-from taut.maths.adds import Adds
-from taut.maths.compensation import compensation
+from taut.maths.adds import Adds, compensation
 from taut.maths.model import PayloadValues, model_of
-from taut.plant.drives import drive
 from taut.plant.drives.actuation import Actuation
 from taut.plant.drives.drivetrain import Drivetrain
 from taut.plant.drives.stiff_drive import Follower
+from taut.plant.step_length import Steps as Division
 from taut.plant.step_length import require_short_steps
 from taut.runtime.robots.mujoco.rig import Rig
 
@@ -99,7 +97,7 @@ class JointStage:
         added = compensation(self._model, self._adds, q, v, payload)
         cut: Any = np.zeros(self._rig.arm.n)
         if self._follower is None:
-            given = drive.driven(self._actuation, self._rig.arm, memory, q_m, v_m, parameters, dt, added)
+            given = self._actuation.step(self._rig.arm, memory, q_m, v_m, parameters, dt, added)
             asked, after = given.tau, given.memory
         else:
             asked, cut, after = self._follower.torque(memory, q, v, parameters, dt)
@@ -137,17 +135,14 @@ class JointStage:
         full = dyn.gravity_torque(self._model, q, payload)
         weight = full - compensation(self._model, self._adds, q, np.zeros(arm.n), payload)
 
-        def enough(more: float) -> str:
-            return f"a timestep of {dt / math.ceil(more * steps * (1.0 - 1e-9)):.9g}"
-
         memory = {"held": weight, "tau_link": full}
         if self._follower is None:
-            memory |= drive.start(self._actuation, arm, weight, parameters)
+            memory |= self._actuation.start(arm, weight, parameters)
         else:
-            memory |= self._follower.start(q, v, parameters, h, enough)
+            memory |= self._follower.start(q, v, parameters, Division(dt, steps))
         started = self._train.start(q, v, full, parameters)
         memory |= {name: value for name, value in started.items() if name != "friction"}
-        require_short_steps(self._train, self._actuation, parameters, h, enough)
+        require_short_steps(self._train, self._actuation, parameters, Division(dt, steps))
         n = arm.n
         if self._loop is None:
             self._inputs = Block.of({"q": (n,), "v": (n,), "F_ext": (6,)})

@@ -10,7 +10,7 @@ import numpy as np
 from taut.arm.description import Payload
 from taut.base.checks import in_compiled_shape, read_only
 from taut.base.types import ArrayLike, Float64Array
-from taut.plant.numbers import PlantNumbers
+from taut.plant.parts import PlantParts
 from taut.runtime.robots.mujoco.model import put_payload
 from taut.runtime.robots.mujoco.rig import Rig
 
@@ -25,12 +25,12 @@ LOAD = ("mass", "com", "inertia")
 class Settings:
     """The parameters of a model that we built, and their way into it."""
 
-    def __init__(self, rig: Rig, numbers: PlantNumbers) -> None:
+    def __init__(self, rig: Rig, numbers: PlantParts) -> None:
         self._rig, self._numbers = rig, numbers
         self._scratch: mujoco.MjData | None = None
         # A joint whose motor moves by itself has rotor and friction in the stage before MuJoCo.
         self._rigid = list(numbers.drivetrain.rigid)
-        self.values = {path: read_only(np.asarray(value)) for path, value in numbers.values().items()}
+        self.values = {path: read_only(np.asarray(value)) for path, value in numbers.values.items()}
 
     @property
     def load(self) -> tuple[Float64Array, Float64Array, Float64Array]:

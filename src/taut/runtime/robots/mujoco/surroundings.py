@@ -26,7 +26,7 @@ KINDS: Final[dict[str, ShapeKind]] = {
 }
 HIDDEN: Final = 3  # the first group of geoms that MuJoCo's viewers hide
 MOST_MOVING: Final = 32  # bodies, each of which takes 7 numbers of every tick
-MOST_VERTICES: Final = 100_000  # of all meshes: some MB in a log
+MOST_VERTICES: Final = 50_000  # of all meshes: some MB in a log
 
 
 class SceneView:
@@ -120,7 +120,7 @@ def _mesh(model: mujoco.MjModel, number: int) -> Mesh:
     vertex, face = int(model.mesh_vertadr[number]), int(model.mesh_faceadr[number])
     vertices = model.mesh_vert[vertex : vertex + int(model.mesh_vertnum[number])]
     faces = model.mesh_face[face : face + int(model.mesh_facenum[number])]
-    return Mesh(vertices=np.array(vertices, dtype=np.float64), faces=np.array(faces, dtype=np.int32))
+    return Mesh(vertices=np.round(vertices.astype(np.float64), 6), faces=np.array(faces, dtype=np.float64))
 
 
 def _numbers(values: Any) -> tuple[float, ...]:
