@@ -16,7 +16,7 @@ from taut.trace.linalg import LTDL
 __all__ = [
     "DryFriction",
     "FrictionValues",
-    "SWEEPS",
+    "FRICTION_SWEEPS",
     "dry_friction",
     "dry_limit",
     "friction_torque",

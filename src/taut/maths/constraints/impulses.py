@@ -10,7 +10,7 @@ from taut.base.types import Matrix, Vector
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL, factor_spd
 
-__all__ = ["SWEEPS", "Touch", "both", "choose", "contact_impulses", "held_impulses", "opposite"]
+__all__ = ["CONTACT_SWEEPS", "Touch", "both", "choose", "contact_impulses", "held_impulses", "opposite"]
 
 CONTACT_SWEEPS: Final = 4  # of block Gauss-Seidel where several contacts act together
 SLIDING_ROUNDS: Final = 3  # of the direction of sliding, which depends on the normal force and the other way round
