@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from taut.maths.constraints.functions import Surface
 
 __all__ = [
-    "DEPENDENT",
+    "MIN_INDEPENDENT_PART",
     "ConstraintRows",
     "OfJointVelocity",
     "OfJoints",
