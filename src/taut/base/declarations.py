@@ -49,18 +49,25 @@ class Refusal(Exception):  # noqa: N818  (an error for the user is made of it)
         rule: The rest of the sentence.
         value: What was given.
         joint: The joint that it is about, where there is one.
+        name: What the error is about, where that is no field: a name that does not exist.
     """
 
     def __init__(
-        self, kind: type[TautError], field: str, rule: str, value: object = None, joint: str | None = None
+        self,
+        kind: type[TautError],
+        field: str,
+        rule: str,
+        value: object = None,
+        joint: str | None = None,
+        name: str | None = None,
     ) -> None:
         super().__init__(field, rule)
-        self.kind, self.field, self.rule, self.value, self.joint = kind, field, rule, value, joint
+        self.kind, self.field, self.rule, self.value, self.joint, self.name = kind, field, rule, value, joint, name
 
     def error(self, owner: str, prefix: str = "") -> TautError:
         """The error for the user, with the data that it is about."""
         subject = f"{prefix}{self.field}" if self.field else owner
-        name = subject.partition("[")[0].partition(" (")[0]
+        name = self.name or subject.partition("[")[0].partition(" (")[0]
         return self.kind(f"{subject} {self.rule}", name=name, joint=self.joint, value=self.value, rule=self.rule)
 
 
@@ -425,4 +432,4 @@ def unknown_field(name: str, known: Iterable[str], kind: str = "field") -> Refus
         if known
         else "it has none"
     )
-    return Refusal(UnknownNameError, "", f"has no {kind} '{name}'; {hint}", name)
+    return Refusal(UnknownNameError, "", f"has no {kind} '{name}'; {hint}", name, name=name)
