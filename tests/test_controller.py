@@ -460,7 +460,7 @@ COMPILES: list[tuple[str, Callable[[], Any], type[TautError], str]] = [
     ("limits", lambda: taut.compile(L.PID(kp=1.0), ARM, limits=5.0), UsageError,  # type: ignore[arg-type]
      "limits must be a taut.Limits; got float"),
     ("limits of another arm", lambda: taut.compile(L.PID(kp=1.0), ARM, limits=taut.Limits(tau=[1.0, 2.0, 3.0])), ShapeError,
-     "limits.tau must have shape (2,) (2 joints); got shape (3,)"),
+     "limits.tau must be a number or (2,) [N m | N] for 2 joints; got shape (3,)"),
     ("limits on a velocity", lambda: taut.compile(L.VelocityPI(kp=1.0), ARM, limits=taut.Limits(tau=1.0)), MatchError,
      "limits.tau is for torques, and VelocityPI gives a velocity; leave it out, or give limits with v"),
     ("adds", lambda: taut.compile(L.PID(kp=1.0), ARM, adds="gravity"), UsageError,

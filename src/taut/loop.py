@@ -141,7 +141,8 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
     if probe.kind != plant.takes:
         raise MatchError(
             f"{law} gives a {probe.kind} and plant '{plant.name}' takes a {plant.takes}; choose a law for "
-            f"{plant.takes} commands, or a plant that takes '{probe.kind}'"
+            f"{plant.takes} commands, or a plant that takes '{probe.kind}'",
+            name="takes",
         )
     for name in side.needs:
         if name not in plant.measures:

@@ -265,9 +265,9 @@ def test_another_law_takes_over_at_the_last_command() -> None:
 
 def test_limits_that_are_no_blend_are_refused_in_words() -> None:
     for make, text in {
-        lambda: taut.Limits(blend=0.0): "limits.blend must be > 0 [s]; got 0.0",
-        lambda: taut.Limits(blend=np.inf): "limits.blend must be finite [s]; got inf",
-        lambda: taut.Limits(blend=[0.1, 0.2]): "limits.blend must be one number [s]; got shape (2,)",
+        lambda: taut.Limits(blend=0.0): "blend must be > 0 [s]; got 0.0",
+        lambda: taut.Limits(blend=np.inf): "blend must be finite [s]; got inf",
+        lambda: taut.Limits(blend=[0.1, 0.2]): "blend must be a number [s]; got shape (2,)",
     }.items():
         with pytest.raises(taut.TautError) as caught:
             make()

@@ -65,7 +65,9 @@ class TestLimits:
         ctrl = taut.compile(taut.laws.PID(kp=100.0), ARM, limits=taut.Limits(tau=[5.0, 5.0]))
         ctrl.parameters["limits.tau"] = [1.0, 2.0]
         np.testing.assert_allclose(ctrl.step(np.array([1.0, 1.0]), REST, REF), [-1.0, -2.0])
-        with pytest.raises(taut.errors.RangeError, match=r"limits\.tau\[1\] must be > 0 \[N m \| N\]; got 0\.0"):
+        with pytest.raises(
+            taut.errors.RangeError, match=r"limits\.tau\[1\] \(joint .*\) must be > 0 \[N m \| N\]; got 0\.0"
+        ):
             ctrl.parameters["limits.tau"] = [1.0, 0.0]
 
     @pytest.mark.parametrize(
@@ -75,16 +77,16 @@ class TestLimits:
                 lambda: taut.Limits(),
                 "Limits needs one of tau, tau_dot, v and blend at least; for no limits leave the limits out",
             ),
-            (lambda: taut.Limits(tau=0.0), "limits.tau must be > 0 [N m | N]; got 0.0"),
-            (lambda: taut.Limits(tau=[1.0, np.nan]), "limits.tau[1] must be finite [N m | N]; got nan"),
-            (lambda: taut.Limits(tau_dot=-1.0), "limits.tau_dot must be > 0 [N m/s | N/s]; got -1.0"),
+            (lambda: taut.Limits(tau=0.0), "tau must be > 0 [N m | N]; got 0.0"),
+            (lambda: taut.Limits(tau=[1.0, np.nan]), "tau[1] must be finite [N m | N]; got nan"),
+            (lambda: taut.Limits(tau_dot=-1.0), "tau_dot must be > 0 [N m/s | N/s]; got -1.0"),
             (
                 lambda: taut.Limits.of(ARM),
                 "planar2: arm 'planar2' states no effort limits; give limits with tau",
             ),
             (
                 lambda: taut.compile(taut.laws.PID(kp=1.0), ARM, limits=taut.Limits(tau=[1.0, 2.0, 3.0])),
-                "limits.tau must have shape (2,) (2 joints); got shape (3,)",
+                "limits.tau must be a number or (2,) [N m | N] for 2 joints; got shape (3,)",
             ),
             (
                 lambda: taut.compile(taut.laws.VelocityPI(kp=1.0), ARM, limits=taut.Limits(tau=1.0)),

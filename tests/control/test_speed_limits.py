@@ -192,16 +192,16 @@ class TestOfAVelocityCommand:
 
 
 REFUSED: dict[str, tuple[Callable[[], object], str]] = {
-    "v of zero": (lambda: Limits(v=0.0), "limits.v must be > 0 [rad/s | m/s]; got 0.0"),
-    "v_gain alone": (lambda: Limits(tau=1.0, v_gain=1.0), "limits.v_gain belongs to a speed limit; give v too, or leave it out"),
-    "v_gain without end": (lambda: Limits(v=1.0, v_gain=np.inf), "limits.v_gain must be finite [1/s]; got inf"),
+    "v of zero": (lambda: Limits(v=0.0), "v must be > 0 [rad/s | m/s]; got 0.0"),
+    "v_gain alone": (lambda: Limits(tau=1.0, v_gain=1.0), "v_gain belongs to a speed limit; give v too, or leave it out"),
+    "v_gain without end": (lambda: Limits(v=1.0, v_gain=np.inf), "v_gain must be finite [1/s]; got inf"),
     "v_gain above the rate": (
         lambda: taut.compile(Asked(), ARM, rate=100.0, limits=Limits(v=1.0, v_gain=[10.0, 200.0])),
         "limits.v_gain must be at most the rate, 100 [1/s], or a joint would overshoot its speed limit; got 200",
     ),
     "v of three": (
         lambda: taut.compile(Asked(), ARM, limits=Limits(v=[1.0, 2.0, 3.0])),
-        "limits.v must have shape (2,) (2 joints); got shape (3,)",
+        "limits.v must be a number or (2,) [rad/s | m/s] for 2 joints; got shape (3,)",
     ),
     "v of an arm without": (
         lambda: Limits.of(ARM.with_joints(effort=[1.0, 1.0], velocity=[np.inf, np.inf]), speed=True),

@@ -296,7 +296,7 @@ def test_a_dotted_key_is_refused_before_it_is_read(
 
 
 def test_dots_in_texts_comments_and_numbers_are_no_keys() -> None:
-    from taut.scenarios.toml import table_of
+    from taut.scenarios.reading import table_of
 
     words = "a." * 100
     text = f'a = "{words}" # {words}\nb = """{words}\n{words}"""\nc = [{"0.1, " * 100}]\nd = \'{words}\'\n'

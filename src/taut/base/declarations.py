@@ -13,7 +13,18 @@ from taut.base.checks import entry_names, float_array, read_only, symmetric_psd
 from taut.base.errors import RangeError, ShapeError, TautError, UnknownNameError, UsageError, count_of, quoted_list
 from taut.base.types import ArrayLike, Float64Array
 
-__all__ = ["REQUIRED", "Choice", "Declaration", "Field", "Part", "Parts", "Plain", "Refusal", "unknown_field"]
+__all__ = [
+    "REQUIRED",
+    "Choice",
+    "Declaration",
+    "Field",
+    "Part",
+    "Parts",
+    "Plain",
+    "Refusal",
+    "Whole",
+    "unknown_field",
+]
 
 T = TypeVar("T")
 REQUIRED: Final = object()
@@ -38,30 +49,35 @@ class Refusal(Exception):  # noqa: N818  (an error for the user is made of it)
         rule: The rest of the sentence.
         value: What was given.
         joint: The joint that it is about, where there is one.
+        name: What the error is about, where that is no field: a name that does not exist.
     """
 
     def __init__(
-        self, kind: type[TautError], field: str, rule: str, value: object = None, joint: str | None = None
+        self,
+        kind: type[TautError],
+        field: str,
+        rule: str,
+        value: object = None,
+        joint: str | None = None,
+        name: str | None = None,
     ) -> None:
         super().__init__(field, rule)
-        self.kind, self.field, self.rule, self.value, self.joint = kind, field, rule, value, joint
+        self.kind, self.field, self.rule, self.value, self.joint, self.name = kind, field, rule, value, joint, name
 
     def error(self, owner: str, prefix: str = "") -> TautError:
         """The error for the user, with the data that it is about."""
         subject = f"{prefix}{self.field}" if self.field else owner
-        name = subject.partition("[")[0].partition(" (")[0]
+        name = self.name or subject.partition("[")[0].partition(" (")[0]
         return self.kind(f"{subject} {self.rule}", name=name, joint=self.joint, value=self.value, rule=self.rule)
 
 
 class Declaration(Generic[T]):
-    """One declared field. Abstract: use Field, Choice, Part, Parts or Plain.
+    """One declared field. Abstract: use Field, Whole, Choice, Part or Plain.
 
     Args:
         default: Value where none is given; without it the field must be given, or may be None if `optional`.
         optional: Whether it may be None.
         convert: Makes the value of something shorter, such as a Pose of a point; raises a TautError.
-        from_data: Makes the value of what a TOML file has under the key, where that is no table of fields and no
-            value that the field takes as it is: called with the data and the path of the key.
         doc: One sentence; the entry of the docstring's Args serves where it is left out.
     """
 
@@ -74,11 +90,10 @@ class Declaration(Generic[T]):
         *,
         optional: bool = False,
         convert: Callable[[Any], Any] | None = None,
-        from_data: Callable[[Any, str], Any] | None = None,
         doc: str = "",
     ) -> None:
         self.default = None if optional and default is REQUIRED else default
-        self.optional, self.convert, self.from_data, self.doc, self.name = optional, convert, from_data, doc, ""
+        self.optional, self.convert, self.doc, self.name = optional, convert, doc, ""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
@@ -152,7 +167,6 @@ class Field(Declaration[Any]):
         run_time: Whether it may change between ticks; then it is a parameter by its path.
         optional: Whether it may be None.
         convert: As in `Declaration`.
-        from_data: As in `Declaration`.
         doc: As in `Declaration`.
     """
 
@@ -172,10 +186,9 @@ class Field(Declaration[Any]):
         run_time: bool = True,
         optional: bool = False,
         convert: Callable[[Any], Any] | None = None,
-        from_data: Callable[[Any, str], Any] | None = None,
         doc: str = "",
     ) -> None:
-        super().__init__(default, optional=optional, convert=convert, from_data=from_data, doc=doc)
+        super().__init__(default, optional=optional, convert=convert, doc=doc)
         if shape == "n":
             accepts = ("scalar", *accepts)
         self.unit, self.shape, self.accepts, self.run_time = unit, shape, frozenset(accepts), run_time
@@ -295,6 +308,40 @@ class Field(Declaration[Any]):
             raise Refusal(RangeError, self.name, str(cause).removeprefix(f"{self.name} "), cause.value) from None
 
 
+class Whole(Declaration[int]):
+    """A whole number in a range.
+
+    Args:
+        default: As in `Declaration`.
+        minimum: Smallest value.
+        maximum: Largest value.
+        optional: Whether it may be None.
+        doc: As in `Declaration`.
+    """
+
+    def __init__(
+        self,
+        default: Any = REQUIRED,
+        *,
+        minimum: int = 0,
+        maximum: float = math.inf,
+        optional: bool = False,
+        doc: str = "",
+    ) -> None:
+        super().__init__(default, optional=optional, doc=doc)
+        self.minimum, self.maximum = minimum, maximum
+
+    def rule(self) -> str:
+        bound = f" and <= {self.maximum:g}" if self.maximum < math.inf else ""
+        return f"a whole number >= {self.minimum}{bound}"
+
+    def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> int:  # noqa: ARG002
+        whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+        if not whole or not self.minimum <= value <= self.maximum:
+            raise Refusal(RangeError, self.name, f"must be {self.rule()}; got {value!r}", value)
+        return int(value)
+
+
 class Choice(Declaration[T]):
     """One of a few words (or whole numbers); the first one is the default.
 
@@ -325,10 +372,8 @@ class Part(Declaration[T]):
         of: The classes that it may have.
         default: As in `Declaration`.
         optional: Whether it may be None.
-        kinds: In a file: classes by name, of which the key `kind` chooses one.
         inline: Whether the paths of its parameters and memory are those of the owner, as of a law in a wrapper.
         convert: As in `Declaration`.
-        from_data: As in `Declaration`.
         doc: As in `Declaration`.
     """
 
@@ -337,14 +382,12 @@ class Part(Declaration[T]):
         *of: type[T],
         default: Any = REQUIRED,
         optional: bool = False,
-        kinds: Mapping[str, type[Any]] | None = None,
         inline: bool = False,
         convert: Callable[[Any], Any] | None = None,
-        from_data: Callable[[Any, str], Any] | None = None,
         doc: str = "",
     ) -> None:
-        super().__init__(default, optional=optional, convert=convert, from_data=from_data, doc=doc)
-        self.of, self.kinds, self.inline = of, kinds, inline
+        super().__init__(default, optional=optional, convert=convert, doc=doc)
+        self.of, self.inline = of, inline
 
     def rule(self) -> str:
         return " or ".join(IN_WORDS.get(kind, f"a {kind.__name__}") for kind in self.of)
@@ -389,4 +432,4 @@ def unknown_field(name: str, known: Iterable[str], kind: str = "field") -> Refus
         if known
         else "it has none"
     )
-    return Refusal(UnknownNameError, "", f"has no {kind} '{name}'; {hint}", name)
+    return Refusal(UnknownNameError, "", f"has no {kind} '{name}'; {hint}", name, name=name)

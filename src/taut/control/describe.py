@@ -1,4 +1,4 @@
-"""Words about laws: their docstrings, units and parts, for `explain` and for lists."""
+"""Words about laws: their docstrings and the laws that they hold, for `explain` and for lists."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import inspect
 import re
 from collections.abc import Iterator
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,42 +14,20 @@ from taut.base.fields import Part
 from taut.base.types import Array
 from taut.control.combine import Sum, Wrapper
 from taut.control.law import Law
-from taut.control.limits import UNITS
 
 if TYPE_CHECKING:
     from taut.control.tasks.task import Task
 
 __all__ = [
-    "PARAMETER_UNITS",
     "all_laws",
     "law_classes",
     "held_laws",
-    "optional_laws",
     "section",
     "short",
     "statements",
     "summary",
     "title",
 ]
-
-PARAMETER_UNITS: Final = {
-    "sensing.velocity.cutoff": "Hz",
-    "sensing.velocity.acceleration_noise": "rad/s^2/sqrt(Hz) | m/s^2/sqrt(Hz)",
-    "sensing.velocity.position_noise": "rad | m",
-    "sensing.notch.frequency": "Hz",
-    "sensing.notch.width": "Hz",
-    "sensing.notch.depth": "dB",
-    "sensing.wrist.bias": "N, N m",
-    "sensing.wrist.mass": "kg",
-    "sensing.wrist.com": "m",
-    "sensing.wrist.range": "N, N m",
-    "sensing.F_ext.cutoff": "Hz",
-    "sensing.tau_meas.cutoff": "Hz",
-    **{f"limits.{name}": unit for name, unit in UNITS.items()},
-    "model.payload.mass": "kg",
-    "model.payload.com": "m",
-    "model.payload.inertia": "kg m^2",
-}
 
 
 def law_classes(door: ModuleType) -> dict[str, type[Law]]:
@@ -75,17 +53,8 @@ def all_laws(law: Law | Task, name: str = "") -> Iterator[tuple[str, Law]]:
 
 def held_laws(law: type[Law]) -> list[str]:
     """The fields of a law that hold a law each: `inner: Law`."""
-    return [name for name, field in _fields_of_laws(law).items() if not field.optional]
-
-
-def optional_laws(law: type[Law]) -> list[str]:
-    """The fields of a law that may hold a law: `null: Law | None`."""
-    return [name for name, field in _fields_of_laws(law).items() if field.optional]
-
-
-def _fields_of_laws(law: type[Law]) -> dict[str, Part[Any]]:
-    parts = {name: field for name, field in law.declared.items() if isinstance(field, Part)}
-    return {name: field for name, field in parts.items() if any(issubclass(kind, Law) for kind in field.of)}
+    parts = {name: field for name, field in law.declared.items() if isinstance(field, Part) and not field.optional}
+    return [name for name, field in parts.items() if any(issubclass(kind, Law) for kind in field.of)]
 
 
 def title(law: Law | Task) -> str:

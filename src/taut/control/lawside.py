@@ -19,8 +19,9 @@ from taut.base.errors import MatchError, NumericalError, RangeError, ShapeError,
 from taut.base.paths import flatten, subtree, unflatten
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
 from taut.control.command import Command, Terms, Torque
+from taut.control.describe import all_laws, title
 from taut.control.law import Law, as_array, call, initial_memory
-from taut.control.limits import Limits
+from taut.control.limits import Limits, anew, fresh_blend, limited
 from taut.control.sensing.sensing import Sensing
 from taut.control.trajectories.reference import Reference, Sample
 from taut.maths import dynamics as dyn
@@ -37,6 +38,7 @@ __all__ = ["HELD", "KNOWN", "LawSide", "Probe", "Tick"]
 
 KNOWN: Final = "held.known"  # inputs of the first tick: whether the torque that the plant holds is known, and it
 HELD: Final = "held.tau_applied"
+PAYLOAD_UNITS: Final = {"mass": "kg", "com": "m", "inertia": "kg m^2"}
 ROUNDING: Final = 1e-9  # of torques, and relative to them
 Memory = Mapping[str, Any]
 """Memory of the law side by path: law.e_int, sensing.velocity.q, limits.tau_applied."""
@@ -112,15 +114,11 @@ class LawSide:
     @property
     def title(self) -> str:
         """What the law is called in messages."""
-        from taut.control.describe import title
-
         return title(self.law)
 
     @property
     def laws(self) -> list[tuple[str, Law]]:
         """All laws by path: the law, or those of the phases, and the laws that they hold."""
-        from taut.control.describe import all_laws
-
         return list(all_laws(self.law, "law"))
 
     @cached_property
@@ -133,7 +131,7 @@ class LawSide:
     @cached_property
     def parameters(self) -> dict[str, Float64Array]:
         """Every run-time parameter, by path, with the values it was made with."""
-        limits = {} if self.limits is None else self.limits.parameters(self.rate, self.probe.kind)
+        limits = {} if self.limits is None else self.limits.completed(self.rate, self.probe.kind).parameters()
         own = self._own_parameters
         law = {path: own[path] for path in own if path.startswith("law.")}
         return law | {f"limits.{name}": values for name, values in limits.items()} | own
@@ -148,6 +146,13 @@ class LawSide:
         out["model.payload.com"] = payload.com
         out["model.payload.inertia"] = payload.inertia
         return out
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each run-time parameter by path."""
+        parts: dict[str, Any] = {"law": self.law, "sensing": self.sensing, "limits": self.limits}
+        out = {f"{head}.{path}": unit for head, part in parts.items() if part for path, unit in part.units().items()}
+        return out | {f"model.payload.{name}": unit for name, unit in PAYLOAD_UNITS.items()}
 
     def blends(self, paths: Iterable[str]) -> bool:
         """Whether a blend takes up a change of these parameters: limits themselves act at once."""
@@ -169,12 +174,11 @@ class LawSide:
             changed = self.law.changed(rest, value, name=path)
             new = in_compiled_shape(path, changed.parameters()[rest], self.parameters[path].shape)
             changed.check_rates(self.rate)
-        elif head == "limits":
-            new = Limits.checked(rest, value, self.rate)
-        elif head == "sensing":
+        elif head in ("limits", "sensing"):
+            part: Any = getattr(self, head)
             joints = 6 if rest.startswith("F_ext.") else self.arm.joint_names
-            new = self.sensing.checked_parameter(rest, value, name=path, joints=joints)
-            self.sensing.changed(rest, new, name=path).check_fit(self.arm, self.rate)
+            new = part.checked_parameter(rest, value, name=path, joints=joints)
+            part.changed(rest, new, name=path).check_fit(self.arm, self.rate)
         else:
             new = checked_payload_entry(path, value)
         return in_compiled_shape(path, new, self.parameters[path].shape)
@@ -205,9 +209,7 @@ class LawSide:
             self._check_gravity_once(np.asarray(total), np.asarray(x.g))
         added: tuple[str, ...] = ()
         if self.limits is not None:
-            from taut.control.limits import terms_of
-
-            added = terms_of(self.limits, command, self.title)
+            added = self.limits.terms(command, self.title)
         shapes = {f"law.{path}": np.shape(as_array(v, path)) for path, v in flatten(after).items()}
         n = (self.arm.n,)
         if self.sensing.needs:
@@ -219,8 +221,6 @@ class LawSide:
         if self.limits is not None and "tau_cut" in x.used:
             shapes["limits.tau_cut"] = n
         if "blend" in added:
-            from taut.control.limits import fresh_blend
-
             shapes |= {f"limits.{name}": np.shape(value) for name, value in fresh_blend(self.arm.n).items()}
         used = x.used | ({"v"} if "speed_limit" in added and isinstance(command, Torque) else set())
         return Probe(kind=command.kind, used=frozenset(used), shapes=shapes, terms=(*command.terms.parts, *added))
@@ -416,8 +416,6 @@ class LawSide:
         if "limits.tau_cut" in shapes:
             memory["limits.tau_cut"] = tm.zeros(self.arm.n)
         if "limits.bump" in shapes:
-            from taut.control.limits import fresh_blend
-
             memory |= {f"limits.{name}": value for name, value in fresh_blend(self.arm.n).items()}
         filled = {path: _filled(as_array(memory[path], path), shape) for path, shape in shapes.items()}
         if "limits.bump" in shapes:
@@ -446,8 +444,6 @@ class LawSide:
         total = as_array(command.total, "command")
         applied, terms, held = total, {}, {}
         if self.limits is not None:
-            from taut.control.limits import anew, limited
-
             given, moving = subtree(parameters, "limits"), x if command.kind == Torque.kind else None
             kept = before if begins is None or "blend" not in given else anew(before, total, begins)
             made = limited(total, kept, given, dt, moving)

@@ -1,49 +1,33 @@
-"""Limits: what a command may be. What cuts it is `limiting.py`."""
+"""Limits of a command, and what cuts it to them: blend, rate, speed, magnitude."""
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.checks import finite_array, require_positive
-from taut.base.errors import MatchError, ModelError, Problem, RangeError, ShapeError, UsageError, unknown_name
-from taut.base.types import Array, ArrayLike, Float64Array, Vector
+from taut.base.errors import MatchError, ModelError, Problem, RangeError, UsageError
+from taut.base.fields import Declared, Field
+from taut.base.types import Array, Float64Array, Vector
 from taut.control.command import Command, Torque, Velocity
 from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
 
-__all__ = [
-    "LIMIT_TERMS",
-    "RATE_PER_EFFORT",
-    "UNITS",
-    "Limited",
-    "Limits",
-    "anew",
-    "fresh_blend",
-    "limited",
-    "room",
-    "take_up",
-    "terms_of",
-]
+__all__ = ["LIMIT_TERMS", "Limited", "Limits", "anew", "fresh_blend", "limited", "take_up"]
 
-RATE_PER_EFFORT: Final = 10.0  # default torque rate: ten times the effort limit per second
-BRAKING_TICKS: Final = 10.0  # default v_gain: a joint comes up to its speed limit with this time constant
-UNITS: Final = {
-    "tau": "N m | N",
-    "tau_dot": "N m/s | N/s",
-    "v": "rad/s | m/s",
-    "v_gain": "1/s",
-    "blend": "s",
-}
+RATE_PER_EFFORT: Final = 10.0  # [1/s] default torque rate over the effort limit
+BRAKING_TICKS: Final = 10.0  # [ticks] default time constant in which a joint comes up to its speed limit
+LIMIT_TERMS: Final = ("rate_limit", "speed_limit", "torque_limit")
+"""Terms that limits add to a command, in the order in which they act."""
+TERM_OF: Final = {"blend": "blend", "tau_dot": "rate_limit", "v": "speed_limit", "tau": "torque_limit"}
+SPEED_FLOOR: Final = 1e-9  # [rad/s, N m] so that nothing is divided by zero
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Limits:
+class Limits(Declared):
     """Largest torque, largest change of torque per second, largest speed, and how a change of the law comes in.
 
     Law:          tau = law + blend; then the rate is limited, then the speed, then the magnitude: the later one wins
@@ -68,71 +52,34 @@ class Limits:
     Each kind is a term of its own in the record: rate_limit, speed_limit, torque_limit, blend.
 
     Args:
-        tau: (n,) or scalar [N m | N]; None for no limit.
-        tau_dot: (n,) or scalar [N m/s | N/s]; None for no limit.
-        v: (n,) or scalar [rad/s | m/s]; None for no limit.
-        v_gain: (n,) or scalar [1/s], acceleration for each rad/s below the speed limit, at most the rate; a tenth of
-            the rate if left out.
-        blend: Time in which a change comes in [s]; None for at once.
-
-    Raises:
-        RangeError: A limit that is zero, negative or NaN.
-        UsageError: No limit at all, or v_gain without v.
+        tau: Largest torque, one number or one per joint; no limit if left out.
+        tau_dot: Largest change of torque per second, likewise.
+        v: Largest speed, likewise.
+        v_gain: Acceleration for each rad/s below the speed limit, at most the rate; a tenth of the rate if left out.
+        blend: Time in which a change comes in; at once if left out.
 
     Example:
         >>> Limits(tau=87.0).tau.tolist()
         87.0
     """
 
-    tau: ArrayLike | None = None
-    tau_dot: ArrayLike | None = None
-    v: ArrayLike | None = None
-    v_gain: ArrayLike | None = None
-    blend: float | None = None
+    tau: Field = Field(unit="N m | N", shape="n", above=0.0, infinite=True, optional=True)
+    tau_dot: Field = Field(unit="N m/s | N/s", shape="n", above=0.0, infinite=True, optional=True)
+    v: Field = Field(unit="rad/s | m/s", shape="n", above=0.0, infinite=True, optional=True)
+    v_gain: Field = Field(unit="1/s", shape="n", above=0.0, optional=True)
+    blend: Field = Field(unit="s", above=0.0, optional=True)
 
-    def __post_init__(self) -> None:
-        if not self.given() - {"v_gain"}:
-            raise UsageError(
-                "Limits needs one of tau, tau_dot, v and blend at least; for no limits leave the limits out"
-            )
+    def check(self) -> None:
+        if not self._stated() - {"v_gain"}:
+            self.refuse("", "needs one of tau, tau_dot, v and blend at least; for no limits leave the limits out")
         if self.v_gain is not None and self.v is None:
-            raise UsageError(
-                "limits.v_gain belongs to a speed limit; give v too, or leave it out", name="limits.v_gain"
-            )
-        for name in self.given():
-            object.__setattr__(self, name, self.checked(name, getattr(self, name)))
+            self.refuse("v_gain", "belongs to a speed limit; give v too, or leave it out")
 
-    def given(self) -> set[str]:
-        """The names of those that are there."""
-        return {field.name for field in fields(self) if getattr(self, field.name) is not None}
+    def _stated(self) -> set[str]:
+        return {name for name in self.declared if self.__dict__[name] is not None}
 
     def __str__(self) -> str:
-        return ", ".join(f"{name} = {np.asarray(getattr(self, name)).tolist()}" for name in sorted(self.given()))
-
-    @staticmethod
-    def checked(name: str, value: ArrayLike, rate: float | None = None) -> Float64Array:
-        """A value of one of the limits, for a controller of that rate [Hz] if one is given.
-
-        Raises:
-            UnknownNameError: There is no such limit.
-            RangeError: Zero, negative, NaN, infinite where that has no meaning, or faster than the rate.
-            ShapeError: A time that is no single number.
-        """
-        if name not in UNITS:
-            raise unknown_name("Limits", "limit", name, UNITS)
-        what, unit = f"limits.{name}", UNITS[name]
-        array = finite_array(what, value, unit=unit, allow_infinite=name in ("tau", "tau_dot", "v"))
-        if name == "blend" and array.ndim:
-            raise ShapeError(f"{what} must be one number [{unit}]; got shape {array.shape}", name=what)
-        require_positive(what, array, unit=unit)
-        if name == "v_gain" and rate is not None and (array > rate).any():
-            raise RangeError(
-                f"{what} must be at most the rate, {rate:g} [{unit}], or a joint would overshoot its speed limit; "
-                f"got {array.max():g}",
-                name=what,
-                value=float(array.max()),
-            )
-        return array
+        return ", ".join(f"{name} = {np.asarray(getattr(self, name)).tolist()}" for name in sorted(self._stated()))
 
     @classmethod
     def of(cls, arm: Arm, *, rate: bool = False, speed: bool = False, blend: float | None = None) -> Limits:
@@ -149,48 +96,66 @@ class Limits:
         """
         if not isinstance(arm, Arm):  # callers without a type checker
             raise UsageError(f"Limits.of takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
-        _require_stated(arm, "effort", "tau")
-        if speed:
-            _require_stated(arm, "velocity", "v")
-        return cls(
-            tau=arm.effort,
-            tau_dot=RATE_PER_EFFORT * arm.effort if rate else None,
-            v=arm.velocity if speed else None,
-            blend=blend,
-        )
+        for attribute, name in (("effort", "tau"), ("velocity", "v"))[: 1 + speed]:
+            if np.isinf(getattr(arm, attribute)).all():
+                message = f"arm '{arm.name}' states no {attribute} limits; give limits with {name}"
+                raise ModelError(arm.name, [Problem(object=arm.name, attribute=attribute, message=message)])
+        tau_dot, v = RATE_PER_EFFORT * arm.effort if rate else None, arm.velocity if speed else None
+        return cls(tau=arm.effort, tau_dot=tau_dot, v=v, blend=blend)
 
     def check_fit(self, arm: Arm, rate: float) -> None:
-        """Limits must be scalars or have one entry per joint, and nothing may be faster than the rate [Hz]."""
-        if self.v_gain is not None:
-            self.checked("v_gain", self.v_gain, rate)
-        for name in UNITS:
-            value = getattr(self, name)
-            if value is not None and np.ndim(value):
-                finite_array(f"limits.{name}", value, shape=(arm.n,), joints=arm.joint_names, allow_infinite=True)
+        """Limits have one entry or one per joint, and v_gain is no faster than the rate [Hz].
 
-    def parameters(self, rate: float, kind: str) -> dict[str, Float64Array]:
-        """The limits by name, as run-time parameters, for a command of that kind at a rate [Hz]."""
-        out = {
-            name: np.asarray(getattr(self, name), dtype=np.float64)
-            for name in UNITS
-            if getattr(self, name) is not None
-        }
-        if self.v is not None and self.v_gain is None and kind == "torque":
-            out["v_gain"] = np.asarray(rate / BRAKING_TICKS)
-        return out
+        Raises:
+            ShapeError, RangeError: They do not fit.
+        """
+        self.check_size(arm.joint_names, "limits.")
+        fastest = 0.0 if self.v_gain is None else float(np.max(self.v_gain))
+        if fastest > rate:
+            raise RangeError(
+                f"limits.v_gain must be at most the rate, {rate:g} [1/s], or a joint would overshoot its speed "
+                f"limit; got {fastest:g}",
+                name="limits.v_gain",
+                value=fastest,
+            )
 
+    def completed(self, rate: float, kind: str) -> Limits:
+        """The same limits with the default of v_gain, where a speed limit of torques at a rate [Hz] needs it."""
+        needs = self.v is not None and self.v_gain is None and kind == Torque.kind
+        return replace(self, v_gain=rate / BRAKING_TICKS) if needs else self
 
-def _require_stated(arm: Arm, attribute: str, name: str) -> None:
-    """An arm that states no limit of a kind has none to be taken over."""
-    if np.isinf(getattr(arm, attribute)).all():
-        message = f"arm '{arm.name}' states no {attribute} limits; give limits with {name}"
-        raise ModelError(arm.name, [Problem(object=arm.name, attribute=attribute, message=message)])
+    def terms(self, command: Command, who: str) -> tuple[str, ...]:
+        """The terms that limits add to a command of this kind.
 
+        Args:
+            command: A command of the law.
+            who: The law, for messages.
 
-LIMIT_TERMS: Final = ("rate_limit", "speed_limit", "torque_limit")
-"""Terms that limits add to a command, in the order in which they act."""
-TERM_OF: Final = {"blend": "blend", "tau_dot": "rate_limit", "v": "speed_limit", "tau": "torque_limit"}
-TINY: Final = 1e-9  # of speeds and torques, so that nothing is divided by zero
+        Raises:
+            MatchError: Limits that have no meaning for it.
+            UsageError: The law has a term of that name.
+        """
+        stated = self._stated()
+        if not isinstance(command, (Torque, Velocity)):
+            raise MatchError(
+                f"limits cut torques and velocities, and {who} gives a {command.kind}; leave the limits out",
+                name="limits",
+            )
+        wrong = sorted(stated & {"tau", "tau_dot", "v_gain"})
+        if wrong and not isinstance(command, Torque):
+            raise MatchError(
+                f"limits.{wrong[0]} is for torques, and {who} gives a {command.kind}; leave it out, or "
+                "give limits with v",
+                name="limits",
+            )
+        added = tuple(term for name, term in TERM_OF.items() if name in stated)
+        taken = [name for name in added if name in command.terms.parts]
+        if taken:
+            raise UsageError(
+                f"{who} names a term '{taken[0]}', which is what the controller's limits add; give it another name",
+                name=taken[0],
+            )
+        return added
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -256,41 +221,6 @@ def _stages(
         yield "torque_limit", out
 
 
-def terms_of(limits: Limits, command: Command, who: str) -> tuple[str, ...]:
-    """The terms that limits add to a command of this kind.
-
-    Args:
-        limits: The limits.
-        command: A command of the law.
-        who: The law, for messages.
-
-    Raises:
-        MatchError: Limits that have no meaning for it.
-        UsageError: The law has a term of that name.
-    """
-    given = limits.given()
-    if not isinstance(command, (Torque, Velocity)):
-        raise MatchError(
-            f"limits cut torques and velocities, and {who} gives a {command.kind}; leave the limits out",
-            name="limits",
-        )
-    wrong = sorted(given & {"tau", "tau_dot", "v_gain"})
-    if wrong and not isinstance(command, Torque):
-        raise MatchError(
-            f"limits.{wrong[0]} is for torques, and {who} gives a {command.kind}; leave it out, or "
-            "give limits with v",
-            name="limits",
-        )
-    added = tuple(term for name, term in TERM_OF.items() if name in given)
-    taken = [name for name in added if name in command.terms.parts]
-    if taken:
-        raise UsageError(
-            f"{who} names a term '{taken[0]}', which is what the controller's limits add; give it another name",
-            name=taken[0],
-        )
-    return added
-
-
 def _slowed(tau: Vector, x: Snapshot, parameters: Mapping[str, Array], dt: Any) -> Vector:
     """(n,) torque without what would drive a joint beyond its speed limit."""
     a = tm.solve_spd(x.M_factors, tau - x.h)
@@ -302,7 +232,7 @@ def _slowed(tau: Vector, x: Snapshot, parameters: Mapping[str, Array], dt: Any) 
         return out
     # A joint that lacks the torque for it would be driven on by the others: then all of them accelerate less.
     motion, bound = out - x.h, parameters["tau"]
-    up, down = (bound - x.h) / tm.maximum(motion, TINY), (bound + x.h) / tm.maximum(-motion, TINY)
+    up, down = (bound - x.h) / tm.maximum(motion, SPEED_FLOOR), (bound + x.h) / tm.maximum(-motion, SPEED_FLOOR)
     parts = tm.clip(tm.where(out > bound, up, tm.where(out < -bound, down, 1.0)), 0.0, 1.0)
     least = functools.reduce(tm.minimum, [parts[i] for i in range(x.n)])
     fitting: Vector = out - (1.0 - least) * motion
@@ -315,7 +245,7 @@ def room(speed: Vector, v_max: Array, v_gain: Array, dt: Any) -> Vector:
     Near the limit v_gain (v_max - speed). It grows towards rest, where the direction of motion is nothing to go by,
     to what takes the joint to its limit within a tick.
     """
-    growth = tm.clip(v_max / tm.maximum(speed, TINY), 1.0, 1.0 / (v_gain * dt))
+    growth = tm.clip(v_max / tm.maximum(speed, SPEED_FLOOR), 1.0, 1.0 / (v_gain * dt))
     out: Vector = v_gain * (v_max - speed) * growth
     return out
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from taut.base.errors import count_of
-from taut.control.describe import PARAMETER_UNITS, all_laws, section, short, summary
+from taut.control.describe import all_laws, section, short, summary
 
 if TYPE_CHECKING:
     from taut.controller.controller import Controller
@@ -23,7 +23,7 @@ def explanation(ctrl: Controller) -> str:
             texts = section(type(law), head)
             lines += [f"  {head + ':' if not i else '':13}{text}" for i, text in enumerate(texts)]
     lines += ["", "parameters"]
-    units = {f"law.{path}": unit for path, unit in side.law.units().items()} | PARAMETER_UNITS
+    units = side.units
     width = max(24, *(len(path) for path in ctrl.parameters))
     for path, value in ctrl.parameters.items():
         unit = f"  [{units[path]}]" if path in units else ""

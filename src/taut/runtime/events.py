@@ -37,7 +37,9 @@ class Event:
         if finite_scalar("event.t", self.t, unit="s") < 0.0:
             raise RangeError(f"event.t must be >= 0 [s]; got {self.t!r}", name="event.t")
         if not isinstance(self.set, Mapping) or not self.set:
-            raise UsageError(f"an event sets one parameter at least: set={{'law.kp': 150.0}}; got {self.set!r}")
+            raise UsageError(
+                f"an event sets one parameter at least: set={{'law.kp': 150.0}}; got {self.set!r}", name="set"
+            )
 
     @classmethod
     def push(
