@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from taut.base.checks import finite_array
-from taut.base.errors import RangeError, ShapeError
+from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.plot_style import INK, SMALL, WIDTH, colour, prepared
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
@@ -148,6 +148,7 @@ def root_locus(
 
     Raises:
         ShapeError, RangeError: Fewer than two values, or values that do not increase.
+        UsageError: No function that gives a linear system.
 
     Example:
         >>> import taut
@@ -161,7 +162,7 @@ def root_locus(
         Chapter, figures 10.5 and 10.7.
     """
     grid = _grid("values", values)
-    systems = [system_of(value) for value in grid.tolist()]
+    systems = [_system(system_of, value) for value in grid.tolist()]
     n = max(len(system.poles) for system in systems)
     branches = np.full((len(systems), n), np.nan + 0j)
     for k, system in enumerate(systems):
@@ -320,6 +321,7 @@ def stability_map(
 
     Raises:
         ShapeError, RangeError: Fewer than two values, or values that do not increase.
+        UsageError: No function that gives a linear system.
 
     Example:
         >>> import taut
@@ -333,7 +335,7 @@ def stability_map(
         Chapter, section 10.2.1.1, practical bounds on feedback gains.
     """
     grids = _grid("x", x), _grid("y", y)
-    stable = np.array([[system_of(a, b).stable for b in grids[1].tolist()] for a in grids[0].tolist()])
+    stable = np.array([[_system(system_of, a, b).stable for b in grids[1].tolist()] for a in grids[0].tolist()])
     points: list[tuple[float, float]] = []
     along: list[int] = []
     above: list[bool] = []
@@ -355,6 +357,14 @@ def stability_map(
         x=grids[0], y=grids[1], stable=stable, boundary=np.array(points).reshape(-1, 2),
         along=np.array(along, dtype=np.intp), stable_above=np.array(above, dtype=bool), labels=labels,
     )  # fmt: skip
+
+
+def _system(system_of: Callable[..., LinearSystem], *values: float) -> LinearSystem:
+    found = system_of(*values) if callable(system_of) else None  # callers without a type checker
+    if not isinstance(found, LinearSystem):
+        got = repr(system_of) if found is None else f"one that gives {found!r}"
+        raise UsageError(f"system_of must be a function that gives a taut.LinearSystem; got {got}", name="system_of")
+    return found
 
 
 def _grid(name: str, values: ArrayLike) -> Float64Array:
