@@ -11,8 +11,8 @@ import numpy as np
 from taut.base.errors import NumericalError, RangeError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
-from taut.codegen.layout import Block
 from taut.codegen.loop import compiled_loop
+from taut.codegen.program import Block
 from taut.control.limits import take_up
 from taut.control.tasks.feed import feed_of
 from taut.loop import DT, Loop

@@ -9,7 +9,7 @@ import numpy as np
 from taut.base.errors import NumericalError, RangeError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
-from taut.codegen.layout import Block
+from taut.codegen.program import Block
 from taut.control.tasks.feed import feed_of
 from taut.control.trajectories.reference import Reference
 from taut.controller import Controller, take_up_change

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from taut.base.errors import NumericalError, RangeError, TautError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
-from taut.codegen.layout import Block
-from taut.codegen.program import failure
+from taut.codegen.program import Block, failure
 from taut.control.command import wild_term
 from taut.control.laws.task_space import far_away, may_bound
 from taut.control.lawside import LawSide

@@ -13,9 +13,9 @@ from taut.base.paths import subtree
 from taut.base.types import Array, Float64Array
 from taut.codegen import native as native_code
 from taut.codegen.engine import Steps, best_engine
-from taut.codegen.function import native
-from taut.codegen.layout import Block
+from taut.codegen.kernel import native
 from taut.codegen.loop import StepLoop
+from taut.codegen.program import Block
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds, compensation
 from taut.maths.model import PayloadValues, model_of
