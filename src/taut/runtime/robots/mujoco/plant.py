@@ -25,19 +25,22 @@ from taut.plant.sensors.sensors import Sensors
 from taut.record.film.surroundings import POSES, Around
 from taut.runtime.robots.mujoco.attach import Inertias, attached
 from taut.runtime.robots.mujoco.attached import AttachedPlant, warn_of_cut, whole_steps
-from taut.runtime.robots.mujoco.drives import Compensation, Drives, Motors
-from taut.runtime.robots.mujoco.environment import EnvironmentStage
-from taut.runtime.robots.mujoco.health import Guard, Health
-from taut.runtime.robots.mujoco.joints import JointStage, LinkTorque
-from taut.runtime.robots.mujoco.model import INTEGRATORS, Integrator, ModelOptions, built, put_timestep
-from taut.runtime.robots.mujoco.rig import Rig
-from taut.runtime.robots.mujoco.scene import read_scene
-from taut.runtime.robots.mujoco.sensors import SensorStage
-from taut.runtime.robots.mujoco.settings import Settings
-from taut.runtime.robots.mujoco.shapes import LOOKS, TOUCHES, Looks, Touch
-from taut.runtime.robots.mujoco.surroundings import SceneView
-from taut.runtime.robots.mujoco.tool import SpringTip
-from taut.runtime.robots.mujoco.wrench import PRESSED, Normals, Wrench
+from taut.runtime.robots.mujoco.model import (
+    INTEGRATORS,
+    LOOKS,
+    TOUCHES,
+    Integrator,
+    Looks,
+    ModelOptions,
+    Settings,
+    SpringTip,
+    Touch,
+    built,
+    put_timestep,
+)
+from taut.runtime.robots.mujoco.rig import PRESSED, Guard, Health, Normals, Rig, Wrench, index
+from taut.runtime.robots.mujoco.scene import SceneView, read_scene
+from taut.runtime.robots.mujoco.stages import Compensation, EnvironmentStage, JointStage, LinkTorque, SensorStage
 from taut.trace.pose import Pose
 
 if TYPE_CHECKING:
@@ -205,7 +208,7 @@ class MujocoPlant:
         adds_torque = (what.gravity or what.coriolis) and self._stage is None
         self._compensation = Compensation(arm, what) if adds_torque else None
         self._link, self._readings = LinkTorque(rig), SensorStage(arm, seen)
-        self._take(rig, Motors(rig))
+        self._take(rig)
         self._normals = None if scene is None or touch is None else Normals(rig)
         self._view = None if scene is None else SceneView(rig)
 
@@ -257,15 +260,17 @@ class MujocoPlant:
         """A copy is built anew, of the same arguments and with the same parameters, and has a scene of its own."""
         return _rebuilt, ({"arm": self.arm, **self.given}, dict(self.parameters))
 
-    def _take(self, rig: Rig, drives: Drives) -> None:
+    def _take(self, rig: Rig) -> None:
         """Keep what the loop needs; MuJoCo's arrays are looked up here, once."""
         import mujoco
 
-        self._rig, self._drives = rig, drives
+        self._rig = rig
         self._health = Health(rig)
         self._guard = Guard(rig.model.opt)
         self._mj_step = mujoco.mj_step
-        self._qpos, self._qvel = rig.data.qpos, rig.data.qvel
+        self._qpos, self._qvel, self._ctrl = rig.data.qpos, rig.data.qvel, rig.data.ctrl
+        motors = (rig.model.actuator(name).id for name in rig.arm.joint_names)
+        self._motors = index([int(rig.model.actuator_ctrladr[motor]) for motor in motors])
         self._wrench = Wrench(rig)
         self._substeps = 1
         self._silence()
@@ -370,11 +375,9 @@ class MujocoPlant:
         self.check_together({**self.parameters, **checked})
         for path, value in checked.items():
             self._settings.put(path, value)
-        if self._stage is not None:
-            self._stage.take(self._settings.values)
-        if self._touching is not None:
-            self._touching.take(self._settings.values)
-        self._readings.take(self._settings.values)
+        for stage in (self._stage, self._touching, self._readings):
+            if stage is not None:
+                stage.take(self._settings.values)
 
     # ---------------------------------------------------------------- a run
 
@@ -390,9 +393,8 @@ class MujocoPlant:
         self._substeps = self._steps_in(dt)
         put_timestep(rig, dt / self._substeps)
         mujoco.mj_resetData(rig.model, rig.data)
-        self._drives.prepare()
-        self._qpos[rig.q] = q
-        self._qvel[rig.v] = v
+        self._ctrl[self._motors] = 0.0
+        self._qpos[rig.q], self._qvel[rig.v] = q, v
         self._health.start()
         self._silence()
         self._line = None
@@ -461,7 +463,7 @@ class MujocoPlant:
     def _step_plainly(self, held: Float64Array) -> None:
         """The steps of a period in which the torque itself stands at the joints."""
         rig, last = self._rig, self._substeps - 1
-        self._drives.write(held)
+        self._ctrl[self._motors] = held
         if last and self._compensation is None and self._touching is None:
             self._mj_step(rig.model, rig.data, last)
         elif last:
@@ -485,7 +487,7 @@ class MujocoPlant:
             v = self._qvel[rig.v].copy()
             self._apply()
             F_ext = self._F_ext if self._touching is None else self._contact + self._touching.wrench
-            self._drives.write(stage.before(self._qpos[rig.q], v, F_ext))
+            self._ctrl[self._motors] = stage.before(self._qpos[rig.q], v, F_ext)
             self._mj_step(rig.model, rig.data)
             self._applied()
             stage.after(self._qpos[rig.q], self._qvel[rig.v])
