@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
+from scipy.optimize import bisect, linear_sum_assignment
 
 from taut.base.checks import finite_array
 from taut.base.errors import RangeError, ShapeError, UsageError
@@ -43,13 +43,8 @@ def bisected(same: Callable[[float], bool], low: float, high: float, tolerance: 
         high: The other.
         tolerance: Relative to the value [-].
     """
-    floor = NEAR_ZERO * abs(high - low)
-    while abs(high - low) > tolerance * max(abs(low), abs(high), floor):
-        middle = 0.5 * (low + high)
-        if middle in (low, high):
-            break
-        low, high = (middle, high) if same(middle) else (low, middle)
-    return 0.5 * (low + high)
+    near_zero = tolerance * NEAR_ZERO * abs(high - low)
+    return float(bisect(lambda value: 1.0 if same(value) else -1.0, low, high, xtol=near_zero, rtol=tolerance))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -359,10 +354,10 @@ def stability_map(
     )  # fmt: skip
 
 
-def _system(system_of: Callable[..., LinearSystem], *values: float) -> LinearSystem:
+def _system(system_of: Callable[..., Any], *values: float) -> LinearSystem:
     found = system_of(*values) if callable(system_of) else None  # callers without a type checker
     if not isinstance(found, LinearSystem):
-        got = repr(system_of) if found is None else f"one that gives {found!r}"
+        got = type(system_of).__name__ if found is None else f"one that gives {type(found).__name__}"
         raise UsageError(f"system_of must be a function that gives a taut.LinearSystem; got {got}", name="system_of")
     return found
 
