@@ -30,11 +30,9 @@ from taut.control.sensing.filters import Difference, LowPass, check_filter
 from taut.linear.linear_system import LinearSystem, names
 from taut.linear.step_response import BAND
 
-__all__ = ["Case", "SecondOrder", "VelocityKind", "error_dynamics", "joint_matrix", "pid", "second_order"]
+__all__ = ["SecondOrder", "VelocityKind", "error_dynamics", "joint_matrix", "pid", "second_order"]
 
-Case = Literal["overdamped", "critically damped", "underdamped"]
 VelocityKind = Literal["measured", "difference"] | LowPass | Difference
-CRITICAL: Final = 1e-14  # [-] of zeta^2 about 1: rounding of a critically damped design
 DETERMINE_ONE: Final = ({"kp", "omega_n"}, {"zeta", "overshoot"}, {"kd", "settling"})  # quantity, not two
 FASTEST: Final = math.log(1.0 / BAND) / math.hypot(math.log(1.0 / BAND), math.pi)
 """The damping ratio, 0.78, whose overshoot is the settling band: none settles earlier at its natural frequency."""
@@ -68,16 +66,8 @@ class SecondOrder:
 
     @property
     def zeta(self) -> float:
-        """Damping ratio (b + kd) / (2 sqrt(kp M)) [-]: eq. 10.9; NaN without kp."""
+        """Damping ratio (b + kd) / (2 sqrt(kp M)) [-]: eq. 10.9; above 1 overdamped; NaN without kp."""
         return (self.b + self.kd) / (2.0 * math.sqrt(self.kp * self.M)) if self.kp else math.nan
-
-    @property
-    def case(self) -> Case:
-        """Which of the chapter's three cases of section 10.2.1.1."""
-        beyond = self.zeta * self.zeta - 1.0 if self.kp else 1.0
-        if abs(beyond) <= CRITICAL:
-            return "critically damped"
-        return "overdamped" if beyond > 0.0 else "underdamped"
 
     @property
     def largest_ki(self) -> float:
