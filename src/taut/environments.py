@@ -18,6 +18,6 @@ if TYPE_CHECKING:
     from taut.plant.environments.springs import Damper as Damper
     from taut.plant.environments.springs import Spring as Spring
     from taut.plant.environments.springs import StiffWall as StiffWall
-    from taut.runtime.robots.mujoco.tool import SpringTip as SpringTip
+    from taut.runtime.robots.mujoco.model import SpringTip as SpringTip
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

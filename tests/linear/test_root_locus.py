@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import control
 import numpy as np
@@ -72,7 +73,7 @@ def test_the_limit_of_a_compiled_loop_is_where_its_pole_crosses_the_circle() -> 
     arm = taut.load_arm("one_joint").with_gravity([0.0, 0.0, 0.0])
     loop = taut.Loop(taut.compile(taut.laws.PID(kp=1.0, kd=1.0), arm, rate=100.0), taut.RigidPlant(arm), duration=1.0)
 
-    def linear(kd: float) -> taut.analysis.Linearisation:
+    def linear(kd: float) -> taut.LinearSystem:
         loop.parameters["law.kd"] = kd
         return taut.linearise(loop)
 
@@ -92,6 +93,15 @@ def test_values_that_do_not_increase_are_refused(values: object) -> None:
         taut.analysis.root_locus(lambda kp: joint(kp=kp), values)
     with pytest.raises((taut.errors.ShapeError, taut.errors.RangeError)):
         taut.analysis.stability_map(lambda kp, kd: joint(kp=kp, kd=kd), values, [1.0, 2.0])
+
+
+@pytest.mark.parametrize("given", [3, lambda *values: 3.0, taut.error_dynamics(kp=1.0)])
+def test_what_gives_no_linear_system_is_refused_in_a_sentence(given: Any) -> None:
+    sentence = r"^system_of must be a function that gives a taut\.LinearSystem; got .+$"
+    with pytest.raises(taut.errors.UsageError, match=sentence):
+        taut.analysis.root_locus(given, [1.0, 2.0])
+    with pytest.raises(taut.errors.UsageError, match=sentence):
+        taut.analysis.stability_map(given, [1.0, 2.0], [1.0, 2.0])
 
 
 # -------------------------------------------------------------------- maps
@@ -227,7 +237,7 @@ class Whole:
     make: Callable[..., taut.Loop]
     q: tuple[float, ...]
 
-    def linear(self, one: float, other: float) -> taut.analysis.Linearisation:
+    def linear(self, one: float, other: float) -> taut.LinearSystem:
         loop = self.make(one, other)
         reference, loop.ref = loop.ref, taut.hold()
         try:

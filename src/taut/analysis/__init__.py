@@ -20,14 +20,13 @@ if TYPE_CHECKING:
     from taut.analysis.design.achieved import Requirement as Requirement
     from taut.analysis.design.result import Design as Design
     from taut.analysis.diagnosis.check import Check as Check
+    from taut.analysis.diagnosis.check import ExaminedRun as ExaminedRun
     from taut.analysis.diagnosis.check import Finding as Finding
     from taut.analysis.diagnosis.check import Threshold as Threshold
     from taut.analysis.diagnosis.checks import CHECKS as CHECKS
     from taut.analysis.diagnosis.diagnosis import Diagnosis as Diagnosis
-    from taut.analysis.diagnosis.examined_run import ExaminedRun as ExaminedRun
     from taut.analysis.grading import Grade as Grade
     from taut.analysis.impedance_at_tool import ToolImpedance as ToolImpedance
-    from taut.analysis.impedance_at_tool import ToolMeasurement as ToolMeasurement
     from taut.analysis.impedance_at_tool import tool_impedance as tool_impedance
     from taut.analysis.joint_coupling import Coupling as Coupling
     from taut.analysis.joint_coupling import coupling as coupling
@@ -53,7 +52,7 @@ if TYPE_CHECKING:
     from taut.linear.joint_loop import second_order as second_order
     from taut.linear.judgement import Judgement as Judgement
     from taut.linear.judgement import judge as judge
-    from taut.linear.linearise import Linearisation as Linearisation
+    from taut.linear.linear_system import OperatingPoint as OperatingPoint
     from taut.linear.routh_table import RouthTable as RouthTable
     from taut.linear.routh_table import routh as routh
     from taut.record.metrics import METRICS as METRICS

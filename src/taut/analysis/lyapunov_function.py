@@ -14,8 +14,8 @@ from taut.base.paths import subtree
 from taut.base.result import Content, Result, Table
 from taut.base.types import Float64Array, Vector
 from taut.codegen.engine import Steps, best_engine
-from taut.codegen.layout import Block
 from taut.codegen.loop import StepLoop
+from taut.codegen.program import Block
 from taut.maths import dynamics as dyn
 from taut.maths.model import PayloadValues, model_of
 from taut.record.run import Run

@@ -12,7 +12,7 @@ from taut.base.errors import RangeError, TautError, UsageError, unknown_name
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.engine import Steps
-from taut.codegen.layout import Block
+from taut.codegen.program import Block
 from taut.codegen.tangent import TANGENT, StepTangent, tangent_block
 from taut.control.trajectories.reference import JointMotion
 from taut.control.trajectories.task_reference import TaskMotion

@@ -204,7 +204,7 @@ def tune(
         limits: To keep within: `taut.Limits.of(arm)`; None for none.
         chatter: Largest chatter over that at the start: 1.0 for no more; None for any.
         margin: Smallest size alpha of the disk margin at the start of the run, 0 to 2 (see
-            `Linearisation.margins`).
+            `LinearSystem.margins`).
         q0: (n,) where runs start [rad | m]; home, or where a reference of joints starts, if left out.
         seeds: Of the noise in the runs.
         evaluations: Largest number of trials.

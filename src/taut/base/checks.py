@@ -19,6 +19,7 @@ __all__ = [
     "finite_scalar",
     "float_array",
     "in_compiled_shape",
+    "non_negative_scalar",
     "one_of",
     "positive_scalar",
     "rate_in_hertz",
@@ -26,6 +27,8 @@ __all__ = [
     "readable_file",
     "require_at_least",
     "require_positive",
+    "rounded_up",
+    "symmetric",
     "symmetric_psd",
     "vector",
     "whole_number",
@@ -183,6 +186,13 @@ def positive_scalar(name: str, value: object, *, unit: str = "") -> float:
     return number
 
 
+def non_negative_scalar(name: str, value: object, *, unit: str = "") -> float:
+    """A finite float that is zero or above."""
+    number = finite_scalar(name, value, unit=unit)
+    require_at_least(name, np.array(number), 0.0, unit=unit)
+    return number
+
+
 def whole_number(name: str, value: object, *, minimum: int = 0, maximum: int | None = None) -> int:
     """A whole number in a range; True and False are none."""
     rule = f">= {minimum}" if maximum is None else f"from {minimum} to {maximum}"
@@ -256,8 +266,8 @@ def rounded_up(value: float) -> str:
     return f"{math.ceil(value / digit * (1.0 - 1e-12)) * digit:.4g}"
 
 
-def symmetric_psd(name: str, matrix: Float64Array, *, unit: str = "") -> None:
-    """A symmetric positive semidefinite matrix, within rounding."""
+def symmetric(name: str, matrix: Float64Array, *, unit: str = "") -> float:
+    """The largest entry of a matrix that is symmetric within rounding."""
     scale = max(float(np.abs(matrix).max(initial=0.0)), np.finfo(float).tiny)
     skew = float(np.abs(matrix - matrix.T).max(initial=0.0))
     if skew > SYMMETRY_TOLERANCE * scale:
@@ -267,13 +277,20 @@ def symmetric_psd(name: str, matrix: Float64Array, *, unit: str = "") -> None:
             value=skew,
             rule="symmetric",
         )
+    return scale
+
+
+def symmetric_psd(name: str, matrix: Float64Array, *, unit: str = "", definite: bool = False) -> None:
+    """A symmetric positive semidefinite matrix, within rounding, or a positive definite one."""
+    scale = symmetric(name, matrix, unit=unit)
     smallest = float(np.linalg.eigvalsh(matrix)[0])
-    if smallest < -SYMMETRY_TOLERANCE * scale:
+    if smallest < -SYMMETRY_TOLERANCE * scale or (definite and smallest <= 0.0):
+        rule = "positive definite" if definite else "positive semidefinite"
         raise RangeError(
-            f"{name} must be positive semidefinite{_unit(unit)}; its smallest eigenvalue is {smallest:g}",
+            f"{name} must be {rule}{_unit(unit)}; its smallest eigenvalue is {smallest:g}",
             name=name,
             value=smallest,
-            rule="positive semidefinite",
+            rule=rule,
         )
 
 

@@ -93,7 +93,7 @@ def fig_10_14() -> Shown:
 
 AMPLITUDE, FREQUENCY = 1.5, 40.0  # [N m], [Hz] chosen: three times b_static
 OMEGA: Final = 2.0 * math.pi * FREQUENCY
-SETTLED, LAST = 20, 40  # periods of the dither after which a mean is taken, and until when
+SETTLED_PERIODS, LAST = 20, 40  # periods of the dither after which a mean is taken, and until when
 PUSHES: Final = (0.05, 0.1, 0.2)  # [N m], all below b_kinetic
 SHAKEN: Final = math.sqrt(AMPLITUDE**2 - (4.0 * KINETIC / math.pi) ** 2) / (OMEGA * M)  # [rad/s]
 GAIN, FACTOR = 5.0, 4.0  # [N m/rad] of PD control near rest, and times that
@@ -117,7 +117,7 @@ def pushed(push: float, law: Law | None, duration: float = LAST / FREQUENCY) -> 
 def mean_speed(push: float) -> float:
     """Of a run with dither, over whole periods [rad/s]."""
     run = pushed(push, Dither(amplitude=AMPLITUDE, frequency=FREQUENCY))
-    first = round(SETTLED / FREQUENCY * run.rate)
+    first = round(SETTLED_PERIODS / FREQUENCY * run.rate)
     return float((run.q[-1, 0] - run.q[first, 0]) / (run.t[-1] - run.t[first]))
 
 
@@ -132,14 +132,14 @@ def mean_speed_solved(push: float) -> float:
         t = _breaks_away(t, push)
         s = math.copysign(1.0, push + AMPLITUDE * math.sin(OMEGA * t))
         end = _rests(t, push, s)
-        for k in (SETTLED, LAST):
+        for k in (SETTLED_PERIODS, LAST):
             if t <= k / FREQUENCY < end:
                 marks[k] = q + _way(t, k / FREQUENCY, push, s)
             elif k / FREQUENCY < t:
                 marks.setdefault(k, q)
         q, t = q + _way(t, end, push, s), end
     marks.setdefault(LAST, q)
-    return (marks[LAST] - marks[SETTLED]) * FREQUENCY / (LAST - SETTLED)
+    return (marks[LAST] - marks[SETTLED_PERIODS]) * FREQUENCY / (LAST - SETTLED_PERIODS)
 
 
 def _breaks_away(t: float, push: float) -> float:

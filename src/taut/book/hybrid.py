@@ -27,7 +27,7 @@ from taut.trace.pose import Pose
 
 __all__: list[str] = []
 
-HEIGHT: Final = 0.4  # [m] of the board
+BOARD_HEIGHT: Final = 0.4  # [m] of the board
 BY_HAND: Final = "the equation in NumPy, with MuJoCo's M, h and J"
 # -------------------------------------------------------------------- the Panda on a board
 
@@ -35,7 +35,7 @@ BY_HAND: Final = "the equation in NumPy, with MuJoCo's M, h and J"
 @cache
 def on_board() -> Float64Array:
     """(7,) joints of a Panda whose tool is on the board."""
-    return np.asarray(onto(Constraint(lambda T: T.p[2] - HEIGHT), panda(), panda().home))
+    return np.asarray(onto(Constraint(lambda T: T.p[2] - BOARD_HEIGHT), panda(), panda().home))
 
 
 V_JOINTS: Final = np.array([0.3, -0.2, 0.25, 0.1, -0.4, 0.3, 0.2])  # [rad/s] chosen, before the board is kept to
@@ -65,7 +65,7 @@ def eq_10_39() -> Shown:
     A = np.asarray(eraser().at(snapshot(load_arm("gantry3"), [0.0, 0.0, 0.2])).A)
     wanted = np.array([[0.0, 0, 1, 0, 0, 0], [0, 0, 0, 1, 0, 0], [0, 0, 0, 0, 1, 0]])
     got = np.linalg.svd(A @ np.linalg.pinv(wanted) @ wanted - A)[1].max()
-    board_A = np.asarray(Constraint(lambda T: T.p[2] - HEIGHT).at(snapshot(panda(), q, v)).A)
+    board_A = np.asarray(Constraint(lambda T: T.p[2] - BOARD_HEIGHT).at(snapshot(panda(), q, v)).A)
     yield row("eraser: rank of A", "", np.linalg.matrix_rank(A), 3, "the chapter: k = 3", states="k = 3")
     yield row(
         "eraser: what A has besides z-dot, phi_x-dot, phi_y-dot", "", got, 0.0, "the chapter's three rows", near=1e-9
@@ -112,7 +112,7 @@ def lam_by_hand(m: EngineState, tau: Float64Array, A: Float64Array, Adot_V: Any)
 @cache
 def pressed() -> tuple[Run, Float64Array]:
     """A Panda on the board that presses with 10 N and moves along it; and the state at its start."""
-    constraint = Constraint(lambda T: T.p[2] - HEIGHT, one_sided=True)
+    constraint = Constraint(lambda T: T.p[2] - BOARD_HEIGHT, one_sided=True)
     q0 = on_board()
     T0 = snapshot(panda(), q0).T()
     stroke = Line(T0=T0, T1=Pose(np.asarray(T0.p) + np.array([0.0, 0.1, 0.0]), R=T0.R), duration=0.5)
@@ -262,7 +262,7 @@ def eq_10_45() -> Shown:
     yield row("stroke in the end", "m", out.task.p[-1, 1] - out.task.p[0, 1], 0.1, "as asked", near=1e-3)
     q, v, m = state()
     law = HybridMotionForce(
-        constraint=Constraint(lambda T: T.p[2] - HEIGHT),
+        constraint=Constraint(lambda T: T.p[2] - BOARD_HEIGHT),
         motion=TaskComputedTorque(kp=100.0, kd=20.0, null=None), kfp=0.3, kfi=10.0,
     )  # fmt: skip
     motion = TaskMotion(pose=Pose(m.p + np.array([0.01, -0.02, 0.0]), R=m.R), twist=[0.1, 0.05, 0.0, 0.0, 0.0, 0.0])

@@ -120,22 +120,22 @@ def along_x(law: Law, ref: Sample, rate: float = FAST) -> ToolImpedance:
 def eq_10_47() -> Shown:
     ws = np.geomspace(1.5, 90.0, 5)
     tool = along_x(VIRTUAL, still(slides()))
-    measured, wanted = tool.measure(ws), asked(ws)
+    measured, wanted = tool.measured_Z(ws), asked(ws)
     claims = {0: "dominated by the spring", 4: "dominated by the mass"}
-    for way, got in (("linearised", tool.Z(ws)), ("by a sweep of runs", measured.Z)):
+    for way, got in (("linearised", tool.Z(ws)), ("by a sweep of runs", measured)):
         for k in (0, 2, 4):
             name = f"Z at {ws[k]:.3g} rad/s, {way}"
             size, turn = (abs(got[k]), abs(wanted[k])), (np.angle(got[k]), np.angle(wanted[k]))
             yield row(f"|{name.replace(' at', '| at')}", "N/m", *size, POLYNOMIAL, rel=0.01, states=claims.get(k, ""))
             yield row(f"phase of {name}", "rad", *turn, POLYNOMIAL, rel=0.01)
     for name, k, part in (("|Z| at 1.5 rad/s over k", 0, K), ("|Z| at 90 rad/s over m w^2", 4, D * ws[4] ** 2)):
-        got, want = abs(measured.Z[k]) / part, abs(wanted[k]) / part
+        got, want = abs(measured[k]) / part, abs(wanted[k]) / part
         yield row(name, "", got, want, POLYNOMIAL, rel=0.01, states="near 1")
     figure, (ax,) = panels(1, 2.5)
     prepared(ax, "impedance at the tool", "|F / X| [N/m]", "w [rad/s]")
     fine = np.geomspace(1.0, 120.0, 200)
     ax.loglog(fine, np.abs(asked(fine)), color=INK, linewidth=0.9, label="|m s² + b s + k|")
-    ax.loglog(ws, np.abs(measured.Z), "o", color=colour(0), markersize=4.5, label="runs")
+    ax.loglog(ws, np.abs(measured), "o", color=colour(0), markersize=4.5, label="runs")
     ax.axhline(K, color=colour(2), linewidth=0.9, linestyle=DASHED, label="k")
     ax.loglog(fine, D * fine**2, color=colour(1), linewidth=0.9, linestyle=DASHED, label="m w²")
     ax.set_ylim(50.0, 4e4)

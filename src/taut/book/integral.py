@@ -42,13 +42,13 @@ from taut.record.run import Run
 __all__: list[str] = []
 
 HOME: Final = -math.pi / 2.0  # [rad] where figure 10.6 starts
-LONG: Final = 12.0  # [s]
+PID_DURATION: Final = 12.0  # [s]
 BOUND: Final = (B + KD) * KP / M  # [N m/(rad s)] of Ki
 
 
 def figure_10_6(ki: float, kp: float = KP) -> Run:
     """A run of figure 10.6."""
-    return on_link(PID(kp=kp, kd=KD, ki=ki), ref=JointMotion(q=[0.0]), duration=LONG, q0=[HOME])
+    return on_link(PID(kp=kp, kd=KD, ki=ki), ref=JointMotion(q=[0.0]), duration=PID_DURATION, q0=[HOME])
 
 
 def written_10_6(ki: float, times: np.ndarray) -> np.ndarray:
@@ -202,7 +202,7 @@ def fig_10_6() -> Shown:
                 )  # fmt: skip
     for ax in axes[:2]:
         legend(ax, ncols=1 if ax is axes[0] else 2)
-        ax.set_xlim(0.0, LONG)
+        ax.set_xlim(0.0, PID_DURATION)
     axes[1].set_ylim(-3.0, 5.0)
     ax = axes[2]
     ax.set_title("start and goal", fontsize=SMALL + 0.5, color=INK, loc="left")
@@ -266,7 +266,7 @@ def fig_10_7() -> Shown:
     yield 'Gains of figure 10.6: both roots of PD control at -2.1 1/s. "1" marks Ki = 1, that of figure 10.6.'
 
 
-RATE: Final = 100.0  # [Hz]
+SERVO_RATE: Final = 100.0  # [Hz]
 
 
 def amplitude(run: Run, w: float) -> float:
@@ -316,23 +316,25 @@ def delayed() -> Shown:
     s = 1j * crossover
     margin = math.pi + float(np.angle((KP + KD * s) / (M * s**2 + B * s)))
     border = (margin % (2.0 * math.pi)) / crossover
-    found = error_dynamics(M=M, b=B, kp=KP, kd=KD, rate=RATE).margins().delay
+    found = error_dynamics(M=M, b=B, kp=KP, kd=KD, rate=SERVO_RATE).margins().delay
     yield row(
         "delay up to which PD control is stable",
         "s",
         found,
-        border - 0.5 / RATE,
+        border - 0.5 / SERVO_RATE,
         "phase margin / crossover, less half a tick",
         rel=0.002,
     )
     for factor in (0.95, 1.05):
-        taps = round(RATE * factor * border)
+        taps = round(SERVO_RATE * factor * border)
         run = on_link(
-            controller(PID(kp=KP, kd=KD), link(gravity=False), rate=RATE), plant=link(gravity=False),
-            ref=JointMotion(q=[0.0]), duration=24.0, q0=[0.1], actuation=Actuation(delay=taps / RATE),
+            controller(PID(kp=KP, kd=KD), link(gravity=False), rate=SERVO_RATE), plant=link(gravity=False),
+            ref=JointMotion(q=[0.0]), duration=24.0, q0=[0.1], actuation=Actuation(delay=taps / SERVO_RATE),
         )  # fmt: skip
         late, early = (float(np.abs(run.between(*ends).q).max()) for ends in ((18.0, 24.0), (10.0, 16.0)))
-        yield row(f"it grows with a delay of {taps / RATE:g} s", "0 or 1", late > early, factor > 1.0, "that limit")
+        yield row(
+            f"it grows with a delay of {taps / SERVO_RATE:g} s", "0 or 1", late > early, factor > 1.0, "that limit"
+        )
 
     yield (
         "The chapter: delayed feedback can cause instability. Gains of figure 10.6, which are critically damped "
@@ -345,10 +347,10 @@ def bounded() -> Shown:
     """Critically damped designs at 100 Hz with differenced positions: in the book any of them is stable."""
 
     def sampled(omega_n: float) -> LinearSystem:
-        return error_dynamics(M=M, b=B, omega_n=omega_n, zeta=1.0, rate=RATE, velocity="difference")
+        return error_dynamics(M=M, b=B, omega_n=omega_n, zeta=1.0, rate=SERVO_RATE, velocity="difference")
 
     def radius(omega_n: float) -> float:
-        return held_radius(M, B, M * omega_n**2, 2.0 * M * omega_n - B, RATE)
+        return held_radius(M, B, M * omega_n**2, 2.0 * M * omega_n - B, SERVO_RATE)
 
     limit = bisected(lambda omega_n: sampled(omega_n).stable, 1.0, 100.0)
     gains = second_order(M=M, b=B, omega_n=limit, zeta=1.0)
@@ -369,7 +371,7 @@ def bounded() -> Shown:
         omega_n = factor * limit
         law = PID(kp=M * omega_n**2, kd=2.0 * M * omega_n - B)
         run = on_link(
-            controller(law, plane, rate=RATE, differenced=True), plant=plane, ref=rest, duration=1.5, q0=[1e-3],
+            controller(law, plane, rate=SERVO_RATE, differenced=True), plant=plane, ref=rest, duration=1.5, q0=[1e-3],
             substeps=4,
         )  # fmt: skip
         got = float(np.exp(max(two_poles(run.q[60:, 0], 1.0).real)))

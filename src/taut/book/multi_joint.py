@@ -72,28 +72,28 @@ def eq_10_22() -> Shown:
 
 KP, KD = np.array([40.0, 20.0]), np.array([3.0, 1.0])  # [N m/rad], [N m s/rad] of two links, chosen
 START, GOAL = np.array([1.2, -0.9]), np.array([-0.4, 0.8])  # [rad]
-LONG: Final = 8.0  # [s]
-RATE: Final = 20000.0  # [Hz]
+LYAPUNOV_DURATION: Final = 8.0  # [s]
+FAST_RATE: Final = 20000.0  # [Hz]
 
 
 @cache
 def falling() -> Run:
     """Two links under PD control with gravity compensation, from afar."""
     law, goal = GravityPID(kp=KP, kd=KD), JointMotion(q=GOAL)
-    return simulated(law, two_links(), goal, rate=RATE, duration=LONG, q0=START, integrator="rk4")
+    return simulated(law, two_links(), goal, rate=FAST_RATE, duration=LYAPUNOV_DURATION, q0=START, integrator="rk4")
 
 
 @cache
 def written() -> tuple[Float64Array, Float64Array]:
     """(k,) times, and (5, k) q, v and the integral of v . Kd v, by SciPy."""
-    times = np.linspace(0.0, LONG, 801)
+    times = np.linspace(0.0, LYAPUNOV_DURATION, 801)
 
     def rate(_: float, y: Float64Array) -> Float64Array:
         q, v = y[:2], y[2:4]
         a = np.linalg.solve(TWO_LINKS.M(q), KP * (GOAL - q) - KD * v - TWO_LINKS.Cv(q, v))
         return np.array([*v, *a, v @ (KD * v)])
 
-    got = solve_ivp(rate, (0.0, LONG), [*START, 0.0, 0.0, 0.0], "DOP853", times, rtol=1e-11, atol=1e-12)
+    got = solve_ivp(rate, (0.0, LYAPUNOV_DURATION), [*START, 0.0, 0.0, 0.0], "DOP853", times, rtol=1e-11, atol=1e-12)
     return times, got.y
 
 
@@ -112,7 +112,7 @@ def energy(q: Float64Array, v: Float64Array) -> float:
 @entry("eq-10.23", "its closed loop")
 def eq_10_23() -> Shown:
     out, (times, y) = falling(), written()
-    k, at = round(0.4 * RATE), int(np.searchsorted(times, 0.4 - 1e-9))
+    k, at = round(0.4 * FAST_RATE), int(np.searchsorted(times, 0.4 - 1e-9))
     yield from (
         row(
             f"joint {i + 1} after 0.4 s",
@@ -130,7 +130,7 @@ def eq_10_23() -> Shown:
 
 @entry("eq-10.24", "the error energy")
 def eq_10_24() -> Shown:
-    out, k = falling(), round(0.15 * RATE)
+    out, k = falling(), round(0.15 * FAST_RATE)
     wanted = energy(out.q[k], out.v[k])
     yield row("error energy V of two links, after 0.15 s", "J", found().V[k], wanted, TWO_BY_HAND)
     yield "By taut.analysis.lyapunov. The run of equation 10.23."
@@ -143,27 +143,29 @@ def eq_10_25() -> Shown:
     ode = "SciPy's DOP853 of 10.23, written out"
     V, e = found().V, GOAL - START
     yield row("V at the start", "J", V[0], 0.5 * (e @ (KP * e)), TWO_BY_HAND)
-    yield row("V after 0.4 s", "J", V[round(0.4 * RATE)], energy(y[:2, at], y[2:4, at]), ode, rel=0.0, near=5e-3)
+    yield row("V after 0.4 s", "J", V[round(0.4 * FAST_RATE)], energy(y[:2, at], y[2:4, at]), ode, rel=0.0, near=5e-3)
     yield "Numbers of equation 10.23."
 
 
 @entry("eq-10.26", "its rate")
 def eq_10_26() -> Shown:
-    out, k = falling(), round(0.15 * RATE)
+    out, k = falling(), round(0.15 * FAST_RATE)
     q, v = out.q[k], out.v[k]
     M, e = TWO_LINKS.M(q), GOAL - q
     a = np.linalg.solve(M, KP * e - KD * v - TWO_LINKS.Cv(q, v))
     wanted = -v @ (KP * e) + v @ M @ a + 0.5 * v @ TWO_LINKS.M_rate(q, v) @ v
     V = found().V
     yield row("rate of V at 0.15 s", "W", found().rate[k], wanted, TWO_BY_HAND)
-    yield row("the same by differences of V", "W", 0.5 * RATE * (V[k + 1] - V[k - 1]), wanted, TWO_BY_HAND, rel=2e-3)
+    yield row(
+        "the same by differences of V", "W", 0.5 * FAST_RATE * (V[k + 1] - V[k - 1]), wanted, TWO_BY_HAND, rel=2e-3
+    )
     yield "Numbers of equation 10.23."
 
 
 @entry("eq-10.27", "it only falls")
 def eq_10_27() -> Shown:
     out, (times, y) = falling(), written()
-    k, some = round(0.15 * RATE), slice(None, None, round(0.01 * RATE))
+    k, some = round(0.15 * FAST_RATE), slice(None, None, round(0.01 * FAST_RATE))
     V = found().V
     q, v = np.array([0.3, 0.8]), np.array([1.0, -0.7])
     C = np.asarray(snapshot(two_links(), q, v).C)
@@ -174,7 +176,7 @@ def eq_10_27() -> Shown:
     yield row("rate of V at 0.15 s", "W", found().rate[k], -out.v[k] @ (KD * out.v[k]), "-v . Kd v", rel=1e-6)
     yield row("both at their worst, apart, over the largest rate", "", found().worst, 0.0, "-v . Kd v", near=1e-6)
     yield row(
-        "V lost in 0.4 s", "J", V[0] - V[round(0.4 * RATE)], y[4, 40], "integral of v . Kd v by SciPy", rel=1e-3
+        "V lost in 0.4 s", "J", V[0] - V[round(0.4 * FAST_RATE)], y[4, 40], "integral of v . Kd v by SciPy", rel=1e-3
     )
     yield row("ticks after which V is larger", "", int((np.diff(V) > 1e-9).sum()), 0, "the chapter: decreasing")
     yield row(
@@ -251,7 +253,7 @@ def sec_10_2_2_1() -> Shown:
         M, wanted = np.asarray(snapshot(arm, q).M), TWO_LINKS.M(q) + G**2 * rotor * np.eye(2)
         kp, kd = 400.0 * np.diag(M), 40.0 * np.diag(M)
         level = arm.with_gravity([0.0, 0.0, 0.0])
-        found = coupling(looped(PID(kp=kp, kd=kd), level, JointMotion(q=q), rate=RATE), at=q)
+        found = coupling(looped(PID(kp=kp, kd=kd), level, JointMotion(q=q), rate=FAST_RATE), at=q)
         by_hand = abs(wanted[0, 1]) / math.sqrt(wanted[0, 0] * wanted[1, 1])
         name, claim = "coupling |M12| / sqrt(M11 M22) of two links", "nearly diagonal" if G > 1.0 else ""
         yield row(f"{name}, G = {G:g}", "", found.inertia, by_hand, TWO_BY_HAND, states=claim)

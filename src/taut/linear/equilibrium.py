@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from taut.base.errors import RangeError
 from taut.base.types import Float64Array
-from taut.linear.loop_map import finite_derivative
-from taut.linear.period import Derivative, PeriodMap, Point
+from taut.linear.period import Derivative, PeriodMap, Point, finite_derivative
 
 __all__ = ["WITHIN", "Flags", "Rest", "driven_states", "equilibrium", "observed_states", "standing_states"]
 
@@ -185,7 +184,7 @@ def _never(map_: PeriodMap, start: Point, at: Point, found: Derivative) -> Range
     name = names[int(np.argmax(wrong))]
     return RangeError(
         f"not an equilibrium: '{name}' does not settle, it changes by {wrong.max():.3g} in a period, and the arm "
-        "follows it; linearise along a run instead, along=run",
+        "follows it; begin at= another pose, or run the loop until it rests",
         name=name,
         value=float(wrong.max()),
         rule="an equilibrium",

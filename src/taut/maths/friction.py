@@ -16,7 +16,7 @@ from taut.trace.linalg import LTDL
 __all__ = [
     "DryFriction",
     "FrictionValues",
-    "SWEEPS",
+    "FRICTION_SWEEPS",
     "dry_friction",
     "dry_limit",
     "friction_torque",
@@ -26,7 +26,9 @@ __all__ = [
 REST: Final = 1e-12  # [rad/s | m/s] of a joint that friction holds is rounding: it rests, and sgn(v) is 0
 MIN_SPEED: Final = 1e-150  # [rad/s | m/s] a speed below it is rest: 1 / x would overflow in a derivative
 MAX_LOG_POWER: Final = 6.7  # exp(-exp(6.7)) is zero in floating point; beyond it a power would only overflow
-SWEEPS: Final = 6  # of projected Gauss-Seidel, half of them before the joints that are held are solved for exactly
+FRICTION_SWEEPS: Final = (
+    6  # of projected Gauss-Seidel, half of them before the joints that are held are solved for exactly
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +51,7 @@ def dry_friction(
     *,
     joints: Sequence[int],
     stop: Vector | None = None,
-    sweeps: int = SWEEPS,
+    sweeps: int = FRICTION_SWEEPS,
 ) -> DryFriction:
     """Velocities after dry friction, and the friction torques that give them.
 

@@ -39,7 +39,7 @@ __all__ = [
 ]
 
 BORDER: Final = 0.1  # smallest singular value of J under which an arm of 0.9 m and more is near a singularity
-DAMPING: Final = 0.1  # lambda at the singularity, as a fraction of the limit of manipulability
+DAMPING_AT_SINGULARITY: Final = 0.1  # lambda at the singularity, as a fraction of the limit of manipulability
 SHARE: Final = 0.1  # of the torque that gravity and Coriolis forces leave: what motion may use near a singularity
 TOP_SPEED: Final = 0.97  # of a joint's limit
 LEAST_ROOM: Final = 0.05  # of the effort: what is taken to be left where gravity takes all of it
@@ -92,7 +92,7 @@ def resolve(
     rate: Any,
     held: Any,
     beyond: Any = 0.0,
-    damping: Any = DAMPING,
+    damping: Any = DAMPING_AT_SINGULARITY,
     share: Any = SHARE,
 ) -> ResolvedMotion:
     """Joint accelerations for a task acceleration: J^# a away from singularities, and smooth through them.

@@ -28,7 +28,7 @@ __all__ = ["CLOSED", "Contacts", "RigidContact", "RigidTouch", "check_force_feed
 
 Values = Mapping[str, Any]
 CLOSED: Final = 1e-6  # [m | rad] within which a run may start in contact; the first step takes it away
-MOVING: Final = 1e-6  # [m/s | rad/s] at which a run may start against what holds both ways
+START_SPEED_TOLERANCE: Final = 1e-6  # [m/s | rad/s] at which a run may start against what holds both ways
 ROUNDING: Final = 1e-9  # [-] of a loop gain
 TURNS: Final = 1e-9  # of A: a contact at the tool's origin has no moments about it
 
@@ -314,7 +314,7 @@ def _check_row(which: str, phi: float, speed: float, *, one_sided: bool) -> None
             value=phi,
             rule=rule,
         )
-    if abs(speed) > MOVING and not one_sided:
+    if abs(speed) > START_SPEED_TOLERANCE and not one_sided:
         raise RangeError(
             f"a run must start with a motion that contact= allows, and at v0 {which} has d phi/dt = {speed:.4g}; "
             "leave v0 out, or take from it what moves against the constraint",

@@ -21,7 +21,7 @@ from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
 from taut.maths.constraints.constraint import Constraint
-from taut.maths.friction import SWEEPS
+from taut.maths.friction import FRICTION_SWEEPS
 from taut.maths.model import Model, model_of
 from taut.maths.snapshot import Snapshot
 from taut.plant.contact import Contacts, RigidContact, each_contact
@@ -102,7 +102,7 @@ class RigidPlant:
         default=None, kw_only=True
     )
     adds: Adds | Iterable[str] | Mapping[str, Payload | None] = field(default=(), kw_only=True)
-    sweeps: int = field(default=SWEEPS, kw_only=True)
+    sweeps: int = field(default=FRICTION_SWEEPS, kw_only=True)
     energy: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:

@@ -22,12 +22,11 @@ from taut.loop import Loop, ModelPlant, check_fit, duration_of_ticks, require_no
 from taut.record.info import Change, RunInfo, Stability, versions
 from taut.record.progress import Progress
 from taut.record.run import Run
-from taut.runtime.around_info import around_info
 from taut.runtime.events import Event, sorted_events
 from taut.runtime.fused import FusedRun
 from taut.runtime.host import HostPlant, RealArm
 from taut.runtime.hosted import HostedRun
-from taut.runtime.tool_info import tool_info
+from taut.runtime.info import around_info, tool_info
 
 __all__ = ["run"]
 

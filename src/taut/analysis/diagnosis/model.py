@@ -15,7 +15,7 @@ from scipy.optimize import least_squares, lsq_linear
 from taut.arm.description import Arm
 from taut.base.errors import MatchError, UsageError
 from taut.base.types import Array, Float64Array
-from taut.codegen.function import native
+from taut.codegen.kernel import native
 from taut.maths import dynamics as dyn
 from taut.maths.chain import Chain
 from taut.maths.model import PayloadValues, model_of

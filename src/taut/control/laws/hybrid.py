@@ -42,7 +42,7 @@ from taut.control.laws.force import (
     taken_back,
 )
 from taut.control.laws.task_space import check_sensor, wrench_at
-from taut.control.trajectories.force_reference import MAX_ROWS, HybridMotion, hybrid_kind
+from taut.control.trajectories.force_reference import MAX_MULTIPLIERS, HybridMotion, hybrid_kind
 from taut.control.trajectories.reference import Reference, Sample
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.constraints.constraint import Constraint
@@ -180,8 +180,8 @@ class HybridMotionForce(Law):
         motion = self.motion
         if issubclass(motion.reference, HybridMotion):
             self.refuse("motion", f"must be a law such as TaskComputedTorque; got {type(motion).__name__}")
-        if self.rows > MAX_ROWS:
-            self.refuse("constraint", f"must have up to {MAX_ROWS} rows; it has {self.rows}")
+        if self.rows > MAX_MULTIPLIERS:
+            self.refuse("constraint", f"must have up to {MAX_MULTIPLIERS} rows; it has {self.rows}")
         if self.measures and self.feedback == "wrench" and self.constraint.frame is None:
             self.refuse(
                 "feedback",

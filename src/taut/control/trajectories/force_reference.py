@@ -19,7 +19,7 @@ from taut.control.trajectories.timing import Motion
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotated
 
-__all__ = ["MAX_ROWS", "HybridMotion", "TaskForce", "hybrid_kind", "pressing"]
+__all__ = ["MAX_MULTIPLIERS", "HybridMotion", "TaskForce", "hybrid_kind", "pressing"]
 
 UNIT: Final = "N, N m"
 
@@ -101,8 +101,8 @@ class TaskForce(Sample):
         return f"TaskForce(F_app={self.F_world.tolist()})"
 
 
-MAX_ROWS: Final = 12  # of all constraints at once
-FORCES: Final = {"press": (1,), "lam": (MAX_ROWS,), "F_app": (6,), "given": (1,)}
+MAX_MULTIPLIERS: Final = 12  # of all constraints at once
+FORCES: Final = {"press": (1,), "lam": (MAX_MULTIPLIERS,), "F_app": (6,), "given": (1,)}
 
 
 class HybridMotion(Sample):
@@ -177,7 +177,7 @@ class Pressing(Motion[HybridMotion]):
 
     of: Part[Any] = Part(Sample, Trajectory)
     press: Plain[float | Callable[[float], float]] = Plain()
-    lam: Field = Field(unit=UNIT, shape=MAX_ROWS)
+    lam: Field = Field(unit=UNIT, shape=MAX_MULTIPLIERS)
     F_app: Field = Field(unit=UNIT, shape=6)
     given: Field = Field(shape=1)
 
@@ -265,10 +265,10 @@ def pressing(
     ]
     if len(given) > 1:
         raise UsageError(f"pressing takes one of press, lam and F_app; got {' and '.join(given)}", name=given[1])
-    full, count = np.zeros(MAX_ROWS), 0
+    full, count = np.zeros(MAX_MULTIPLIERS), 0
     if lam is not None:
         rows = finite_array("lam", lam, unit=UNIT)
-        if rows.ndim != 1 or not 1 <= len(rows) <= MAX_ROWS:
+        if rows.ndim != 1 or not 1 <= len(rows) <= MAX_MULTIPLIERS:
             raise ShapeError(
                 f"lam must be (k,), one for each row of the constraint; got shape {rows.shape}", name="lam"
             )

@@ -12,14 +12,14 @@ from taut.base.checks import vector
 from taut.base.errors import RangeError, UsageError
 from taut.base.types import ArrayLike, Float64Array, Matrix, Vector
 from taut.maths.constraints.constraint import Constraint
-from taut.maths.constraints.rows import DEPENDENT, ConstraintRows
+from taut.maths.constraints.rows import MIN_INDEPENDENT_PART, ConstraintRows
 from taut.maths.snapshot import Snapshot, snapshot
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL, factor_spd
 
 __all__ = ["Constrained", "force_projector", "onto"]
 
-NEWTON_STEPS: Final = 30
+MULTIPLIER_STEPS: Final = 30
 ON_CONSTRAINT: Final = 1e-12  # [m, rad] of phi
 CHAIN: Final = 1e-4  # [1/kg, 1/(kg m^2)] of mobility: less of it is a direction that a chain does not have
 
@@ -40,7 +40,7 @@ class Constrained:
     def of(cls, rows: ConstraintRows, M_factors: LTDL) -> Constrained:
         """That of rows at a state whose mass matrix has these factors."""
         W = M_factors.solve(rows.A_q.T)
-        return cls(rows=rows, Minv_AT=W, mobility=factor_spd(rows.A_q @ W, DEPENDENT))
+        return cls(rows=rows, Minv_AT=W, mobility=factor_spd(rows.A_q @ W, MIN_INDEPENDENT_PART))
 
     def against(self, tau: Vector) -> Vector:
         """(n,) the part of torques that pushes against the constraints, (I - P) tau."""
@@ -118,7 +118,7 @@ def onto(constraint: Constraint, arm: Arm, q: ArrayLike) -> Float64Array:
     if not isinstance(arm, Arm):
         raise UsageError(f"onto takes an arm from taut.load_arm; got {type(arm).__name__}", name="arm")
     at = vector("q", q, arm.n, joints=arm.joint_names)
-    for _ in range(NEWTON_STEPS):
+    for _ in range(MULTIPLIER_STEPS):
         x = snapshot(arm, at)
         rows = constraint.at(x)
         phi = np.asarray(rows.phi, dtype=np.float64)
@@ -129,7 +129,7 @@ def onto(constraint: Constraint, arm: Arm, q: ArrayLike) -> Float64Array:
         step = W @ np.linalg.lstsq(A @ W, phi, rcond=None)[0]
         at = at - step * min(1.0, 0.5 / max(1e-12, float(np.abs(step).max())))
     raise RangeError(
-        f"no state of '{arm.name}' near q keeps to the constraint: after {NEWTON_STEPS} steps phi is "
+        f"no state of '{arm.name}' near q keeps to the constraint: after {MULTIPLIER_STEPS} steps phi is "
         f"[{', '.join(f'{value:.3g}' for value in phi)}]; begin elsewhere, or put the constraint within reach",
         name="constraint",
     )

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from taut.maths.constraints.functions import Surface
 
 __all__ = [
-    "DEPENDENT",
+    "MIN_INDEPENDENT_PART",
     "ConstraintRows",
     "OfJointVelocity",
     "OfJoints",
@@ -32,7 +32,9 @@ __all__ = [
 ]
 
 
-DEPENDENT: Final = 1e-7  # of a row's square, what it has that later rows have not: below it, it is left out
+MIN_INDEPENDENT_PART: Final = (
+    1e-7  # of a row's square, what it has that later rows have not: below it, it is left out
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,7 +58,7 @@ class ConstraintRows:
     def factors(self) -> LTDL:
         """Of A A^T, without rows that depend on later ones."""
         assert self.A is not None
-        return factor_spd(self.A @ self.A.T, DEPENDENT)
+        return factor_spd(self.A @ self.A.T, MIN_INDEPENDENT_PART)
 
     @property
     def rate(self) -> Callable[[Vector], Vector]:

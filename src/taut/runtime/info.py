@@ -1,4 +1,4 @@
-"""What stood around an arm in a run, for its films: a scene, or the surfaces that a model plant has."""
+"""What a run keeps of its start: tool, impedance of the law, limits, and what stood around the arm for its films."""
 
 from __future__ import annotations
 
@@ -7,17 +7,27 @@ from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 
+from taut.arm.description import Arm
+from taut.base.paths import subtree
 from taut.base.types import Float64Array
+from taut.control.law import Law
+from taut.control.laws.apparent import felt_impedance
+from taut.control.lawside import LawSide
+from taut.control.side_by_side import SideBySide
+from taut.control.tasks.task import Task
 from taut.loop import AnyPlant
+from taut.maths.chain import Chain
 from taut.maths.constraints.functions import Surface
 from taut.maths.constraints.rows import OfPoses
+from taut.maths.model import Model, PayloadValues
 from taut.maths.snapshot import Snapshot
 from taut.plant.contact import each_contact
 from taut.plant.rigid import RigidPlant
 from taut.record.film.surroundings import Around, Shape, Thing
+from taut.record.info import PartInfo
 from taut.trace.pose import Pose
 
-__all__ = ["around_info"]
+__all__ = ["around_info", "tool_info"]
 
 BOARD: Final = (0.2, 0.35, 0.3, 1.0)
 HOLLOW: Final = (0.2, 0.35, 0.3, 0.35)  # what the tool is inside of lets it be seen
@@ -102,3 +112,47 @@ def _along(z: Float64Array) -> tuple[float, ...]:
 
 def _numbers(values: Any) -> tuple[float, ...]:
     return tuple(float(x) for x in values)
+
+
+def tool_info(law: Law | Task, side: LawSide, q: Float64Array, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """The entries of RunInfo about tool and limits, by name.
+
+    Args:
+        law: The law with the gains of the run.
+        side: The law side of the loop.
+        q: (n,) positions at the start [rad | m].
+        parameters: Parameters of the law side by path.
+    """
+    payload = {name: np.array(value) for name, value in subtree(parameters, "model.payload").items()}
+    x = Snapshot(side.model, q=q, v=np.zeros(len(q)), payload=PayloadValues.of(payload))
+    own = _of_law(law, side.model, x)
+    out: dict[str, Any] = {"tool": own.tool, "impedance": own.impedance, "limits": _limits(side.arm)}
+    if isinstance(law, SideBySide):
+        seen = law.seen(x)
+        out["parts"] = {
+            name: _of_law(part, seen[name].model, seen[name], joints=seen[name].arm.joint_names)
+            for name, part in law.parts.items()
+        }
+    if isinstance(law, Task):
+        out["phases"] = {
+            name: _of_law(law.laws[name], side.model, x, follows=law.follows(name)) for name in law.phases
+        }
+    return out
+
+
+def _limits(arm: Arm) -> dict[str, dict[str, float]]:
+    """Effort and velocity limits by joint, of those that have one."""
+    return {
+        name: {joint: float(most) for joint, most in zip(arm.joint_names, values, strict=True) if np.isfinite(most)}
+        for name, values in (("effort", arm.effort), ("velocity", arm.velocity))
+    }
+
+
+def _of_law(
+    law: Law | Task, model: Model, x: Snapshot, *, joints: tuple[str, ...] = (), follows: str | None = None
+) -> PartInfo:
+    frame = law.controlled_frame
+    impedance = None
+    if isinstance(law, Law) and frame in (None, model.arm.tool):  # F_ext is taken at the arm's tool
+        impedance = felt_impedance(law, x)
+    return PartInfo(tool=Chain.of(model, frame), impedance=impedance, joints=joints, follows=follows)
